@@ -1,0 +1,241 @@
+"""What the plant is: its constants, their randomisation, and the conditions under which the model is valid."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+NormalForce = Literal["newton", "paper"]
+
+
+class Plant(NamedTuple):
+    """The constants of one plant as the compiled functions read them: SI units, float64, no validation."""
+
+    M: float
+    m: float
+    l: float
+    g: float
+    k: float
+    c: float
+    mu: float
+    static_ratio: float
+    backward_ratio: float
+    pivot_torque_on_contact: float
+
+
+def check_number(
+    name: str, value: Any, accepted: str, low: float = -math.inf, high: float = math.inf, *, open_low: bool = False
+) -> float:
+    """Returns `value` as a float, or says which argument is wrong, what it is and what would be accepted.
+
+    Args:
+        name: the argument's name, for the message.
+        value: what the caller gave.
+        accepted: the accepted range in words, for the message.
+        low: smallest accepted value.
+        high: largest accepted value.
+        open_low: whether `low` itself is refused.
+
+    Raises:
+        TypeError: if `value` is no real number.
+        ValueError: if it is not finite or outside the range.
+    """
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise TypeError(f"{name} must be {accepted}, got {value!r} of type {type(value).__name__}")
+    number = float(value)
+    if not math.isfinite(number) or number < low or number > high or (open_low and number == low):
+        raise ValueError(f"{name} must be {accepted}, got {value!r}")
+    return number
+
+
+def check_contact_is_regular(M: float, m: float, mu: float) -> None:
+    """Refuses a plant whose slip equations can be singular (Painleve's paradox).
+
+    In slip N depends on theta'' and theta'' on N through friction; the pair has one solution at every angle only
+    while (M + m) / m > (1 + sqrt(1 + mu^2)) / 2.
+
+    Args:
+        M: mass of the platform in kg.
+        m: mass of the ball in kg.
+        mu: the largest friction coefficient that can act.
+
+    Raises:
+        ValueError: if the condition fails.
+    """
+    bound = (1.0 + math.sqrt(1.0 + mu * mu)) / 2.0
+    if (M + m) / m <= bound:
+        largest = math.sqrt((2.0 * (M + m) / m - 1.0) ** 2 - 1.0)
+        raise ValueError(
+            f"M={M!r}, m={m!r} and friction coefficient mu={mu!r} admit Painleve's paradox: the slip equations need "
+            f"(M + m) / m > (1 + sqrt(1 + mu^2)) / 2 = {bound:.6g}, got {(M + m) / m:.6g}; with these masses "
+            f"mu must stay below {largest:.6g}"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Capsule:
+    """The constants of the capsule robot, in SI units; the defaults are those of Liu, Yu and Cang (2018), Sect. 5.
+
+    Attributes:
+        M: mass of the platform, kg.
+        m: mass of the ball, kg.
+        l: distance from the pivot to the ball, m.
+        g: gravitational acceleration, m/s^2.
+        k: stiffness of the torsional spring, N m/rad.
+        c: viscous coefficient of the pivot, N m s/rad.
+        mu: kinetic friction coefficient when the platform slides forwards, without dimension.
+        static_ratio: static over kinetic friction coefficient, at least 1.
+        backward_ratio: friction coefficient backwards over forwards (the paper's Remark 1: anisotropic contact).
+        normal_force: "newton", from Newton's law, or "paper", which subtracts (k theta + c theta') sin(theta) as the
+            paper's (7) does; that torque is internal, so the option serves the reproduction only.
+
+    Raises:
+        TypeError: if a field is of the wrong type.
+        ValueError: if a field is out of range, or the plant admits Painleve's paradox.
+    """
+
+    M: float = 0.5
+    m: float = 0.138
+    l: float = 0.3
+    g: float = 9.81
+    k: float = 0.36
+    c: float = 0.0923
+    mu: float = 0.01
+    static_ratio: float = 1.0
+    backward_ratio: float = 1.0
+    normal_force: NormalForce = "newton"
+
+    def __post_init__(self) -> None:
+        for name in ("M", "m", "l", "g", "backward_ratio"):
+            check_number(f"Capsule.{name}", getattr(self, name), "a finite number > 0", 0.0, open_low=True)
+        for name in ("k", "c", "mu"):
+            check_number(f"Capsule.{name}", getattr(self, name), "a finite number >= 0", 0.0)
+        check_number("Capsule.static_ratio", self.static_ratio, "a finite number >= 1", 1.0)
+        if self.normal_force not in ("newton", "paper"):
+            raise ValueError(f"Capsule.normal_force must be 'newton' or 'paper', got {self.normal_force!r}")
+        self.check_plant(self.M, self.mu)
+
+    def check_plant(self, M: float, mu: float) -> None:
+        """Refuses values of M and mu that this capsule cannot have.
+
+        Args:
+            M: mass of the platform in kg.
+            mu: kinetic friction coefficient forwards.
+
+        Raises:
+            TypeError: if one is no number.
+            ValueError: if one is out of range or together they admit Painleve's paradox.
+        """
+        M = check_number("M", M, "a finite number > 0 (kg)", 0.0, open_low=True)
+        mu = check_number("mu", mu, "a finite number >= 0", 0.0)
+        check_contact_is_regular(M, self.m, mu * max(1.0, self.backward_ratio) * self.static_ratio)
+
+    def plant(self, M: float | None = None, mu: float | None = None) -> Plant:
+        """The constants as the compiled functions read them.
+
+        Args:
+            M: mass of the platform in kg; this capsule's own where None.
+            mu: friction coefficient; this capsule's own where None.
+        """
+        capsule = replace(self, M=self.M if M is None else M, mu=self.mu if mu is None else mu)
+        return Plant(
+            *(
+                float(getattr(capsule, name))
+                for name in ("M", "m", "l", "g", "k", "c", "mu", "static_ratio", "backward_ratio")
+            ),
+            pivot_torque_on_contact=float(capsule.normal_force == "paper"),
+        )
+
+
+def _check_range(name: str, value: Any, *, positive: bool) -> tuple[float, float]:
+    """Validates one range (low, high) of a Randomization."""
+    accepted = f"a pair (low, high) of finite numbers with {'0 <' if positive else '0 <='} low <= high"
+    try:
+        low, high = value
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be {accepted}, got {value!r}") from None
+    low = check_number(f"{name}[0]", low, accepted, 0.0, open_low=positive)
+    high = check_number(f"{name}[1]", high, accepted, 0.0, open_low=positive)
+    if low > high:
+        raise ValueError(f"{name} must be {accepted}, got {value!r}")
+    return low, high
+
+
+@dataclass(frozen=True, kw_only=True)
+class Randomization:
+    """The ranges that the platform mass and the friction coefficient of every episode are drawn from.
+
+    Attributes:
+        M: lowest and highest mass of the platform, kg; drawn uniformly. None keeps the capsule's own.
+        mu: lowest and highest friction coefficient. None keeps the capsule's own.
+        log_mu: draw log(mu) uniformly instead of mu, for ranges over several decades.
+
+    Raises:
+        TypeError: if a range is no pair of numbers.
+        ValueError: if a range is not finite, not positive or not ordered.
+    """
+
+    M: tuple[float, float] | None = None
+    mu: tuple[float, float] | None = None
+    log_mu: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.log_mu, bool):
+            raise TypeError(f"Randomization.log_mu must be True or False, got {self.log_mu!r}")
+        if self.M is not None:
+            object.__setattr__(self, "M", _check_range("Randomization.M", self.M, positive=True))
+        if self.mu is not None:
+            object.__setattr__(self, "mu", _check_range("Randomization.mu", self.mu, positive=self.log_mu))
+
+    @classmethod
+    def named(cls, name: str | Randomization) -> Randomization:
+        """The randomisation of that name ("none", "paper", "wide"); a Randomization is returned as it is.
+
+        Raises:
+            ValueError: if the name is not known.
+            TypeError: if `name` is neither a string nor a Randomization.
+        """
+        if isinstance(name, cls):
+            return name
+        if not isinstance(name, str):
+            raise TypeError(f"randomization must be a Randomization or one of {sorted(RANDOMIZATIONS)}, got {name!r}")
+        if name not in RANDOMIZATIONS:
+            raise ValueError(f"randomization must be a Randomization or one of {sorted(RANDOMIZATIONS)}, got {name!r}")
+        return RANDOMIZATIONS[name]
+
+    def check(self, capsule: Capsule) -> None:
+        """Refuses ranges in which some plant would be invalid, before any episode meets it.
+
+        Raises:
+            ValueError: if the lightest platform with the largest friction admits Painleve's paradox.
+        """
+        # Both the lightest platform and the roughest floor are the worst case of the condition, so one corner decides.
+        try:
+            capsule.check_plant(self.M[0] if self.M else capsule.M, self.mu[1] if self.mu else capsule.mu)
+        except ValueError as error:
+            raise ValueError(f"Randomization(M={self.M}, mu={self.mu}): {error}") from None
+
+    def draw(self, rng: np.random.Generator, capsule: Capsule) -> tuple[float, float]:
+        """Draws M in kg and mu for one episode: always two numbers of the stream, so that ranges do not shift it."""
+        uniform_M, uniform_mu = rng.random(2)
+        M, mu = capsule.M, capsule.mu
+        if self.M is not None:
+            M = self.M[0] + (self.M[1] - self.M[0]) * uniform_M
+        if self.mu is not None:
+            low, high = self.mu
+            mu = low * (high / low) ** uniform_mu if self.log_mu else low + (high - low) * uniform_mu
+        return float(M), float(mu)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The fields as plain types, for configuration files."""
+        return asdict(self)
+
+
+RANDOMIZATIONS = {
+    "none": Randomization(),
+    "paper": Randomization(M=(0.45, 0.55), mu=(0.009, 0.011)),
+    "wide": Randomization(M=(0.35, 0.75), mu=(0.005, 0.3), log_mu=True),
+}
