@@ -1,0 +1,26 @@
+"""capsule_gym: friction-driven locomotion of a capsule robot as a Gymnasium environment.
+
+Importing the package registers `CapsuleStickSlip-v0`.
+"""
+
+from gymnasium.envs.registration import register, registry
+
+from capsule_gym.controller import Controller
+from capsule_gym.env import CapsuleEnv
+from capsule_gym.parameters import Capsule, Randomization
+from capsule_gym.task import EPISODE_STEPS
+from capsule_gym.vector_env import CapsuleVectorEnv
+
+__all__ = ["Capsule", "CapsuleEnv", "CapsuleVectorEnv", "Controller", "Randomization", "__version__"]
+
+__version__ = "0.1.0"
+
+ENV_ID = "CapsuleStickSlip-v0"
+
+if ENV_ID not in registry:
+    register(
+        id=ENV_ID,
+        entry_point="capsule_gym.env:CapsuleEnv",
+        vector_entry_point="capsule_gym.vector_env:CapsuleVectorEnv",
+        max_episode_steps=EPISODE_STEPS,
+    )

@@ -25,6 +25,8 @@ EVENT_LIMIT = 1000
 # Size of the event function (m/s in slip, N in stick) that counts as zero: ten times its rounding error.
 EVENT_TOLERANCE = 1e-15
 ROOT_ITERATIONS = 60
+# Share of a step below which a slip that starts and ends at rest counts as none.
+VOID_PHASE = 1e-9
 
 
 class Motion(NamedTuple):
@@ -356,7 +358,9 @@ def step(theta: float, theta_dot: float, x: float, x_dot: float, u: float, p: Pl
             slip = 1.0 if stick_margin(theta, theta_dot, u, p)[1] > 0.0 else -1.0
         else:
             x_dot = 0.0
-            slip = contact_phase(theta, theta_dot, x_dot, u, p)
+            # Load and limit equal up to rounding: a slip that stops where it started would start again for ever.
+            void = before <= 0.0 and tau <= VOID_PHASE * h
+            slip = 0.0 if void else contact_phase(theta, theta_dot, x_dot, u, p)
         if remaining <= 0.0:
             break
     return Motion(theta, theta_dot, x, x_dot, forward, backward, stuck, swept, smallest_normal, events)

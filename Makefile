@@ -1,0 +1,48 @@
+# The environment lives in .venv and is rebuilt when pyproject.toml or constraints.txt changes.
+PYTHON ?= python3
+PYTEST_ARGS ?=
+TRAIN_ARGS ?=
+
+BIN := .venv/bin
+STAMP := .venv/.installed
+
+.DEFAULT_GOAL := help
+.PHONY: help train test venv lint types docs leaderboard leaderboard-check check clean
+
+help:  ## List the targets
+	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
+
+train: $(STAMP)  ## Set everything up and train the default agent (TRAIN_ARGS="--help" for more)
+	$(BIN)/python train.py $(TRAIN_ARGS)
+
+test: $(STAMP)  ## Set everything up and run the tests (PYTEST_ARGS="-k kernels" for some)
+	$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
+
+venv: $(STAMP)  ## Create .venv with the pinned versions (PYTHON=python3.12 chooses the interpreter)
+
+$(STAMP): pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --disable-pip-version-check -e ".[dev]" -c constraints.txt
+	touch $@
+
+lint: $(STAMP)  ## Check style and formatting
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(STAMP)  ## Check types
+	$(BIN)/mypy
+
+docs: $(STAMP)  ## Build the documentation into site/
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+leaderboard: $(STAMP)  ## Rewrite LEADERBOARD.md and leaderboard.json
+	$(BIN)/python -m agents.leaderboard
+
+leaderboard-check: $(STAMP)  ## Fail where LEADERBOARD.md or leaderboard.json is stale
+	$(BIN)/python -m agents.leaderboard --check
+
+check: lint types docs leaderboard-check  ## All checks but the tests
+
+clean:  ## Remove caches and build outputs; keeps .venv and runs/
+	rm -rf build dist site *.egg-info .pytest_cache .ruff_cache .mypy_cache .coverage*
+	find . -path ./.venv -prune -o -type d -name __pycache__ -exec rm -rf {} +

@@ -1,0 +1,1 @@
+"""Learned agents: training, evaluation, the leaderboard. Lives in the checkout and is not installed."""

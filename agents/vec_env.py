@@ -1,0 +1,115 @@
+"""The native batch as Stable-Baselines3 wants it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+
+from capsule_gym import CapsuleVectorEnv
+
+
+class CapsuleSB3VecEnv(VecEnv):
+    """`CapsuleVectorEnv` behind the interface of Stable-Baselines3, without a Python loop over environments.
+
+    Only where episodes end infos are built one by one: "terminal_observation", "TimeLimit.truncated", SB3's "episode"
+    (return, length), and the episode's "metrics".
+
+    Args:
+        num_envs: number of environments.
+        seed: environment i gets seed + i.
+        **env_kwargs: what `CapsuleVectorEnv` takes.
+    """
+
+    def __init__(self, num_envs: int, seed: int | None = None, **env_kwargs: Any) -> None:
+        self.batch = CapsuleVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs)
+        self.render_mode = self.batch.render_mode
+        self._quiet: list[dict[str, Any]] = [{} for _ in range(num_envs)]
+        self._actions: np.ndarray | None = None
+        self._returns = np.zeros(num_envs)
+        self._lengths = np.zeros(num_envs, np.int64)
+        super().__init__(num_envs, self.batch.single_observation_space, self.batch.single_action_space)
+        self._seed = seed
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Sets the seed of the next reset; environment i gets seed + i.
+
+        Args:
+            seed: any integer >= 0, or None to go on.
+        """
+        self._seed = seed
+        return [None if seed is None else seed + i for i in range(self.num_envs)]
+
+    def reset(self) -> VecEnvObs:
+        """Begins new episodes everywhere and returns the observations."""
+        observations, _ = self.batch.reset(seed=self._seed)
+        self._seed = None
+        self._returns[:] = 0.0
+        self._lengths[:] = 0
+        return observations
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Takes the actions of the next step, shape (num_envs, 1)."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Steps; returns observations, rewards (float32), dones and infos."""
+        assert self._actions is not None, "step_async() comes before step_wait()"
+        observations, rewards, terminated, truncated, info = self.batch.step(self._actions)
+        dones = terminated | truncated
+        self._returns += rewards
+        self._lengths += 1
+        infos = self._quiet
+        if dones.any():
+            infos = [{} for _ in range(self.num_envs)]
+            metrics = info["final_info"]["metrics"]
+            for i in np.flatnonzero(dones):
+                infos[i] = {
+                    "terminal_observation": info["final_obs"][i],
+                    "TimeLimit.truncated": bool(truncated[i]),
+                    "episode": {"r": float(self._returns[i]), "l": int(self._lengths[i])},
+                    "metrics": {name: float(values[i]) for name, values in metrics.items() if name[0] != "_"},
+                }
+            self._returns[dones] = 0.0
+            self._lengths[dones] = 0
+        return observations, rewards.astype(np.float32), dones, infos
+
+    def close(self) -> None:
+        """Ends the threads of the batch."""
+        self.batch.close()
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        """One frame per environment."""
+        return self.batch.render() or [None] * self.num_envs
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """The attribute of the batch, once per environment asked for."""
+        holder = self if attr_name == "render_mode" else self.batch
+        return [getattr(holder, attr_name)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Refused: the environments of a batch share their settings.
+
+        Raises:
+            AttributeError: always.
+        """
+        raise AttributeError(f"cannot set {attr_name!r}: the environments of a batch share their settings; make a new batch")
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Calls a method of the batch and returns its result, split where it has one entry per environment."""
+        result = getattr(self.batch, method_name)(*method_args, **method_kwargs)
+        rows = list(self._get_indices(indices))
+        if isinstance(result, dict):
+            return [{name: values[i] for name, values in result.items()} for i in rows]
+        return [result[i] if isinstance(result, (tuple, list, np.ndarray)) else result for i in rows]
+
+    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
+        """False everywhere: a native batch has no wrappers."""
+        return [False] * len(list(self._get_indices(indices)))

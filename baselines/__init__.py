@@ -1,0 +1,8 @@
+"""The scripted baselines: the paper's trajectories, its control laws and policies made of them.
+
+The functions here are what the environment's argument `controller` takes, as in `controller="baselines:adaptive"`.
+"""
+
+from baselines.control_laws import adaptive, adaptive_as_published, compliant, epc, feedback_linearising
+
+__all__ = ["adaptive", "adaptive_as_published", "compliant", "epc", "feedback_linearising"]

@@ -1,0 +1,60 @@
+"""The named scripted policies: a control law inside the step with a zero residual, or actions without any law."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+Act = Callable[[np.ndarray], np.ndarray]
+
+
+def _no_action(seeds: Sequence[int]) -> Act:
+    """The action 0 for every environment."""
+    zeros = np.zeros((len(seeds), 1), np.float32)
+    return lambda observations: zeros
+
+
+def _random_actions(seeds: Sequence[int]) -> Act:
+    """Uniform actions; each environment has a generator of its own, so that its episode depends on its seed alone."""
+    generators = [np.random.default_rng([seed, 1]) for seed in seeds]
+    return lambda observations: np.array([[rng.uniform(-1.0, 1.0)] for rng in generators], np.float32)
+
+
+@dataclass(frozen=True)
+class ScriptedPolicy:
+    """A policy that was not learnt.
+
+    Attributes:
+        name: for tables and the command line.
+        description: one line.
+        env_kwargs: the arguments of `CapsuleVectorEnv` that it needs.
+        start: takes the seeds of the environments and returns a function from observations (n, entries) to actions
+            (n, 1), float32.
+    """
+
+    name: str
+    description: str
+    env_kwargs: dict[str, Any] = field(default_factory=dict)
+    start: Callable[[Sequence[int]], Act] = _no_action
+
+
+def _with_law(name: str, attribute: str, description: str) -> ScriptedPolicy:
+    """A law of this package with a zero residual."""
+    return ScriptedPolicy(name, description, {"controller": f"baselines:{attribute}"})
+
+
+SCRIPTED = {
+    policy.name: policy
+    for policy in (
+        ScriptedPolicy("zero", "no torque"),
+        ScriptedPolicy("random", "uniform random torque, drawn every agent step", {}, _random_actions),
+        _with_law("feedback-linearising", "feedback_linearising", "the paper's profile (9), feedback linearisation (35)"),
+        _with_law("adaptive", "adaptive", "the paper's profile (9), adaptive law (39), regularised"),
+        _with_law("adaptive-as-published", "adaptive_as_published", "the paper's profile (9), adaptive law (39) as printed"),
+        _with_law("compliant", "compliant", "the paper's profile (9), adaptive law (39) with low gains"),
+        _with_law("epc", "epc", "the EPC profile, feedback linearisation (35)"),
+    )
+}

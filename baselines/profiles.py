@@ -1,0 +1,176 @@
+"""The velocity profiles that the pendulum is asked to follow: the paper's seven phases (9), and EPC's six.
+
+A profile is a chain of segments, each theta_d' = A sin(phase + rate s) + offset + slope s over its own time s, so that
+angle and acceleration follow in closed form.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsule_gym.parameters import check_number
+from capsule_gym.task import START_THETA
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One phase: theta_d'(s) = amplitude sin(phase + rate s) + offset + slope s, rad/s, for s in [0, duration) s."""
+
+    duration: float
+    amplitude: float = 0.0
+    phase: float = 0.0
+    rate: float = 1.0
+    offset: float = 0.0
+    slope: float = 0.0
+
+    def velocity(self, s: np.ndarray) -> np.ndarray:
+        """theta_d' in rad/s."""
+        return self.amplitude * np.sin(self.phase + self.rate * s) + self.offset + self.slope * s
+
+    def acceleration(self, s: np.ndarray) -> np.ndarray:
+        """theta_d'' in rad/s^2."""
+        return self.amplitude * self.rate * np.cos(self.phase + self.rate * s) + self.slope
+
+    def turned(self, s: np.ndarray) -> np.ndarray:
+        """Angle since the start of the segment, rad."""
+        arc = math.cos(self.phase) - np.cos(self.phase + self.rate * s)
+        return self.amplitude / self.rate * arc + (self.offset + 0.5 * self.slope * s) * s
+
+
+def _ramp(duration: float, start: float, end: float) -> Segment:
+    """A velocity that goes linearly from start to end."""
+    return Segment(duration, offset=start, slope=(end - start) / duration)
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A closed cycle of the pendulum.
+
+    Attributes:
+        name: for tables and figures.
+        segments: its phases, in order.
+        start: angle at the start of the cycle, rad.
+    """
+
+    name: str
+    segments: tuple[Segment, ...]
+    start: float = START_THETA
+
+    @property
+    def times(self) -> np.ndarray:
+        """The ends of the phases t1, t2, .. in s."""
+        return np.cumsum([segment.duration for segment in self.segments])
+
+    @property
+    def period(self) -> float:
+        """Length of the cycle, s."""
+        return float(self.times[-1])
+
+    def evaluate(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """theta_d (rad), theta_d' (rad/s) and theta_d'' (rad/s^2) at times t (s), which may span several cycles.
+
+        At the edge of a phase the acceleration is that of the phase that begins.
+        """
+        ends = self.times
+        local = np.mod(np.asarray(t, np.float64), self.period)
+        which = np.minimum(np.searchsorted(ends, local, side="right"), len(ends) - 1)
+        angle, velocity, acceleration = (np.empty_like(local) for _ in range(3))
+        begin, reached = 0.0, self.start
+        for n, segment in enumerate(self.segments):
+            inside = which == n
+            s = local[inside] - begin
+            angle[inside] = reached + segment.turned(s)
+            velocity[inside] = segment.velocity(s)
+            acceleration[inside] = segment.acceleration(s)
+            begin += segment.duration
+            reached += float(segment.turned(np.float64(segment.duration)))
+        return angle, velocity, acceleration
+
+    @property
+    def swing(self) -> float:
+        """Largest minus smallest angle of the cycle, rad."""
+        angle, _, _ = self.evaluate(np.linspace(0.0, self.period, 20001)[:-1])
+        return float(angle.max() - angle.min())
+
+    @property
+    def restoring_speed(self) -> float:
+        """P3, the speed of the slow return, rad/s."""
+        return -min(segment.offset for segment in self.segments)
+
+
+def _check_times(times: Sequence[float], count: int) -> list[float]:
+    """The durations of the phases between the given times, which must grow from 0."""
+    if len(times) != count:
+        raise ValueError(f"times must hold t1 to t{count}, got {len(times)} values")
+    durations = np.diff([0.0, *(check_number("times", t, "finite numbers > 0 (s)", 0.0, open_low=True) for t in times)])
+    if (durations <= 0.0).any():
+        raise ValueError(f"times must grow, got {tuple(times)}")
+    return [float(duration) for duration in durations]
+
+
+def _restoring(durations: Sequence[float], swept: float) -> list[Segment]:
+    """Phases V to VII: down to -P3, hold, back to zero, with the P3 that closes the cycle."""
+    down, hold, back = durations
+    P3 = swept / (0.5 * down + hold + 0.5 * back)
+    return [_ramp(down, 0.0, -P3), Segment(hold, offset=-P3), _ramp(back, -P3, 0.0)]
+
+
+def _swept(segments: Sequence[Segment]) -> float:
+    """Angle that a chain of segments turns, rad."""
+    return float(sum(segment.turned(np.float64(segment.duration)) for segment in segments))
+
+
+def seven_phases(times: Sequence[float], V1: float, P2: float, name: str = "proposed") -> Profile:
+    """The paper's profile (9).
+
+    Args:
+        times: t1 to t7, s.
+        V1: peak velocity P1 omega, rad/s.
+        P2: velocity at t3, below which the platform is to stay at rest, rad/s.
+        name: for tables and figures.
+
+    Raises:
+        ValueError: if the times do not grow or 0 < P2 < V1 does not hold.
+    """
+    if not 0.0 < P2 < V1:
+        raise ValueError(f"P2 must lie between 0 and V1, got P2={P2!r}, V1={V1!r}")
+    d = _check_times(times, 7)
+    progressive = [
+        Segment(d[0], amplitude=V1, rate=math.pi / (2.0 * d[0])),
+        Segment(d[1], offset=V1),
+        Segment(d[2], amplitude=V1, phase=math.pi / 2.0, rate=math.acos(P2 / V1) / d[2]),
+        _ramp(d[3], P2, 0.0),
+    ]
+    return Profile(name, (*progressive, *_restoring(d[4:], _swept(progressive))))
+
+
+def six_phases(times: Sequence[float], V1: float, P2: float, name: str = "EPC") -> Profile:
+    """The profile of the EPC system that the paper compares itself with.
+
+    Args:
+        times: t1 to t6, s.
+        V1: peak velocity, rad/s.
+        P2: velocity at t2, rad/s.
+        name: for tables and figures.
+
+    Raises:
+        ValueError: if the times do not grow or 0 < P2 < V1 does not hold.
+    """
+    if not 0.0 < P2 < V1:
+        raise ValueError(f"P2 must lie between 0 and V1, got P2={P2!r}, V1={V1!r}")
+    d = _check_times(times, 6)
+    progressive = [
+        Segment(d[0], amplitude=V1, rate=math.pi / (2.0 * d[0])),
+        _ramp(d[1], V1, P2),
+        _ramp(d[2], P2, 0.0),
+    ]
+    return Profile(name, (*progressive, *_restoring(d[3:], _swept(progressive))))
+
+
+# Table 1 gives the times. V1 and P2 are calibrated to the published peak velocity and swing of 68.75 and 85.85 degrees.
+PROPOSED = seven_phases((0.133, 0.195, 0.27, 0.9, 1.7, 5.8, 6.6), V1=7.8, P2=2.122)
+EPC = six_phases((0.1, 0.33, 0.9, 1.4, 5.8, 6.6), V1=11.0, P2=1.451)

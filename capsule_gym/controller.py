@@ -1,0 +1,122 @@
+"""The contract of a control law that runs inside the environment's step, and how one is found by name."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsule_gym.parameters import check_number
+
+Law = Callable[..., tuple[float, tuple[float, ...]]]
+
+LAW_DT = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Controller:
+    """A control law with the reference it tracks and the memory it keeps.
+
+    The law is a pure scalar function that numba can compile:
+
+        law(theta, theta_dot, x, x_dot, memory, reference) -> (torque, memory)
+
+    with the state in SI units, `memory` a tuple of floats (its length fixed by the field below), `reference` the
+    present row of the reference table as a tuple, and the torque in N m; the environment clips it to the torque
+    limit. It is called once per `dt` with the state at that instant, and the torque is held until the next call.
+    Gains belong into the law's closure, where the compiler sees them as constants.
+
+    Attributes:
+        name: for messages and tables.
+        law: the function above, plain or compiled with `numba.njit`.
+        reference: shape (steps, columns), float64, one row per call over one cycle, repeated for ever. Column 0 is the
+            reference angle in rad and column 1 its rate in rad/s; further columns are the law's own.
+        memory: the law's memory at the start of an episode.
+        dt: seconds between calls; a divisor of the agent step.
+
+    Raises:
+        TypeError: if a field is of the wrong type, or the law does not return (torque, memory).
+        ValueError: if a field is out of range, or the law's trial call returns anything not finite.
+    """
+
+    name: str
+    law: Law
+    reference: np.ndarray
+    memory: tuple[float, ...] = (0.0,)
+    dt: float = LAW_DT
+
+    def __post_init__(self) -> None:
+        if not callable(self.law):
+            raise TypeError(f"Controller.law must be a function, got {self.law!r}")
+        table = np.ascontiguousarray(self.reference, dtype=np.float64)
+        if table.ndim != 2 or table.shape[0] < 1 or table.shape[1] < 2:
+            raise ValueError(
+                "Controller.reference must have shape (steps >= 1, columns >= 2) with theta_d and theta_d_dot in "
+                f"front, got shape {table.shape}"
+            )
+        if not np.isfinite(table).all():
+            raise ValueError("Controller.reference must be finite, got NaN or infinity")
+        table.setflags(write=False)
+        object.__setattr__(self, "reference", table)
+        memory = tuple(check_number("Controller.memory", cell, "a tuple of finite numbers") for cell in self.memory)
+        if not memory:
+            raise ValueError("Controller.memory must hold at least one number; a law without memory carries (0.0,)")
+        object.__setattr__(self, "memory", memory)
+        check_number("Controller.dt", self.dt, "a finite number > 0 (s)", 0.0, open_low=True)
+        self._try_law()
+
+    def _try_law(self) -> None:
+        """Calls the law once, so that a wrong signature is met here and not inside compiled code."""
+        row = tuple(float(value) for value in self.reference[0])
+        try:
+            torque, memory = self.law(row[0], row[1], 0.0, 0.0, self.memory, row)
+            values = (float(torque), *(float(cell) for cell in memory))
+        except (TypeError, ValueError) as error:
+            raise TypeError(
+                f"the control law of {self.name!r} must be law(theta, theta_dot, x, x_dot, memory, reference) -> "
+                f"(torque, memory), but a trial call failed: {error}"
+            ) from error
+        if len(values) - 1 != len(self.memory):
+            raise ValueError(
+                f"the control law of {self.name!r} must return as many memory cells as it is given "
+                f"({len(self.memory)}), got {len(values) - 1}"
+            )
+        if not all(math.isfinite(value) for value in values):
+            raise ValueError(f"the control law of {self.name!r} must return finite numbers, got {values} on its reference")
+
+
+def find_controller(controller: str | Controller | Callable[[], Controller] | None) -> Controller | None:
+    """Resolves what the environment's argument `controller` accepts.
+
+    Args:
+        controller: None; a `Controller`; a function without arguments that returns one; or an import string
+            "module:attribute" that names either, as in "baselines:adaptive".
+
+    Raises:
+        TypeError: if it is, or leads to, something else.
+        ValueError: if the import string has no colon, or names a module or attribute that does not exist.
+    """
+    accepted = "None, a Controller, a function that returns one, or an import string 'module:attribute'"
+    found: Any = controller
+    if isinstance(controller, str):
+        module_name, colon, attribute = controller.partition(":")
+        if not (module_name and colon and attribute):
+            raise ValueError(f"controller must be {accepted}, got {controller!r}")
+        try:
+            module = importlib.import_module(module_name)
+        except ModuleNotFoundError as error:
+            if error.name is None or not (module_name + ".").startswith(error.name + "."):
+                raise
+            raise ValueError(f"controller={controller!r} names the module {module_name!r}, which does not exist") from None
+        found = getattr(module, attribute, None)
+        if found is None:
+            raise ValueError(f"controller={controller!r}: the module {module_name!r} has no {attribute!r}")
+    if callable(found):
+        found = found()
+    if found is not None and not isinstance(found, Controller):
+        raise TypeError(f"controller must be {accepted}, got {controller!r}, which gives {found!r}")
+    return found

@@ -1,0 +1,338 @@
+"""The Gymnasium environment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, ClassVar, SupportsFloat
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import EzPickle
+
+from capsule_gym import task
+from capsule_gym.controller import Controller
+from capsule_gym.kernels import Row
+from capsule_gym.parameters import Capsule, Randomization
+from capsule_gym.rendering import Renderer
+from capsule_gym.simulation import Simulation
+
+RESET_OPTIONS = ("M", "mu", "state", "changes")
+THE_ONE = np.zeros(1, np.int64)
+ACTIVE = np.ones(1, np.bool_)
+
+
+class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
+    """Friction-driven locomotion: a capsule that an inner pendulum drives by stick and slip.
+
+    ## Description
+
+    A capsule robot without legs: inside a rigid shell an inverted pendulum turns on a motor, held by a torsional
+    spring and a damper, and the shell lies on a floor with Coulomb friction. Swung fast one way, the pendulum pushes
+    the capsule forwards against the friction; swung back slowly, the friction holds it. Only the pendulum is
+    actuated. The robot and the numbers are those of Liu, Yu and Cang, "Optimized adaptive tracking control for an
+    underactuated vibro-driven capsule system" (Nonlinear Dynamics 94, 2018).
+
+    The ball sits at x - l sin(theta): a growing theta swings it backwards and pushes the platform forwards (+x).
+    Contact is exact: the platform sticks with a velocity of exactly 0.0 while the load is below the friction limit,
+    and every change between stick and slip is located inside the integration step to the integrator's order.
+
+    The mass M of the platform and the friction coefficient mu are drawn at random for every episode.
+
+    ## Action Space
+
+    A `ndarray` of shape `(1,)`, dtype `float32`, in [-1, 1] (values outside are clipped).
+
+    | task | what the action is | applied torque u |
+    |---|---|---|
+    | direct torque (`controller=None`) | the motor torque | clip(residual_limit a), where `residual_limit` defaults to `torque_limit` |
+    | residual torque (`controller="module:attribute"`) | a torque on top of a control law that runs inside the step at 1 kHz | clip(clip(u_law) + residual_limit a) |
+
+    Every clip is to +-`torque_limit`. A zero residual is the scripted controller, bit for bit. Mind that a stiff law
+    fights the residual; `residual_limit = 2 torque_limit` lets the agent take over completely.
+
+    ## Observation Space
+
+    A `ndarray` of dtype `float32`; SI units; values are clipped to the bounds.
+
+    | Num | Observation | Min | Max | present |
+    |---|---|---|---|---|
+    | 0 | theta: angle of the pendulum from the upright (rad) | -pi/2 | pi/2 | always |
+    | 1 | theta_dot: its rate (rad/s) | -20 | 20 | always |
+    | 2 | x_dot: velocity of the platform (m/s) | -2 | 2 | always |
+    | 3 | stick: 1 where the platform sticks (x_dot is exactly 0), else 0 | 0 | 1 | always |
+    | 4 | last action, after clipping | -1 | 1 | always |
+    | 5 | theta_d: reference angle (rad) | -pi/2 | pi/2 | with a controller |
+    | 6 | theta_d_dot: its rate (rad/s) | -20 | 20 | with a controller |
+    | 7 | sine of the cycle's phase | -1 | 1 | with a controller |
+    | 8 | cosine of the cycle's phase | -1 | 1 | with a controller |
+    | 9 | the torque that the law asks for at this instant (N m) | -torque_limit | torque_limit | with a controller |
+    | last two | M (kg), mu | 0 | 4 Capsule.M, 1 | `observe_parameters=True` |
+
+    The position x is not observed: the task does not depend on it. `info["state"]` holds it.
+
+    ## Rewards
+
+    The sum of three terms, each in `info` under its name:
+
+    - `reward_progress`: forward displacement of the platform in this step, in centimetres;
+    - `reward_energy`: minus `energy_weight` times the joules spent, the integral of |u theta_dot| over the step,
+      integrated inside it;
+    - `reward_termination`: minus `termination_penalty` where the episode fails.
+
+    ## Starting State
+
+    theta = -pi/3 (plus uniform noise of half width `initial_noise`), at rest, x = 0. `reset(options={"state": [theta,
+    theta_dot, x, x_dot], "M": kg, "mu": ..})` sets what is given; `options={"changes": [{"t": s, "M": kg, "mu": ..}]}`
+    lets M and mu jump during the episode. The draws of M, mu and of the initial state come from separate random
+    streams.
+
+    ## Episode End
+
+    1. Termination "pendulum": |theta| reaches pi/2, where the ball meets the platform.
+    2. Termination "contact": the normal force falls to zero, the capsule leaves the floor.
+    3. Truncation: after 1650 steps (33 s, the paper's five cycles of 6.6 s).
+
+    `info["termination"]` names a termination, and `info["metrics"]` holds the metrics of the finished episode.
+
+    ## Info
+
+    `state` (float64: theta, theta_dot, x, x_dot), `M`, `mu`, `stick`, `torque` (the last torque applied, N m),
+    `law_torque` (what the law asks for next, N m), `normal_force` (the smallest in the step, N), `energy` (of the step,
+    J), the reward terms, and at the end `termination` and `metrics`.
+
+    ## Arguments
+
+    ```python
+    import gymnasium as gym
+    import capsule_gym
+
+    gym.make("CapsuleStickSlip-v0", controller="baselines:adaptive", randomization="paper")
+    ```
+
+    | argument | default | meaning |
+    |---|---|---|
+    | `controller` | `None` | control law inside the step: an import string "module:attribute", a `Controller`, or a function that returns one |
+    | `torque_limit` | `1.5` | largest motor torque, N m |
+    | `residual_limit` | `torque_limit` | torque of the action 1, N m |
+    | `randomization` | `"paper"` | "none"; "paper": M in [0.45, 0.55] kg, mu in [0.009, 0.011]; "wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3]; or a `Randomization` |
+    | `capsule` | `Capsule()` | the plant's constants |
+    | `observe_parameters` | `False` | whether the observation ends with M and mu |
+    | `energy_weight` | `0.1` | centimetres that a joule costs |
+    | `termination_penalty` | `10` | centimetres that a failure costs |
+    | `initial_noise` | `0` | half width of the noise on the initial angle, rad |
+    | `control_dt` | `0.02` | agent step, s |
+    | `physics_dt` | 2 ms, with a controller 1 ms | step of the fourth-order integrator, s |
+    | `render_mode` | `None` | "human" or "rgb_array" |
+
+    Raises:
+        TypeError: if an argument is of the wrong type.
+        ValueError: if an argument is out of range, or the plant admits Painleve's paradox.
+
+    ## Version History
+
+    * v0: initial version
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
+
+    def __init__(
+        self,
+        *,
+        controller: str | Controller | Callable[[], Controller] | None = None,
+        residual_limit: float | None = None,
+        torque_limit: float = task.TORQUE_LIMIT,
+        randomization: str | Randomization = "paper",
+        capsule: Capsule | None = None,
+        observe_parameters: bool = False,
+        energy_weight: float = 0.1,
+        termination_penalty: float = 10.0,
+        initial_noise: float = 0.0,
+        control_dt: float = task.CONTROL_DT,
+        physics_dt: float | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        EzPickle.__init__(
+            self,
+            controller=controller,
+            residual_limit=residual_limit,
+            torque_limit=torque_limit,
+            randomization=randomization,
+            capsule=capsule,
+            observe_parameters=observe_parameters,
+            energy_weight=energy_weight,
+            termination_penalty=termination_penalty,
+            initial_noise=initial_noise,
+            control_dt=control_dt,
+            physics_dt=physics_dt,
+            render_mode=render_mode,
+        )
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(f"render_mode must be None or one of {self.metadata['render_modes']}, got {render_mode!r}")
+        self.simulation = Simulation(
+            1,
+            capsule=capsule,
+            controller=controller,
+            randomization=randomization,
+            torque_limit=torque_limit,
+            residual_limit=residual_limit,
+            control_dt=control_dt,
+            physics_dt=physics_dt,
+            energy_weight=energy_weight,
+            termination_penalty=termination_penalty,
+            observe_parameters=observe_parameters,
+            initial_noise=initial_noise,
+        )
+        self.render_mode = render_mode
+        self.metadata = {**type(self).metadata, "render_fps": round(1.0 / self.simulation.control_dt)}
+        self.action_space, self.observation_space = make_spaces(self.simulation)
+        self._renderer: Renderer | None = None
+        self._running = False
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begins a new episode.
+
+        Args:
+            seed: starts the random streams anew; without one they go on, each episode with its own draw.
+            options: any of "M" (kg), "mu", "state" ([theta, theta_dot, x, x_dot]) and "changes" (a list of
+                `{"t": s, "M": kg, "mu": ..}`: jumps during the episode) override what would be drawn.
+
+        Returns:
+            The observation and the info described above.
+
+        Raises:
+            TypeError: if an option is of the wrong type.
+            ValueError: if an option is unknown or out of range.
+        """
+        fresh = seed is not None or self._np_random is None
+        super().reset(seed=seed)
+        if fresh:
+            self.simulation.seed(0, self.np_random_seed)
+        options = check_options(options, RESET_OPTIONS)
+        self.simulation.reset(
+            THE_ONE,
+            M=None if options.get("M") is None else [options["M"]],
+            mu=None if options.get("mu") is None else [options["mu"]],
+            state=options.get("state"),
+            changes=None if options.get("changes") is None else [options["changes"]],
+        )
+        self._running = True
+        if self.render_mode == "human":
+            self.render()
+        return self.simulation.observations[0].copy(), self._info(self.simulation.world[:, 0].tolist())
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
+        """One agent step.
+
+        Args:
+            action: shape (1,), the (residual) torque over its limit; clipped to [-1, 1].
+
+        Returns:
+            Observation, reward, terminated, truncated (always False: gymnasium's TimeLimit truncates) and info.
+
+        Raises:
+            ValueError: if the action has another shape or is not finite.
+            gymnasium.error.ResetNeeded: before the first reset, and after termination.
+        """
+        if not self._running:
+            raise gym.error.ResetNeeded("call reset() before step(): there is no running episode")
+        array = np.asarray(action, np.float32)
+        if array.shape != (1,) or not math.isfinite(array[0]):
+            raise ValueError(f"action must be one finite number of shape (1,) in [-1, 1], got {action!r}")
+        simulation = self.simulation
+        simulation.step(array.reshape(1, 1), ACTIVE)
+        row = simulation.world[:, 0].tolist()
+        info = self._info(row)
+        info["reward_progress"] = row[Row.reward_progress]
+        info["reward_energy"] = row[Row.reward_energy]
+        info["reward_termination"] = row[Row.reward_termination]
+        terminated = row[Row.termination] != 0.0
+        horizon = self.spec.max_episode_steps if self.spec is not None else None
+        if terminated:
+            info["termination"] = task.Termination(int(row[Row.termination])).name
+            self._running = False
+        if terminated or row[Row.steps] == horizon:
+            info["metrics"] = self.episode_metrics()
+        if self.render_mode == "human":
+            self.render()
+        return simulation.observations[0].copy(), float(simulation.rewards[0]), terminated, False, info
+
+    def episode_metrics(self) -> dict[str, float]:
+        """The metrics of the episode so far; `Simulation.metrics` says what each means."""
+        horizon = self.spec.max_episode_steps if self.spec is not None else None
+        return {name: float(value[0]) for name, value in self.simulation.metrics(THE_ONE, horizon).items()}
+
+    def render(self) -> np.ndarray | None:  # type: ignore[override]
+        """Draws the present state.
+
+        Returns:
+            An array of shape (height, width, 3), uint8, in the mode "rgb_array"; None in the mode "human".
+        """
+        if self.render_mode is None:
+            gym.logger.warn("render() draws nothing without a render_mode: gym.make(.., render_mode='rgb_array')")
+            return None
+        if self._renderer is None:
+            self._renderer = Renderer(
+                self.simulation.capsule, self.render_mode, self.metadata["render_fps"], self.simulation.torque_limit
+            )
+        return draw(self._renderer, self.simulation, 0)
+
+    def close(self) -> None:
+        """Closes the window, if there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    @staticmethod
+    def _info(row: list[float]) -> dict[str, Any]:
+        """The part of the info that reset and step share."""
+        return {
+            "state": np.array(row[:4]),
+            "M": row[Row.M],
+            "mu": row[Row.mu],
+            "stick": row[Row.x_dot] == 0.0,
+            "torque": row[Row.torque],
+            "law_torque": row[Row.law_torque],
+            "normal_force": row[Row.normal_force],
+            "energy": row[Row.step_energy],
+        }
+
+
+def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:
+    """The action and the observation space of one environment."""
+    low, high = task.observation_bounds(
+        simulation.settings.with_reference, simulation.observe_parameters, simulation.capsule, simulation.torque_limit
+    )
+    return spaces.Box(-1.0, 1.0, (1,), np.float32), spaces.Box(low, high, dtype=np.float32)
+
+
+def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> dict[str, Any]:
+    """Refuses reset options that nobody would read."""
+    if options is None:
+        return {}
+    if not isinstance(options, dict):
+        raise TypeError(f"options must be a dict with keys out of {accepted}, got {options!r}")
+    unknown = set(options) - set(accepted)
+    if unknown:
+        raise ValueError(f"options must have keys out of {accepted}, got {sorted(map(str, unknown))}")
+    return options
+
+
+def draw(renderer: Renderer, simulation: Simulation, i: int) -> np.ndarray | None:
+    """Draws environment i."""
+    row = simulation.world[:, i]
+    reference = float(simulation.reference[int(row[Row.clock]), 0]) if simulation.controller else None
+    return renderer.draw(
+        theta=float(row[Row.theta]),
+        theta_dot=float(row[Row.theta_dot]),
+        x=float(row[Row.x]),
+        x_dot=float(row[Row.x_dot]),
+        torque=float(row[Row.torque]),
+        time=float(row[Row.duration]),
+        M=float(row[Row.M]),
+        mu=float(row[Row.mu]),
+        theta_reference=reference,
+    )

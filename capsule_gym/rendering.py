@@ -1,0 +1,384 @@
+"""The moving picture of the robot: a window or RGB frames, drawn with pygame, which is imported only when needed."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from itertools import groupby
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from capsule_gym.canvas import SCALE, Canvas, Colour, blend, import_pygame
+from capsule_gym.parameters import Capsule, check_number
+
+WIDTH, HEIGHT = 960, 540
+MODES = ("human", "rgb_array")
+
+# Layout in pixels of the finished frame.
+HEADER, FLOOR, RULER = 76, 378, 36
+COLUMN, VALUE_RIGHT, VALUE_BASELINE = 160, 108, 58
+CHART_LEFT, CHART_RIGHT, CHART_TOP, CHART_BOTTOM = 72, 936, 446, 512
+# Sizes of the robot in pixels; the rod's length sets the scale of the ruler.
+MIDDLE = WIDTH / 2
+ROD, BALL, PIVOT = 168.0, 19.0, 67.0
+SHELL_HEIGHT = PIVOT + ROD + BALL + 12.0
+SHELL_HALF = 224.0
+PLATFORM_HALF, PLATFORM_HEIGHT = 68.0, 25.0
+GAUGE = 72.0
+SPRING_INNER, SPRING_OUTER, SPRING_TURNS = 9.0, 31.0, 2.5
+# Pixels of the speed arrow per m/s, and its longest.
+SPEED_ARROW, SPEED_ARROW_LIMIT = 320.0, 220.0
+TRAIL_SECONDS = 0.07
+
+CHART_SECONDS = 10.0
+CHART_SAMPLE_SECONDS = 0.01
+CHART_SMALLEST_SPAN_CM = 2.0
+
+PAPER: Colour = (247, 249, 252)
+WHITE: Colour = (255, 255, 255)
+FLOOR_FILL: Colour = (233, 238, 244)
+GRID: Colour = (234, 239, 245)
+HAIRLINE: Colour = (217, 224, 233)
+TICK: Colour = (148, 160, 177)
+GREY: Colour = (109, 122, 141)
+INK: Colour = (30, 41, 59)
+SLATE: Colour = (71, 85, 105)
+SHELL: Colour = (128, 150, 181)
+INSIDE: Colour = (231, 236, 243)
+BALL_COLOUR: Colour = (13, 128, 124)
+TORQUE: Colour = (139, 76, 199)
+STICK: Colour = (37, 99, 186)
+SLIP: Colour = (238, 128, 36)
+
+
+def _nice_step(least: float) -> float:
+    """The smallest of 1, 2, 5 times a power of ten that is at least `least`."""
+    power = 10.0 ** math.floor(math.log10(least))
+    return next((n * power for n in (1.0, 2.0, 5.0) if n * power >= least * (1.0 - 1e-9)), 10.0 * power)
+
+
+def _decimals(step: float) -> int:
+    """How many decimals tell multiples of `step` apart."""
+    return max(0, -math.floor(math.log10(step) + 1e-9))
+
+
+def _number(value: float, decimals: int) -> str:
+    """A number of at most eight characters, with a true minus sign and never "-0"."""
+    # Adding 0.0 turns the -0.0 that small negative values round to into 0.0.
+    text = f"{round(value, decimals) + 0.0:.{decimals}f}"
+    if len(text) > 8:
+        text = f"{value:.1e}"
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def _polar(angle: float, radius: float) -> tuple[float, float]:
+    """The point at that angle from the upright, growing to the left, and that distance from the pivot."""
+    return MIDDLE - radius * math.sin(angle), FLOOR - PIVOT - radius * math.cos(angle)
+
+
+def _arc(start: float, end: float, radius: float | NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Points on a circle around the pivot, or on a spiral where the radius is an array of `count`."""
+    angles = np.linspace(start, end, count)
+    return np.stack((MIDDLE - radius * np.sin(angles), FLOOR - PIVOT - radius * np.cos(angles)), axis=1)
+
+
+def _paint_backdrop(canvas: Canvas, title: str) -> None:
+    """What never moves and lies behind everything."""
+    canvas.fill(PAPER)
+    canvas.box(0, 0, WIDTH, HEADER, WHITE)
+    canvas.box(0, HEADER, WIDTH, 1, HAIRLINE)
+    canvas.box(0, FLOOR, WIDTH, RULER, FLOOR_FILL)
+    canvas.box(0, FLOOR + RULER, WIDTH, HEIGHT - FLOOR - RULER, WHITE)
+    for column, label in enumerate(("TIME", "DISPLACEMENT", "SPEED", "MEAN SPEED", "TORQUE", "CONTACT")):
+        canvas.write(label, 16, GREY, COLUMN * column + 24, 26)
+        if column:
+            canvas.box(COLUMN * column, 16, 1, HEADER - 32, HAIRLINE)
+    for column, unit in enumerate(("s", "cm", "cm/s", "cm/s", "N m")):
+        canvas.write(unit, 19, GREY, COLUMN * column + VALUE_RIGHT + 6, VALUE_BASELINE)
+    canvas.write(title, 20, SLATE, 24, HEADER + 27)
+    canvas.write("x, cm", 16, GREY, 24, CHART_TOP - 14)
+    for label, colour, left in (("stick", STICK, 846), ("slip", SLIP, 912)):
+        canvas.box(left - 20, CHART_TOP - 20, 14, 3, colour)
+        canvas.write(label, 16, GREY, left, CHART_TOP - 14)
+
+
+def _paint_body(layer: Canvas, contact: Colour) -> None:
+    """The shell, the platform and the gauge's scale: the camera follows them, so they never move."""
+    shell = (MIDDLE - SHELL_HALF, FLOOR - SHELL_HEIGHT, 2 * SHELL_HALF, SHELL_HEIGHT)
+    layer.box(*shell, (*SHELL[:3], 34), radius=SHELL_HEIGHT / 2)
+    layer.box(*shell, blend(WHITE, contact, 0.6), radius=SHELL_HEIGHT / 2, line=3)
+    deck = FLOOR - PLATFORM_HEIGHT - 3
+    layer.box(MIDDLE - PLATFORM_HALF, deck, 2 * PLATFORM_HALF, PLATFORM_HEIGHT, SLATE, radius=5)
+    pivot = FLOOR - PIVOT
+    tower = [(MIDDLE + side, y) for side, y in ((-46, deck + 2), (-30, pivot), (30, pivot), (46, deck + 2))]
+    layer.polygon(tower, SLATE)
+    layer.disc((MIDDLE, pivot), SPRING_OUTER + 8, SLATE)
+    layer.disc((MIDDLE, pivot), SPRING_OUTER + 4, PAPER)
+    for degrees in range(-90, 91, 15):
+        long = 7 if degrees % 90 == 0 else 4
+        angle = math.radians(degrees)
+        layer.ribbon([_polar(angle, GAUGE - long), _polar(angle, GAUGE + long)], 1.0, TICK)
+    half = SHELL_HALF - SHELL_HEIGHT / 2 + 6
+    layer.box(MIDDLE - half, FLOOR - 1, 2 * half, 7, contact, radius=2)
+
+
+class Renderer:
+    """Draws the robot on its floor, its figures, and the last seconds of its displacement.
+
+    The camera follows the platform, so the ruler moves beneath it. Blue is stick, orange is slip.
+
+    In mode "human" a closed window ends the show, not the programme: later draws do nothing. In mode "rgb_array" no
+    window, display or video driver is touched.
+
+    Args:
+        capsule: the robot; its l sets the scale.
+        mode: "human" for a window, "rgb_array" for frames.
+        fps: frames per second that the window is held to.
+        torque_limit: torque that fills the gauge, N m.
+        title: shown in the picture and on the window.
+
+    Raises:
+        ValueError: if an argument is out of range.
+        TypeError: if a number is no number.
+        gymnasium.error.DependencyNotInstalled: if pygame is not installed.
+    """
+
+    def __init__(
+        self, capsule: Capsule, mode: str, fps: int, torque_limit: float, title: str = "CapsuleStickSlip-v0"
+    ) -> None:
+        if mode not in MODES:
+            raise ValueError(f"mode must be 'human' or 'rgb_array', got {mode!r}")
+        self._mode = mode
+        self._fps = check_number("fps", fps, "a finite number > 0 (frames per second)", 0.0, open_low=True)
+        self._torque_limit = check_number(
+            "torque_limit", torque_limit, "a finite number > 0 (N m)", 0.0, open_low=True
+        )
+        self._major = _nice_step(50.0 * capsule.l / ROD)
+        # A whole number of canvas pixels between labelled marks: the marks then move as one and do not shimmer.
+        self._major_pixels = round(SCALE * ROD / capsule.l * self._major) / SCALE
+        self._samples: deque[tuple[float, float, bool]] = deque()
+        self._closed = False
+
+        self._canvas = Canvas(WIDTH, HEIGHT)
+        self._backdrop = Canvas(WIDTH, HEIGHT)
+        _paint_backdrop(self._backdrop, title)
+        self._bodies = {contact: Canvas(WIDTH, HEIGHT, transparent=True) for contact in (STICK, SLIP)}
+        for contact, body in self._bodies.items():
+            _paint_body(body, contact)
+            body.crop()
+        self._window: Any = None
+        if mode == "human":
+            self._pygame = import_pygame()
+            self._pygame.display.init()
+            self._pygame.display.set_caption(title)
+            self._window = self._pygame.display.set_mode((WIDTH, HEIGHT))
+            self._clock = self._pygame.time.Clock()
+
+    def draw(
+        self,
+        *,
+        theta: float,
+        theta_dot: float,
+        x: float,
+        x_dot: float,
+        torque: float,
+        time: float,
+        M: float,
+        mu: float,
+        theta_reference: float | None = None,
+    ) -> NDArray[np.uint8] | None:
+        """Draws one frame and, in a window, waits until it is due.
+
+        A time earlier than the last one starts a new chart.
+
+        Args:
+            theta: angle of the pendulum from the upright, rad.
+            theta_dot: its rate, rad/s.
+            x: displacement of the platform, m.
+            x_dot: its velocity, m/s; it sticks where this is exactly 0.0.
+            torque: motor torque, N m.
+            time: time since the start of the episode, s.
+            M: mass of the platform, kg.
+            mu: friction coefficient.
+            theta_reference: angle that a controller follows, rad; None draws none.
+
+        Returns:
+            The frame as an array of uint8, (540, 960, 3), in mode "rgb_array"; None in mode "human".
+
+        Raises:
+            gymnasium.error.ClosedEnvironmentError: after `close`.
+        """
+        if self._closed:
+            raise gymnasium.error.ClosedEnvironmentError("draw() was called after close(): make a new Renderer")
+        if self._mode == "human" and not self._window_is_open():
+            return None
+        contact = STICK if x_dot == 0.0 else SLIP
+        self._record(time, 100.0 * x, x_dot == 0.0)
+        self._canvas.overlay(self._backdrop)
+        self._draw_floor(x)
+        self._canvas.overlay(self._bodies[contact])
+        self._draw_speed(x_dot)
+        self._draw_torque(torque)
+        self._draw_pendulum(theta, theta_dot, theta_reference)
+        self._draw_figures(theta, time, x, x_dot, torque)
+        self._canvas.write(
+            f"M {M:.3f} kg     \N{GREEK SMALL LETTER MU} {mu:.4f}", 17, GREY, 24, HEADER + 46
+        )
+        self._draw_contact(x_dot, contact)
+        self._draw_chart(time)
+        if self._mode == "rgb_array":
+            return self._canvas.array()
+        self._window.blit(self._canvas.frame(), (0, 0))
+        self._pygame.display.flip()
+        self._clock.tick(self._fps)
+        return None
+
+    def close(self) -> None:
+        """Closes the window, if there is one; safe to call again."""
+        self._closed = True
+        self._close_window()
+
+    def _close_window(self) -> None:
+        if self._window is not None:
+            self._window = None
+            self._pygame.display.quit()
+
+    def _window_is_open(self) -> bool:
+        """Answers the window system and says whether the window is still there."""
+        # Taking every event keeps the queue from filling up; only the request to quit matters.
+        if self._window is not None and any(e.type == self._pygame.QUIT for e in self._pygame.event.get()):
+            self._close_window()
+        return self._window is not None
+
+    def _draw_floor(self, x: float) -> None:
+        """The ruler as it passes beneath the robot, and the flag at the start."""
+        start = MIDDLE - x / self._major * self._major_pixels
+        first = math.floor(-start / self._major_pixels)
+        left = round(SCALE * (start + first * self._major_pixels)) / SCALE
+        step = 100.0 * self._major
+        for mark in range(math.ceil(WIDTH / self._major_pixels) + 2):
+            at = left + mark * self._major_pixels
+            self._canvas.box(at, HEADER + 38, 1, FLOOR - HEADER - 38, GRID)
+            for part in range(10):
+                length = 13 if part == 0 else 9 if part == 5 else 6
+                self._canvas.box(at + part * self._major_pixels / 10, FLOOR, 1, length, TICK)
+            label = f"{step * (first + mark):.{_decimals(step)}f}".replace("-", "\N{MINUS SIGN}")
+            self._canvas.write(label, 17, GREY, at + 0.5, FLOOR + 28, "centre")
+        if -100.0 < start < WIDTH + 100.0:
+            self._canvas.polygon([(start, FLOOR - 92), (start + 28, FLOOR - 82), (start, FLOOR - 72)], INK)
+            self._canvas.box(start - 0.5, FLOOR - 93, 2, 93, INK)
+        self._canvas.box(0, FLOOR - 1, WIDTH, 2, TICK)
+
+    def _draw_speed(self, x_dot: float) -> None:
+        """An arrow above the shell, as long as the platform is fast."""
+        length = max(-SPEED_ARROW_LIMIT, min(SPEED_ARROW_LIMIT, SPEED_ARROW * x_dot))
+        if abs(length) < 1.0:
+            return
+        y = FLOOR - SHELL_HEIGHT - 16
+        head = math.copysign(min(13.0, abs(length)), length)
+        tip = MIDDLE + length
+        self._canvas.ribbon([(MIDDLE, y), (tip - 0.8 * head, y)], 5.0, SLIP)
+        self._canvas.polygon([(tip, y), (tip - head, y - 9), (tip - head, y + 9)], SLIP)
+
+    def _draw_torque(self, torque: float) -> None:
+        """An arc arrow around the pivot: from the upright, a quarter turn at the limit, the way the motor turns."""
+        share = max(-1.0, min(1.0, torque / self._torque_limit))
+        if abs(share) < 0.01:
+            return
+        end = 0.5 * math.pi * share
+        head = math.copysign(min(0.22, abs(end)), end)
+        self._canvas.ribbon(_arc(0.0, end - 0.8 * head, GAUGE, 13), 7.0, TORQUE)
+        base = end - head
+        self._canvas.polygon([_polar(end, GAUGE), _polar(base, GAUGE - 11), _polar(base, GAUGE + 11)], TORQUE)
+
+    def _draw_pendulum(self, theta: float, theta_dot: float, theta_reference: float | None) -> None:
+        """The spring, the reference, the rod, and the ball with a trail of its last moments."""
+        canvas = self._canvas
+        if theta_reference is not None:
+            for start in np.arange(GAUGE + 18.0, ROD - BALL, 12.0):
+                canvas.ribbon([_polar(theta_reference, start), _polar(theta_reference, start + 6.0)], 2.0, TICK)
+            canvas.disc(_polar(theta_reference, ROD), BALL, TICK, line=2)
+        swept = max(-1.0, min(1.0, TRAIL_SECONDS * theta_dot))
+        trail = np.linspace(np.clip(theta - swept, -0.5 * math.pi, 0.5 * math.pi), theta, 17)
+        for i in range(16):
+            thick, thin = BALL * (i + 1) / 16, BALL * i / 16
+            corners = [
+                _polar(angle, ROD + side)
+                for angle, side in (
+                    (trail[i], thin), (trail[i], -thin), (trail[i + 1], -thick), (trail[i + 1], thick)
+                )
+            ]  # fmt: skip
+            canvas.polygon(corners, blend(INSIDE, BALL_COLOUR, 0.45 * (i / 16) ** 1.5))
+        # The inner end turns with the rod, the outer one is held by the platform.
+        radius = np.linspace(SPRING_INNER, SPRING_OUTER, 72)
+        spiral = _arc(theta, 2.0 * math.pi * SPRING_TURNS, radius, 72)
+        canvas.ribbon(spiral, 2.5, SHELL)
+        canvas.ribbon([_polar(theta, 0.0), _polar(theta, ROD)], 7.0, INK)
+        canvas.disc(_polar(theta, 0.0), 9, INK)
+        canvas.disc(_polar(theta, 0.0), 4, WHITE)
+        x, y = _polar(theta, ROD)
+        canvas.disc((x, y), BALL, BALL_COLOUR)
+        canvas.disc((x - 6, y - 7), 6, blend(BALL_COLOUR, WHITE, 0.35))
+
+    def _draw_figures(self, theta: float, time: float, x: float, x_dot: float, torque: float) -> None:
+        """The numbers: right-aligned, so that no digit moves when another appears."""
+        mean = x / time if time > 0.0 else 0.0
+        figures = ((time, 2), (100.0 * x, 1), (100.0 * x_dot, 1), (100.0 * mean, 2), (torque, 2))
+        for column, (value, decimals) in enumerate(figures):
+            colour = TORQUE if column == 4 else INK
+            right = COLUMN * column + VALUE_RIGHT
+            self._canvas.write(_number(value, decimals), 32, colour, right, VALUE_BASELINE, "right")
+        degrees = _number(math.degrees(theta), 1) + "\N{DEGREE SIGN}"
+        self._canvas.write("\N{GREEK SMALL LETTER THETA}", 22, GREY, WIDTH - 106, HEADER + 27)
+        self._canvas.write(degrees, 22, INK, WIDTH - 24, HEADER + 27, "right")
+
+    def _draw_contact(self, x_dot: float, contact: Colour) -> None:
+        """The badge: stick, or slip and which way."""
+        self._canvas.box(822, 33, 114, 31, contact, radius=15)
+        self._canvas.write("STICK" if x_dot == 0.0 else "SLIP", 22, WHITE, 879, 55, "centre")
+        if x_dot != 0.0:
+            side = math.copysign(1.0, x_dot)
+            self._canvas.polygon([(879 + side * dx, 48.5 + dy) for dx, dy in ((44, 0), (33, -7), (33, 7))], WHITE)
+
+    def _record(self, time: float, x_cm: float, stuck: bool) -> None:
+        """Keeps what the chart shows, at no more samples than it can resolve."""
+        samples = self._samples
+        if samples and time < samples[-1][0]:
+            samples.clear()
+        if len(samples) > 1 and time - samples[-2][0] < CHART_SAMPLE_SECONDS:
+            samples.pop()
+        samples.append((time, x_cm, stuck))
+        while samples[0][0] < time - CHART_SECONDS:
+            samples.popleft()
+
+    def _draw_chart(self, time: float) -> None:
+        """The displacement over the last seconds, in the colours of the contact."""
+        canvas = self._canvas
+        begin = max(self._samples[0][0], time - CHART_SECONDS)
+        values = [x_cm for _, x_cm, _ in self._samples]
+        low, high = min(values), max(values)
+        step = _nice_step(max(high - low, CHART_SMALLEST_SPAN_CM) / 2.0)
+        bottom = math.floor(low / step)
+        top = max(math.ceil(high / step), bottom + 1)
+        across = (CHART_RIGHT - CHART_LEFT) / CHART_SECONDS
+        up = (CHART_BOTTOM - CHART_TOP) / (top - bottom)
+        for k in range(bottom, top + 1):
+            y = CHART_BOTTOM - (k - bottom) * up
+            canvas.box(CHART_LEFT, y, CHART_RIGHT - CHART_LEFT, 1, HAIRLINE)
+            label = f"{k * step:.{_decimals(step)}f}".replace("-", "\N{MINUS SIGN}")
+            canvas.write(label, 16, GREY, CHART_LEFT - 10, y + 4, "right")
+        for second in range(math.ceil(begin), math.floor(begin + CHART_SECONDS) + 1):
+            canvas.write(
+                f"{second} s", 16, GREY, CHART_LEFT + (second - begin) * across, CHART_BOTTOM + 20, "centre"
+            )
+        previous: list[tuple[float, float]] = []
+        for stuck, run in groupby(self._samples, key=lambda sample: sample[2]):
+            points = [(CHART_LEFT + (t - begin) * across, CHART_BOTTOM - (x / step - bottom) * up) for t, x, _ in run]
+            colour = STICK if stuck else SLIP
+            if len(previous) + len(points) > 1:
+                canvas.ribbon([*previous, *points], 3.0, colour)
+            previous = points[-1:]
+        canvas.disc(previous[0], 4, colour)

@@ -1,0 +1,375 @@
+"""N capsules side by side: what the single environment and the batch share, which is everything but their interface."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from capsule_gym import kernels, task
+from capsule_gym.controller import Controller, find_controller
+from capsule_gym.kernels import Row
+from capsule_gym.parameters import Capsule, Randomization, check_number
+
+# Below this many environments per thread, handing out the work costs more than it saves.
+ENVIRONMENTS_PER_THREAD = 64
+DIRECT_PHYSICS_DT = 2e-3
+LAW_PHYSICS_DT = 1e-3
+
+METRICS = (
+    "mean_speed",
+    "cost_of_transport",
+    "peak_torque",
+    "rms_torque",
+    "backward_ratio",
+    "stuck_fraction",
+    "smallest_normal_ratio",
+    "largest_theta",
+    "largest_theta_dot",
+    "distance",
+    "energy",
+    "duration",
+    "failed",
+)
+
+
+class Stream(IntEnum):
+    """The purposes that random numbers are drawn for: one stream each, so that none shifts another."""
+
+    parameters = 0
+    initial_state = 1
+    disturbances = 2
+
+
+def random_stream(seed: int, episode: int, stream: Stream) -> np.random.Generator:
+    """The random numbers of one purpose in one episode of one environment.
+
+    A counter-based generator needs no state between episodes, and an environment draws the same numbers alone and in
+    a batch.
+
+    Args:
+        seed: the environment's seed, any integer >= 0.
+        episode: episodes since that seed was given.
+        stream: the purpose.
+    """
+    return np.random.Generator(np.random.Philox(key=seed % 2**128, counter=[0, stream, episode, 0]))
+
+
+def divide(name: str, whole: float, part_name: str, part: float) -> int:
+    """How often `part` fits into `whole`; both in seconds.
+
+    Raises:
+        ValueError: if it does not fit a whole number of times.
+    """
+    count = round(whole / part)
+    if count < 1 or abs(count * part - whole) > 1e-9 * whole:
+        raise ValueError(f"{part_name} must divide {name}={whole!r} s a whole number of times, got {part!r} s")
+    return count
+
+
+class Simulation:
+    """The state of N environments and its evolution; everything is float64 and in SI units.
+
+    Args:
+        num_envs: number of environments.
+        capsule: the plant's constants; None for the defaults.
+        controller: a law inside the step, as `find_controller` takes it.
+        randomization: where M and mu of an episode come from.
+        torque_limit: largest motor torque, N m.
+        residual_limit: torque of the action 1, N m; None is `torque_limit`.
+        control_dt: agent step, s.
+        physics_dt: step of the integrator, s; None is 2 ms without a law and 1 ms with one.
+        energy_weight: cost of a joule in the reward, in centimetres.
+        termination_penalty: cost of a failure, in centimetres.
+        observe_parameters: whether the observation ends with M and mu.
+        initial_noise: half width in rad of the uniform noise on the initial angle.
+        threads: threads that share a batch; None is 1.
+
+    Attributes:
+        world: shape (rows of `Row` and the law's memory, num_envs).
+        observations: shape (num_envs, entries), float32, of the present state.
+        rewards: shape (num_envs,), of the last step.
+
+    Raises:
+        TypeError: if an argument is of the wrong type.
+        ValueError: if an argument is out of range.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        *,
+        capsule: Capsule | None = None,
+        controller: str | Controller | Callable[[], Controller] | None = None,
+        randomization: str | Randomization = "paper",
+        torque_limit: float = task.TORQUE_LIMIT,
+        residual_limit: float | None = None,
+        control_dt: float = task.CONTROL_DT,
+        physics_dt: float | None = None,
+        energy_weight: float = 0.1,
+        termination_penalty: float = 10.0,
+        observe_parameters: bool = False,
+        initial_noise: float = 0.0,
+        threads: int | None = None,
+    ) -> None:
+        if capsule is not None and not isinstance(capsule, Capsule):
+            raise TypeError(f"capsule must be a Capsule or None, got {capsule!r}")
+        self.num_envs = check_count("num_envs", num_envs)
+        self.capsule = capsule or Capsule()
+        self.controller = find_controller(controller)
+        self.randomization = Randomization.named(randomization)
+        self.randomization.check(self.capsule)
+        positive = "a finite number > 0"
+        self.torque_limit = check_number("torque_limit", torque_limit, f"{positive} (N m)", 0.0, open_low=True)
+        if residual_limit is None:
+            residual_limit = self.torque_limit
+        self.residual_limit = check_number("residual_limit", residual_limit, "a finite number >= 0 (N m)", 0.0)
+        self.control_dt = check_number("control_dt", control_dt, f"{positive} (s)", 0.0, open_low=True)
+        if physics_dt is None:
+            physics_dt = LAW_PHYSICS_DT if self.controller else DIRECT_PHYSICS_DT
+        self.physics_dt = check_number("physics_dt", physics_dt, f"{positive} (s)", 0.0, open_low=True)
+        if not isinstance(observe_parameters, (bool, np.bool_)):
+            raise TypeError(f"observe_parameters must be True or False, got {observe_parameters!r}")
+        self.observe_parameters = bool(observe_parameters)
+        self.initial_noise = check_number(
+            "initial_noise", initial_noise, "a number of rad in [0, 0.5]", 0.0, 0.5
+        )
+        self.threads = 1 if threads is None else check_count("threads", threads)
+
+        law_dt = self.controller.dt if self.controller else self.control_dt
+        self.settings = kernels.Settings(
+            torque_limit=self.torque_limit,
+            residual_limit=self.residual_limit,
+            physics_dt=self.physics_dt,
+            physics_steps=divide("the law's step" if self.controller else "control_dt", law_dt, "physics_dt", self.physics_dt),
+            law_steps=divide("control_dt", self.control_dt, "the controller's dt", law_dt),
+            energy_weight=check_number("energy_weight", energy_weight, "a finite number >= 0", 0.0),
+            termination_penalty=check_number("termination_penalty", termination_penalty, "a finite number >= 0", 0.0),
+            with_reference=self.controller is not None,
+            with_parameters=self.observe_parameters,
+        )
+        law = self.controller.law if self.controller else kernels.no_law
+        self.reference = self.controller.reference if self.controller else np.zeros((1, 2))
+        self.memory = self.controller.memory if self.controller else (0.0,)
+        self._kernels = kernels.build(law, len(self.memory), self.reference.shape[1])
+        self._constants = self.capsule.plant()
+
+        self.observation_names = task.observation_names(self.settings.with_reference, self.observe_parameters)
+        self.world = np.zeros((kernels.ROWS + len(self.memory), self.num_envs))
+        self.observations = np.zeros((self.num_envs, len(self.observation_names)), np.float32)
+        self.rewards = np.zeros(self.num_envs)
+        self._seeds = [0] * self.num_envs
+        self._episodes = [0] * self.num_envs
+        self._changes: dict[int, list[tuple[float, float, float]]] = {}
+        self._pool: ThreadPoolExecutor | None = None
+
+    def seed(self, i: int, seed: int) -> None:
+        """Gives environment i a seed; its next episode is the first of that seed."""
+        self._seeds[i] = seed
+        self._episodes[i] = 0
+
+    def reset(
+        self,
+        rows: np.ndarray,
+        M: Sequence[float] | None = None,
+        mu: Sequence[float] | None = None,
+        state: np.ndarray | None = None,
+        changes: Sequence[Sequence[dict[str, float]]] | None = None,
+    ) -> None:
+        """Begins a new episode in some environments. What is not given is drawn.
+
+        Args:
+            rows: indices of the environments, int64, shape (n,).
+            M: masses of their platforms, kg.
+            mu: their friction coefficients.
+            state: shape (n, 4): theta, theta_dot, x, x_dot.
+            changes: per environment the jumps of M and mu during the episode, `{"t": s, "M": kg, "mu": ..}`.
+
+        Raises:
+            TypeError: if a value is of the wrong type.
+            ValueError: if a value is out of range.
+        """
+        columns = np.zeros((len(self.world), len(rows)))
+        schedules = [self._schedule(changes[n]) if changes is not None else [] for n in range(len(rows))]
+        for n, i in enumerate(rows):
+            seed, episode = self._seeds[i], self._episodes[i]
+            drawn = self.randomization.draw(random_stream(seed, episode, Stream.parameters), self.capsule)
+            columns[Row.M, n] = drawn[0] if M is None else M[n]
+            columns[Row.mu, n] = drawn[1] if mu is None else mu[n]
+            if M is not None or mu is not None:
+                self._check_plant(float(columns[Row.M, n]), float(columns[Row.mu, n]))
+            columns[Row.theta, n] = task.START_THETA
+            if self.initial_noise > 0.0:
+                noise = random_stream(seed, episode, Stream.initial_state).uniform(-1.0, 1.0)
+                columns[Row.theta, n] += self.initial_noise * noise
+        if state is not None:
+            columns[: Row.M] = self._check_state(state, len(rows)).T
+        columns[Row.start_x] = columns[Row.x]
+        columns[Row.smallest_normal_ratio] = math.inf
+        columns[Row.largest_theta] = np.abs(columns[Row.theta])
+        columns[Row.largest_theta_dot] = np.abs(columns[Row.theta_dot])
+        columns[Row.normal_force] = (columns[Row.M] + self.capsule.m) * self.capsule.g
+        columns[kernels.ROWS :] = np.array(self.memory)[:, None]
+
+        # Nothing above has touched the environments: a refused reset leaves them as they were.
+        for n, i in enumerate(rows):
+            self._episodes[i] += 1
+            self._changes.pop(int(i), None)
+            if schedules[n]:
+                self._changes[int(i)] = schedules[n]
+        self.world[:, rows] = columns
+        self._kernels.start(self.world, rows, self.reference, self.settings, self.observations)
+
+    def step(self, actions: np.ndarray, active: np.ndarray) -> None:
+        """One agent step.
+
+        Args:
+            actions: shape (num_envs, 1), float32, C-contiguous, finite; clipped to [-1, 1].
+            active: shape (num_envs,), bool; the others stand still.
+
+        Raises:
+            ValueError: if a user's control law returned a torque that is not finite.
+        """
+        if self._changes:
+            self._apply_changes()
+        ranges = self._ranges()
+        if len(ranges) == 1:
+            broken = self._advance(ranges[0], actions, active)
+        else:
+            if self._pool is None:
+                self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="capsule")
+            broken = max(self._pool.map(lambda chunk: self._advance(chunk, actions, active), ranges))
+        if broken >= 0:
+            name = self.controller.name if self.controller else "none"
+            state = dict(zip(("theta", "theta_dot", "x", "x_dot"), self.world[:4, broken].tolist(), strict=True))
+            raise ValueError(
+                f"the control law {name!r} returned a torque that is not finite in environment {broken} "
+                f"(step {self.world[Row.steps, broken]:.0f}, state {state}); a law must return finite numbers"
+            )
+
+    def metrics(self, rows: np.ndarray, horizon: int | None = None) -> dict[str, np.ndarray]:
+        """The numbers that an episode is judged by, so far.
+
+        Args:
+            rows: indices of the environments, int64, shape (n,).
+            horizon: agent steps of a whole episode. The mean speed of a failed episode is over these, so that failing
+                early does not pay; None takes the time that has passed.
+
+        Returns:
+            One float64 array of shape (n,) for each name of METRICS: mean_speed in cm/s, cost_of_transport (infinite
+            without forward progress), torques in N m, backward travel over forward travel (0 without any forward
+            travel), fraction of time stuck, smallest N / ((M + m) g), largest |theta| in rad and |theta_dot| in rad/s,
+            distance in m, energy = integral |u theta_dot| dt in J, duration in s, failed as 0 or 1.
+        """
+        world = self.world[:, rows]
+        duration, energy = world[Row.duration], world[Row.energy]
+        failed = world[Row.termination] != 0
+        distance = world[Row.x] - world[Row.start_x]
+        # Before the first step every integral is 0, and so is every ratio.
+        elapsed = np.where(duration > 0.0, duration, 1.0)
+        whole = np.where(failed, horizon * self.control_dt, elapsed) if horizon else elapsed
+        moved = world[Row.weight_distance]
+        transport = np.divide(energy, moved, out=np.full(len(rows), math.inf), where=moved > 0.0)
+        forward = world[Row.forward]
+        backward_ratio = np.divide(world[Row.backward], forward, out=np.zeros(len(rows)), where=forward > 0.0)
+        values = (
+            100.0 * distance / whole,
+            transport,
+            world[Row.peak_torque],
+            np.sqrt(world[Row.torque_squared] / elapsed),
+            backward_ratio,
+            world[Row.stuck] / elapsed,
+            world[Row.smallest_normal_ratio],
+            world[Row.largest_theta],
+            world[Row.largest_theta_dot],
+            distance,
+            energy,
+            duration,
+            failed.astype(np.float64),
+        )
+        return dict(zip(METRICS, values, strict=True))
+
+    def close(self) -> None:
+        """Ends the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def _ranges(self) -> list[tuple[int, int]]:
+        """The ranges of environments that the threads take."""
+        count = max(1, min(self.threads, self.num_envs // ENVIRONMENTS_PER_THREAD))
+        cuts = [self.num_envs * n // count for n in range(count + 1)]
+        return list(zip(cuts, cuts[1:], strict=False))
+
+    def _advance(self, chunk: tuple[int, int], actions: np.ndarray, active: np.ndarray) -> int:
+        """Runs the kernel on one range of environments."""
+        return self._kernels.advance(
+            self.world,
+            chunk[0],
+            chunk[1],
+            actions,
+            active,
+            self._constants,
+            self.reference,
+            self.settings,
+            self.observations,
+            self.rewards,
+        )
+
+    def _check_plant(self, M: float, mu: float) -> None:
+        """Refuses M and mu that are invalid, or outside the bounds of the observation that shows them."""
+        self.capsule.check_plant(M, mu)
+        if self.observe_parameters:
+            check_number("M", M, f"at most {task.M_BOUND:g} x Capsule.M where observed", 0.0, task.M_BOUND * self.capsule.M)
+            check_number("mu", mu, f"at most {task.MU_BOUND:g} where observed", 0.0, task.MU_BOUND)
+
+    def _check_state(self, state: Any, count: int) -> np.ndarray:
+        """The states of `count` environments as float64, shape (count, 4)."""
+        accepted = "[theta, theta_dot, x, x_dot], finite, |theta| < pi/2"
+        try:
+            array = np.asarray(state, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise TypeError(f"options['state'] must be {accepted}, got {state!r}") from None
+        if array.shape not in ((4,), (count, 4)):
+            raise ValueError(f"options['state'] must be {accepted}, got shape {array.shape}")
+        if not np.isfinite(array).all() or (np.abs(array[..., 0]) >= task.THETA_LIMIT).any():
+            raise ValueError(f"options['state'] must be {accepted}, got {state!r}")
+        return np.broadcast_to(array, (count, 4))
+
+    def _schedule(self, changes: Sequence[dict[str, float]]) -> list[tuple[float, float, float]]:
+        """The jumps of one episode as (t, M, mu), in order of time."""
+        schedule = []
+        for change in changes:
+            if not isinstance(change, dict) or set(change) != {"t", "M", "mu"}:
+                raise ValueError(f"options['changes'] must hold dicts {{'t': s, 'M': kg, 'mu': ..}}, got {change!r}")
+            t = check_number("options['changes'] t", change["t"], "a finite number >= 0 (s)", 0.0)
+            self._check_plant(change["M"], change["mu"])
+            schedule.append((t, float(change["M"]), float(change["mu"])))
+        return sorted(schedule)
+
+    def _apply_changes(self) -> None:
+        """Lets M and mu jump where the time has come: at the first agent step that starts at or after t."""
+        for i, schedule in list(self._changes.items()):
+            now = self.world[Row.steps, i] * self.control_dt
+            while schedule and schedule[0][0] <= now + 1e-9:
+                _, self.world[Row.M, i], self.world[Row.mu, i] = schedule.pop(0)
+            if not schedule:
+                del self._changes[i]
+
+
+def check_count(name: str, value: Any) -> int:
+    """Returns `value` as a positive int.
+
+    Raises:
+        TypeError: if it is no integer.
+        ValueError: if it is below 1.
+    """
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
+        raise TypeError(f"{name} must be an integer >= 1, got {value!r}")
+    if value < 1:
+        raise ValueError(f"{name} must be an integer >= 1, got {value!r}")
+    return int(value)

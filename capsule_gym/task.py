@@ -1,0 +1,155 @@
+"""The task, once for every environment: observation, reward, termination and the metrics of an episode.
+
+The functions of a single time step are plain scalar functions, compiled into the kernels like the physics.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+
+import numpy as np
+from numba.extending import register_jitable
+
+from capsule_gym.parameters import Capsule
+
+EPISODE_STEPS = 1650
+CONTROL_DT = 0.02
+TORQUE_LIMIT = 1.5
+THETA_LIMIT = math.pi / 2.0
+START_THETA = -math.pi / 3.0
+
+# Bounds of the observation, which is clipped to them. Full torque switched in the worst phase gives 13 rad/s and
+# 1.2 m/s on the capsule of the paper; the rest is room for other capsules.
+THETA_DOT_BOUND = 20.0
+X_DOT_BOUND = 2.0
+M_BOUND = 4.0
+MU_BOUND = 1.0
+
+BASE_OBSERVATION = ("theta", "theta_dot", "x_dot", "stick", "last_action")
+REFERENCE_OBSERVATION = ("theta_d", "theta_d_dot", "sin_phase", "cos_phase", "law_torque")
+PARAMETER_OBSERVATION = ("M", "mu")
+
+
+class Termination(IntEnum):
+    """Why an episode ended before its time."""
+
+    none = 0
+    pendulum = 1
+    contact = 2
+
+
+def observation_names(with_reference: bool, with_parameters: bool) -> tuple[str, ...]:
+    """The entries of the observation, in order."""
+    return (
+        BASE_OBSERVATION
+        + (REFERENCE_OBSERVATION if with_reference else ())
+        + (PARAMETER_OBSERVATION if with_parameters else ())
+    )
+
+
+def observation_bounds(
+    with_reference: bool, with_parameters: bool, capsule: Capsule, torque_limit: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest observation, float32.
+
+    Args:
+        with_reference: whether a control law runs inside the step.
+        with_parameters: whether M and mu are observed.
+        capsule: the capsule, for the scale of M.
+        torque_limit: N m.
+    """
+    bounds = {
+        "theta": (-THETA_LIMIT, THETA_LIMIT),
+        "theta_dot": (-THETA_DOT_BOUND, THETA_DOT_BOUND),
+        "x_dot": (-X_DOT_BOUND, X_DOT_BOUND),
+        "stick": (0.0, 1.0),
+        "last_action": (-1.0, 1.0),
+        "theta_d": (-THETA_LIMIT, THETA_LIMIT),
+        "theta_d_dot": (-THETA_DOT_BOUND, THETA_DOT_BOUND),
+        "sin_phase": (-1.0, 1.0),
+        "cos_phase": (-1.0, 1.0),
+        "law_torque": (-torque_limit, torque_limit),
+        "M": (0.0, M_BOUND * capsule.M),
+        "mu": (0.0, MU_BOUND),
+    }
+    low, high = np.array([bounds[name] for name in observation_names(with_reference, with_parameters)], np.float32).T
+    return low.copy(), high.copy()
+
+
+@register_jitable(forceinline=True)
+def clip(value: float, limit: float) -> float:
+    """The value, kept within -limit to limit; NaN stays NaN."""
+    return limit if value > limit else -limit if value < -limit else value
+
+
+@register_jitable(forceinline=True)
+def reward_terms(
+    progress: float, energy: float, terminated: bool, energy_weight: float, termination_penalty: float
+) -> tuple[float, float, float]:
+    """The three terms of the reward of one agent step.
+
+    Args:
+        progress: displacement of the platform, m.
+        energy: integral of |u theta_dot|, J.
+        terminated: whether the episode failed in this step.
+        energy_weight: cost of a joule, in centimetres.
+        termination_penalty: cost of a failure, in centimetres.
+
+    Returns:
+        Centimetres of forward progress, the cost of the energy (<= 0), the cost of a failure (<= 0).
+    """
+    return 100.0 * progress, -energy_weight * energy, -termination_penalty if terminated else 0.0
+
+
+@register_jitable(forceinline=True)
+def termination(theta: float, normal_force: float) -> int:
+    """`Termination` as an integer: the ball meets the platform, or the platform leaves the floor."""
+    if abs(theta) >= THETA_LIMIT:
+        return 1
+    if normal_force <= 0.0:
+        return 2
+    return 0
+
+
+@register_jitable(forceinline=True)
+def write_observation(
+    out: np.ndarray,
+    state: tuple[float, float, float],
+    last_action: float,
+    reference: tuple[float, float, float],
+    law_torque: float,
+    parameters: tuple[float, float],
+    with_reference: bool,
+    with_parameters: bool,
+) -> None:
+    """Writes the observation of one environment.
+
+    Args:
+        out: shape (entries,), float32, written in the order of `observation_names`.
+        state: theta (rad), theta_dot (rad/s), x_dot (m/s).
+        last_action: in [-1, 1].
+        reference: theta_d (rad), theta_d_dot (rad/s), phase of the cycle in [0, 1).
+        law_torque: what the law asks for at this instant, clipped to the torque limit, N m.
+        parameters: M (kg) and mu.
+        with_reference: whether the entries of the law are there.
+        with_parameters: whether M and mu are.
+    """
+    theta, theta_dot, x_dot = state
+    out[0] = clip(theta, THETA_LIMIT)
+    out[1] = clip(theta_dot, THETA_DOT_BOUND)
+    out[2] = clip(x_dot, X_DOT_BOUND)
+    out[3] = 1.0 if x_dot == 0.0 else 0.0
+    out[4] = last_action
+    next_entry = 5
+    if with_reference:
+        theta_d, theta_d_dot, phase = reference
+        out[5] = clip(theta_d, THETA_LIMIT)
+        out[6] = clip(theta_d_dot, THETA_DOT_BOUND)
+        out[7] = math.sin(2.0 * math.pi * phase)
+        out[8] = math.cos(2.0 * math.pi * phase)
+        out[9] = law_torque
+        next_entry = 10
+    if with_parameters:
+        out[next_entry] = parameters[0]
+        out[next_entry + 1] = parameters[1]

@@ -1,0 +1,337 @@
+"""The native batch of environments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from capsule_gym import task
+from capsule_gym.controller import Controller
+from capsule_gym.env import RESET_OPTIONS, check_options, draw, make_spaces
+from capsule_gym.kernels import Row
+from capsule_gym.parameters import Capsule, Randomization
+from capsule_gym.rendering import Renderer
+from capsule_gym.simulation import Simulation, check_count
+
+
+class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """N independent `CapsuleEnv`, stepped together by one compiled kernel.
+
+    `gym.make_vec("CapsuleStickSlip-v0", num_envs=N)` makes one. Spaces, rewards, info and random draws are those of
+    `CapsuleEnv`: environment i of a batch with seed s gives, bit for bit, the episodes of a single environment with
+    seed s + i, for any batch size and any number of threads.
+
+    Truncation is the batch's own, after `max_episode_steps`. The autoreset mode is gymnasium's: with NEXT_STEP the
+    step after the end ignores the action and returns the first observation of the next episode with reward 0; with
+    SAME_STEP the observation is that first one already and the last one is in `info["final_obs"]`, its info in
+    `info["final_info"]`; with DISABLED an ended environment stands still until
+    `reset(options={"reset_mask": mask})` names it.
+
+    Args:
+        num_envs: number of environments.
+        max_episode_steps: agent steps until truncation.
+        autoreset_mode: an `AutoresetMode` or its name, "NEXT_STEP", "SAME_STEP" or "DISABLED".
+        threads: threads that share the batch, from 64 environments each; the results do not depend on it.
+        render_mode: None or "rgb_array": `render()` then returns one frame per environment.
+        **settings: everything else that `CapsuleEnv` takes.
+
+    Raises:
+        TypeError: if an argument is of the wrong type.
+        ValueError: if an argument is out of range.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": ["rgb_array"],
+        "render_fps": 50,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        max_episode_steps: int = task.EPISODE_STEPS,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+        controller: str | Controller | Callable[[], Controller] | None = None,
+        residual_limit: float | None = None,
+        torque_limit: float = task.TORQUE_LIMIT,
+        randomization: str | Randomization = "paper",
+        capsule: Capsule | None = None,
+        observe_parameters: bool = False,
+        energy_weight: float = 0.1,
+        termination_penalty: float = 10.0,
+        initial_noise: float = 0.0,
+        control_dt: float = task.CONTROL_DT,
+        physics_dt: float | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(f"render_mode must be None or one of {self.metadata['render_modes']}, got {render_mode!r}")
+        self.autoreset_mode = _find_mode(autoreset_mode)
+        self.max_episode_steps = check_count("max_episode_steps", max_episode_steps)
+        self.simulation = Simulation(
+            num_envs,
+            capsule=capsule,
+            controller=controller,
+            randomization=randomization,
+            torque_limit=torque_limit,
+            residual_limit=residual_limit,
+            control_dt=control_dt,
+            physics_dt=physics_dt,
+            energy_weight=energy_weight,
+            termination_penalty=termination_penalty,
+            observe_parameters=observe_parameters,
+            initial_noise=initial_noise,
+            threads=threads,
+        )
+        self.num_envs = self.simulation.num_envs
+        self.render_mode = render_mode
+        self.metadata = {
+            **type(self).metadata,
+            "render_fps": round(1.0 / self.simulation.control_dt),
+            "autoreset_mode": self.autoreset_mode,
+        }
+        self.single_action_space, self.single_observation_space = make_spaces(self.simulation)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self._ended = np.zeros(self.num_envs, np.bool_)
+        self._everywhere = np.ones(self.num_envs, np.bool_)
+        self._everywhere.setflags(write=False)
+        self._started = False
+        self._renderers: list[Renderer] = []
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begins new episodes.
+
+        Args:
+            seed: environment i gets seed + i, or the i-th of a sequence (None goes on).
+            options: as for `CapsuleEnv`, each a value for all environments or one per environment ("changes": a list
+                per environment); and "reset_mask", bool of shape (num_envs,), to reset only some.
+
+        Returns:
+            Observations, float32 of shape (num_envs, entries), and the infos.
+
+        Raises:
+            TypeError: if an option is of the wrong type.
+            ValueError: if an option is unknown, of the wrong shape or out of range.
+        """
+        options = check_options(options, (*RESET_OPTIONS, "reset_mask"))
+        mask = self._check_mask(options.get("reset_mask"))
+        self._seed(seed)
+        rows = np.flatnonzero(mask)
+        self.simulation.reset(
+            rows,
+            M=self._per_row("M", options.get("M"), rows),
+            mu=self._per_row("mu", options.get("mu"), rows),
+            state=self._states(options.get("state"), rows),
+            changes=self._per_row("changes", options.get("changes"), rows),
+        )
+        self._ended[rows] = False
+        self._started = True
+        return self.simulation.observations.copy(), _masked(self._snapshot(), mask)
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """One agent step of every environment.
+
+        Args:
+            actions: shape (num_envs, 1), clipped to [-1, 1].
+
+        Returns:
+            Observations (num_envs, entries) float32, rewards (num_envs,) float64, terminated and truncated
+            (num_envs,) bool, and infos.
+
+        Raises:
+            ValueError: if the actions have another shape or are not finite.
+            gymnasium.error.ResetNeeded: before the first reset.
+        """
+        if not self._started:
+            raise gym.error.ResetNeeded("call reset() before step(): there is no running episode")
+        array = np.ascontiguousarray(actions, np.float32)
+        if array.shape != (self.num_envs, 1) or not np.isfinite(array).all():
+            raise ValueError(
+                f"actions must be finite, in [-1, 1] and of shape ({self.num_envs}, 1), got shape {array.shape} "
+                f"with {np.count_nonzero(~np.isfinite(array))} values that are not finite"
+            )
+        simulation = self.simulation
+        active = ~self._ended
+        resting = not active.all()
+        if resting and self.autoreset_mode is AutoresetMode.NEXT_STEP:
+            simulation.reset(np.flatnonzero(self._ended))
+        simulation.step(array, active)
+
+        terminated = (simulation.world[Row.termination] != 0.0) & active
+        truncated = (simulation.world[Row.steps] >= self.max_episode_steps) & active & ~terminated
+        ended = terminated | truncated
+        info = _masked(self._snapshot(), self._everywhere)
+        terms = {name: simulation.world[Row[name]].copy() for name in REWARD_TERMS}
+        info |= _masked(terms, active if resting else self._everywhere)
+        if ended.any():
+            self._report_end(info, ended, terminated)
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP:
+            self._ended = ended
+        elif self.autoreset_mode is AutoresetMode.DISABLED:
+            # A frozen environment goes on telling how it ended, as its last step did.
+            self._ended |= ended
+            terminated = (simulation.world[Row.termination] != 0.0) & self._ended
+            truncated = self._ended & ~terminated
+        return simulation.observations.copy(), simulation.rewards.copy(), terminated, truncated, info
+
+    def episode_metrics(self) -> dict[str, np.ndarray]:
+        """The metrics of the running episodes, each of shape (num_envs,); `Simulation.metrics` says what they mean."""
+        return self.simulation.metrics(np.arange(self.num_envs), self.max_episode_steps)
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """One frame per environment, each of shape (height, width, 3), uint8; None without a render mode."""
+        if self.render_mode is None:
+            gym.logger.warn("render() draws nothing without a render_mode: gym.make_vec(.., render_mode='rgb_array')")
+            return None
+        if not self._renderers:
+            simulation = self.simulation
+            self._renderers = [
+                Renderer(simulation.capsule, self.render_mode, self.metadata["render_fps"], simulation.torque_limit)
+                for _ in range(self.num_envs)
+            ]
+        frames = (draw(renderer, self.simulation, i) for i, renderer in enumerate(self._renderers))
+        return tuple(frame for frame in frames if frame is not None)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Ends the threads and frees the frames."""
+        self.simulation.close()
+        for renderer in self._renderers:
+            renderer.close()
+        self._renderers = []
+
+    def _report_end(self, info: dict[str, Any], ended: np.ndarray, terminated: np.ndarray) -> None:
+        """Adds to the info how episodes ended; with SAME_STEP also begins the next ones."""
+        simulation = self.simulation
+        rows = np.flatnonzero(ended)
+        metrics = {}
+        for name, values in simulation.metrics(rows, self.max_episode_steps).items():
+            metrics[name] = np.zeros(self.num_envs)
+            metrics[name][rows] = values
+        final: dict[str, Any] = {"metrics": metrics}
+        if terminated.any():
+            names = np.full(self.num_envs, None, dtype=object)
+            for i in np.flatnonzero(terminated):
+                names[i] = task.Termination(int(simulation.world[Row.termination, i])).name
+            final |= _masked({"termination": names}, terminated)
+        if self.autoreset_mode is not AutoresetMode.SAME_STEP:
+            info |= _masked(final, ended)
+            return
+        info["final_obs"] = np.full(self.num_envs, None, dtype=object)
+        for i in rows:
+            info["final_obs"][i] = simulation.observations[i].copy()
+        shared = {name: value for name, value in info.items() if not name.startswith("_") and name != "final_obs"}
+        info["final_info"] = _masked({**shared, **final}, ended)
+        info["_final_obs"] = info["_final_info"] = ended
+        simulation.reset(rows)
+        begun = self._snapshot()
+        info |= {name: begun[name] for name in begun}
+
+    def _snapshot(self) -> dict[str, Any]:
+        """The part of the infos that reset and step share, detached from the running simulation."""
+        world = self.simulation.world[: Row.reward_progress].copy()
+        return {
+            "state": world[:4].T,
+            "M": world[Row.M],
+            "mu": world[Row.mu],
+            "stick": world[Row.x_dot] == 0.0,
+            "torque": world[Row.torque],
+            "law_torque": world[Row.law_torque],
+            "normal_force": world[Row.normal_force],
+            "energy": world[Row.step_energy],
+        }
+
+    def _seed(self, seed: int | Sequence[int | None] | None) -> None:
+        """Hands the seeds out: environment i of seed s gets s + i."""
+        if isinstance(seed, (int, np.integer)):
+            super().reset(seed=int(seed))
+        elif seed is None:
+            if self._np_random is not None:
+                return
+        else:
+            seeds = list(seed)
+            if len(seeds) != self.num_envs:
+                raise ValueError(f"seed must be an integer or a sequence of {self.num_envs}, got {len(seeds)} entries")
+            fresh = self._np_random is None
+            for i, own in enumerate(seeds):
+                if own is not None:
+                    self.simulation.seed(i, _check_seed(own))
+                elif fresh:
+                    self.simulation.seed(i, int(self.np_random_seed) + i)
+            _ = self.np_random
+            return
+        first = int(self.np_random_seed)
+        for i in range(self.num_envs):
+            self.simulation.seed(i, first + i)
+
+    def _check_mask(self, mask: Any) -> np.ndarray:
+        """The environments that a reset means."""
+        if mask is None:
+            return self._everywhere
+        accepted = f"a bool array of shape ({self.num_envs},) with at least one True"
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
+            raise TypeError(f"options['reset_mask'] must be {accepted}, got {mask!r}")
+        if mask.shape != (self.num_envs,) or not mask.any():
+            raise ValueError(f"options['reset_mask'] must be {accepted}, got {mask!r}")
+        return mask
+
+    def _per_row(self, name: str, values: Any, rows: np.ndarray) -> list[Any] | None:
+        """One value per environment to be reset, from one for all or one for each of the batch."""
+        if values is None:
+            return None
+        if name != "changes" and np.ndim(values) == 0:
+            return [values] * len(rows)
+        if len(values) != self.num_envs:
+            raise ValueError(f"options[{name!r}] must have one entry per environment ({self.num_envs}), got {len(values)}")
+        return [values[i] for i in rows]
+
+    def _states(self, states: Any, rows: np.ndarray) -> Any:
+        """The states of the environments to be reset, from one for all or one for each of the batch."""
+        if states is None or np.ndim(states) != 2 or len(states) != self.num_envs:
+            return states
+        return np.asarray(states)[rows]
+
+
+REWARD_TERMS = ("reward_progress", "reward_energy", "reward_termination")
+
+
+def _check_seed(seed: Any) -> int:
+    """One environment's seed as an int."""
+    if isinstance(seed, (bool, np.bool_)) or not isinstance(seed, (int, np.integer)):
+        raise TypeError(f"seed must hold integers >= 0 or None, got {seed!r}")
+    if seed < 0:
+        raise ValueError(f"seed must hold integers >= 0 or None, got {seed!r}")
+    return int(seed)
+
+
+def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    """The autoreset mode of that name or value."""
+    if isinstance(mode, AutoresetMode):
+        return mode
+    for candidate in AutoresetMode:
+        if mode in (candidate.name, candidate.value):
+            return candidate
+    names = [candidate.name for candidate in AutoresetMode]
+    raise ValueError(f"autoreset_mode must be an AutoresetMode or one of {names}, got {mode!r}")
+
+
+def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:
+    """Gymnasium's form of batched infos: beside every key the mask of the environments that it holds for."""
+    info: dict[str, Any] = {}
+    for key, value in values.items():
+        if key.startswith("_"):
+            continue
+        info[key] = _masked(value, mask) if isinstance(value, dict) else value
+        info[f"_{key}"] = values.get(f"_{key}", mask)
+    return info

@@ -1,0 +1,528 @@
+"""The plant's physics: conservation, exact stick, located events, order of convergence, against independent equations."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from capsule_gym import dynamics
+from capsule_gym.parameters import Capsule, Plant
+from tests import driver, reference
+
+START = (-math.pi / 3, 0.0, 0.0, 0.0)
+HOLD = 0.02
+
+
+def constants(capsule: Capsule) -> reference.Constants:
+    """The same plant for the reference."""
+    return reference.Constants(
+        M=capsule.M,
+        m=capsule.m,
+        l=capsule.l,
+        g=capsule.g,
+        k=capsule.k,
+        c=capsule.c,
+        mu=capsule.mu,
+        static_ratio=capsule.static_ratio,
+        backward_ratio=capsule.backward_ratio,
+        paper=1.0 if capsule.normal_force == "paper" else 0.0,
+    )
+
+
+def random_torque(amplitude: float, seed: int, seconds: float = 10.0, hold: float = HOLD) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-amplitude, amplitude, round(seconds / hold))
+
+
+def periodic_torque(seconds: float = 10.0, hold: float = HOLD) -> np.ndarray:
+    t = hold * np.arange(round(seconds / hold))
+    return 0.6 * np.sin(2 * math.pi * t / 0.7) + 0.3 * np.sin(4 * math.pi * t / 0.7 + 0.8)
+
+
+def energy(state: np.ndarray | tuple[float, ...], p: Plant) -> float:
+    """Kinetic energy of the platform and of the ball at (x - l sin, l cos), plus gravity's and the spring's."""
+    theta, theta_dot, _, x_dot = state
+    ball = (x_dot - p.l * math.cos(theta) * theta_dot, -p.l * math.sin(theta) * theta_dot)
+    kinetic = 0.5 * p.M * x_dot**2 + 0.5 * p.m * (ball[0] ** 2 + ball[1] ** 2)
+    return kinetic + p.m * p.g * p.l * math.cos(theta) + 0.5 * p.k * theta**2
+
+
+def momentum(state: np.ndarray | tuple[float, ...], p: Plant) -> float:
+    theta, theta_dot, _, x_dot = state
+    return p.M * x_dot + p.m * (x_dot - p.l * math.cos(theta) * theta_dot)
+
+
+def random_plant(rng: np.random.Generator, **overrides: float | str) -> Capsule:
+    fields: dict = {
+        "M": rng.uniform(0.3, 1.0),
+        "m": rng.uniform(0.05, 0.3),
+        "l": rng.uniform(0.1, 0.5),
+        "k": rng.uniform(0.0, 1.0),
+        "c": rng.uniform(0.0, 0.2),
+        "mu": rng.uniform(0.0, 0.5),
+        "static_ratio": rng.uniform(1.0, 1.5),
+        "backward_ratio": rng.uniform(0.5, 2.0),
+        "normal_force": rng.choice(["newton", "paper"]).item(),
+    }
+    return Capsule(**{**fields, **overrides})
+
+
+# Equations of motion
+
+
+def test_accelerations_satisfy_both_rows_of_equation_1():
+    rng = np.random.default_rng(1)
+    phases = set()
+    for _ in range(3000):
+        capsule = random_plant(rng)
+        M, m, l, g = capsule.M, capsule.m, capsule.l, capsule.g
+        theta, theta_dot, u = rng.uniform(-3, 3), rng.uniform(-12, 12), rng.uniform(-2, 2)
+        slip = float(rng.integers(-1, 2))
+        a, b, N = dynamics.accelerations(theta, theta_dot, slip, u, capsule.plant())
+        pivot = capsule.k * theta + capsule.c * theta_dot
+        newton = (M + m) * g - m * l * (a * np.sin(theta) + theta_dot**2 * np.cos(theta))
+        expected = newton - pivot * np.sin(theta) if capsule.normal_force == "paper" else newton
+        row_1 = m * l**2 * a - m * l * np.cos(theta) * b - m * g * l * np.sin(theta) + pivot - u
+        row_2 = (M + m) * b - m * l * np.cos(theta) * a + m * l * np.sin(theta) * theta_dot**2
+        scale = abs(u) + m * l * (g + l * abs(a) + abs(b) + theta_dot**2) + abs(pivot) + (M + m) * g
+        assert abs(row_1) < 1e-13 * scale
+        lifted = N == 0.0
+        if slip == 0.0:
+            assert b == 0.0
+        else:
+            f = slip * capsule.mu * (1.0 if slip > 0 else capsule.backward_ratio) * N
+            assert abs(row_2 + f) < 1e-13 * scale
+        if lifted:
+            assert expected < 1e-12 * scale
+        else:
+            assert abs(N - expected) < 1e-13 * scale
+        phases.add((slip, lifted, capsule.normal_force))
+    assert len(phases) == 12
+
+
+def test_property_2_the_matrix_of_the_coriolis_terms_is_skew_symmetric():
+    # M' - 2C is skew-symmetric exactly where the inertial forces alone keep the kinetic energy: no gravity to speak
+    # of, no spring, no damper, no friction, no torque. Then q'^T M(q) q'' + q'^T M' q' / 2 = 0 at every state.
+    rng = np.random.default_rng(2)
+    for _ in range(200):
+        capsule = random_plant(rng, k=0.0, c=0.0, mu=0.0, g=1e-300, normal_force="newton")
+        theta, theta_dot, x_dot = rng.uniform(-3, 3), rng.uniform(-9, 9), rng.uniform(-1, 1)
+        a, b, _ = dynamics.accelerations(theta, theta_dot, 1.0, 0.0, capsule.plant())
+        ml, s, c = capsule.m * capsule.l, math.sin(theta), math.cos(theta)
+        mass = np.array([[ml * capsule.l, -ml * c], [-ml * c, capsule.M + capsule.m]])
+        mass_rate = np.array([[0.0, ml * s * theta_dot], [ml * s * theta_dot, 0.0]])
+        coriolis = np.array([[0.0, 0.0], [ml * s * theta_dot, 0.0]])
+        skew = mass_rate - 2.0 * coriolis
+        assert np.array_equal(skew, -skew.T)
+        q_dot, q_ddot = np.array([theta_dot, x_dot]), np.array([a, b])
+        # The plant's own inertial forces are M q'' + C q': nothing else is left.
+        assert mass @ q_ddot + coriolis @ q_dot == pytest.approx(0.0, abs=1e-12)
+        assert q_dot @ mass @ q_ddot + 0.5 * q_dot @ mass_rate @ q_dot == pytest.approx(0.0, abs=1e-11)
+
+
+def test_slip_friction_has_the_declared_coefficient_in_each_direction():
+    capsule = Capsule(mu=0.1, backward_ratio=2.5, static_ratio=1.4)
+    M, m, l = capsule.M, capsule.m, capsule.l
+    for slip, mu in ((1.0, 0.1), (-1.0, 0.25)):
+        theta, theta_dot = -0.7, 3.0
+        a, b, N = dynamics.accelerations(theta, theta_dot, slip, 0.4, capsule.plant())
+        friction = m * l * math.cos(theta) * a - m * l * math.sin(theta) * theta_dot**2 - (M + m) * b
+        assert friction / N == pytest.approx(slip * mu, rel=1e-12)
+
+
+# Energy and momentum
+
+
+@pytest.mark.parametrize(
+    ("capsule", "torques"),
+    [
+        (Capsule(mu=0.01), random_torque(1.0, 1)),
+        (Capsule(mu=0.1), random_torque(0.5, 2)),
+        (Capsule(mu=0.3), random_torque(1.0, 3)),
+        (Capsule(mu=0.05, static_ratio=1.5, backward_ratio=2.0), periodic_torque()),
+        (Capsule(mu=0.1, normal_force="paper"), periodic_torque()),
+    ],
+    ids=["0.01", "0.1", "0.3", "anisotropic", "paper"],
+)
+def test_energy_and_momentum_balance_over_ten_seconds(capsule, torques):
+    p = capsule.plant()
+    final, sums, events = driver.audit(torques, START, p, constants(capsule), HOLD, 40)
+    work, damper, friction, impulse, all_work, all_impulse = sums
+    assert events > 20
+    assert damper > 0.0
+    assert friction > 1e-3 * all_work
+    exchanged = all_work + damper + friction
+    assert abs(energy(final, p) - energy(START, p) - (work - damper - friction)) < 1e-9 * exchanged
+    assert abs(momentum(final, p) - momentum(START, p) + impulse) < 1e-9 * all_impulse
+
+
+def test_without_friction_the_centre_of_mass_keeps_its_velocity():
+    p = Capsule(mu=0.0).plant()
+    velocity = 0.03
+    start = (-1.0, 0.5, 0.2, velocity + p.m * p.l * math.cos(1.0) * 0.5 / (p.M + p.m))
+    run = driver.run(random_torque(0.5, 5), start, p, HOLD, 320)
+    theta, theta_dot, x, x_dot = run.states.T
+    share = p.m * p.l / (p.M + p.m)
+    t = HOLD * np.arange(len(theta))
+    centre = x - share * np.sin(theta)
+    assert np.abs(x_dot - share * np.cos(theta) * theta_dot - velocity).max() < 1e-12
+    assert np.abs(centre - centre[0] - velocity * t).max() < 2e-12
+    assert run.events[-1] > 20  # the platform itself goes back and forth
+
+
+def test_on_a_rough_floor_the_plant_is_a_driven_pendulum():
+    p = Capsule(mu=3.0).plant()
+    torques = random_torque(0.5, 6)
+    run = driver.run(torques, START, p, HOLD, 20)
+    assert np.all(run.states[:, 2:] == 0.0)
+    assert run.sums[-1, 2] == pytest.approx(10.0, abs=1e-9)
+    y = np.array(START[:2])
+    for u, state in zip(torques, run.states[1:], strict=True):
+
+        def pendulum(_t, y, u=u):
+            return y[1], (u + 0.138 * 9.81 * 0.3 * math.sin(y[0]) - 0.36 * y[0] - 0.0923 * y[1]) / (0.138 * 0.09)
+
+        y = solve_ivp(pendulum, (0.0, HOLD), y, method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+        assert np.abs(y - state[:2]).max() < 1e-9
+
+
+# Stick
+
+
+@pytest.mark.parametrize("ratio", [0.3, 0.9, 0.99, 0.999])
+@pytest.mark.parametrize("mu", [0.01, 0.2])
+def test_a_load_below_the_threshold_never_moves_the_platform(ratio, mu):
+    p = Capsule(mu=mu).plant()
+    # The load drifts while a torque is held, and 99.9 % leaves it little room: hold it for 0.05 ms.
+    start = (-0.6, 0.0, 0.123456789, 0.0)
+    final, moved, angles = driver.hold_load(ratio, start, p, 5e-5, 200_000)
+    assert moved == 0
+    assert final[3] == 0.0
+    assert final[2] == 0.123456789
+    assert -math.pi / 2 < angles[0] < angles[1] < math.pi / 2
+    # The same load just above the threshold does move it.
+    assert driver.hold_load(1.001, start, p, 5e-5, 2)[1] > 0
+
+
+def test_the_platform_sticks_for_ten_seconds_below_the_largest_load_of_the_run_and_not_above():
+    torques = random_torque(0.5, 7)
+    rough = driver.run(torques, START, Capsule(mu=3.0).plant(), HOLD, 40)
+    c = reference.Constants()
+    largest = 0.0
+    for state, before, after in zip(rough.states[1:-1], torques[:-1], torques[1:], strict=True):
+        # Between changes of the torque the load varies slowly, so its peaks are at the ends of the holds.
+        for u in (before, after):
+            alpha, _, normal = reference.rates(state[0], state[1], 0.0, u, c)
+            load = c.m * c.l * (math.cos(state[0]) * alpha - math.sin(state[0]) * state[1] ** 2)
+            largest = max(largest, abs(load) / normal)
+    below = driver.run(torques, START, Capsule(mu=largest * 1.001).plant(), HOLD, 20)
+    assert np.all(below.states[:, 2:] == 0.0)
+    assert np.all(below.sums[:, :2] == 0.0)
+    assert below.events[-1] == 0
+    above = driver.run(torques, START, Capsule(mu=largest / 1.001).plant(), HOLD, 20)
+    assert above.events[-1] > 0
+    assert above.states[-1, 2] != 0.0
+
+
+@pytest.mark.parametrize("normal_force", ["newton", "paper"])
+def test_slip_starts_where_the_load_is_mu_n(normal_force):
+    rng = np.random.default_rng(8)
+    for _ in range(200):
+        capsule = Capsule(
+            mu=rng.uniform(0.005, 0.4),
+            static_ratio=rng.choice([1.0, 1.3]).item(),
+            backward_ratio=rng.choice([1.0, 0.6, 1.7]).item(),
+            normal_force=normal_force,
+        )
+        p, c = capsule.plant(), constants(capsule)
+        theta, theta_dot = rng.uniform(-1.4, 1.4), rng.uniform(-6, 6)
+        for direction, limit in ((1.0, capsule.mu), (-1.0, capsule.mu * capsule.backward_ratio)):
+            limit *= capsule.static_ratio
+
+            def excess(u, direction=direction, limit=limit, theta=theta, theta_dot=theta_dot, c=c):
+                alpha, _, normal = reference.rates(theta, theta_dot, 0.0, u, c)
+                load = c.m * c.l * (math.cos(theta) * alpha - math.sin(theta) * theta_dot**2)
+                return direction * load - limit * normal
+
+            # The load and N are straight lines in the torque, so two values give the root.
+            zero, one = excess(0.0), excess(1.0)
+            limit_torque = -zero / (one - zero)
+            if reference.rates(theta, theta_dot, 0.0, limit_torque, c)[2] <= 0.1:
+                continue
+            outwards = 1.0 if one > zero else -1.0
+            below, above = limit_torque - outwards * 1e-9, limit_torque + outwards * 1e-9
+            assert dynamics.contact_phase(theta, theta_dot, 0.0, below, p) == 0.0
+            assert dynamics.contact_phase(theta, theta_dot, 0.0, above, p) == direction
+            still = dynamics.step(theta, theta_dot, 0.5, 0.0, limit_torque - outwards * 1e-3, p, 1e-6)
+            assert (still.x, still.x_dot, still.stuck) == (0.5, 0.0, 1e-6)
+            moving = dynamics.step(theta, theta_dot, 0.5, 0.0, limit_torque + outwards * 1e-3, p, 1e-6)
+            assert moving.x_dot * direction > 0.0
+            assert moving.stuck == 0.0
+
+
+# Against the reference
+
+
+AGREEMENT = [
+    *((mu, f"random {amplitude}", random_torque(amplitude, 10 + seed), {})
+      for mu in (0.01, 0.1, 0.3) for seed, amplitude in enumerate((0.2, 0.5, 0.8))),
+    *((mu, "periodic", periodic_torque(), {}) for mu in (0.01, 0.1, 0.3)),
+    (0.05, "anisotropic", random_torque(0.7, 20), {"backward_ratio": 2.0}),
+    (0.05, "static", random_torque(0.7, 21), {"static_ratio": 1.5}),
+    (0.1, "both", periodic_torque(), {"static_ratio": 1.2, "backward_ratio": 0.5}),
+    (0.1, "paper", random_torque(0.7, 22), {"normal_force": "paper"}),
+    (0.0, "frictionless", random_torque(0.5, 23), {}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("mu", "name", "torques", "options"), AGREEMENT, ids=[f"{a[0]}-{a[1]}" for a in AGREEMENT])
+def test_agreement_with_the_reference_after_ten_seconds(mu, name, torques, options):
+    capsule = Capsule(mu=mu, **options)
+    expected = reference.simulate(torques, START, constants(capsule))
+    run = driver.run(torques, START, capsule.plant(), HOLD, 20)
+    assert np.abs(run.states - expected.states).max() < 1e-8
+    assert run.events[-1] == len(expected.events)
+    # Rounding must not make the phases chatter.
+    assert run.most_events <= 3
+    forward, backward, stuck, swept = run.sums.T
+    # To rounding: what moved forwards less what moved backwards is the displacement.
+    assert np.abs(forward - backward - run.states[:, 2]).max() < 1e-12
+    assert np.abs(forward - expected.forward).max() < 1e-8
+    assert np.abs(backward - expected.backward).max() < 1e-8
+    # A vanishing event (the platform just about sticks, or just not) moves the stuck time by more than the states.
+    assert np.abs(stuck - expected.stuck).max() < 1e-7
+    # |theta_dot| has a kink wherever the pendulum turns; there the step takes theta'' for constant.
+    assert np.abs(swept - expected.swept).max() < 2e-6
+
+
+@pytest.mark.parametrize("mu", [0.01, 0.3])
+def test_the_smallest_normal_force_agrees_with_the_reference(mu):
+    capsule = Capsule(mu=mu)
+    torques = random_torque(1.0, 25, seconds=4.0)
+    expected = reference.simulate(np.repeat(torques, 20), START, constants(capsule), hold=HOLD / 20)
+    smallest = expected.normal[1:].reshape(-1, 20).min(axis=1)
+    run = driver.run(torques, START, capsule.plant(), HOLD, 20)
+    assert smallest.min() < 4.0 < 6.2 < smallest.max()
+    # The reference looks at both ends of every millisecond, the step at the starts of phases only.
+    assert np.all(run.normal[1:] >= smallest - 1e-6)
+    assert np.all(run.normal[1:] <= smallest + 0.2)
+    assert np.median(run.normal[1:] - smallest) < 0.02
+
+
+def test_fourth_order_through_dozens_of_events():
+    hold = 0.024
+    orders = []
+    for mu, amplitude in ((0.01, 0.3), (0.03, 0.8), (0.1, 0.6), (0.3, 1.0)):
+        capsule = Capsule(mu=mu)
+        for seed in range(2):
+            torques = random_torque(amplitude, 30 + seed, hold=hold, seconds=9.6)
+            expected = reference.simulate(torques, START, constants(capsule), hold=hold)
+            assert len(expected.events) >= 24
+            errors = []
+            for steps in (3, 24):  # 8 ms and 1 ms
+                run = driver.run(torques, START, capsule.plant(), hold, steps)
+                assert run.events[-1] >= 24
+                errors.append(np.abs(run.states - expected.states).max())
+            orders.append(math.log2(errors[0] / errors[1]) / 3)
+    assert min(orders) >= 3.5, orders
+
+
+# Events inside one step
+
+
+def compare_one_step(capsule: Capsule, state: tuple, u: float, h: float) -> tuple[dynamics.Motion, list, float]:
+    """One step, the reference's events (time, before, after) in it, and the largest error in any state."""
+    expected = reference.simulate([u], state, constants(capsule), hold=h)
+    motion = dynamics.step(*state, u, capsule.plant(), h)
+    return motion, expected.events, float(np.abs(np.array(motion[:4]) - expected.states[-1]).max())
+
+
+@pytest.mark.parametrize("options", [{}, {"static_ratio": 1.3}, {"backward_ratio": 1.6}, {"normal_force": "paper"}])
+def test_stick_is_released_inside_a_step_where_the_pendulum_itself_reaches_the_limit(options):
+    rng = np.random.default_rng(40)
+    h = 0.005
+    found = {1.0: 0, -1.0: 0}
+    for _ in range(400):
+        capsule = Capsule(mu=rng.uniform(0.05, 0.3), **options)
+        theta, theta_dot = rng.uniform(-1.2, 1.2), rng.uniform(-7, 7)
+        ratio = rng.choice([-1.0, 1.0]) * capsule.static_ratio * rng.uniform(0.9, 0.999)
+        u = driver.torque_for_load.py_func(ratio, theta, theta_dot, capsule.plant())
+        if abs(u) > 2.0:
+            continue
+        motion, events, error = compare_one_step(capsule, (theta, theta_dot, 0.0, 0.0), u, h)
+        if len(events) != 1 or events[0][1] != 0.0:
+            continue
+        found[events[0][2]] += 1
+        assert motion.events == 1
+        assert abs(motion.stuck - events[0][0]) < 1e-6
+        assert motion.x_dot * events[0][2] > 0.0
+        assert error < 2e-7
+    assert found[1.0] >= 15
+    assert found[-1.0] >= 15
+
+
+def test_a_slip_that_starts_from_rest_and_ends_inside_the_same_step():
+    rng = np.random.default_rng(41)
+    h = 0.005
+    found = 0
+    for _ in range(400):
+        capsule = Capsule(mu=rng.uniform(0.05, 0.3))
+        theta, theta_dot = rng.uniform(-1.2, 1.2), rng.uniform(-7, 7)
+        u = driver.torque_for_load.py_func(
+            rng.choice([-1.0, 1.0]) * rng.uniform(1.0005, 1.03), theta, theta_dot, capsule.plant()
+        )
+        if abs(u) > 2.0:
+            continue
+        motion, events, error = compare_one_step(capsule, (theta, theta_dot, 0.1, 0.0), u, h)
+        if len(events) != 1 or events[0][2] != 0.0:
+            continue
+        found += 1
+        assert motion.events == 1
+        assert motion.x_dot == 0.0
+        assert motion.x != 0.1
+        assert abs(motion.stuck - (h - events[0][0])) < 1e-6
+        assert error < 1e-7
+    assert found >= 20
+
+
+def test_reversal_without_stick_inside_a_step():
+    # On a smooth floor the load at zero velocity is far above the limit: the slip goes on the other way at once.
+    capsule = Capsule(mu=0.01)
+    for sign in (1.0, -1.0):
+        motion, events, error = compare_one_step(capsule, (-0.8 * sign, 0.0, 0.0, -0.002 * sign), 0.8 * sign, 0.005)
+        assert [event[1:] for event in events] == [(-sign, sign)]
+        assert motion.events == 1
+        assert motion.stuck == 0.0
+        assert motion.x_dot * sign > 0.0
+        assert motion.forward > 0.0
+        assert motion.backward > 0.0
+        assert error < 1e-7
+
+
+def test_several_events_in_one_large_step():
+    rng = np.random.default_rng(42)
+    h = 0.05
+    counts = []
+    kinds = set()
+    for _ in range(1500):
+        capsule = Capsule(mu=rng.uniform(0.02, 0.3))
+        state = (rng.uniform(-1.2, 1.2), rng.uniform(-6, 6), 0.0, rng.uniform(-0.02, 0.02))
+        u = rng.uniform(-1.0, 1.0)
+        motion = driver.step(*state, u, capsule.plant(), h)
+        if motion.events < 2:
+            continue
+        expected = reference.simulate([u], state, constants(capsule), hold=h)
+        if len(expected.events) != motion.events:
+            # A graze that a large step may miss must be one: refining the step has to recover it.
+            fine = driver.run(np.array([u]), state, capsule.plant(), h, 100)
+            assert fine.events[-1] == len(expected.events)
+            continue
+        counts.append(motion.events)
+        kinds.update(event[1:] for event in expected.events)
+        assert np.abs(np.array(motion[:4]) - expected.states[-1]).max() < 0.02
+        assert abs(motion.stuck - expected.stuck[-1]) < 2e-3
+        assert motion.forward == pytest.approx(expected.forward[-1], abs=2e-4)
+        assert motion.backward == pytest.approx(expected.backward[-1], abs=2e-4)
+        assert motion.forward - motion.backward == pytest.approx(motion.x, abs=1e-15)
+    assert len(counts) >= 40
+    assert max(counts) >= 3
+    assert {(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, -1.0), (-1.0, 1.0)} <= kinds
+
+
+def test_events_on_the_boundary_of_a_phase_do_not_hang_or_chatter():
+    rng = np.random.default_rng(43)
+    for _ in range(4000):
+        capsule = Capsule(mu=rng.uniform(0.0, 0.3))
+        theta, theta_dot = rng.uniform(-1.2, 1.2), rng.choice([0.0, rng.uniform(-6, 6)])
+        nearly = 1.0 + rng.choice([0.0, 1e-16, 1e-15, -1e-15, 1e-12, -1e-12, 1e-6])
+        u = driver.torque_for_load(rng.choice([-1.0, 1.0]) * nearly, theta, theta_dot, capsule.plant())
+        x_dot = rng.choice([0.0, 5e-324, -5e-324, 1e-17, -1e-17, 1e-12])
+        h = rng.choice([1e-3, 5e-3])
+        motion = driver.step(theta, theta_dot, 0.0, x_dot, u, capsule.plant(), h)
+        assert motion.events <= 4
+        expected = reference.simulate([u], (theta, theta_dot, 0.0, 0.0), constants(capsule), hold=h)
+        assert np.abs(np.array(motion[:4]) - expected.states[-1]).max() < 1e-5
+
+
+# Contact
+
+
+def test_a_step_reports_that_the_contact_is_lost():
+    p = Capsule(mu=0.1).plant()
+    upright = math.sqrt((p.M + p.m) * p.g / (p.m * p.l))  # the ball's centripetal force carries the whole weight
+    for x_dot in (0.1, -0.1):
+        assert dynamics.step(0.0, 0.999 * upright, 0.0, x_dot, 0.0, p, 1e-4).normal_force > 0.0
+        assert dynamics.step(0.0, 1.001 * upright, 0.0, x_dot, 0.0, p, 1e-4).normal_force == 0.0
+    resting = dynamics.step(-0.2, 0.0, 0.0, 0.0, 0.0, p, 1e-3).normal_force
+    assert resting == pytest.approx(reference.rates(-0.2, 0.0, 0.0, 0.0, reference.Constants())[2], rel=1e-12)
+
+
+def test_friction_never_pushes_a_platform_that_has_lost_contact():
+    capsule = Capsule(mu=0.3, k=0.0, c=0.0)
+    p = capsule.plant()
+    for theta_dot in (18.0, -18.0):
+        for x_dot in (2.0, -2.0):
+            state = (-math.copysign(0.4, theta_dot), theta_dot, 0.0, x_dot)
+            start, drift = energy(state, p), momentum(state, p)
+            lifted = 0
+            for _ in range(2500):
+                before = energy(state, p)
+                motion = driver.step(*state, 0.0, p, 1e-4)
+                state = motion[:4]
+                assert energy(state, p) - before < 1e-10
+                if motion.normal_force == 0.0 and lifted >= 0:
+                    lifted += 1
+                    assert momentum(state, p) == pytest.approx(drift, abs=1e-10)
+                    assert energy(state, p) == pytest.approx(start, rel=1e-10)
+                elif lifted > 0:
+                    break
+            assert lifted > 200
+            for _ in range(200):
+                state = driver.step(*state, 0.0, p, 1e-4)[:4]
+            # With the contact back friction takes energy away.
+            assert energy(state, p) < start - 1e-3
+
+
+# Compiled and interpreted
+
+
+def test_python_and_compiled_steps_are_equal_bit_for_bit():
+    rng = np.random.default_rng(50)
+    events = 0
+    for i in range(3000):
+        capsule = random_plant(rng) if i % 2 else Capsule(mu=rng.uniform(0.0, 0.3))
+        p = capsule.plant()
+        theta, theta_dot = rng.uniform(-2, 2), rng.uniform(-8, 8)
+        x_dot = float(rng.choice([0.0, rng.uniform(-0.01, 0.01), rng.uniform(-0.5, 0.5)]))
+        u = rng.uniform(-1.5, 1.5)
+        if x_dot == 0.0 and rng.random() < 0.5:
+            u = driver.torque_for_load(rng.choice([-1, 1]) * rng.uniform(0.95, 1.05), theta, theta_dot, p)
+        h = float(rng.choice([5e-4, 1e-3, 5e-3, 2e-2]))
+        interpreted = dynamics.step(theta, theta_dot, 0.3, x_dot, u, p, h)
+        compiled = driver.step(theta, theta_dot, 0.3, x_dot, u, p, h)
+        assert interpreted == compiled
+        events += interpreted.events
+    assert events > 500
+
+
+def test_the_step_does_not_depend_on_where_the_platform_is_and_mirrors():
+    rng = np.random.default_rng(51)
+    for _ in range(200):
+        capsule = Capsule(mu=0.05)
+        p = capsule.plant()
+        state = np.array((rng.uniform(-1.2, 1.2), rng.uniform(-6, 6), 0.0, rng.choice([0.0, rng.uniform(-0.02, 0.02)])))
+        u = rng.uniform(-1, 1)
+        motion = driver.step(*state, u, p, 0.005)
+        mirrored = driver.step(*-state, -u, p, 0.005)
+        assert -np.array(mirrored[:4]) == pytest.approx(np.array(motion[:4]), abs=1e-15)
+        assert (mirrored.forward, mirrored.backward) == pytest.approx((motion.backward, motion.forward), abs=1e-15)
+        assert (mirrored.stuck, mirrored.events) == (motion.stuck, motion.events)
+        moved = driver.step(state[0], state[1], 4.0, state[3], u, p, 0.005)
+        assert moved.x - 4.0 == pytest.approx(motion.x, abs=4e-15)
+        rough_backwards = replace(capsule, backward_ratio=3.0).plant()
+        if motion.backward == 0.0 and motion.stuck == 0.0:
+            # What only acts backwards cannot show while the platform moves forwards.
+            assert driver.step(*state, u, rough_backwards, 0.005) == motion
