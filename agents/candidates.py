@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baselines.policies import SCRIPTED
-
 from agents.evaluation import Episode, Policy, evaluate
 from agents.sets import HORIZON, EvaluationSet
+from baselines.policies import SCRIPTED
 from capsule_gym.task import TORQUE_LIMIT
 
 CHECKPOINTS = Path(__file__).with_name("checkpoints")
@@ -38,7 +37,7 @@ class Run:
         if self.path is None:
             return SCRIPTED[self.name]
         # Imports torch, which takes seconds that scripted policies need not pay.
-        from agents.training import load_policy
+        from agents.runs import load_policy
 
         return load_policy(self.path)
 

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from baselines.policies import SCRIPTED
 from tqdm import tqdm
 
 from agents.candidates import Candidate, checkpoint_names, find_candidate
@@ -16,6 +15,7 @@ from agents.files import to_json, write_atomically
 from agents.reporting import MEASURES, text_table
 from agents.sets import SET_NAMES, EvaluationSet, load_set
 from agents.statistics import interquartile_mean
+from baselines.policies import SCRIPTED
 
 DEFAULT_REFERENCE = "adaptive"
 RESAMPLED = {

@@ -46,7 +46,7 @@ class Policy(Protocol):
     def env_kwargs(self) -> Mapping[str, Any]:
         """The environment that the policy acts in."""
 
-    def start(self, seeds: Sequence[int]) -> Act:
+    def start(self, seeds: Sequence[int], /) -> Act:
         """Begins a batch of episodes.
 
         Args:

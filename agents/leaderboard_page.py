@@ -94,8 +94,8 @@ def render(board: Mapping[str, Any]) -> str:
         "and fails where a number, a set or a checkpoint is not what stands here.",
         "",
         "Every policy runs the same frozen episodes: 33 s from rest. Numbers are interquartile means (the middle half "
-        "of the episodes) with 95 % bootstrap intervals. A failed episode (the ball meets the platform, or the platform "
-        "leaves the floor) counts with the distance it had made over the whole 33 s.",
+        "of the episodes) with 95 % bootstrap intervals. A failed episode (the ball meets the platform, or the "
+        "platform leaves the floor) counts with the distance it had made over the whole 33 s.",
         "",
         f"## On the set `{RANKING_SET}`, by mean speed",
         "",

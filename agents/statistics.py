@@ -68,19 +68,24 @@ def interquartile_mean(scores: ArrayLike) -> np.ndarray:
 
 
 def _draw(rng: np.random.Generator, count: int, resamples: int) -> np.ndarray:
-    """Indices with replacement, shape (resamples, count), sorted in each row: the order does not matter."""
-    return np.sort(rng.integers(count, size=(resamples, count)), axis=1)
+    """Indices with replacement, shape (resamples, count)."""
+    return rng.integers(count, size=(resamples, count))
 
 
-def _interval(statistic: Callable[[np.ndarray], np.ndarray], indices: np.ndarray) -> tuple[float, float]:
-    """The percentile interval of the statistic over rows of indices."""
-    # Few seeds have few distinct resamples (ten for three seeds), so each is computed once.
-    distinct, inverse = np.unique(indices, axis=0, return_inverse=True)
+def _percentiles(values: np.ndarray) -> tuple[float, float]:
     tail = 50.0 * (1.0 - CONFIDENCE)
     # A ratio without forward travel is infinite; between two of those the percentile is undefined, and NaN says so.
     with np.errstate(invalid="ignore"):
-        low, high = np.percentile(statistic(distinct)[inverse.reshape(-1)], [tail, 100.0 - tail])
+        low, high = np.percentile(values, [tail, 100.0 - tail])
     return float(low), float(high)
+
+
+def _seed_percentiles(statistic: Callable[[np.ndarray], np.ndarray], *draws: np.ndarray) -> tuple[float, float]:
+    """The percentiles of a statistic over draws of seeds, of one policy or of two."""
+    # The order of the seeds does not matter, which leaves few distinct draws (ten for three seeds): each is computed once.
+    in_order = np.hstack([np.sort(draw, axis=1) for draw in draws])
+    distinct, inverse = np.unique(in_order, axis=0, return_inverse=True)
+    return _percentiles(statistic(distinct)[inverse.reshape(-1)])
 
 
 def _checked(name: str, scores: ArrayLike) -> np.ndarray:
@@ -107,11 +112,10 @@ def estimate(scores: ArrayLike, *, resamples: int = RESAMPLES, seed: int = BOOTS
     rng = np.random.default_rng(seed)
     if seeds > 1:
         draws = _draw(rng, seeds, resamples)
-        low, high = _interval(lambda rows: interquartile_mean(array[rows].reshape(len(rows), -1)), draws)
+        low, high = _seed_percentiles(lambda rows: interquartile_mean(array[rows].reshape(len(rows), -1)), draws)
         return Estimate(value, low, high, "seeds")
     if episodes > 1:
-        draws = _draw(rng, episodes, resamples)
-        low, high = _interval(lambda rows: interquartile_mean(array[0][rows]), draws)
+        low, high = _percentiles(interquartile_mean(array[0][_draw(rng, episodes, resamples)]))
         return Estimate(value, low, high, "episodes")
     return Estimate(value, float("nan"), float("nan"), "nothing")
 
@@ -146,11 +150,10 @@ def paired_difference(
     if rows == 1 or columns == 1:
         return estimate(differences.reshape(-1, episodes), resamples=resamples, seed=seed)
     rng = np.random.default_rng(seed)
-    draws = np.hstack([_draw(rng, rows, resamples), _draw(rng, columns, resamples)])
 
     def statistic(drawn: np.ndarray) -> np.ndarray:
         pairs = differences[drawn[:, :rows, None], drawn[:, None, rows:]]
         return interquartile_mean(pairs.reshape(len(drawn), -1))
 
-    low, high = _interval(statistic, draws)
+    low, high = _seed_percentiles(statistic, _draw(rng, rows, resamples), _draw(rng, columns, resamples))
     return Estimate(float(interquartile_mean(differences.reshape(-1))), low, high, "seeds")

@@ -98,7 +98,9 @@ class CapsuleSB3VecEnv(VecEnv):
         Raises:
             AttributeError: always.
         """
-        raise AttributeError(f"cannot set {attr_name!r}: the environments of a batch share their settings; make a new batch")
+        raise AttributeError(
+            f"cannot set {attr_name!r}: the environments of a batch share their settings; make a new batch"
+        )
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any

@@ -64,12 +64,10 @@ class Canvas:
         size = (SCALE * width, SCALE * height)
         self._surface = pygame.Surface(size, pygame.SRCALPHA if transparent else 0, 32)
         self._origin = (0, 0)
-        self._frame = pygame.Surface((width, height), 0, 32)
+        self._size = (width, height)
         # pygame's own font comes with it, so no machine lacks it.
         self._font = functools.cache(lambda size: pygame.font.Font(None, SCALE * size))
-        self._text = functools.lru_cache(maxsize=512)(
-            lambda text, size, colour: self._font(size).render(text, True, colour)
-        )
+        self._text = functools.lru_cache(maxsize=512)(self._render)
 
     def crop(self) -> None:
         """Forgets the see-through margins of a finished layer, so that it is laid over faster."""
@@ -82,8 +80,8 @@ class Canvas:
         self._surface.blit(layer._surface, layer._origin)
 
     def frame(self) -> Any:
-        """The finished picture as a pygame surface, which the next call overwrites."""
-        return self._pygame.transform.smoothscale(self._surface, self._frame.get_size(), self._frame)
+        """The finished picture as a pygame surface."""
+        return self._pygame.transform.smoothscale(self._surface, self._size)
 
     def array(self) -> NDArray[np.uint8]:
         """The finished picture as a new array (height, width, 3)."""
@@ -134,11 +132,20 @@ class Canvas:
         across *= (0.5 * width / np.maximum(np.hypot(across[:, 0], across[:, 1]), 1e-9))[:, None]
         self.polygon(np.concatenate((points + across, (points - across)[::-1])), colour)
 
-    def write(
-        self, text: str, size: int, colour: Colour, x: float, baseline: float, align: Align = "left"
-    ) -> None:
+    def write(self, text: str, size: int, colour: Colour, x: float, baseline: float, align: Align = "left") -> None:
         """Text whose left edge, centre or right edge is at x."""
-        image = self._text(text, size, colour)
+        image, ascent = self._text(text, size, colour)
         shift = {"left": 0.0, "centre": 0.5, "right": 1.0}[align] * image.get_width()
-        top = SCALE * baseline - self._font(size).get_ascent()
-        self._surface.blit(image, (round(SCALE * x - shift), round(top)))
+        self._surface.blit(image, (round(SCALE * x - shift), round(SCALE * baseline - ascent)))
+
+    def _render(self, text: str, size: int, colour: Colour) -> tuple[Any, int]:
+        """The text as a surface, and the height of its top above its baseline."""
+        try:
+            font = self._font(size)
+            return font.render(text, True, colour), font.get_ascent()
+        except self._pygame.error:
+            # Other environments call pygame.quit() when they close, which voids every font in the process.
+            self._pygame.font.init()
+            self._font.cache_clear()
+            font = self._font(size)
+            return font.render(text, True, colour), font.get_ascent()

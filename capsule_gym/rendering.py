@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections import deque
 from itertools import groupby
@@ -85,8 +86,11 @@ def _arc(start: float, end: float, radius: float | NDArray[np.float64], count: i
     return np.stack((MIDDLE - radius * np.sin(angles), FLOOR - PIVOT - radius * np.cos(angles)), axis=1)
 
 
-def _paint_backdrop(canvas: Canvas, title: str) -> None:
+# The layers that never change are shared by all renderers: a batch has one renderer per environment.
+@functools.lru_cache(maxsize=4)
+def _backdrop(title: str) -> Canvas:
     """What never moves and lies behind everything."""
+    canvas = Canvas(WIDTH, HEIGHT)
     canvas.fill(PAPER)
     canvas.box(0, 0, WIDTH, HEADER, WHITE)
     canvas.box(0, HEADER, WIDTH, 1, HAIRLINE)
@@ -103,10 +107,13 @@ def _paint_backdrop(canvas: Canvas, title: str) -> None:
     for label, colour, left in (("stick", STICK, 846), ("slip", SLIP, 912)):
         canvas.box(left - 20, CHART_TOP - 20, 14, 3, colour)
         canvas.write(label, 16, GREY, left, CHART_TOP - 14)
+    return canvas
 
 
-def _paint_body(layer: Canvas, contact: Colour) -> None:
+@functools.cache
+def _body(contact: Colour) -> Canvas:
     """The shell, the platform and the gauge's scale: the camera follows them, so they never move."""
+    layer = Canvas(WIDTH, HEIGHT, transparent=True)
     shell = (MIDDLE - SHELL_HALF, FLOOR - SHELL_HEIGHT, 2 * SHELL_HALF, SHELL_HEIGHT)
     layer.box(*shell, (*SHELL[:3], 34), radius=SHELL_HEIGHT / 2)
     layer.box(*shell, blend(WHITE, contact, 0.6), radius=SHELL_HEIGHT / 2, line=3)
@@ -123,6 +130,8 @@ def _paint_body(layer: Canvas, contact: Colour) -> None:
         layer.ribbon([_polar(angle, GAUGE - long), _polar(angle, GAUGE + long)], 1.0, TICK)
     half = SHELL_HALF - SHELL_HEIGHT / 2 + 6
     layer.box(MIDDLE - half, FLOOR - 1, 2 * half, 7, contact, radius=2)
+    layer.crop()
+    return layer
 
 
 class Renderer:
@@ -138,7 +147,7 @@ class Renderer:
         mode: "human" for a window, "rgb_array" for frames.
         fps: frames per second that the window is held to.
         torque_limit: torque that fills the gauge, N m.
-        title: shown in the picture and on the window.
+        title: shown in the picture, where some 30 characters fit, and on the window.
 
     Raises:
         ValueError: if an argument is out of range.
@@ -152,10 +161,9 @@ class Renderer:
         if mode not in MODES:
             raise ValueError(f"mode must be 'human' or 'rgb_array', got {mode!r}")
         self._mode = mode
+        self._title = title
         self._fps = check_number("fps", fps, "a finite number > 0 (frames per second)", 0.0, open_low=True)
-        self._torque_limit = check_number(
-            "torque_limit", torque_limit, "a finite number > 0 (N m)", 0.0, open_low=True
-        )
+        self._torque_limit = check_number("torque_limit", torque_limit, "a finite number > 0 (N m)", 0.0, open_low=True)
         self._major = _nice_step(50.0 * capsule.l / ROD)
         # A whole number of canvas pixels between labelled marks: the marks then move as one and do not shimmer.
         self._major_pixels = round(SCALE * ROD / capsule.l * self._major) / SCALE
@@ -163,12 +171,6 @@ class Renderer:
         self._closed = False
 
         self._canvas = Canvas(WIDTH, HEIGHT)
-        self._backdrop = Canvas(WIDTH, HEIGHT)
-        _paint_backdrop(self._backdrop, title)
-        self._bodies = {contact: Canvas(WIDTH, HEIGHT, transparent=True) for contact in (STICK, SLIP)}
-        for contact, body in self._bodies.items():
-            _paint_body(body, contact)
-            body.crop()
         self._window: Any = None
         if mode == "human":
             self._pygame = import_pygame()
@@ -217,16 +219,14 @@ class Renderer:
             return None
         contact = STICK if x_dot == 0.0 else SLIP
         self._record(time, 100.0 * x, x_dot == 0.0)
-        self._canvas.overlay(self._backdrop)
+        self._canvas.overlay(_backdrop(self._title))
         self._draw_floor(x)
-        self._canvas.overlay(self._bodies[contact])
+        self._canvas.overlay(_body(contact))
         self._draw_speed(x_dot)
         self._draw_torque(torque)
         self._draw_pendulum(theta, theta_dot, theta_reference)
         self._draw_figures(theta, time, x, x_dot, torque)
-        self._canvas.write(
-            f"M {M:.3f} kg     \N{GREEK SMALL LETTER MU} {mu:.4f}", 17, GREY, 24, HEADER + 46
-        )
+        self._canvas.write(f"M {M:.3f} kg     \N{GREEK SMALL LETTER MU} {mu:.4f}", 17, GREY, 24, HEADER + 46)
         self._draw_contact(x_dot, contact)
         self._draw_chart(time)
         if self._mode == "rgb_array":
@@ -248,9 +248,11 @@ class Renderer:
 
     def _window_is_open(self) -> bool:
         """Answers the window system and says whether the window is still there."""
-        # Taking every event keeps the queue from filling up; only the request to quit matters.
-        if self._window is not None and any(e.type == self._pygame.QUIT for e in self._pygame.event.get()):
-            self._close_window()
+        if self._window is not None:
+            # Others may have called pygame.quit(). Taking every event keeps the queue from filling up.
+            alive = self._pygame.display.get_init()
+            if not alive or any(event.type == self._pygame.QUIT for event in self._pygame.event.get()):
+                self._close_window()
         return self._window is not None
 
     def _draw_floor(self, x: float) -> None:
@@ -261,7 +263,7 @@ class Renderer:
         step = 100.0 * self._major
         for mark in range(math.ceil(WIDTH / self._major_pixels) + 2):
             at = left + mark * self._major_pixels
-            self._canvas.box(at, HEADER + 38, 1, FLOOR - HEADER - 38, GRID)
+            self._canvas.box(at, HEADER + 54, 1, FLOOR - HEADER - 54, GRID)
             for part in range(10):
                 length = 13 if part == 0 else 9 if part == 5 else 6
                 self._canvas.box(at + part * self._major_pixels / 10, FLOOR, 1, length, TICK)
@@ -280,8 +282,10 @@ class Renderer:
         y = FLOOR - SHELL_HEIGHT - 16
         head = math.copysign(min(13.0, abs(length)), length)
         tip = MIDDLE + length
-        self._canvas.ribbon([(MIDDLE, y), (tip - 0.8 * head, y)], 5.0, SLIP)
-        self._canvas.polygon([(tip, y), (tip - head, y - 9), (tip - head, y + 9)], SLIP)
+        if abs(length) > abs(head):
+            self._canvas.ribbon([(MIDDLE, y), (tip - 0.8 * head, y)], 5.0, SLIP)
+        half = 0.7 * abs(head)
+        self._canvas.polygon([(tip, y), (tip - head, y - half), (tip - head, y + half)], SLIP)
 
     def _draw_torque(self, torque: float) -> None:
         """An arc arrow around the pivot: from the upright, a quarter turn at the limit, the way the motor turns."""
@@ -290,9 +294,10 @@ class Renderer:
             return
         end = 0.5 * math.pi * share
         head = math.copysign(min(0.22, abs(end)), end)
-        self._canvas.ribbon(_arc(0.0, end - 0.8 * head, GAUGE, 13), 7.0, TORQUE)
-        base = end - head
-        self._canvas.polygon([_polar(end, GAUGE), _polar(base, GAUGE - 11), _polar(base, GAUGE + 11)], TORQUE)
+        if abs(end) > abs(head):
+            self._canvas.ribbon(_arc(0.0, end - 0.8 * head, GAUGE, 13), 7.0, TORQUE)
+        base, half = end - head, 50.0 * abs(head)
+        self._canvas.polygon([_polar(end, GAUGE), _polar(base, GAUGE - half), _polar(base, GAUGE + half)], TORQUE)
 
     def _draw_pendulum(self, theta: float, theta_dot: float, theta_reference: float | None) -> None:
         """The spring, the reference, the rod, and the ball with a trail of its last moments."""
@@ -304,13 +309,8 @@ class Renderer:
         swept = max(-1.0, min(1.0, TRAIL_SECONDS * theta_dot))
         trail = np.linspace(np.clip(theta - swept, -0.5 * math.pi, 0.5 * math.pi), theta, 17)
         for i in range(16):
-            thick, thin = BALL * (i + 1) / 16, BALL * i / 16
-            corners = [
-                _polar(angle, ROD + side)
-                for angle, side in (
-                    (trail[i], thin), (trail[i], -thin), (trail[i + 1], -thick), (trail[i + 1], thick)
-                )
-            ]  # fmt: skip
+            around = ((i, 1), (i, -1), (i + 1, -1), (i + 1, 1))
+            corners = [_polar(trail[j], ROD + side * BALL * j / 16) for j, side in around]
             canvas.polygon(corners, blend(INSIDE, BALL_COLOUR, 0.45 * (i / 16) ** 1.5))
         # The inner end turns with the rod, the outer one is held by the platform.
         radius = np.linspace(SPRING_INNER, SPRING_OUTER, 72)
@@ -371,9 +371,7 @@ class Renderer:
             label = f"{k * step:.{_decimals(step)}f}".replace("-", "\N{MINUS SIGN}")
             canvas.write(label, 16, GREY, CHART_LEFT - 10, y + 4, "right")
         for second in range(math.ceil(begin), math.floor(begin + CHART_SECONDS) + 1):
-            canvas.write(
-                f"{second} s", 16, GREY, CHART_LEFT + (second - begin) * across, CHART_BOTTOM + 20, "centre"
-            )
+            canvas.write(f"{second} s", 16, GREY, CHART_LEFT + (second - begin) * across, CHART_BOTTOM + 20, "centre")
         previous: list[tuple[float, float]] = []
         for stuck, run in groupby(self._samples, key=lambda sample: sample[2]):
             points = [(CHART_LEFT + (t - begin) * across, CHART_BOTTOM - (x / step - bottom) * up) for t, x, _ in run]

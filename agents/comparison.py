@@ -1,0 +1,47 @@
+"""What a finished run shows: the table, the figure and the moving picture beside the paper's controller."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from agents.evaluate import comparison_table
+from agents.evaluation import evaluate, make_result, scores
+from agents.files import to_json, write_atomically
+from agents.recording import draw_comparison, record, write_gif
+from agents.runs import load_policy
+from agents.sets import load_set
+from agents.statistics import interquartile_mean
+from agents.training import BASELINE
+from baselines.policies import SCRIPTED
+from capsule_gym.task import CONTROL_DT
+
+# The animation: six seconds from the tenth on, at 25 frames a second.
+ANIMATED_FROM, ANIMATED_STEPS, FRAME_EVERY = 500, 300, 2
+
+
+def compare(run: Path, set_name: str = "paper") -> None:
+    """Evaluates a run's best model and the baseline on the same frozen episodes; prints and draws the comparison.
+
+    Args:
+        run: the run's folder; gets comparison.json, comparison.png and animation.gif.
+        set_name: a frozen set, or the path of one.
+    """
+    evaluation_set = load_set(set_name)
+    policy, baseline = load_policy(run), SCRIPTED[BASELINE]
+    own, theirs = (evaluate(each, evaluation_set) for each in (policy, baseline))
+    print(f"\nOn the set {evaluation_set.name} ({len(own)} episodes of 33 s, the same for both):\n")
+    print(comparison_table("agent", own, BASELINE, theirs))
+    speed, reference = (float(interquartile_mean(scores(each, "mean_speed"))[0]) for each in (own, theirs))
+    print(f"\nThe agent's interquartile mean speed is {speed / reference:.2f} times that of {BASELINE}.")
+    result = {"agent": make_result(run.name, evaluation_set, own), BASELINE: make_result(BASELINE, evaluation_set, theirs)}
+    write_atomically(run / "comparison.json", to_json(result))
+
+    recordings = [record(each) for each in (baseline, policy)]
+    title = "Nominal plant (M = 0.5 kg, μ = 0.01)"
+    draw_comparison(recordings, run / "comparison.png", title)
+    moving = record(
+        policy, steps=ANIMATED_FROM + ANIMATED_STEPS, frame_every=FRAME_EVERY, frames_from=ANIMATED_FROM
+    )
+    if moving.frames:
+        write_gif(moving.frames, run / "animation.gif", FRAME_EVERY * CONTROL_DT)
+    print(f"Episodes: {run / 'comparison.json'}\nFigure:   {run / 'comparison.png'}\nMoving:   {run / 'animation.gif'}")

@@ -1,0 +1,38 @@
+"""Policies and training runs for the tests of the evaluation, quick to run and quick to write."""
+
+import json
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass
+class Sine:
+    """A sine of torque, in parts of the limit of 1.5 N m."""
+
+    amplitude: float
+    period: float = 0.7
+    name: str = "sine"
+    description: str = "A sine of torque."
+    env_kwargs: dict = field(default_factory=dict)
+
+    def start(self, seeds):
+        step = 0
+
+        def act(observations):
+            nonlocal step
+            assert observations.shape[0] == len(seeds)
+            torque = self.amplitude / 1.5 * np.cos(2.0 * np.pi * 0.02 * step / self.period)
+            step += 1
+            return np.full((len(seeds), 1), torque, np.float32)
+
+        return act
+
+
+def write_run(folder, seed, algo="ppo", model=b"model"):
+    """The folder of a training run, with a model that nothing can load."""
+    folder.mkdir(parents=True, exist_ok=True)
+    env = {"controller": "baselines:adaptive", "residual_limit": 3.0, "randomization": "wide"}
+    config = {"algo": algo, "env": env, "seed": seed, "revision": "0123456789abcdef", "versions": {}}
+    (folder / "config.json").write_text(json.dumps(config))
+    (folder / "model.zip").write_bytes(model)
