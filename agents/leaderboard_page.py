@@ -119,7 +119,8 @@ def render(board: Mapping[str, Any]) -> str:
         "- Failures are counted over all episodes of all training seeds.",
         "- Revision: the git revision that a checkpoint was trained at. Scripted policies are this checkout's own "
         "code, which the check runs, so they need none.",
-        "- A dash stands for no forward progress, or for what does not apply.",
+        "- A dash stands for what does not exist: the cost of transport where more than a quarter of the episodes make no "
+        "forward progress, the revision of a scripted policy.",
         f"- Sets (sha256 of the content): {hashes}.",
         f"- Written with {versions}.",
     ]

@@ -82,7 +82,7 @@ def _percentiles(values: np.ndarray) -> tuple[float, float]:
 
 def _seed_percentiles(statistic: Callable[[np.ndarray], np.ndarray], *draws: np.ndarray) -> tuple[float, float]:
     """The percentiles of a statistic over draws of seeds, of one policy or of two."""
-    # The order of the seeds does not matter, which leaves few distinct draws (ten for three seeds): each is computed once.
+    # The order of seeds does not matter, which leaves few distinct draws (ten for three seeds): each is computed once.
     in_order = np.hstack([np.sort(draw, axis=1) for draw in draws])
     distinct, inverse = np.unique(in_order, axis=0, return_inverse=True)
     return _percentiles(statistic(distinct)[inverse.reshape(-1)])

@@ -71,7 +71,7 @@ class CapsuleSB3VecEnv(VecEnv):
             for i in np.flatnonzero(dones):
                 infos[i] = {
                     "terminal_observation": info["final_obs"][i],
-                    "TimeLimit.truncated": bool(truncated[i]),
+                    "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
                     "episode": {"r": float(self._returns[i]), "l": int(self._lengths[i])},
                     "metrics": {name: float(values[i]) for name, values in metrics.items() if name[0] != "_"},
                 }

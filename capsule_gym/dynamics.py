@@ -282,7 +282,7 @@ def _event_time(
         if g_high >= 0.0:
             return h
     low, g_low = 0.0, before
-    if before <= 0.0:
+    if before <= EVENT_TOLERANCE:
         # A phase that starts at its own boundary: the bracket is void until the event function has left zero.
         low = high
         for _ in range(ROOT_ITERATIONS):

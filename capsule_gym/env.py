@@ -94,13 +94,15 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
     2. Termination "contact": the normal force falls to zero, the capsule leaves the floor.
     3. Truncation: after 1650 steps (33 s, the paper's five cycles of 6.6 s).
 
-    `info["termination"]` names a termination, and `info["metrics"]` holds the metrics of the finished episode.
+    `info["termination"]` names a termination, and `info["metrics"]` then holds the metrics of the episode. Truncation
+    is done by gymnasium's wrapper, which the environment does not see: `env.unwrapped.episode_metrics()` gives the same
+    numbers at any time. A batch truncates by itself and has them in its infos.
 
     ## Info
 
     `state` (float64: theta, theta_dot, x, x_dot), `M`, `mu`, `stick`, `torque` (the last torque applied, N m),
     `law_torque` (what the law asks for next, N m), `normal_force` (the smallest in the step, N), `energy` (of the step,
-    J), the reward terms, and at the end `termination` and `metrics`.
+    J), the reward terms, and where it terminates `termination` and `metrics`.
 
     ## Arguments
 
@@ -250,19 +252,20 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         info["reward_energy"] = row[Row.reward_energy]
         info["reward_termination"] = row[Row.reward_termination]
         terminated = row[Row.termination] != 0.0
-        horizon = self.spec.max_episode_steps if self.spec is not None else None
         if terminated:
             info["termination"] = task.Termination(int(row[Row.termination])).name
-            self._running = False
-        if terminated or row[Row.steps] == horizon:
             info["metrics"] = self.episode_metrics()
+            self._running = False
         if self.render_mode == "human":
             self.render()
         return simulation.observations[0].copy(), float(simulation.rewards[0]), terminated, False, info
 
-    def episode_metrics(self) -> dict[str, float]:
-        """The metrics of the episode so far; `Simulation.metrics` says what each means."""
-        horizon = self.spec.max_episode_steps if self.spec is not None else None
+    def episode_metrics(self, horizon: int = task.EPISODE_STEPS) -> dict[str, float]:
+        """The metrics of the episode so far; `Simulation.metrics` says what each means.
+
+        Args:
+            horizon: agent steps of a whole episode: a failed one has its mean speed over these.
+        """
         return {name: float(value[0]) for name, value in self.simulation.metrics(THE_ONE, horizon).items()}
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]

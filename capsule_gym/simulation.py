@@ -198,10 +198,10 @@ class Simulation:
         for n, i in enumerate(rows):
             seed, episode = self._seeds[i], self._episodes[i]
             drawn = self.randomization.draw(random_stream(seed, episode, Stream.parameters), self.capsule)
-            columns[Row.M, n] = drawn[0] if M is None else M[n]
-            columns[Row.mu, n] = drawn[1] if mu is None else mu[n]
+            plant = (drawn[0] if M is None else M[n], drawn[1] if mu is None else mu[n])
             if M is not None or mu is not None:
-                self._check_plant(float(columns[Row.M, n]), float(columns[Row.mu, n]))
+                self._check_plant(*plant)
+            columns[Row.M, n], columns[Row.mu, n] = plant
             columns[Row.theta, n] = task.START_THETA
             if self.initial_noise > 0.0:
                 noise = random_stream(seed, episode, Stream.initial_state).uniform(-1.0, 1.0)

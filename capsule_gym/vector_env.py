@@ -170,7 +170,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         simulation.step(array, active)
 
         terminated = (simulation.world[Row.termination] != 0.0) & active
-        truncated = (simulation.world[Row.steps] >= self.max_episode_steps) & active & ~terminated
+        truncated = (simulation.world[Row.steps] >= self.max_episode_steps) & active
         ended = terminated | truncated
         info = _masked(self._snapshot(), self._everywhere)
         terms = {name: simulation.world[Row[name]].copy() for name in REWARD_TERMS}
@@ -183,7 +183,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             # A frozen environment goes on telling how it ended, as its last step did.
             self._ended |= ended
             terminated = (simulation.world[Row.termination] != 0.0) & self._ended
-            truncated = self._ended & ~terminated
+            truncated = (simulation.world[Row.steps] >= self.max_episode_steps) & self._ended
         return simulation.observations.copy(), simulation.rewards.copy(), terminated, truncated, info
 
     def episode_metrics(self) -> dict[str, np.ndarray]:

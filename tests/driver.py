@@ -138,7 +138,7 @@ def torque_for_load(ratio: float, theta: float, theta_dot: float, p: Plant) -> f
 
 @njit
 def hold_load(ratio: float, state: tuple, p: Plant, h: float, n: int) -> tuple[np.ndarray, int, np.ndarray]:
-    """Holds the load at `ratio` of the limit for n steps; its sign is switched so that the pendulum stays near -0.6 rad.
+    """Holds the load at `ratio` of the limit for n steps, its sign such that the pendulum stays near -0.6 rad.
 
     Returns:
         Final state; number of steps at whose end the platform moved or had moved; lowest and highest angle.

@@ -48,8 +48,8 @@ class Trajectory(NamedTuple):
         backward: distance moved backwards so far, m.
         stuck: time in stick so far, s.
         swept: integral of |theta_dot| so far, rad.
-        normal: smallest normal force at the integrator's own points within the hold that ends at that time, N; the first
-            row is infinite.
+        normal: smallest normal force at the integrator's own points within the hold that ends at that time, N; the
+            first row is infinite.
         events: (time, phase before, phase after) of every change of phase that lies inside a hold.
     """
 
@@ -167,7 +167,10 @@ def simulate(
         sums[i + 1] = sums[i]
         slip = math.copysign(1.0, y[3]) if y[3] != 0.0 else phase_at_rest(y[0], y[1], u, p)
         t = 0.0
+        first = len(events)
         while t < hold:
+            if len(events) - first > 100:
+                raise RuntimeError(f"the phases of contact chatter at t = {i * hold + t}")
             t_1, y_1, normal, ended, swept = _phase(t, y, hold, slip, u, p)
             normals[i + 1] = min(normals[i + 1], normal)
             moved = y_1[2] - y[2]

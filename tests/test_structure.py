@@ -18,6 +18,7 @@ ORDER = [
     "task",
     "kernels",
     "simulation",
+    "canvas",
     "rendering",
     "env",
     "vector_env",

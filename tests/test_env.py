@@ -1,0 +1,442 @@
+"""The single environment: contract, determinism, info, options, pickling, workers."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import pickle
+import subprocess
+import sys
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import baselines
+from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization
+from capsule_gym.simulation import METRICS
+
+ENV_ID = "CapsuleStickSlip-v0"
+VARIANTS = [
+    {},
+    {"controller": "baselines:adaptive"},
+    {"controller": "baselines:compliant", "residual_limit": 3.0, "observe_parameters": True},
+    {"observe_parameters": True, "randomization": "wide", "initial_noise": 0.05},
+]
+
+
+def rollout(env: gym.Env, seed: int, steps: int, scale: float = 0.4) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    observation, info = env.reset(seed=seed)
+    course = [observation, info["state"]]
+    for _ in range(steps):
+        observation, reward, terminated, truncated, info = env.step(
+            rng.uniform(-scale, scale, 1).astype(np.float32)
+        )
+        course += [observation, info["state"], np.array([reward])]
+        if terminated or truncated:
+            observation, info = env.reset()
+            course += [observation, info["state"]]
+    return course
+
+
+@pytest.mark.parametrize("kwargs", VARIANTS)
+def test_checker_is_silent(kwargs):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gym.make(ENV_ID, **kwargs)
+        check_env(env.unwrapped)
+
+
+@pytest.mark.parametrize("kwargs", VARIANTS)
+def test_observations_lie_within_tight_finite_bounds(kwargs):
+    env = CapsuleEnv(**kwargs)
+    space = env.observation_space
+    assert space.dtype == np.float32
+    assert np.isfinite(space.low).all()
+    assert np.isfinite(space.high).all()
+    rng = np.random.default_rng(0)
+    env.reset(seed=0)
+    seen = []
+    for _ in range(2000):
+        # Full torque in long stretches: the extremes of the state space.
+        observation, _, terminated, _, _ = env.step(np.sign(rng.uniform(-1, 1, 1)).astype(np.float32))
+        assert space.contains(observation)
+        seen.append(observation)
+        if terminated:
+            env.reset()
+    # Clipping would show as values that sit exactly on the bounds of the rates.
+    seen = np.abs(np.array(seen))
+    assert seen[:, 1].max() < space.high[1]
+    assert seen[:, 2].max() < space.high[2]
+
+
+@pytest.mark.parametrize("kwargs", VARIANTS)
+def test_same_seed_same_episodes(kwargs):
+    first, second = (rollout(gym.make(ENV_ID, **kwargs), 7, 200) for _ in range(2))
+    assert all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
+
+
+def test_seeds_differ_and_every_reset_draws_anew():
+    env = gym.make(ENV_ID)
+    draws = [env.reset(seed=0)[1]["M"]] + [env.reset()[1]["M"] for _ in range(5)] + [env.reset(seed=1)[1]["M"]]
+    assert len(set(draws)) == 7
+    assert env.reset(seed=0)[1]["M"] == draws[0]
+    assert [env.reset()[1]["M"] for _ in range(5)] == draws[1:6]
+
+
+def test_streams_do_not_shift_each_other():
+    plain, noisy = gym.make(ENV_ID), gym.make(ENV_ID, initial_noise=0.1)
+    for seed in range(5):
+        a, b = plain.reset(seed=seed)[1], noisy.reset(seed=seed)[1]
+        assert (a["M"], a["mu"]) == (b["M"], b["mu"])
+        assert a["state"][0] != b["state"][0]
+
+
+def test_unseeded_environments_differ():
+    assert gym.make(ENV_ID).reset()[1]["M"] != gym.make(ENV_ID).reset()[1]["M"]
+
+
+def test_draws_fill_the_ranges():
+    env = gym.make(ENV_ID)
+    env.reset(seed=0)
+    draws = np.array([(info["M"], info["mu"]) for info in (env.reset()[1] for _ in range(400))])
+    for column, (low, high) in zip(draws.T, ((0.45, 0.55), (0.009, 0.011)), strict=True):
+        assert low <= column.min() < low + 0.05 * (high - low)
+        assert high - 0.05 * (high - low) < column.max() <= high
+
+
+def test_reward_terms_sum_to_the_reward_and_mean_what_they_say():
+    env = gym.make(ENV_ID, energy_weight=0.5, termination_penalty=7.0)
+    _, before = env.reset(seed=3)
+    rng = np.random.default_rng(3)
+    ended = 0
+    for _ in range(600):
+        _, reward, terminated, _, info = env.step(rng.uniform(-1, 1, 1).astype(np.float32))
+        assert reward == info["reward_progress"] + info["reward_energy"] + info["reward_termination"]
+        assert info["reward_progress"] == pytest.approx(100.0 * (info["state"][2] - before["state"][2]), abs=1e-12)
+        assert info["reward_energy"] == -0.5 * info["energy"]
+        assert info["reward_termination"] == (-7.0 if terminated else 0.0)
+        before = info
+        if terminated:
+            ended += 1
+            _, before = env.reset()
+    assert ended > 0
+
+
+def test_energy_is_the_integral_of_power_not_its_sample():
+    coarse, fine = (CapsuleEnv(control_dt=dt, physics_dt=1e-3, randomization="none") for dt in (0.02, 0.001))
+    coarse.reset(seed=0)
+    fine.reset(seed=0)
+    total = riemann = 0.0
+    for n in range(40):
+        action = np.array([0.6 * np.sin(0.3 * n)], np.float32)
+        total += coarse.step(action)[4]["energy"]
+        for _ in range(20):
+            _, _, _, _, info = fine.step(action)
+            riemann += abs(info["torque"] * info["state"][1]) * 1e-3
+    assert total == pytest.approx(riemann, rel=0.01)
+    # The sum over the finer environment is the same integral.
+    assert fine.episode_metrics()["energy"] == pytest.approx(total, rel=1e-5)
+
+
+def test_termination_pendulum_and_contact_are_named():
+    env = gym.make(ENV_ID, randomization="none")
+    env.reset(seed=0, options={"state": [1.5, 3.0, 0.0, 0.0]})
+    _, _, terminated, truncated, info = env.step(np.array([1.0], np.float32))
+    assert terminated and not truncated and info["termination"] == "pendulum"
+    assert abs(info["state"][0]) >= np.pi / 2
+    assert info["metrics"]["failed"] == 1.0
+    env.reset(seed=0, options={"state": [0.0, 18.0, 0.0, 0.0]})
+    _, _, terminated, _, info = env.step(np.array([0.0], np.float32))
+    assert terminated and info["termination"] == "contact"
+    assert info["normal_force"] == 0.0
+    with pytest.raises(gym.error.ResetNeeded):
+        env.unwrapped.step(np.array([0.0], np.float32))
+
+
+def test_truncation_after_33_seconds():
+    env = gym.make(ENV_ID)
+    env.reset(seed=0)
+    for n in range(1650):
+        _, _, terminated, truncated, _ = env.step(np.zeros(1, np.float32))
+        assert not terminated
+        assert truncated == (n == 1649)
+    metrics = env.unwrapped.episode_metrics()
+    assert set(metrics) == set(METRICS)
+    assert metrics["duration"] == pytest.approx(33.0)
+
+
+def test_options_set_state_plant_and_changes():
+    env = gym.make(ENV_ID)
+    state = [0.1, -0.2, 3.0, 0.05]
+    _, info = env.reset(
+        seed=0, options={"state": state, "M": 0.7, "mu": 0.2, "changes": [{"t": 0.04, "M": 0.9, "mu": 0.1}]}
+    )
+    assert info["state"].tolist() == state
+    assert (info["M"], info["mu"]) == (0.7, 0.2)
+    masses = [env.step(np.zeros(1, np.float32))[4]["M"] for _ in range(4)]
+    assert masses == [0.7, 0.7, 0.9, 0.9]
+    assert env.reset()[1]["M"] != 0.7
+    # A reset forgets changes that had not come yet.
+    env.reset(options={"M": 0.7, "mu": 0.2, "changes": [{"t": 1.0, "M": 0.9, "mu": 0.1}]})
+    env.reset(options={"M": 0.7, "mu": 0.2})
+    assert {env.step(np.zeros(1, np.float32))[4]["M"] for _ in range(60)} == {0.7}
+
+
+def test_a_refused_reset_leaves_the_episode_alone():
+    env = gym.make(ENV_ID)
+    env.reset(seed=0)
+    draws = [env.reset()[1]["M"] for _ in range(2)]
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="mu must be"):
+        env.reset(options={"mu": -1.0})
+    assert [env.reset()[1]["M"] for _ in range(2)] == draws
+
+
+def test_metrics_against_the_definitions():
+    env = gym.make(ENV_ID, randomization="none", controller="baselines:adaptive")
+    env.reset(seed=0)
+    x, torques = [0.0], []
+    energy = 0.0
+    for _ in range(330):
+        _, _, _, _, info = env.step(np.zeros(1, np.float32))
+        x.append(info["state"][2])
+        torques.append(abs(info["torque"]))
+        energy += info["energy"]
+    metrics = env.unwrapped.episode_metrics()
+    distance = x[-1]
+    assert metrics["mean_speed"] == pytest.approx(100.0 * distance / 6.6)
+    assert metrics["energy"] == pytest.approx(energy)
+    assert metrics["cost_of_transport"] == pytest.approx(energy / (0.638 * 9.81 * distance))
+    assert metrics["peak_torque"] >= max(torques)
+    backward = np.clip(-np.diff(x), 0.0, None).sum() / np.clip(np.diff(x), 0.0, None).sum()
+    assert metrics["backward_ratio"] == pytest.approx(backward, abs=0.01)
+    assert 0.5 < metrics["stuck_fraction"] < 1.0
+    assert metrics["failed"] == 0.0
+
+
+@pytest.mark.parametrize("attribute", ["adaptive", "compliant", "feedback_linearising", "epc", "adaptive_as_published"])
+def test_zero_residual_is_the_scripted_baseline_bit_for_bit(attribute):
+    # Without any residual authority the law acts alone.
+    alone = CapsuleEnv(controller=f"baselines:{attribute}", residual_limit=0.0)
+    residual = CapsuleEnv(controller=getattr(baselines, attribute), residual_limit=3.0)
+    for env in (alone, residual):
+        env.reset(seed=5)
+    rng = np.random.default_rng(0)
+    for _ in range(400):
+        a = alone.step(rng.uniform(-1, 1, 1).astype(np.float32))
+        b = residual.step(np.zeros(1, np.float32))
+        assert a[4]["state"].tobytes() == b[4]["state"].tobytes()
+        assert a[4]["law_torque"] == b[4]["law_torque"]
+        if a[2]:
+            assert b[2]
+            break
+
+
+def test_residual_torque_formula():
+    env = CapsuleEnv(controller="baselines:adaptive", residual_limit=3.0, control_dt=0.001)
+    _, info = env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        action = rng.uniform(-1.3, 1.3, 1).astype(np.float32)
+        expected = np.clip(info["law_torque"] + 3.0 * np.clip(float(action[0]), -1, 1), -1.5, 1.5)
+        _, _, terminated, _, info = env.step(action)
+        assert info["torque"] == expected
+        if terminated:
+            _, info = env.reset()
+
+
+def test_direct_torque_is_scaled_to_the_limit():
+    env = CapsuleEnv(torque_limit=2.0)
+    env.reset(seed=0)
+    assert env.step(np.array([0.25], np.float32))[4]["torque"] == 0.5
+    assert env.step(np.array([-3.0], np.float32))[4]["torque"] == -2.0
+
+
+def test_observation_entries():
+    env = gym.make(ENV_ID, controller="baselines:adaptive", observe_parameters=True, residual_limit=1.0)
+    env.reset(seed=0)
+    table = env.unwrapped.simulation.reference
+    for n in range(1, 400):
+        observation, _, _, _, info = env.step(np.array([0.125], np.float32))
+        theta, theta_dot, _, x_dot = info["state"]
+        row = (20 * n) % len(table)
+        phase = 2.0 * np.pi * row / len(table)
+        stick = float(x_dot == 0.0)
+        expected = [theta, theta_dot, x_dot, stick, 0.125, *table[row, :2], np.sin(phase), np.cos(phase)]
+        np.testing.assert_allclose(observation, [*expected, info["law_torque"], info["M"], info["mu"]], rtol=1e-6, atol=1e-6)
+
+
+def test_observations_are_never_handed_out_twice():
+    env = gym.make(ENV_ID)
+    first, info = env.reset(seed=0)
+    kept, state = first.copy(), info["state"].copy()
+    env.step(np.ones(1, np.float32))
+    assert np.array_equal(first, kept)
+    assert np.array_equal(info["state"], state)
+
+
+def test_spec_survives_json_and_pickle():
+    env = gym.make(ENV_ID, controller="baselines:adaptive", residual_limit=2.0)
+    spec = type(env.spec).from_json(env.spec.to_json())
+    again = gym.make(spec)
+    assert again.unwrapped.simulation.residual_limit == 2.0
+    assert json.loads(env.spec.to_json())["kwargs"]["controller"] == "baselines:adaptive"
+    copy = pickle.loads(pickle.dumps(env))
+    a, b = rollout(env, 1, 60), rollout(copy, 1, 60)
+    assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+
+
+def test_metadata_of_the_class_stays_its_own():
+    env = CapsuleEnv(control_dt=0.01)
+    assert env.metadata["render_fps"] == 100
+    assert CapsuleEnv.metadata["render_fps"] == 50
+
+
+def _worker(queue):
+    env = gym.make("capsule_gym:CapsuleStickSlip-v0")
+    queue.put(env.reset(seed=4)[1]["M"])
+
+
+def test_spawned_workers_know_the_environment():
+    context = multiprocessing.get_context("spawn")
+    queue = context.Queue()
+    process = context.Process(target=_worker, args=(queue,))
+    process.start()
+    mass = queue.get(timeout=60)
+    process.join()
+    assert mass == gym.make(ENV_ID).reset(seed=4)[1]["M"]
+
+
+def test_make_by_module_needs_no_import():
+    code = "import gymnasium; print(gymnasium.make('capsule_gym:CapsuleStickSlip-v0').reset(seed=0)[0].shape)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "(5,)"
+
+
+def test_a_law_of_the_users_own():
+    def law(theta, theta_dot, x, x_dot, memory, reference):
+        (count,) = memory
+        return -0.3 * (theta - reference[0]), (count + 1.0,)
+
+    controller = Controller("spring", law, np.zeros((10, 2)), (0.0,))
+    env = CapsuleEnv(controller=controller)
+    env.reset(seed=0)
+    env.step(np.zeros(1, np.float32))
+    # Called at the start and after each of the 20 ms.
+    assert env.simulation.world[-1, 0] == 21.0
+
+
+def test_a_law_that_is_not_finite_is_named():
+    def law(theta, theta_dot, x, x_dot, memory, reference):
+        return (memory[0] / (memory[0] - 30.0)) if memory[0] != 0.0 else 0.0, (memory[0] + 1.0,)
+
+    env = CapsuleEnv(controller=Controller("breaks", law, np.zeros((1, 2))))
+    env.reset(seed=0)
+    with pytest.raises((ValueError, ZeroDivisionError), match=r"breaks|division"):
+        for _ in range(5):
+            env.step(np.zeros(1, np.float32))
+
+    def nan_law(theta, theta_dot, x, x_dot, memory, reference):
+        return memory[0], (memory[0] + 1e308 if memory[0] < 1e308 else np.nan,)
+
+    env = CapsuleEnv(controller=Controller("nan", nan_law, np.zeros((1, 2))))
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="control law 'nan' returned a torque that is not finite"):
+        env.step(np.zeros(1, np.float32))
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "error", "message"),
+    [
+        ({"controller": "baselines"}, ValueError, "module:attribute"),
+        ({"controller": "nowhere:law"}, ValueError, "nowhere"),
+        ({"controller": "baselines:nothing"}, ValueError, "nothing"),
+        ({"controller": 3}, TypeError, "controller must be"),
+        ({"torque_limit": -1.0}, ValueError, "torque_limit must be"),
+        ({"torque_limit": "1"}, TypeError, "torque_limit must be"),
+        ({"residual_limit": float("nan")}, ValueError, "residual_limit must be"),
+        ({"randomization": "some"}, ValueError, "randomization must be"),
+        ({"randomization": 1}, TypeError, "randomization must be"),
+        ({"randomization": Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))}, ValueError, "Painleve"),
+        ({"capsule": 1.0}, TypeError, "capsule must be"),
+        ({"physics_dt": 0.003}, ValueError, "physics_dt must divide"),
+        ({"control_dt": 0.0}, ValueError, "control_dt must be"),
+        ({"controller": "baselines:adaptive", "control_dt": 0.0015, "physics_dt": 0.0005}, ValueError, "dt must divide"),
+        ({"observe_parameters": 1}, TypeError, "observe_parameters"),
+        ({"initial_noise": 3.0}, ValueError, "initial_noise"),
+        ({"energy_weight": -1.0}, ValueError, "energy_weight"),
+        ({"termination_penalty": -1.0}, ValueError, "termination_penalty"),
+        ({"render_mode": "ascii"}, ValueError, "render_mode must be"),
+    ],
+)
+def test_bad_arguments_are_named(kwargs, error, message):
+    with pytest.raises(error, match=message):
+        CapsuleEnv(**kwargs)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"mass": 1.0}, ValueError, "mass"),
+        ([1.0], TypeError, "options must be a dict"),
+        ({"M": "heavy"}, TypeError, "M must be"),
+        ({"M": 0.0}, ValueError, "M must be"),
+        ({"mu": float("inf")}, ValueError, "mu must be"),
+        ({"mu": 500.0}, ValueError, "Painleve"),
+        ({"state": [0.0, 0.0]}, ValueError, "state"),
+        ({"state": [2.0, 0.0, 0.0, 0.0]}, ValueError, "state"),
+        ({"state": [float("nan"), 0.0, 0.0, 0.0]}, ValueError, "state"),
+        ({"state": "here"}, TypeError, "state"),
+        ({"changes": [{"t": 1.0}]}, ValueError, "changes"),
+        ({"changes": [{"t": -1.0, "M": 0.5, "mu": 0.01}]}, ValueError, "changes"),
+        ({"changes": [{"t": 1.0, "M": -0.5, "mu": 0.01}]}, ValueError, "M must be"),
+    ],
+)
+def test_bad_options_are_named(options, error, message):
+    with pytest.raises(error, match=message):
+        CapsuleEnv().reset(seed=0, options=options)
+
+
+@pytest.mark.parametrize("action", [np.zeros(2), np.array([np.nan]), np.zeros((1, 1)), 0.5, np.array([np.inf])])
+def test_bad_actions_are_named(action):
+    env = CapsuleEnv()
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="action must be"):
+        env.step(action)
+
+
+def test_step_before_reset_is_refused():
+    with pytest.raises(gym.error.ResetNeeded):
+        CapsuleEnv().step(np.zeros(1, np.float32))
+
+
+def test_capsule_of_the_users_own():
+    env = CapsuleEnv(capsule=Capsule(M=1.0, m=0.2, mu=0.5), randomization="none", observe_parameters=True)
+    observation, info = env.reset(seed=0)
+    assert (info["M"], info["mu"]) == (1.0, 0.5)
+    assert env.observation_space.contains(observation)
+
+
+@pytest.mark.parametrize(
+    ("law", "error"),
+    [
+        (lambda theta: 0.0, TypeError),
+        (lambda theta, theta_dot, x, x_dot, memory, reference: 0.0, TypeError),
+        (lambda theta, theta_dot, x, x_dot, memory, reference: (0.0, (1.0, 2.0)), ValueError),
+        (lambda theta, theta_dot, x, x_dot, memory, reference: (float("nan"), memory), ValueError),
+        ("law", TypeError),
+    ],
+)
+def test_laws_that_break_the_contract_are_refused(law, error):
+    with pytest.raises(error):
+        Controller("bad", law, np.zeros((1, 2)))
+
+
+@pytest.mark.parametrize("reference", [np.zeros(3), np.zeros((0, 2)), np.zeros((4, 1)), np.full((2, 2), np.nan)])
+def test_references_that_break_the_contract_are_refused(reference):
+    with pytest.raises(ValueError, match=r"Controller\.reference"):
+        Controller("bad", lambda *state: (0.0, state[4]), reference)

@@ -1,0 +1,232 @@
+"""The plant's constants: what is refused and how, and what an episode draws."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from capsule_gym.parameters import RANDOMIZATIONS, Capsule, Plant, Randomization, check_contact_is_regular
+
+POSITIVE = ("M", "m", "l", "g", "backward_ratio")
+NON_NEGATIVE = ("k", "c", "mu")
+NUMBERS = (*POSITIVE, *NON_NEGATIVE, "static_ratio")
+
+
+def test_the_defaults_are_the_papers():
+    assert Capsule().plant() == Plant(0.5, 0.138, 0.3, 9.81, 0.36, 0.0923, 0.01, 1.0, 1.0, 0.0)
+
+
+@pytest.mark.parametrize("field", NUMBERS)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -0.1])
+def test_values_out_of_range_are_refused_by_name_value_and_what_is_accepted(field, value):
+    with pytest.raises(ValueError) as caught:
+        Capsule(**{field: value})
+    message = str(caught.value)
+    accepted = ">= 1" if field == "static_ratio" else "> 0" if field in POSITIVE else ">= 0"
+    assert f"Capsule.{field} must be a finite number {accepted}, got {value!r}" in message
+
+
+@pytest.mark.parametrize("field", NUMBERS)
+@pytest.mark.parametrize("value", ["0.3", None, True, np.True_, [0.3], 1j, np.array(0.3)])
+def test_what_is_no_number_is_refused_with_its_type(field, value):
+    with pytest.raises(TypeError) as caught:
+        Capsule(**{field: value})
+    message = str(caught.value)
+    assert message.startswith(f"Capsule.{field} must be a finite number")
+    assert repr(value) in message
+    assert type(value).__name__ in message
+
+
+def test_the_edges_of_the_ranges():
+    for field in POSITIVE:
+        with pytest.raises(ValueError, match=rf"Capsule\.{field} .*> 0, got 0"):
+            Capsule(**{field: 0.0})
+    for field in NON_NEGATIVE:
+        assert getattr(Capsule(**{field: 0}).plant(), field) == 0.0
+    assert Capsule(static_ratio=1).static_ratio == 1
+    with pytest.raises(ValueError, match=r"Capsule\.static_ratio .*>= 1, got 0\.999"):
+        Capsule(static_ratio=0.999)
+
+
+def test_numpy_numbers_and_integers_become_floats_in_the_plant():
+    plant = Capsule(M=1, mu=np.float32(0.25), k=np.int64(2)).plant()
+    assert (plant.M, plant.mu, plant.k) == (1.0, 0.25, 2.0)
+    assert all(type(value) is float for value in plant)
+
+
+@pytest.mark.parametrize("value", ["Newton", "", None, 1])
+def test_an_unknown_normal_force_is_refused(value):
+    with pytest.raises(ValueError) as caught:
+        Capsule(normal_force=value)
+    assert "Capsule.normal_force must be 'newton' or 'paper'" in str(caught.value)
+    assert repr(value) in str(caught.value)
+
+
+def test_the_normal_force_option_reaches_the_plant():
+    assert Capsule(normal_force="paper").plant().pivot_torque_on_contact == 1.0
+    assert Capsule(normal_force="newton").plant().pivot_torque_on_contact == 0.0
+
+
+def singular_angle_exists(M: float, m: float, mu: float) -> bool:
+    """Whether the determinant of the slip equations vanishes at some angle."""
+    theta = np.linspace(-math.pi, math.pi, 200_001)
+    return bool(np.any(M + m * np.sin(theta) ** 2 - mu * m * np.sin(theta) * np.cos(theta) <= 0.0))
+
+
+def test_painleves_paradox_is_refused_exactly_where_the_slip_equations_can_be_singular():
+    rng = np.random.default_rng(3)
+    outcomes = set()
+    for _ in range(60):
+        M, m, mu = rng.uniform(0.01, 1.0), rng.uniform(0.1, 2.0), rng.uniform(0.0, 6.0)
+        singular = singular_angle_exists(M, m, mu)
+        outcomes.add(singular)
+        if singular:
+            with pytest.raises(ValueError, match="Painleve"):
+                check_contact_is_regular(M, m, mu)
+        else:
+            check_contact_is_regular(M, m, mu)
+    assert outcomes == {True, False}
+
+
+def test_the_message_says_up_to_which_friction_the_masses_are_valid():
+    with pytest.raises(ValueError, match=r"M=0\.05.*mu=2\.0.*must stay below") as caught:
+        Capsule(M=0.05, mu=2.0)
+    largest = float(str(caught.value).rsplit(" ", 1)[1])
+    Capsule(M=0.05, mu=largest * 0.9999)
+    with pytest.raises(ValueError, match="Painleve"):
+        Capsule(M=0.05, mu=largest * 1.0001)
+
+
+@pytest.mark.parametrize("ratios", [{"backward_ratio": 4.0}, {"static_ratio": 4.0}])
+def test_painleves_paradox_counts_the_largest_coefficient_that_can_act(ratios):
+    Capsule(M=0.2, mu=1.5)
+    with pytest.raises(ValueError, match=r"mu=6\.0"):
+        Capsule(M=0.2, mu=1.5, **ratios)
+    Capsule(M=0.2, mu=1.5, backward_ratio=0.25)
+
+
+def test_the_plant_takes_another_mass_and_friction_and_checks_them():
+    plant = Capsule().plant(M=0.7, mu=0.2)
+    assert plant == Capsule(M=0.7, mu=0.2).plant()
+    assert Capsule().plant(mu=0.0).mu == 0.0
+    for arguments in ({"M": 0.0}, {"M": math.nan}, {"mu": -1.0}, {"M": 0.01, "mu": 3.0}):
+        with pytest.raises(ValueError, match=r"must be|Painleve"):
+            Capsule().plant(**arguments)
+        with pytest.raises(ValueError, match=r"must be|Painleve"):
+            Capsule().check_plant(arguments.get("M", 0.5), arguments.get("mu", 0.01))
+    with pytest.raises(TypeError, match="mu must be a finite number"):
+        Capsule().check_plant(0.5, "rough")
+
+
+@pytest.mark.parametrize("frozen", [Capsule(), Randomization(mu=(0.1, 0.2))])
+def test_both_are_frozen_keyword_only_values(frozen):
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        frozen.mu = 0.5
+    with pytest.raises(TypeError):
+        type(frozen)(0.5)
+    assert frozen == dataclasses.replace(frozen)
+    assert hash(frozen) == hash(dataclasses.replace(frozen))
+
+
+# Randomization
+
+
+@pytest.mark.parametrize("field", ["M", "mu"])
+@pytest.mark.parametrize("value", [(0.2, 0.1), (math.nan, 1.0), (0.1, math.inf), (-0.1, 0.2)])
+def test_ranges_out_of_order_or_not_finite_are_refused(field, value):
+    with pytest.raises(ValueError) as caught:
+        Randomization(**{field: value})
+    message = str(caught.value)
+    assert message.startswith(f"Randomization.{field}")
+    assert "a pair (low, high) of finite numbers with" in message
+    assert any(repr(part) in message for part in (value, *value))
+
+
+@pytest.mark.parametrize("field", ["M", "mu"])
+@pytest.mark.parametrize("value", [0.1, "ab", (0.1,), (0.1, 0.2, 0.3), ("0.1", "0.2"), (True, 2.0), (None, 0.2)])
+def test_what_is_no_pair_of_numbers_is_refused(field, value):
+    with pytest.raises(TypeError, match=rf"^Randomization\.{field}.*a pair \(low, high\)"):
+        Randomization(**{field: value})
+
+
+def test_zero_is_a_friction_coefficient_but_no_mass_and_has_no_logarithm():
+    Randomization(mu=(0.0, 0.1))
+    with pytest.raises(ValueError, match=r"Randomization\.M\[0\].*0 < low"):
+        Randomization(M=(0.0, 1.0))
+    with pytest.raises(ValueError, match=r"Randomization\.mu\[0\].*0 < low"):
+        Randomization(mu=(0.0, 0.1), log_mu=True)
+    with pytest.raises(TypeError, match=r"Randomization\.log_mu must be True or False, got 1"):
+        Randomization(log_mu=1)
+
+
+def test_ranges_become_tuples_of_floats():
+    randomization = Randomization(M=[1, 2], mu=np.array([0.1, 0.2]))
+    assert randomization.M == (1.0, 2.0)
+    assert randomization.mu == (0.1, 0.2)
+    assert randomization.to_dict() == {"M": (1.0, 2.0), "mu": (0.1, 0.2), "log_mu": False}
+    assert Randomization(**randomization.to_dict()) == randomization
+
+
+def test_every_corner_of_the_ranges_is_checked_for_painleves_paradox():
+    light_and_rough = Randomization(M=(0.05, 1.0), mu=(0.0, 2.0))
+    with pytest.raises(ValueError, match=r"Randomization\(M=\(0\.05, 1\.0\), mu=\(0\.0, 2\.0\)\).*Painleve"):
+        light_and_rough.check(Capsule())
+    Randomization(M=(0.05, 1.0)).check(Capsule())
+    Randomization(mu=(0.0, 2.0)).check(Capsule())
+    with pytest.raises(ValueError, match="Painleve"):
+        Randomization(M=(0.05, 1.0)).check(Capsule(mu=2.0))
+    with pytest.raises(ValueError, match="Painleve"):
+        Randomization(mu=(0.0, 2.0)).check(Capsule(M=0.05))
+    for randomization in RANDOMIZATIONS.values():
+        randomization.check(Capsule())
+
+
+def test_names():
+    assert Randomization.named("none") == Randomization()
+    assert Randomization.named("paper") == Randomization(M=(0.45, 0.55), mu=(0.009, 0.011))
+    assert Randomization.named("wide") == Randomization(M=(0.35, 0.75), mu=(0.005, 0.3), log_mu=True)
+    own = Randomization(M=(0.4, 0.5))
+    assert Randomization.named(own) is own
+    with pytest.raises(ValueError, match=r"\['none', 'paper', 'wide'\], got 'Wide'"):
+        Randomization.named("Wide")
+    with pytest.raises(TypeError, match=r"\['none', 'paper', 'wide'\], got None"):
+        Randomization.named(None)
+
+
+def draws(randomization: Randomization, n: int, seed: int = 5) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.array([randomization.draw(rng, Capsule()) for _ in range(n)])
+
+
+def test_the_same_stream_draws_the_same_plants():
+    wide = Randomization.named("wide")
+    assert np.array_equal(draws(wide, 50), draws(wide, 50))
+    assert not np.array_equal(draws(wide, 50), draws(wide, 50, seed=6))
+
+
+def test_without_ranges_the_capsule_keeps_its_own_values():
+    assert Randomization().draw(np.random.default_rng(0), Capsule(M=0.7, mu=0.2)) == (0.7, 0.2)
+
+
+def test_a_range_of_one_parameter_does_not_shift_the_stream_of_the_other():
+    both = draws(Randomization(M=(0.4, 0.6), mu=(0.1, 0.2)), 100)
+    assert np.array_equal(draws(Randomization(M=(0.4, 0.6)), 100)[:, 0], both[:, 0])
+    assert np.array_equal(draws(Randomization(mu=(0.1, 0.2)), 100)[:, 1], both[:, 1])
+
+
+def test_log_mu_changes_the_draw_of_mu_only():
+    uniform = draws(Randomization(M=(0.4, 0.6), mu=(0.001, 1.0)), 4000)
+    log = draws(Randomization(M=(0.4, 0.6), mu=(0.001, 1.0), log_mu=True), 4000)
+    assert np.array_equal(uniform[:, 0], log[:, 0])
+    assert np.all((uniform[:, 1] >= 0.001) & (uniform[:, 1] <= 1.0))
+    assert np.all((log[:, 1] >= 0.001) & (log[:, 1] <= 1.0))
+    # Uniform in mu, and uniform in its logarithm: each third of either range holds a third of the draws.
+    thirds = np.histogram(uniform[:, 1], np.linspace(0.001, 1.0, 4))[0]
+    decades = np.histogram(log[:, 1], [0.001, 0.01, 0.1, 1.0])[0]
+    assert np.all(np.abs(thirds / 4000 - 1 / 3) < 0.03)
+    assert np.all(np.abs(decades / 4000 - 1 / 3) < 0.03)
+    # Both are the same draw seen through another scale.
+    assert np.array_equal(np.argsort(uniform[:, 1]), np.argsort(log[:, 1]))

@@ -1,0 +1,226 @@
+"""The native batch: the same episodes as single environments bit for bit, autoreset, infos, threads."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from capsule_gym import CapsuleVectorEnv
+from capsule_gym.simulation import METRICS
+
+ENV_ID = "CapsuleStickSlip-v0"
+VARIANTS = [
+    {"initial_noise": 0.05, "randomization": "wide"},
+    {"controller": "baselines:adaptive", "residual_limit": 3.0, "observe_parameters": True},
+]
+
+
+def singles(n: int, horizon: int, mode: AutoresetMode, **kwargs) -> SyncVectorEnv:
+    """Gymnasium's own vectorisation of single environments: the reference for every convention."""
+    return SyncVectorEnv(
+        [lambda: gym.make(ENV_ID, max_episode_steps=horizon, disable_env_checker=True, **kwargs)] * n,
+        autoreset_mode=mode,
+    )
+
+
+def assert_same_metrics(ours, theirs, i):
+    """Bit for bit, but for the mean speed of a failed episode: a single environment does not know its time limit."""
+    for name in METRICS:
+        assert ours[name][i] == theirs[name][i] or name == "mean_speed", name
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@pytest.mark.parametrize("kwargs", VARIANTS)
+@pytest.mark.parametrize(("n", "threads"), [(1, 1), (7, 1), (130, 2)])
+def test_batch_equals_single_environments_across_resets(mode, kwargs, n, threads):
+    horizon = 40
+    batch = CapsuleVectorEnv(n, max_episode_steps=horizon, autoreset_mode=mode, threads=threads, **kwargs)
+    reference = singles(n, horizon, mode, **kwargs)
+    rng = np.random.default_rng(1)
+    a, b = batch.reset(seed=11), reference.reset(seed=11)
+    assert a[0].tobytes() == b[0].tobytes()
+    resets = np.zeros(n, int)
+    for _ in range(4 * horizon):
+        actions = rng.uniform(-1.0, 1.0, (n, 1)).astype(np.float32)
+        a, b = batch.step(actions), reference.step(actions)
+        for ours, theirs in zip(a[:4], b[:4], strict=True):
+            assert np.asarray(ours).tobytes() == np.asarray(theirs).tobytes()
+        assert a[4]["state"].tobytes() == b[4]["state"].tobytes()
+        for key in ("M", "mu", "torque", "normal_force", "law_torque", "stick"):
+            assert np.array_equal(a[4][key], b[4][key]), key
+        for key in ("reward_progress", "reward_energy", "reward_termination"):
+            if key in b[4]:
+                mask = b[4][f"_{key}"]
+                assert np.array_equal(a[4][key][mask], b[4][key][mask])
+        ended = a[2] | a[3]
+        resets += ended
+        if mode is AutoresetMode.SAME_STEP and ended.any():
+            assert np.array_equal(a[4]["_final_obs"], b[4]["_final_obs"])
+            ours, theirs = a[4]["final_info"], b[4]["final_info"]
+            for i in np.flatnonzero(ended):
+                assert a[4]["final_obs"][i].tobytes() == b[4]["final_obs"][i].tobytes()
+                assert ours["state"][i].tobytes() == theirs["state"][i].tobytes()
+                assert ours["reward_progress"][i] == theirs["reward_progress"][i]
+                if a[2][i]:
+                    assert ours["termination"][i] == theirs["termination"][i]
+                    assert_same_metrics(ours["metrics"], theirs["metrics"], i)
+        for i in np.flatnonzero(a[2]) if mode is AutoresetMode.NEXT_STEP else ():
+            assert a[4]["termination"][i] == b[4]["termination"][i]
+            assert_same_metrics(a[4]["metrics"], b[4]["metrics"], i)
+    assert resets.min() >= 3
+    reference.close()
+    batch.close()
+
+
+def test_results_do_not_depend_on_threads_or_batch_size():
+    small, large, threaded = (CapsuleVectorEnv(n, threads=t) for n, t in ((3, 1), (300, 1), (300, 3)))
+    for env in (small, large, threaded):
+        env.reset(seed=2)
+    rng = np.random.default_rng(0)
+    for _ in range(120):
+        actions = rng.uniform(-0.5, 0.5, (300, 1)).astype(np.float32)
+        a, b, c = small.step(actions[:3]), large.step(actions), threaded.step(actions)
+        assert b[0].tobytes() == c[0].tobytes()
+        assert a[4]["state"].tobytes() == b[4]["state"][:3].tobytes() == c[4]["state"][:3].tobytes()
+    threaded.close()
+
+
+def test_make_vec_gives_the_native_batch_without_warnings():
+    env = gym.make_vec(ENV_ID, num_envs=4, controller="baselines:adaptive")
+    assert isinstance(env.unwrapped, CapsuleVectorEnv)
+    assert env.unwrapped.max_episode_steps == 1650
+    assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    assert env.observation_space.shape == (4, 10)
+    same = gym.make_vec(ENV_ID, num_envs=2, autoreset_mode="SAME_STEP", max_episode_steps=9)
+    assert same.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    assert same.unwrapped.max_episode_steps == 9
+    assert env.spec.to_json()
+
+
+def test_next_step_ignores_the_action_after_the_end():
+    env = CapsuleVectorEnv(2, max_episode_steps=5)
+    env.reset(seed=0)
+    for n in range(5):
+        _, _, terminated, truncated, info = env.step(np.zeros((2, 1), np.float32))
+        assert truncated.all() == (n == 4)
+    assert info["_metrics"].all()
+    masses = info["M"]
+    observation, rewards, terminated, truncated, info = env.step(np.ones((2, 1), np.float32))
+    assert (rewards == 0.0).all()
+    assert not (terminated | truncated).any()
+    np.testing.assert_allclose(observation, np.float32([[-np.pi / 3, 0, 0, 1, 0]] * 2))
+    assert (info["M"] != masses).all()
+    assert not info["_reward_progress"].any()
+
+
+def test_disabled_autoreset_stands_still_until_the_mask_names_it():
+    env = CapsuleVectorEnv(3, max_episode_steps=50, autoreset_mode=AutoresetMode.DISABLED)
+    states = np.array([[0.0, 0, 0, 0], [1.5, 5.0, 0, 0], [0.5, 0, 0, 0]])
+    env.reset(seed=0, options={"state": states})
+    _, _, terminated, _, info = env.step(np.zeros((3, 1), np.float32))
+    assert terminated.tolist() == [False, True, False]
+    assert info["termination"][1] == "pendulum"
+    frozen = info["state"][1].copy()
+    _, rewards, terminated, _, info = env.step(np.ones((3, 1), np.float32))
+    assert terminated.tolist() == [False, True, False]
+    assert rewards[1] == 0.0
+    assert np.array_equal(info["state"][1], frozen)
+    assert "metrics" not in info
+    before = info["state"][[0, 2]].copy()
+    mask = np.array([False, True, False])
+    _, info = env.reset(options={"reset_mask": mask})
+    assert info["state"][1, 0] == pytest.approx(-np.pi / 3)
+    assert np.array_equal(info["state"][[0, 2]], before)
+    assert np.array_equal(info["_state"], mask)
+    assert not env.step(np.zeros((3, 1), np.float32))[2].any()
+
+
+def test_options_per_environment():
+    env = CapsuleVectorEnv(3)
+    changes = [[], [{"t": 0.02, "M": 0.8, "mu": 0.3}], []]
+    _, info = env.reset(seed=0, options={"M": [0.5, 0.6, 0.7], "mu": 0.05, "changes": changes})
+    assert info["M"].tolist() == [0.5, 0.6, 0.7]
+    assert info["mu"].tolist() == [0.05] * 3
+    env.step(np.zeros((3, 1), np.float32))
+    info = env.step(np.zeros((3, 1), np.float32))[4]
+    assert info["M"].tolist() == [0.5, 0.8, 0.7]
+
+
+def test_seeds_as_a_sequence():
+    env, other = CapsuleVectorEnv(3), CapsuleVectorEnv(3)
+    masses = env.reset(seed=[5, 9, 2])[1]["M"]
+    assert masses[0] == other.reset(seed=5)[1]["M"][0]
+    assert masses[1] == other.reset(seed=9)[1]["M"][0]
+    # None goes on with the stream that is there.
+    again = env.reset(seed=[5, None, 2])[1]["M"]
+    assert again[0] == masses[0] and again[1] != masses[1] and again[2] == masses[2]
+
+
+def test_nothing_handed_out_changes_later():
+    env = CapsuleVectorEnv(2)
+    first, info = env.reset(seed=0)
+    kept = first.copy(), info["state"].copy(), info["M"].copy()
+    second = env.step(np.ones((2, 1), np.float32))
+    rewards = second[1].copy()
+    env.step(-np.ones((2, 1), np.float32))
+    assert np.array_equal(first, kept[0])
+    assert np.array_equal(info["state"], kept[1])
+    assert np.array_equal(info["M"], kept[2])
+    assert np.array_equal(second[1], rewards)
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "error", "message"),
+    [
+        ({"num_envs": 0}, ValueError, "num_envs must be"),
+        ({"num_envs": 2.0}, TypeError, "num_envs must be"),
+        ({"num_envs": 2, "max_episode_steps": 0}, ValueError, "max_episode_steps"),
+        ({"num_envs": 2, "threads": 0}, ValueError, "threads"),
+        ({"num_envs": 2, "autoreset_mode": "LATER"}, ValueError, "autoreset_mode"),
+        ({"num_envs": 2, "render_mode": "human"}, ValueError, "render_mode"),
+    ],
+)
+def test_bad_arguments_are_named(kwargs, error, message):
+    with pytest.raises(error, match=message):
+        CapsuleVectorEnv(**kwargs)
+
+
+@pytest.mark.parametrize(
+    ("seed", "options", "error", "message"),
+    [
+        ([1], None, ValueError, "seed"),
+        ([1, -1], None, ValueError, "seed"),
+        ([1, 0.5], None, TypeError, "seed"),
+        (0, {"M": [0.5]}, ValueError, "options\\['M'\\]"),
+        (0, {"M": [0.5, -0.5]}, ValueError, "M must be"),
+        (0, {"state": np.zeros((3, 4))}, ValueError, "state"),
+        (0, {"reset_mask": [True, False]}, TypeError, "reset_mask"),
+        (0, {"reset_mask": np.array([False, False])}, ValueError, "reset_mask"),
+        (0, {"reset_mask": np.array([True])}, ValueError, "reset_mask"),
+        (0, {"masses": 1.0}, ValueError, "masses"),
+    ],
+)
+def test_bad_resets_are_named(seed, options, error, message):
+    with pytest.raises(error, match=message):
+        CapsuleVectorEnv(2).reset(seed=seed, options=options)
+
+
+def test_bad_actions_are_named():
+    env = CapsuleVectorEnv(2)
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(np.zeros((2, 1), np.float32))
+    env.reset(seed=0)
+    for actions in (np.zeros(2), np.zeros((3, 1)), np.array([[0.0], [np.nan]])):
+        with pytest.raises(ValueError, match="actions must be"):
+            env.step(actions)
+
+
+def test_render_gives_one_frame_per_environment():
+    env = CapsuleVectorEnv(2, render_mode="rgb_array")
+    env.reset(seed=0, options={"state": np.array([[0.5, 0, 0, 0], [-0.5, 0, 0, 0]])})
+    frames = env.render()
+    assert len(frames) == 2
+    assert not np.array_equal(frames[0], frames[1])
+    env.close()
