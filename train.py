@@ -53,11 +53,20 @@ def parse(arguments: Sequence[str] | None = None) -> tuple[Config, argparse.Name
     """Reads the command line: the configuration of the run, and what is not the run's own."""
     first = argparse.ArgumentParser(add_help=False)
     general = first.add_argument_group("what to train")
-    general.add_argument("--task", choices=("residual", "direct"), default="residual", help="residual torque on a law, or direct torque")
+    general.add_argument(
+        "--task", choices=("residual", "direct"), default="residual", help="residual torque on a law, or direct torque"
+    )
     general.add_argument("--algo", choices=("ppo", "sac"), default="ppo", help="algorithm of Stable-Baselines3")
     general.add_argument("--run", type=Path, metavar="DIR", help="folder of the run (default: a new one in runs/)")
-    general.add_argument("--resume", type=Path, metavar="DIR", help="go on with the run in this folder, from its last checkpoint; only --total-steps may be changed")
-    general.add_argument("--no-comparison", action="store_true", help="skip evaluation, figure and animation at the end")
+    general.add_argument(
+        "--resume",
+        type=Path,
+        metavar="DIR",
+        help="go on with the run in this folder, from its last checkpoint; only --total-steps may be changed",
+    )
+    general.add_argument(
+        "--no-comparison", action="store_true", help="skip evaluation, figure and animation at the end"
+    )
     known, _ = first.parse_known_args(arguments)
     preset = PRESETS[known.task, known.algo]
     parser = argparse.ArgumentParser(
@@ -72,7 +81,11 @@ def parse(arguments: Sequence[str] | None = None) -> tuple[Config, argparse.Name
     options = parser.parse_args(arguments)
     if options.resume is not None:
         config = _read_config(parser, options.resume)
-        given = options.total_steps if any(a.startswith("--total-steps") for a in arguments or sys.argv[1:]) else config.total_steps
+        given = (
+            options.total_steps
+            if any(a.startswith("--total-steps") for a in arguments or sys.argv[1:])
+            else config.total_steps
+        )
         return dataclasses.replace(config, total_steps=given), options
     fields = {field.name: getattr(options, field.name) for field in dataclasses.fields(preset)}
     config = dataclasses.replace(preset, **fields)
@@ -104,7 +117,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             training.begin(run, config)
         except FileExistsError:
-            print(f"train.py: error: --run must name a new folder, got {str(run)!r}; --resume {run} goes on with it", file=sys.stderr)
+            print(
+                f"train.py: error: --run must name a new folder, got {str(run)!r}; --resume {run} goes on with it",
+                file=sys.stderr,
+            )
             return 2
         print(f"Training {config.algo.upper()} on the {config.task} task, seed {config.seed}, in {run}.")
     if not training.train(run, config):

@@ -14,6 +14,9 @@ from baselines.policies import SCRIPTED
 from capsule_gym.task import TORQUE_LIMIT
 
 CHECKPOINTS = Path(__file__).with_name("checkpoints")
+# What decides a run's policy, as `agents.runs` names it (importing that would load torch); the rest is records.
+CONFIG = "config.json"
+POLICY_FILES = (CONFIG, "model.zip", "normalisation.json")
 
 
 @dataclass(frozen=True)
@@ -70,11 +73,13 @@ class Candidate:
         return [episode for run in self.runs for episode in run.evaluate(evaluation_set, horizon)]
 
 
-def _read_config(folder: Path) -> dict[str, Any]:
-    """The run's config.json, after a check of the fields that matter here."""
-    path = folder / "config.json"
-    if not path.is_file():
-        raise ValueError(f"{folder} is not the folder of a run: it has no config.json")
+def _read_config(run: Path) -> dict[str, Any]:
+    """The config.json of a run, given by its folder or an archive in it, after a check of the fields that matter."""
+    # An archive may lie one folder deeper, as in best/model.zip.
+    folders = [run] if run.is_dir() else [run.parent, run.absolute().parent.parent]
+    path = next((folder / CONFIG for folder in folders if (folder / CONFIG).is_file()), None)
+    if path is None:
+        raise ValueError(f"{run} is not part of a training run: there is no {folders[0] / CONFIG}")
     try:
         config = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
@@ -104,7 +109,7 @@ def _describe(config: dict[str, Any]) -> str:
 
 def _candidate(name: str, folder: Path, paths: Sequence[Path]) -> Candidate:
     """A trained policy from the paths of its runs."""
-    configs = [_read_config(path if path.is_dir() else path.parent) for path in paths]
+    configs = [_read_config(path) for path in paths]
     runs = [Run(name, path, config["seed"], config["revision"]) for path, config in zip(paths, configs, strict=True)]
     seeds = [config["seed"] for config in configs]
     if len(set(seeds)) < len(seeds):
@@ -162,7 +167,7 @@ def find_candidate(name_or_path: str) -> Candidate:
         return _all_seeds(name_or_path, CHECKPOINTS / name_or_path)
     path = Path(name_or_path)
     is_archive = path.suffix == ".zip" and path.is_file()
-    if is_archive or (path / "config.json").is_file():
+    if is_archive or (path / CONFIG).is_file():
         return _candidate(name_or_path, path, [path])
     if path.is_dir():
         return _all_seeds(name_or_path, path)

@@ -33,15 +33,16 @@ def compare(run: Path, set_name: str = "paper") -> None:
     print(comparison_table("agent", own, BASELINE, theirs))
     speed, reference = (float(interquartile_mean(scores(each, "mean_speed"))[0]) for each in (own, theirs))
     print(f"\nThe agent's interquartile mean speed is {speed / reference:.2f} times that of {BASELINE}.")
-    result = {"agent": make_result(run.name, evaluation_set, own), BASELINE: make_result(BASELINE, evaluation_set, theirs)}
+    result = {
+        "agent": make_result(run.name, evaluation_set, own),
+        BASELINE: make_result(BASELINE, evaluation_set, theirs),
+    }
     write_atomically(run / "comparison.json", to_json(result))
 
     recordings = [record(each) for each in (baseline, policy)]
     title = "Nominal plant (M = 0.5 kg, μ = 0.01)"
     draw_comparison(recordings, run / "comparison.png", title)
-    moving = record(
-        policy, steps=ANIMATED_FROM + ANIMATED_STEPS, frame_every=FRAME_EVERY, frames_from=ANIMATED_FROM
-    )
+    moving = record(policy, steps=ANIMATED_FROM + ANIMATED_STEPS, frame_every=FRAME_EVERY, frames_from=ANIMATED_FROM)
     if moving.frames:
         write_gif(moving.frames, run / "animation.gif", FRAME_EVERY * CONTROL_DT)
     print(f"Episodes: {run / 'comparison.json'}\nFigure:   {run / 'comparison.png'}\nMoving:   {run / 'animation.gif'}")

@@ -28,7 +28,7 @@ RESAMPLED = {
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m agents.evaluate",
-        description="Evaluates a policy on a frozen set: interquartile means with 95 %% bootstrap intervals, and the "
+        description="Evaluates a policy on a frozen set: interquartile means with 95 % bootstrap intervals, and the "
         "paired difference to a reference on the same episodes.",
         epilog="Stable-Baselines3 archives contain pickles, which can run any code when loaded: load only what you "
         f"trust. Scripted policies: {', '.join(SCRIPTED)}. Checkpoints: {', '.join(checkpoint_names()) or 'none'}.",
@@ -105,6 +105,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         evaluation_set = load_set(options.set)
         candidate = find_candidate(options.policy)
         reference = find_candidate(options.against)
+        # A broken archive is met here, before any work.
+        for run in (*candidate.runs, *reference.runs):
+            run.load()
     except ValueError as error:
         parser.error(str(error))
     # Before the work, so that nothing is computed in vain.

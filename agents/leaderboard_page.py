@@ -60,7 +60,7 @@ def _main_table(board: Mapping[str, Any]) -> list[str]:
                 *(measure.with_interval(summary[measure.metric]) for measure in shown),
                 _failures(summary),
                 str(len(row["training_seeds"]) or "-"),
-                f"`{row['revision'][:10]}`" if row["revision"] else "-",
+                f"`{row['revision']}`" if row["revision"] else "-",
                 f"`python -m agents.evaluate {row['policy']} --set {RANKING_SET}`",
             ]
         )
@@ -119,8 +119,8 @@ def render(board: Mapping[str, Any]) -> str:
         "- Failures are counted over all episodes of all training seeds.",
         "- Revision: the git revision that a checkpoint was trained at. Scripted policies are this checkout's own "
         "code, which the check runs, so they need none.",
-        "- A dash stands for what does not exist: the cost of transport where more than a quarter of the episodes make no "
-        "forward progress, the revision of a scripted policy.",
+        "- A dash stands for what does not exist: the cost of transport where more than a quarter of the episodes make "
+        "no forward progress, the revision of a scripted policy.",
         f"- Sets (sha256 of the content): {hashes}.",
         f"- Written with {versions}.",
     ]

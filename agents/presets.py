@@ -28,7 +28,9 @@ class Config:
     total_steps: int = option(8_000_000, "environment steps")
     num_envs: int = option(128, "environments that are stepped together")
     controller: str | None = option("baselines:adaptive", "control law under a residual torque, as module:attribute")
-    residual_limit: float = option(2.0 * TORQUE_LIMIT, "torque of the action 1, N m; twice the torque limit is full authority")
+    residual_limit: float = option(
+        2.0 * TORQUE_LIMIT, "torque of the action 1, N m; twice the torque limit is full authority"
+    )
     torque_limit: float = option(TORQUE_LIMIT, "largest motor torque, N m")
     randomization: str = option("paper", "where M and mu of an episode come from", ("none", "paper", "wide"))
     observe_parameters: bool = option(False, "let the agent see M and mu")

@@ -136,7 +136,12 @@ def write_gif(frames: Sequence[np.ndarray], path: Path, frame_seconds: float, wi
     pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     temporary = path.with_suffix(f".{os.getpid()}.tmp.gif")
     pictures[0].save(
-        temporary, save_all=True, append_images=pictures[1:], duration=round(1000 * frame_seconds), loop=0, optimize=True
+        temporary,
+        save_all=True,
+        append_images=pictures[1:],
+        duration=round(1000 * frame_seconds),
+        loop=0,
+        optimize=True,
     )
     os.replace(temporary, path)
 

@@ -196,7 +196,13 @@ class Monitor(BaseCallback):
             if fresh:
                 writer.writerow(["steps", "seconds", "mean_speed_cm_s", "failed", "baseline_mean_speed_cm_s"])
             writer.writerow(
-                [self.num_timesteps, f"{self.progress.elapsed:.1f}", f"{speed:.4f}", failed, f"{self.baseline_speed:.4f}"]
+                [
+                    self.num_timesteps,
+                    f"{self.progress.elapsed:.1f}",
+                    f"{speed:.4f}",
+                    failed,
+                    f"{self.baseline_speed:.4f}",
+                ]
             )
         if self.progress.best_speed is None or speed > self.progress.best_speed:
             self.progress.best_speed = speed

@@ -51,9 +51,13 @@ SCRIPTED = {
     for policy in (
         ScriptedPolicy("zero", "no torque"),
         ScriptedPolicy("random", "uniform random torque, drawn every agent step", {}, _random_actions),
-        _with_law("feedback-linearising", "feedback_linearising", "the paper's profile (9), feedback linearisation (35)"),
+        _with_law(
+            "feedback-linearising", "feedback_linearising", "the paper's profile (9), feedback linearisation (35)"
+        ),
         _with_law("adaptive", "adaptive", "the paper's profile (9), adaptive law (39), regularised"),
-        _with_law("adaptive-as-published", "adaptive_as_published", "the paper's profile (9), adaptive law (39) as printed"),
+        _with_law(
+            "adaptive-as-published", "adaptive_as_published", "the paper's profile (9), adaptive law (39) as printed"
+        ),
         _with_law("compliant", "compliant", "the paper's profile (9), adaptive law (39) with low gains"),
         _with_law("epc", "epc", "the EPC profile, feedback linearisation (35)"),
     )

@@ -86,7 +86,9 @@ class Controller:
                 f"({len(self.memory)}), got {len(values) - 1}"
             )
         if not all(math.isfinite(value) for value in values):
-            raise ValueError(f"the control law of {self.name!r} must return finite numbers, got {values} on its reference")
+            raise ValueError(
+                f"the control law of {self.name!r} must return finite numbers, got {values} on its reference"
+            )
 
 
 def find_controller(controller: str | Controller | Callable[[], Controller] | None) -> Controller | None:
@@ -111,7 +113,9 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
         except ModuleNotFoundError as error:
             if error.name is None or not (module_name + ".").startswith(error.name + "."):
                 raise
-            raise ValueError(f"controller={controller!r} names the module {module_name!r}, which does not exist") from None
+            raise ValueError(
+                f"controller={controller!r} names the module {module_name!r}, which does not exist"
+            ) from None
         found = getattr(module, attribute, None)
         if found is None:
             raise ValueError(f"controller={controller!r}: the module {module_name!r} has no {attribute!r}")

@@ -87,9 +87,7 @@ def stick_acceleration(theta: float, theta_dot: float, u: float, p: Plant) -> fl
 
 
 @register_jitable(forceinline=True)
-def _solve(
-    theta: float, theta_dot: float, slip: float, mu: float, u: float, p: Plant
-) -> tuple[float, float, float]:
+def _solve(theta: float, theta_dot: float, slip: float, mu: float, u: float, p: Plant) -> tuple[float, float, float]:
     """theta'', x'' and N of Eq. (1) with f = slip mu N, one formula for slip and stick (slip = 0 pins x'' = 0)."""
     sin, cos = math.sin(theta), math.cos(theta)
     ml = p.m * p.l
@@ -325,7 +323,7 @@ def step(theta: float, theta_dot: float, x: float, x_dot: float, u: float, p: Pl
     events = 0
     remaining = h
     slip = contact_phase(theta, theta_dot, x_dot, u, p)
-    for _ in range(EVENT_LIMIT):
+    for piece in range(EVENT_LIMIT):
         theta_1, theta_dot_1, x_1, x_dot_1, x_ddot, normal = runge_kutta(
             theta, theta_dot, x, x_dot, slip, u, p, remaining
         )
@@ -337,11 +335,14 @@ def step(theta: float, theta_dot: float, x: float, x_dot: float, u: float, p: Pl
             before, slope, after = slip * x_dot, slip * x_ddot, slip * x_dot_1
         tau = remaining
         # The tangent bounds a convex event function from below: no dip inside the step can escape the second test.
-        if after < 0.0 or (before > 0.0 and before + remaining * slope < 0.0):
+        crossed = after < 0.0 or (before > 0.0 and before + remaining * slope < 0.0)
+        # The last piece takes what is left of the step, so that no time is lost.
+        crossed = crossed and piece < EVENT_LIMIT - 1
+        if crossed:
             tau = _event_time(theta, theta_dot, x, x_dot, slip, u, p, before, slope, after, remaining)
             if tau < remaining:
                 theta_1, theta_dot_1, x_1, x_dot_1, _, _ = runge_kutta(theta, theta_dot, x, x_dot, slip, u, p, tau)
-        ended = tau < remaining or after < 0.0
+        ended = tau < remaining or (crossed and after < 0.0)
         smallest_normal = min(smallest_normal, normal)
         swept += _swept(theta_dot, theta_dot_1, theta_1 - theta, tau)
         forward += max(0.0, x_1 - x)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar, SupportsFloat
+from typing import Any, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
@@ -137,7 +137,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
     * v0: initial version
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
+    # Gymnasium declares it as the instance's, and wrappers change it: each instance gets a copy.
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}  # noqa: RUF012
 
     def __init__(
         self,
@@ -268,7 +269,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         """
         return {name: float(value[0]) for name, value in self.simulation.metrics(THE_ONE, horizon).items()}
 
-    def render(self) -> np.ndarray | None:  # type: ignore[override]
+    def render(self) -> np.ndarray | None:
         """Draws the present state.
 
         Returns:

@@ -30,10 +30,7 @@ from capsule_gym.parameters import Plant
 class Row(IntEnum):
     """The quantities of one environment in `world`; the ones from `energy` on belong to the running episode."""
 
-    def _generate_next_value_(name, start, count, last_values) -> int:  # noqa: N805 (the signature that enum asks for)
-        return count
-
-    theta = auto()
+    theta = 0
     theta_dot = auto()
     x = auto()
     x_dot = auto()
@@ -95,15 +92,13 @@ def no_law(
     return 0.0, memory
 
 
-# Bound anew, per law, in the copies that `build` makes.
+# Bound anew, per law, in the copies that `build` makes; so are the functions below that call each other.
 law: Callable[..., Any] = no_law
 MEMORY_SIZE = 1
 REFERENCE_SIZE = 2
-consult: Callable[..., Any]
-advance_one: Callable[..., Any]
 
 
-def _consult(
+def consult(
     world: np.ndarray, i: int, reference: np.ndarray, settings: Settings, action: float, observation: np.ndarray
 ) -> None:
     """Asks the law for its torque at the present state and writes the observation of environment i."""
@@ -144,7 +139,7 @@ def start(
         consult(world, i, reference, settings, 0.0, observations[i])
 
 
-def _advance_one(
+def advance_one(
     world: np.ndarray,
     i: int,
     action: float,
@@ -206,9 +201,7 @@ def _advance_one(
         # The last call of the step is `consult`'s, which also shows its torque to the agent.
         if ended or tick == settings.law_steps - 1:
             break
-        law_torque, memory = law(
-            theta, theta_dot, x, x_dot, memory, to_fixed_tuple(reference[clock], REFERENCE_SIZE)
-        )
+        law_torque, memory = law(theta, theta_dot, x, x_dot, memory, to_fixed_tuple(reference[clock], REFERENCE_SIZE))
         law_torque = task.clip(law_torque, settings.torque_limit)
 
     world[THETA, i], world[THETA_DOT, i], world[X, i], world[X_DOT, i] = theta, theta_dot, x, x_dot
@@ -366,7 +359,7 @@ class _ByIdentity:
 @lru_cache(maxsize=1)
 def _own_fingerprint() -> str:
     """The part of the fingerprint that all laws share: the kernels, the task and the physics."""
-    return "".join(fingerprint(function) for function in (_consult, start, _advance_one, advance))
+    return "".join(fingerprint(function) for function in (consult, start, advance_one, advance))
 
 
 @lru_cache(maxsize=64)
@@ -377,7 +370,8 @@ def _build(digest: str, carrier: _ByIdentity, memory_size: int, reference_size: 
         "MEMORY_SIZE": memory_size,
         "REFERENCE_SIZE": reference_size,
     }
-    for name, function in (("consult", _consult), ("advance_one", _advance_one)):
+    for function in (consult, advance_one):
+        name = function.__name__
         bindings[name] = numba.njit(_rebound(function, f"{name}_{digest}", bindings))
     return Kernels(*(_compiled(function, digest, bindings) for function in (start, advance)))
 

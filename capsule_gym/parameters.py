@@ -142,10 +142,15 @@ class Capsule:
         """
         capsule = replace(self, M=self.M if M is None else M, mu=self.mu if mu is None else mu)
         return Plant(
-            *(
-                float(getattr(capsule, name))
-                for name in ("M", "m", "l", "g", "k", "c", "mu", "static_ratio", "backward_ratio")
-            ),
+            M=float(capsule.M),
+            m=float(capsule.m),
+            l=float(capsule.l),
+            g=float(capsule.g),
+            k=float(capsule.k),
+            c=float(capsule.c),
+            mu=float(capsule.mu),
+            static_ratio=float(capsule.static_ratio),
+            backward_ratio=float(capsule.backward_ratio),
             pivot_torque_on_contact=float(capsule.normal_force == "paper"),
         )
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from enum import IntEnum
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -135,9 +136,7 @@ class Simulation:
         if not isinstance(observe_parameters, (bool, np.bool_)):
             raise TypeError(f"observe_parameters must be True or False, got {observe_parameters!r}")
         self.observe_parameters = bool(observe_parameters)
-        self.initial_noise = check_number(
-            "initial_noise", initial_noise, "a number of rad in [0, 0.5]", 0.0, 0.5
-        )
+        self.initial_noise = check_number("initial_noise", initial_noise, "a number of rad in [0, 0.5]", 0.0, 0.5)
         self.threads = 1 if threads is None else check_count("threads", threads)
 
         law_dt = self.controller.dt if self.controller else self.control_dt
@@ -145,7 +144,9 @@ class Simulation:
             torque_limit=self.torque_limit,
             residual_limit=self.residual_limit,
             physics_dt=self.physics_dt,
-            physics_steps=divide("the law's step" if self.controller else "control_dt", law_dt, "physics_dt", self.physics_dt),
+            physics_steps=divide(
+                "the law's step" if self.controller else "control_dt", law_dt, "physics_dt", self.physics_dt
+            ),
             law_steps=divide("control_dt", self.control_dt, "the controller's dt", law_dt),
             energy_weight=check_number("energy_weight", energy_weight, "a finite number >= 0", 0.0),
             termination_penalty=check_number("termination_penalty", termination_penalty, "a finite number >= 0", 0.0),
@@ -303,7 +304,7 @@ class Simulation:
         """The ranges of environments that the threads take."""
         count = max(1, min(self.threads, self.num_envs // ENVIRONMENTS_PER_THREAD))
         cuts = [self.num_envs * n // count for n in range(count + 1)]
-        return list(zip(cuts, cuts[1:], strict=False))
+        return list(pairwise(cuts))
 
     def _advance(self, chunk: tuple[int, int], actions: np.ndarray, active: np.ndarray) -> int:
         """Runs the kernel on one range of environments."""
@@ -324,7 +325,9 @@ class Simulation:
         """Refuses M and mu that are invalid, or outside the bounds of the observation that shows them."""
         self.capsule.check_plant(M, mu)
         if self.observe_parameters:
-            check_number("M", M, f"at most {task.M_BOUND:g} x Capsule.M where observed", 0.0, task.M_BOUND * self.capsule.M)
+            check_number(
+                "M", M, f"at most {task.M_BOUND:g} x Capsule.M where observed", 0.0, task.M_BOUND * self.capsule.M
+            )
             check_number("mu", mu, f"at most {task.MU_BOUND:g} where observed", 0.0, task.MU_BOUND)
 
     def _check_state(self, state: Any, count: int) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -37,15 +37,26 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         max_episode_steps: agent steps until truncation.
         autoreset_mode: an `AutoresetMode` or its name, "NEXT_STEP", "SAME_STEP" or "DISABLED".
         threads: threads that share the batch, from 64 environments each; the results do not depend on it.
+        controller: this and the next as for `CapsuleEnv`.
+        residual_limit: torque of the action 1, N m.
+        torque_limit: largest motor torque, N m.
+        randomization: where M and mu of an episode come from.
+        capsule: the plant's constants.
+        observe_parameters: whether the observation ends with M and mu.
+        energy_weight: centimetres that a joule costs.
+        termination_penalty: centimetres that a failure costs.
+        initial_noise: half width of the noise on the initial angle, rad.
+        control_dt: agent step, s.
+        physics_dt: step of the integrator, s.
         render_mode: None or "rgb_array": `render()` then returns one frame per environment.
-        **settings: everything else that `CapsuleEnv` takes.
 
     Raises:
         TypeError: if an argument is of the wrong type.
         ValueError: if an argument is out of range.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    # Gymnasium declares it as the instance's, and wrappers change it: each instance gets a copy.
+    metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": ["rgb_array"],
         "render_fps": 50,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
@@ -138,9 +149,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._started = True
         return self.simulation.observations.copy(), _masked(self._snapshot(), mask)
 
-    def step(
-        self, actions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One agent step of every environment.
 
         Args:
@@ -264,16 +273,23 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             if len(seeds) != self.num_envs:
                 raise ValueError(f"seed must be an integer or a sequence of {self.num_envs}, got {len(seeds)} entries")
             fresh = self._np_random is None
+            first = self._first_seed()
             for i, own in enumerate(seeds):
                 if own is not None:
                     self.simulation.seed(i, _check_seed(own))
                 elif fresh:
-                    self.simulation.seed(i, int(self.np_random_seed) + i)
-            _ = self.np_random
+                    self.simulation.seed(i, first + i)
             return
-        first = int(self.np_random_seed)
+        first = self._first_seed()
         for i in range(self.num_envs):
             self.simulation.seed(i, first + i)
+
+    def _first_seed(self) -> int:
+        """The seed of environment 0; drawn from the system's entropy where none was given."""
+        _ = self.np_random
+        seed = self.np_random_seed
+        assert seed is not None
+        return seed
 
     def _check_mask(self, mask: Any) -> np.ndarray:
         """The environments that a reset means."""
@@ -293,7 +309,9 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if name != "changes" and np.ndim(values) == 0:
             return [values] * len(rows)
         if len(values) != self.num_envs:
-            raise ValueError(f"options[{name!r}] must have one entry per environment ({self.num_envs}), got {len(values)}")
+            raise ValueError(
+                f"options[{name!r}] must have one entry per environment ({self.num_envs}), got {len(values)}"
+            )
         return [values[i] for i in rows]
 
     def _states(self, states: Any, rows: np.ndarray) -> Any:

@@ -33,6 +33,6 @@ def write_run(folder, seed, algo="ppo", model=b"model"):
     """The folder of a training run, with a model that nothing can load."""
     folder.mkdir(parents=True, exist_ok=True)
     env = {"controller": "baselines:adaptive", "residual_limit": 3.0, "randomization": "wide"}
-    config = {"algo": algo, "env": env, "seed": seed, "revision": "0123456789abcdef", "versions": {}}
+    config = {"algo": algo, "env": env, "seed": seed, "revision": "0123456789ab", "versions": {}}
     (folder / "config.json").write_text(json.dumps(config))
     (folder / "model.zip").write_bytes(model)

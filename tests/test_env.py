@@ -32,9 +32,7 @@ def rollout(env: gym.Env, seed: int, steps: int, scale: float = 0.4) -> list[np.
     observation, info = env.reset(seed=seed)
     course = [observation, info["state"]]
     for _ in range(steps):
-        observation, reward, terminated, truncated, info = env.step(
-            rng.uniform(-scale, scale, 1).astype(np.float32)
-        )
+        observation, reward, terminated, truncated, info = env.step(rng.uniform(-scale, scale, 1).astype(np.float32))
         course += [observation, info["state"], np.array([reward])]
         if terminated or truncated:
             observation, info = env.reset()
@@ -267,7 +265,9 @@ def test_observation_entries():
         phase = 2.0 * np.pi * row / len(table)
         stick = float(x_dot == 0.0)
         expected = [theta, theta_dot, x_dot, stick, 0.125, *table[row, :2], np.sin(phase), np.cos(phase)]
-        np.testing.assert_allclose(observation, [*expected, info["law_torque"], info["M"], info["mu"]], rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(
+            observation, [*expected, info["law_torque"], info["M"], info["mu"]], rtol=1e-6, atol=1e-6
+        )
 
 
 def test_observations_are_never_handed_out_twice():
@@ -365,7 +365,11 @@ def test_a_law_that_is_not_finite_is_named():
         ({"capsule": 1.0}, TypeError, "capsule must be"),
         ({"physics_dt": 0.003}, ValueError, "physics_dt must divide"),
         ({"control_dt": 0.0}, ValueError, "control_dt must be"),
-        ({"controller": "baselines:adaptive", "control_dt": 0.0015, "physics_dt": 0.0005}, ValueError, "dt must divide"),
+        (
+            {"controller": "baselines:adaptive", "control_dt": 0.0015, "physics_dt": 0.0005},
+            ValueError,
+            "dt must divide",
+        ),
         ({"observe_parameters": 1}, TypeError, "observe_parameters"),
         ({"initial_noise": 3.0}, ValueError, "initial_noise"),
         ({"energy_weight": -1.0}, ValueError, "energy_weight"),

@@ -3,13 +3,16 @@ import math
 
 import numpy as np
 import pytest
+from stable_baselines3 import PPO
 
 from agents import candidates, evaluate, evaluation
-from agents.candidates import all_candidates, checkpoint_names, find_candidate
+from agents.candidates import Run, all_candidates, checkpoint_names, find_candidate
 from agents.evaluation import difference, failures, make_result, scores, summarise
 from agents.files import to_json
+from agents.runs import CONFIG, MODEL, NORMALISATION, Normalisation, save_model
 from agents.sets import load_set, parse_set
 from agents.statistics import estimate
+from agents.vec_env import CapsuleSB3VecEnv
 from capsule_gym import CapsuleVectorEnv
 from tests.evaluation_fakes import Sine, write_run
 
@@ -127,8 +130,10 @@ def test_candidates_by_path(world):
     folder = world / "checkpoints" / "learnt"
     assert find_candidate(str(folder)).runs[1].path == folder / "seed-10"
     assert find_candidate(str(folder / "seed-2")).runs[0].training_seed == 2
-    archive = folder / "seed-2" / "model.zip"
-    assert find_candidate(str(archive)).runs[0].path == archive
+    archive = folder / "seed-2" / "best" / "model.zip"
+    archive.parent.mkdir()
+    (folder / "seed-2" / "model.zip").rename(archive)
+    assert find_candidate(str(archive)).runs[0] == Run(str(archive), archive, 2, "0123456789ab")
 
 
 def test_unknown_candidates_list_what_exists(world):
@@ -139,7 +144,7 @@ def test_unknown_candidates_list_what_exists(world):
     with pytest.raises(ValueError, match="holds no folder seed-0"):
         find_candidate(str(world / "empty"))
     (world / "loose.zip").touch()
-    with pytest.raises(ValueError, match=r"it has no config\.json"):
+    with pytest.raises(ValueError, match=r"loose\.zip is not part of a training run"):
         find_candidate(str(world / "loose.zip"))
 
 
@@ -167,7 +172,7 @@ def test_malformed_runs_are_refused(world):
 
 
 def test_command_line(world, tiny_file, monkeypatch, capsys):
-    monkeypatch.setattr("agents.training.load_policy", lambda path: Sine(0.4, name="learnt"))
+    monkeypatch.setattr("agents.runs.load_policy", lambda path: Sine(0.4, name="learnt"))
     out = world / "result.json"
     assert evaluate.main(["learnt", "--set", tiny_file, "--json", str(out), "--seed-runs"]) == 0
     printed = capsys.readouterr().out
@@ -192,6 +197,22 @@ def test_command_line_keeps_existing_results(world, tiny_file, capsys):
     assert json.loads(out.read_text())["policy"] == "adaptive"
     # The reference needs no comparison with itself.
     assert "difference" not in capsys.readouterr().out
+
+
+def test_a_real_training_run_is_evaluated(world, tiny_file, capsys):
+    run = world / "checkpoints" / "learnt" / "seed-2"
+    config = json.loads((run / "config.json").read_text()) | {"env": {"torque_limit": 0.1}}
+    (run / "config.json").write_text(json.dumps(config))
+    with pytest.raises(SystemExit):
+        evaluate.main([str(run), "--set", tiny_file])
+    assert "normalisation.json is missing" in capsys.readouterr().err
+    env = CapsuleSB3VecEnv(1, torque_limit=0.1)
+    entries = env.observation_space.shape
+    model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu")
+    save_model(run, model, Normalisation(np.zeros(entries), np.ones(entries), 1.0, 10.0, 1e-8))
+    assert evaluate.main([str(run), "--set", tiny_file]) == 0
+    assert "seed-2 on the set tiny" in capsys.readouterr().out
+    assert set(candidates.POLICY_FILES) == {CONFIG, MODEL, NORMALISATION}
 
 
 @pytest.mark.usefixtures("world")
