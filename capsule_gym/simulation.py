@@ -262,9 +262,10 @@ class Simulation:
 
         Returns:
             One float64 array of shape (n,) for each name of METRICS: mean_speed in cm/s, cost_of_transport (infinite
-            without forward progress), torques in N m, backward travel over forward travel (0 without any forward
-            travel), fraction of time stuck, smallest N / ((M + m) g), largest |theta| in rad and |theta_dot| in rad/s,
-            distance in m, energy = integral |u theta_dot| dt in J, duration in s, failed as 0 or 1.
+            without forward progress), torques in N m, backward travel over forward travel (infinite with backward
+            travel alone, 0 at rest), fraction of time stuck, smallest N / ((M + m) g), largest |theta| in rad and
+            |theta_dot| in rad/s, distance in m, energy = integral |u theta_dot| dt in J, duration in s, failed as 0
+            or 1.
         """
         world = self.world[:, rows]
         duration, energy = world[Row.duration], world[Row.energy]
@@ -275,8 +276,9 @@ class Simulation:
         whole = np.where(failed, horizon * self.control_dt, elapsed) if horizon else elapsed
         moved = world[Row.weight_distance]
         transport = np.divide(energy, moved, out=np.full(len(rows), math.inf), where=moved > 0.0)
-        forward = world[Row.forward]
-        backward_ratio = np.divide(world[Row.backward], forward, out=np.zeros(len(rows)), where=forward > 0.0)
+        forward, backward = world[Row.forward], world[Row.backward]
+        nowhere = np.where(backward > 0.0, math.inf, 0.0)
+        backward_ratio = np.divide(backward, forward, out=nowhere, where=forward > 0.0)
         values = (
             100.0 * distance / whole,
             transport,

@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.integrate import DOP853
@@ -98,6 +99,11 @@ def phase_at_rest(theta: float, omega: float, u: float, p: Constants) -> float:
     if forwards < 0.0:
         return 1.0
     return -1.0 if backwards < 0.0 else 0.0
+
+
+def _on_dense(g: Callable[[np.ndarray], float], dense: Callable[[float], np.ndarray], t: float) -> float:
+    """The event function on the integrator's dense output."""
+    return g(dense(t))
 
 
 def _first_crossing(g: Callable[[float], float], start: float, end: float) -> float | None:
@@ -186,7 +192,8 @@ def simulate(
                 events.append((i * hold + t, slip, following))
                 slip = following
         states[i + 1] = y
-    return Trajectory(states, *sums.T, normals, events)
+    forward, backward, stuck, swept = sums.T
+    return Trajectory(states, forward, backward, stuck, swept, normals, events)
 
 
 def _phase(
@@ -213,13 +220,13 @@ def _phase(
         _, accel_1, normal_1 = rates(y_1[0], y_1[1], slip, u, p)
         normal = min(normal, normal_1)
         crossing = None
-        dense = None
+        dense: Any = None
         # While the platform is much faster than it could brake within the step there is nothing to look for.
         slow = min(slip * y_0[3], slip * y_1[3]) < 3.0 * (t_1 - t_0) * max(abs(accel), abs(accel_1)) + 1e-6
         if slip == 0.0 or slow or y_0[1] * y_1[1] < 0.0:
             dense = solver.dense_output()
         if slip == 0.0 or slow:
-            crossing = _first_crossing(lambda t, dense=dense: g(dense(t)), t_0, t_1)
+            crossing = _first_crossing(partial(_on_dense, g, dense), t_0, t_1)
         if crossing is not None and crossing < t_1:
             # The dense output is one order poorer than the steps: take the step again, up to the event.
             y_1 = _integrate(f, t_0, y_0, crossing)

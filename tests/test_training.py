@@ -136,7 +136,7 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
     expected, _ = policy.model.predict(normalised, deterministic=True)
     assert np.array_equal(policy.start([0] * 5)(observations), expected)
     (run / "best" / "normalisation.json").unlink()
-    with pytest.raises(ValueError, match="normalisation.json is missing"):
+    with pytest.raises(ValueError, match=r"normalisation\.json is missing"):
         load_policy(run)
 
 
