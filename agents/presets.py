@@ -25,8 +25,8 @@ class Config:
 
     task: str = option("residual", "residual torque on a control law, or direct torque", ("residual", "direct"))
     seed: int = option(0, "seed of everything: the same seed gives the same model on one machine")
-    total_steps: int = option(8_000_000, "environment steps")
-    num_envs: int = option(128, "environments that are stepped together")
+    total_steps: int = option(6_000_000, "environment steps")
+    num_envs: int = option(64, "environments that are stepped together")
     controller: str | None = option("baselines:adaptive", "control law under a residual torque, as module:attribute")
     residual_limit: float = option(
         2.0 * TORQUE_LIMIT, "torque of the action 1, N m; twice the torque limit is full authority"
@@ -39,7 +39,7 @@ class Config:
     learning_rate: float = option(1e-3, "step size of Adam")
     gamma: float = option(0.995, "discount factor per agent step")
     hidden: int = option(64, "units in each of the two hidden layers")
-    batch_size: int = option(4096, "samples in a gradient step")
+    batch_size: int = option(2048, "samples in a gradient step")
     evaluate_every: int = option(500_000, "environment steps between evaluations and checkpoints")
     evaluation_episodes: int = option(32, "episodes in each of them, with draws of their own")
     torch_threads: int = option(1, "threads of torch")
@@ -71,9 +71,9 @@ class PPOConfig(Config):
 
     algo: ClassVar[str] = "ppo"
 
-    n_steps: int = option(128, "steps of each environment between updates")
+    n_steps: int = option(256, "steps of each environment between updates")
     n_epochs: int = option(6, "passes over the collected steps in an update")
-    gae_lambda: float = option(0.95, "decay of the generalised advantage estimate")
+    gae_lambda: float = option(0.98, "decay of the generalised advantage estimate")
     ent_coef: float = option(0.0, "weight of the entropy bonus")
     log_std_init: float = option(-0.5, "logarithm of the initial standard deviation of the action")
 
