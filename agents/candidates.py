@@ -142,12 +142,19 @@ def all_candidates() -> list[Candidate]:
     """Everything that the leaderboard lists: scripted policies, then checkpoints.
 
     Raises:
-        ValueError: if a checkpoint is incomplete or has the name of a scripted policy.
+        ValueError: if a checkpoint is incomplete, has the name of a scripted policy, or has another torque limit than
+            the scripted policies.
     """
     checkpoints = checkpoint_names()
     for name in checkpoints:
         if name in SCRIPTED:
             raise ValueError(f"{CHECKPOINTS / name} must not have the name of a scripted policy, got {name!r}")
+        for path in sorted((CHECKPOINTS / name).glob("seed-*")):
+            limit = _read_config(path)["env"].get("torque_limit", TORQUE_LIMIT)
+            if limit != TORQUE_LIMIT:
+                raise ValueError(
+                    f"{path} must act under a torque_limit of {TORQUE_LIMIT} N m as all others, got {limit}"
+                )
     return [_scripted(name) for name in SCRIPTED] + [_all_seeds(name, CHECKPOINTS / name) for name in checkpoints]
 
 

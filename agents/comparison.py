@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from agents.evaluate import comparison_table
@@ -39,7 +40,7 @@ def compare(run: Path, set_name: str = "paper") -> None:
     }
     write_atomically(run / "comparison.json", to_json(result))
 
-    recordings = [record(each) for each in (baseline, policy)]
+    recordings = [record(baseline), replace(record(policy), name=f"agent ({policy.name})")]
     title = "Nominal plant (M = 0.5 kg, μ = 0.01)"
     draw_comparison(recordings, run / "comparison.png", title)
     moving = record(policy, steps=ANIMATED_FROM + ANIMATED_STEPS, frame_every=FRAME_EVERY, frames_from=ANIMATED_FROM)

@@ -18,7 +18,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.utils import LinearSchedule, set_random_seed
 from stable_baselines3.common.vec_env import VecNormalize
 from tqdm import tqdm
 
@@ -74,7 +74,7 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
     """A fresh agent."""
     network: dict[str, Any] = {"net_arch": [config.hidden, config.hidden]}
     shared: dict[str, Any] = {
-        "learning_rate": config.learning_rate,
+        "learning_rate": LinearSchedule(config.learning_rate, config.final_learning_rate, 1.0),
         "batch_size": config.batch_size,
         "gamma": config.gamma,
         "seed": config.seed,
