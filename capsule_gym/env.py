@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import EzPickle
 
-from capsule_gym import task
+from capsule_gym import kernels, task
 from capsule_gym.controller import Controller
 from capsule_gym.kernels import Row
 from capsule_gym.parameters import Capsule, Randomization
@@ -243,23 +243,23 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         if not self._running:
             raise gym.error.ResetNeeded("call reset() before step(): there is no running episode")
         array = np.asarray(action, np.float32)
-        if array.shape != (1,) or not math.isfinite(array[0]):
+        if array.shape != (1,) or not math.isfinite(array.item()):
             raise ValueError(f"action must be one finite number of shape (1,) in [-1, 1], got {action!r}")
         simulation = self.simulation
         simulation.step(array.reshape(1, 1), ACTIVE)
         row = simulation.world[:, 0].tolist()
         info = self._info(row)
-        info["reward_progress"] = row[Row.reward_progress]
-        info["reward_energy"] = row[Row.reward_energy]
-        info["reward_termination"] = row[Row.reward_termination]
-        terminated = row[Row.termination] != 0.0
+        info["reward_progress"] = row[kernels.REWARD_PROGRESS]
+        info["reward_energy"] = row[kernels.REWARD_ENERGY]
+        info["reward_termination"] = row[kernels.REWARD_TERMINATION]
+        terminated = row[kernels.TERMINATION] != 0.0
         if terminated:
-            info["termination"] = task.Termination(int(row[Row.termination])).name
+            info["termination"] = task.Termination(int(row[kernels.TERMINATION])).name
             info["metrics"] = self.episode_metrics()
             self._running = False
         if self.render_mode == "human":
             self.render()
-        return simulation.observations[0].copy(), float(simulation.rewards[0]), terminated, False, info
+        return simulation.observations[0].copy(), simulation.rewards.item(), terminated, False, info
 
     def episode_metrics(self, horizon: int = task.EPISODE_STEPS) -> dict[str, float]:
         """The metrics of the episode so far; `Simulation.metrics` says what each means.
@@ -293,15 +293,16 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
     @staticmethod
     def _info(row: list[float]) -> dict[str, Any]:
         """The part of the info that reset and step share."""
+        # Plain integers: indexing a list by an enumeration's member takes several times as long.
         return {
             "state": np.array(row[:4]),
-            "M": row[Row.M],
-            "mu": row[Row.mu],
-            "stick": row[Row.x_dot] == 0.0,
-            "torque": row[Row.torque],
-            "law_torque": row[Row.law_torque],
-            "normal_force": row[Row.normal_force],
-            "energy": row[Row.step_energy],
+            "M": row[kernels.MASS],
+            "mu": row[kernels.MU],
+            "stick": row[kernels.X_DOT] == 0.0,
+            "torque": row[kernels.TORQUE],
+            "law_torque": row[kernels.LAW_TORQUE],
+            "normal_force": row[kernels.NORMAL_FORCE],
+            "energy": row[kernels.STEP_ENERGY],
         }
 
 

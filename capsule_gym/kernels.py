@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 from numba.core.registry import CPUDispatcher
+from numba.extending import register_jitable
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from capsule_gym import dynamics, task
@@ -85,6 +86,19 @@ class Settings(NamedTuple):
     with_parameters: bool
 
 
+def pack(plant: Plant, settings: Settings) -> np.ndarray:
+    """Plant and settings in one array: a tuple of numbers takes ten times as long to enter compiled code."""
+    return np.array([*plant, *settings], dtype=np.float64)
+
+
+@register_jitable
+def unpack(constants: np.ndarray) -> tuple[Plant, Settings]:
+    """What `pack` has packed."""
+    c = constants
+    plant = Plant(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9])
+    return plant, Settings(c[10], c[11], c[12], int(c[13]), int(c[14]), c[15], c[16], c[17] != 0.0, c[18] != 0.0)
+
+
 def no_law(
     theta: float, theta_dot: float, x: float, x_dot: float, memory: tuple[float, ...], reference: tuple[float, ...]
 ) -> tuple[float, tuple[float, ...]]:
@@ -124,17 +138,18 @@ def consult(
 
 
 def start(
-    world: np.ndarray, rows: np.ndarray, reference: np.ndarray, settings: Settings, observations: np.ndarray
+    world: np.ndarray, rows: np.ndarray, constants: np.ndarray, reference: np.ndarray, observations: np.ndarray
 ) -> None:
     """Begins an episode in the given environments, whose state, M, mu and memory have been set.
 
     Args:
         world: shape (rows, environments), float64.
         rows: indices of the environments, int64.
+        constants: plant and settings, from `pack`.
         reference: the controller's table.
-        settings: the environment's.
         observations: shape (environments, entries), float32; written.
     """
+    _, settings = unpack(constants)
     for i in rows:
         consult(world, i, reference, settings, 0.0, observations[i])
 
@@ -143,23 +158,23 @@ def advance_one(
     world: np.ndarray,
     i: int,
     action: float,
-    constants: Plant,
-    reference: np.ndarray,
+    plant: Plant,
     settings: Settings,
+    reference: np.ndarray,
     observation: np.ndarray,
 ) -> float:
-    """One agent step of environment i; returns the reward."""
+    """One agent step of environment i; returns the reward. M and mu come from `world`."""
     p = Plant(
         world[MASS, i],
-        constants.m,
-        constants.l,
-        constants.g,
-        constants.k,
-        constants.c,
+        plant.m,
+        plant.l,
+        plant.g,
+        plant.k,
+        plant.c,
         world[MU, i],
-        constants.static_ratio,
-        constants.backward_ratio,
-        constants.pivot_torque_on_contact,
+        plant.static_ratio,
+        plant.backward_ratio,
+        plant.pivot_torque_on_contact,
     )
     theta, theta_dot, x, x_dot = world[THETA, i], world[THETA_DOT, i], world[X, i], world[X_DOT, i]
     law_torque = world[LAW_TORQUE, i]
@@ -238,9 +253,8 @@ def advance(
     last: int,
     actions: np.ndarray,
     active: np.ndarray,
-    constants: Plant,
+    constants: np.ndarray,
     reference: np.ndarray,
-    settings: Settings,
     observations: np.ndarray,
     rewards: np.ndarray,
 ) -> int:
@@ -252,20 +266,20 @@ def advance(
         last: one past the last column.
         actions: shape (environments, 1), float32.
         active: shape (environments,), bool; the others stand still and get reward 0.
-        constants: the plant; M and mu come from `world`.
+        constants: plant and settings, from `pack`; M and mu come from `world`.
         reference: the controller's table.
-        settings: the environment's.
         observations: shape (environments, entries), float32; written.
         rewards: shape (environments,), float64; written.
 
     Returns:
         Index of an environment whose state or torque is no longer finite, or -1.
     """
+    plant, settings = unpack(constants)
     broken = -1
     for i in range(first, last):
         rewards[i] = 0.0
         if active[i]:
-            rewards[i] = advance_one(world, i, float(actions[i, 0]), constants, reference, settings, observations[i])
+            rewards[i] = advance_one(world, i, float(actions[i, 0]), plant, settings, reference, observations[i])
             if not (math.isfinite(rewards[i]) and math.isfinite(world[THETA_DOT, i] + world[LAW_TORQUE, i])):
                 broken = i
     return broken

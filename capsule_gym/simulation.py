@@ -157,7 +157,7 @@ class Simulation:
         self.reference = self.controller.reference if self.controller else np.zeros((1, 2))
         self.memory = self.controller.memory if self.controller else (0.0,)
         self._kernels = kernels.build(law, len(self.memory), self.reference.shape[1])
-        self._constants = self.capsule.plant()
+        self._constants = kernels.pack(self.capsule.plant(), self.settings)
 
         self.observation_names = task.observation_names(self.settings.with_reference, self.observe_parameters)
         self.world = np.zeros((kernels.ROWS + len(self.memory), self.num_envs))
@@ -165,6 +165,8 @@ class Simulation:
         self.rewards = np.zeros(self.num_envs)
         self._seeds = [0] * self.num_envs
         self._episodes = [0] * self.num_envs
+        count = max(1, min(self.threads, self.num_envs // ENVIRONMENTS_PER_THREAD))
+        self._ranges = list(pairwise(self.num_envs * n // count for n in range(count + 1)))
         self._changes: dict[int, list[tuple[float, float, float]]] = {}
         self._pool: ThreadPoolExecutor | None = None
 
@@ -223,7 +225,7 @@ class Simulation:
             if schedules[n]:
                 self._changes[int(i)] = schedules[n]
         self.world[:, rows] = columns
-        self._kernels.start(self.world, rows, self.reference, self.settings, self.observations)
+        self._kernels.start(self.world, rows, self._constants, self.reference, self.observations)
 
     def step(self, actions: np.ndarray, active: np.ndarray) -> None:
         """One agent step.
@@ -237,13 +239,12 @@ class Simulation:
         """
         if self._changes:
             self._apply_changes()
-        ranges = self._ranges()
-        if len(ranges) == 1:
-            broken = self._advance(ranges[0], actions, active)
+        if len(self._ranges) == 1:
+            broken = self._advance(self._ranges[0], actions, active)
         else:
             if self._pool is None:
                 self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="capsule")
-            broken = max(self._pool.map(lambda chunk: self._advance(chunk, actions, active), ranges))
+            broken = max(self._pool.map(lambda chunk: self._advance(chunk, actions, active), self._ranges))
         if broken >= 0:
             name = self.controller.name if self.controller else "none"
             state = dict(zip(("theta", "theta_dot", "x", "x_dot"), self.world[:4, broken].tolist(), strict=True))
@@ -302,12 +303,6 @@ class Simulation:
             self._pool.shutdown()
             self._pool = None
 
-    def _ranges(self) -> list[tuple[int, int]]:
-        """The ranges of environments that the threads take."""
-        count = max(1, min(self.threads, self.num_envs // ENVIRONMENTS_PER_THREAD))
-        cuts = [self.num_envs * n // count for n in range(count + 1)]
-        return list(pairwise(cuts))
-
     def _advance(self, chunk: tuple[int, int], actions: np.ndarray, active: np.ndarray) -> int:
         """Runs the kernel on one range of environments."""
         return self._kernels.advance(
@@ -318,7 +313,6 @@ class Simulation:
             active,
             self._constants,
             self.reference,
-            self.settings,
             self.observations,
             self.rewards,
         )
