@@ -354,20 +354,13 @@ def build(law_function: Callable[..., Any], memory_size: int, reference_size: in
     """
     source = law_function.py_func if isinstance(law_function, CPUDispatcher) else law_function
     key = f"{fingerprint(source)}:{memory_size}:{reference_size}:{_own_fingerprint()}"
-    return _build(hashlib.sha256(key.encode()).hexdigest()[:16], _ByIdentity(source), memory_size, reference_size)
+    digest = hashlib.sha256(key.encode()).hexdigest()[:16]
+    if digest not in _built:
+        _built[digest] = _bind(source, memory_size, reference_size, digest)
+    return _built[digest]
 
 
-class _ByIdentity:
-    """Carries a law past the memo of `_build`, whose key is the hash of the sources alone."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self.function = function
-
-    def __hash__(self) -> int:
-        return 0
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _ByIdentity)
+_built: dict[str, Kernels] = {}
 
 
 @lru_cache(maxsize=1)
@@ -376,11 +369,10 @@ def _own_fingerprint() -> str:
     return "".join(fingerprint(function) for function in (consult, start, advance_one, advance))
 
 
-@lru_cache(maxsize=64)
-def _build(digest: str, carrier: _ByIdentity, memory_size: int, reference_size: int) -> Kernels:
+def _bind(law_function: Callable[..., Any], memory_size: int, reference_size: int, digest: str) -> Kernels:
     """The kernels for one law and one set of sources."""
     bindings: dict[str, Any] = {
-        "law": numba.njit(carrier.function),
+        "law": numba.njit(law_function),
         "MEMORY_SIZE": memory_size,
         "REFERENCE_SIZE": reference_size,
     }

@@ -1,0 +1,123 @@
+"""How a law gets into the kernels: fingerprints, the disk cache across processes, packing."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+from capsule_gym import Capsule, dynamics, kernels, task
+from capsule_gym.kernels import Row, Settings, fingerprint, pack, unpack
+
+
+def helper(value):
+    return 2.0 * value
+
+
+def make_law(gain, function=helper):
+    def law(theta, theta_dot, x, x_dot, memory, reference):
+        return gain * function(theta), memory
+
+    return law
+
+
+def other_helper(value):
+    return 3.0 * value
+
+
+def test_fingerprint_sees_gains_helpers_and_code():
+    same = fingerprint(make_law(1.0))
+    assert fingerprint(make_law(1.0)) == same
+    assert fingerprint(make_law(1.5)) != same
+    assert fingerprint(make_law(1.0, other_helper)) != same
+    assert fingerprint(make_law(1.0, numba.njit(helper))) == same
+    assert fingerprint(make_law(np.array([1.0, 2.0]))) != fingerprint(make_law(np.array([1.0, 2.5])))
+
+
+def test_fingerprint_follows_globals_and_modules(monkeypatch):
+    def law(theta, theta_dot, x, x_dot, memory, reference):
+        return dynamics.stick_acceleration(theta, theta_dot, 0.0, PLANT) + helper(theta), memory
+
+    before = fingerprint(law)
+    monkeypatch.setitem(globals(), "helper", other_helper)
+    assert fingerprint(law) != before
+    monkeypatch.undo()
+    assert fingerprint(law) == before
+    monkeypatch.setattr(dynamics, "stick_acceleration", other_helper)
+    assert fingerprint(law) != before
+
+
+PLANT = Capsule().plant()
+
+
+def test_kernels_of_the_same_law_are_built_once():
+    assert kernels.build(make_law(0.5), 1, 2) is kernels.build(make_law(0.5), 1, 2)
+    assert kernels.build(make_law(0.5), 1, 2) is not kernels.build(make_law(0.6), 1, 2)
+    assert kernels.build(make_law(0.5), 1, 2) is not kernels.build(make_law(0.5), 2, 2)
+
+
+def test_plant_and_settings_survive_packing():
+    settings = Settings(1.5, 3.0, 1e-3, 7, 20, 0.1, 10.0, True, False)
+    plant, again = unpack(pack(PLANT, settings))
+    assert plant == PLANT
+    assert again == settings
+    assert all(type(value) is int for value in (again.physics_steps, again.law_steps))
+
+
+def test_rows_have_their_plain_names():
+    assert kernels.ROWS == len(Row)
+    for plain, row in (("THETA", Row.theta), ("MASS", Row.M), ("CLOCK", Row.clock), ("LARGEST_THETA_DOT", Row(27))):
+        assert getattr(kernels, plain) == row
+    assert list(Row) == list(range(len(Row)))
+
+
+@pytest.mark.parametrize(("value", "limit", "expected"), [(3.0, 1.0, 1.0), (-3.0, 1.0, -1.0), (0.5, 1.0, 0.5)])
+def test_clip(value, limit, expected):
+    assert task.clip(value, limit) == expected
+    assert np.isnan(task.clip(float("nan"), limit))
+
+
+SCRIPT = """
+import json, numpy as np
+import laws
+from capsule_gym import CapsuleEnv, Controller
+env = CapsuleEnv(controller=Controller("own", laws.law, np.zeros((1, 2))))
+_, info = env.reset(seed=0, options={"state": [0.5, 0.0, 0.0, 0.0]})
+env.step(np.zeros(1, np.float32))
+stats = env.simulation._kernels.advance.stats
+print(json.dumps([info["law_torque"], sum(stats.cache_hits.values()), sum(stats.cache_misses.values())]))
+"""
+LAW = """
+GAIN = {gain}
+
+def helper(value):
+    return {factor} * value
+
+def law(theta, theta_dot, x, x_dot, memory, reference):
+    return -GAIN * HELPER(theta), memory
+
+import numba
+HELPER = numba.njit(helper)
+"""
+
+
+def test_disk_cache_hits_in_a_new_process_and_never_serves_an_edited_law(tmp_path: Path):
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment["PYTHONPATH"] = os.pathsep.join([str(tmp_path), str(Path(__file__).parents[1])])
+
+    def run(gain: float, factor: float) -> list[float]:
+        (tmp_path / "laws.py").write_text(LAW.format(gain=gain, factor=factor))
+        command = [sys.executable, "-c", SCRIPT]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        return json.loads(done.stdout)
+
+    assert run(0.5, 1.0) == [-0.25, 0, 1]
+    assert run(0.5, 1.0) == [-0.25, 1, 0]
+    # The helper is edited, not the law itself.
+    assert run(0.5, 1.2) == [-0.3, 0, 1]
