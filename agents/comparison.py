@@ -8,16 +8,15 @@ from pathlib import Path
 from agents.evaluate import comparison_table
 from agents.evaluation import evaluate, make_result, scores
 from agents.files import to_json, write_atomically
-from agents.recording import draw_comparison, record, write_gif
+from agents.recording import FRAME_EVERY, NOMINAL_TITLE, draw_comparison, record, write_gif
 from agents.runs import load_policy
 from agents.sets import load_set
 from agents.statistics import interquartile_mean
 from agents.training import BASELINE
 from baselines.policies import SCRIPTED
-from capsule_gym.task import CONTROL_DT
 
-# The animation: six seconds from the tenth on, at 25 frames a second.
-ANIMATED_FROM, ANIMATED_STEPS, FRAME_EVERY = 500, 300, 2
+# The animation: six seconds from the tenth on.
+ANIMATED_FROM, ANIMATED_STEPS = 500, 300
 
 
 def compare(run: Path, set_name: str = "paper") -> None:
@@ -41,9 +40,8 @@ def compare(run: Path, set_name: str = "paper") -> None:
     write_atomically(run / "comparison.json", to_json(result))
 
     recordings = [record(baseline), replace(record(policy), name=f"agent ({policy.name})")]
-    title = "Nominal plant (M = 0.5 kg, μ = 0.01)"
-    draw_comparison(recordings, run / "comparison.png", title)
+    draw_comparison(recordings, run / "comparison.png", NOMINAL_TITLE)
     moving = record(policy, steps=ANIMATED_FROM + ANIMATED_STEPS, frame_every=FRAME_EVERY, frames_from=ANIMATED_FROM)
     if moving.frames:
-        write_gif(moving.frames, run / "animation.gif", FRAME_EVERY * CONTROL_DT)
+        write_gif(moving.frames, run / "animation.gif")
     print(f"Episodes: {run / 'comparison.json'}\nFigure:   {run / 'comparison.png'}\nMoving:   {run / 'animation.gif'}")

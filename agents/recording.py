@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import argparse
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
+from agents.candidates import find_candidate
 from agents.evaluation import EPISODE_SETTINGS, Policy
-from agents.sets import PlantSpec
+from agents.sets import HORIZON, PlantSpec
+from baselines.policies import SCRIPTED
 from capsule_gym.task import CONTROL_DT, EPISODE_STEPS
 
 NOMINAL = PlantSpec(M=0.5, mu=0.01, seed=0)
+NOMINAL_TITLE = "Nominal plant (M = 0.5 kg, μ = 0.01)"
+# Agent steps between the frames of a moving picture: 25 a second, which a GIF can keep exactly.
+FRAME_EVERY = 2
 
 
 @dataclass(frozen=True)
@@ -117,7 +124,9 @@ def draw_comparison(recordings: Sequence[Recording], path: Path, title: str, sec
     os.replace(temporary, path)
 
 
-def write_gif(frames: Sequence[np.ndarray], path: Path, frame_seconds: float, width: int = 640) -> None:
+def write_gif(
+    frames: Sequence[np.ndarray], path: Path, frame_seconds: float = FRAME_EVERY * CONTROL_DT, width: int = 640
+) -> None:
     """Writes pictures as a looping GIF.
 
     Args:
@@ -125,7 +134,12 @@ def write_gif(frames: Sequence[np.ndarray], path: Path, frame_seconds: float, wi
         path: the GIF; written whole or not at all.
         frame_seconds: time between frames; GIF counts hundredths of a second.
         width: of the result, in pixels.
+
+    Raises:
+        ValueError: if there are no pictures.
     """
+    if not frames:
+        raise ValueError("frames must hold at least one picture, got none: the episode ended before the first")
     from PIL import Image
 
     pictures = [Image.fromarray(frame) for frame in frames]
@@ -146,6 +160,37 @@ def write_gif(frames: Sequence[np.ndarray], path: Path, frame_seconds: float, wi
     os.replace(temporary, path)
 
 
-def stacked(recordings: Mapping[str, Recording]) -> list[np.ndarray]:
-    """The frames of several recordings above each other, as long as the shortest."""
-    return [np.concatenate(pair, axis=0) for pair in zip(*(r.frames for r in recordings.values()), strict=False)]
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m agents.recording",
+        description="Draws a policy on the nominal plant: as a moving picture, or beside the paper's controller.",
+        epilog="Model archives contain pickles: load only what you trust.",
+    )
+    parser.add_argument(
+        "policy", metavar="NAME_OR_PATH", help="as for python -m agents.evaluate; the first training seed"
+    )
+    parser.add_argument("--gif", type=Path, metavar="FILE", help="write the moving picture to this file")
+    parser.add_argument("--png", type=Path, metavar="FILE", help="write the figure to this file")
+    parser.add_argument("--start", type=float, default=10.0, help="start of the moving picture, s (default: 10)")
+    parser.add_argument("--seconds", type=float, default=6.0, help="length of the moving picture, s (default: 6)")
+    options = parser.parse_args(arguments)
+    for name, value in (("--start", options.start), ("--seconds", options.seconds)):
+        if not 0.0 <= value <= HORIZON:
+            parser.error(f"{name} must be between 0 and {HORIZON} s, got {value}")
+    try:
+        policy = find_candidate(options.policy).runs[0].load()
+    except ValueError as error:
+        parser.error(str(error))
+    if options.png is not None:
+        recordings = [record(SCRIPTED["adaptive"]), replace(record(policy), name=options.policy)]
+        draw_comparison(recordings, options.png, NOMINAL_TITLE)
+    if options.gif is not None:
+        first = round(options.start / CONTROL_DT)
+        last = first + round(options.seconds / CONTROL_DT)
+        write_gif(record(policy, steps=last, frame_every=FRAME_EVERY, frames_from=first).frames, options.gif)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
