@@ -146,7 +146,8 @@ def write_gif(
     height = round(pictures[0].height * width / pictures[0].width)
     pictures = [picture.resize((width, height), Image.Resampling.LANCZOS) for picture in pictures]
     # One palette for all frames: colours do not flicker, and only what moves is stored anew.
-    palette = pictures[len(pictures) // 2].quantize(96, dither=Image.Dither.NONE)
+    # By coverage, not by frequency: the few pixels of a legend keep their colour too.
+    palette = pictures[len(pictures) // 2].quantize(128, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     temporary = path.with_suffix(f".{os.getpid()}.tmp.gif")
     pictures[0].save(
