@@ -4,8 +4,8 @@ The environments lie in one float64 array `world` of shape (rows, environments),
 law's memory behind them. The kernels walk a range of columns and hold no lock, so threads share a batch by ranges,
 and one environment, a batch and every thread run the same machine code: their results agree bit for bit.
 
-A law enters as a global of the kernel. The kernel is copied with that global bound and named after a hash of
-everything it compiles, which lets numba's disk cache serve built-in and user laws alike and never serve a stale one.
+A law enters as a global of the kernel. Both are copied, the kernel with that global bound, under names that hold a hash
+of everything it compiles, which lets numba's disk cache serve built-in and user laws alike and never serve a stale one.
 """
 
 from __future__ import annotations
@@ -344,6 +344,31 @@ def _rebound(function: Any, name: str, bindings: dict[str, Any]) -> Any:
     return copy
 
 
+def _distinct(function: Any, digest: str, outer: tuple[Any, ...] = ()) -> Any:
+    """A copy of a law, and of the compiled helpers it refers to, under names that hold the hash.
+
+    numba's symbols hold a function's name and a counter of the process. Two laws out of one factory, compiled in two
+    processes and loaded from the disk cache into a third, would have the same symbol, and the linker would give both
+    the first one's code.
+    """
+
+    def renewed(value: Any) -> Any:
+        if not isinstance(value, CPUDispatcher) or value in outer:
+            return value
+        return numba.jit(_distinct(value.py_func, digest, (*outer, value)), **value.targetoptions)
+
+    names = {
+        name: renewed(function.__globals__[name]) for name in function.__code__.co_names if name in function.__globals__
+    }
+    cells = tuple(types.CellType(renewed(cell.cell_contents)) for cell in function.__closure__ or ())
+    scope = {**function.__globals__, **names}
+    name = f"{function.__name__}_{digest}"
+    copy = types.FunctionType(function.__code__, scope, name, function.__defaults__, cells or None)
+    copy.__qualname__ = name
+    copy.__module__ = function.__module__
+    return copy
+
+
 def build(law_function: Callable[..., Any], memory_size: int, reference_size: int) -> Kernels:
     """Compiles (lazily, at the first call, or loads from numba's disk cache) the kernels for one law.
 
@@ -372,7 +397,7 @@ def _own_fingerprint() -> str:
 def _bind(law_function: Callable[..., Any], memory_size: int, reference_size: int, digest: str) -> Kernels:
     """The kernels for one law and one set of sources."""
     bindings: dict[str, Any] = {
-        "law": numba.njit(law_function),
+        "law": numba.njit(_distinct(law_function, digest)),
         "MEMORY_SIZE": memory_size,
         "REFERENCE_SIZE": reference_size,
     }
