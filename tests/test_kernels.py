@@ -70,7 +70,7 @@ def test_laws_of_one_factory_never_share_a_symbol():
         inner = next(c.cell_contents for c in bound.__closure__ if hasattr(c.cell_contents, "py_func"))
         return {bound.__name__, bound.__qualname__, inner.py_func.__name__, inner.py_func.__qualname__}
 
-    assert not names(0.5) & names(0.6)
+    assert not names(0.71) & names(0.72)
 
 
 def test_plant_and_settings_survive_packing():
