@@ -52,9 +52,15 @@ def platform_motion(
         motion[0, n], motion[1, n], motion[2, n] = x, x_dot, x_ddot
         after = x_dot + h * x_ddot
         if x_dot * after < 0.0:
-            # Stops inside the step: as far as it gets, and from rest in the next.
-            x -= 0.5 * x_dot * x_dot / x_ddot
+            # Stops inside the step; what is left of it begins at rest.
+            tau = -x_dot / x_ddot
+            x += 0.5 * tau * x_dot
             x_dot = 0.0
+            slip = 1.0 if force > 0.0 else -1.0
+            friction = dynamics.kinetic_friction(slip, p) * normal
+            if abs(force) > p.static_ratio * friction:
+                x_dot = (h - tau) * (force - slip * friction) / total
+                x += 0.5 * (h - tau) * x_dot
         else:
             x += h * x_dot + 0.5 * h * h * x_ddot
             x_dot = after

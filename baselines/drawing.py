@@ -1,0 +1,155 @@
+"""The look of the package's figures: colours, line styles, notes, and files that are the same at every run."""
+
+from __future__ import annotations
+
+import os
+import textwrap
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+# Okabe and Ito's colours, told apart in every common colour blindness; the dashes tell them apart in grey.
+BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#AA4499"
+INK, MUTED = "#222222", "#767676"
+
+WIDTH = 7.0
+NOTE_COLUMNS = 122
+DPI = 200
+
+_STYLE: dict[str, Any] = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib, so that the outlines do not depend on the machine
+    "font.size": 8.0,
+    "axes.titlesize": 8.5,
+    "axes.titlelocation": "left",
+    "axes.labelsize": 8.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.prop_cycle": f"cycler('color', {[BLUE, VERMILION, GREEN, PURPLE, '#E69F00', '#56B4E9', INK]})",
+    "grid.color": "#e3e8ef",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "legend.fontsize": 7.5,
+    "legend.handlelength": 2.6,
+    "lines.linewidth": 1.3,
+    "path.simplify_threshold": 0.3,
+    "hatch.linewidth": 0.5,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "capsule_gym",
+}
+
+
+@dataclass(frozen=True)
+class Pen:
+    """How one of the compared things is drawn wherever it appears."""
+
+    colour: str
+    dashes: str | tuple[float, tuple[float, ...]] = "-"
+
+    def line(self, **more: Any) -> dict[str, Any]:
+        """The arguments of `Axes.plot`."""
+        return {"color": self.colour, "linestyle": self.dashes, **more}
+
+
+PENS = {"proposed": Pen(BLUE), "EPC": Pen(VERMILION, (0.0, (5.0, 1.6)))}
+# Wide and pale below the found course, which lies on it.
+REFERENCE: dict[str, Any] = {"color": "#c5ccd6", "lw": 3.6, "zorder": 1.5}
+PUBLISHED_DASHES = (0.0, (1.2, 1.6))
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Draws and saves in the house style, whatever the user's own configuration of matplotlib is.
+
+    Raises:
+        ImportError: if matplotlib is not installed.
+    """
+    try:
+        from matplotlib import style as matplotlib_style
+    except ImportError as error:
+        raise ImportError('figures need matplotlib: pip install "capsule-gym[paper]"') from error
+    with matplotlib_style.context(["default", _STYLE]):
+        yield
+
+
+def new_figure(height: float) -> Any:
+    """An empty figure of the full text width, `height` inches high, with its own canvas."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def add_note(figure: Any, text: str) -> None:
+    """Sets a note under the figure: what was found beside what is published."""
+    figure.supxlabel(textwrap.fill(text, NOTE_COLUMNS), x=0.012, ha="left", fontsize=7.5, color=INK)
+
+
+def mark_published(axes: Any, value: float, text: str, pen: Pen, *, x: float = 0.99, below: bool = False) -> None:
+    """A dotted line across the axes at a published number, with its label at x (a share of the width)."""
+    axes.axhline(value, color=pen.colour, linestyle=PUBLISHED_DASHES, linewidth=1.1)
+    axes.annotate(
+        text,
+        (x, value),
+        xycoords=axes.get_yaxis_transform(),
+        xytext=(0.0, -2.0 if below else 2.0),
+        textcoords="offset points",
+        ha="right" if x > 0.5 else "left",
+        va="top" if below else "bottom",
+        fontsize=7.0,
+        color=pen.colour,
+    )
+
+
+def split_axes(figure: Any, rows: int, split: float, end: float) -> list[tuple[Any, Any]]:
+    """Rows of two axes that share a time axis whose scale changes at `split`: a quick stage, then a slow one.
+
+    Args:
+        figure: where.
+        rows: number of rows.
+        split: s.
+        end: s.
+    """
+    grid = figure.subplots(rows, 2, sharey="row", sharex="col", width_ratios=(1.5, 1.0), squeeze=False)
+    for left, right in grid:
+        left.set_xlim(0.0, split)
+        right.set_xlim(split, end)
+        right.spines["left"].set_visible(False)
+        right.tick_params(axis="y", length=0.0)
+    grid[-1][0].set_xlabel("time in the cycle (s)")
+    grid[-1][1].set_xlabel("time in the cycle (s), compressed")
+    return [(left, right) for left, right in grid]
+
+
+def save(figure: Any, stem: Path) -> list[Path]:
+    """Writes `stem`.svg and `stem`.png, each whole or not at all; the same figure gives the same bytes.
+
+    Args:
+        figure: the figure.
+        stem: path without suffix; its folder must exist.
+    """
+    written = []
+    # Laid out once: the constrained layout takes longer than the drawing, and would run for each file.
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    # matplotlib stamps the date into SVG and its version into PNG.
+    for suffix, metadata in ((".svg", {"Date": None, "Creator": None}), (".png", {"Software": None})):
+        path = stem.with_name(stem.name + suffix)
+        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+        try:
+            figure.savefig(temporary, format=suffix[1:], dpi=DPI, metadata=metadata)
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+        written.append(path)
+    return written
+
+
+def listed(values: Sequence[float], digits: int, unit: str) -> str:
+    """Numbers as in "7.81 and 11.02 rad/s"."""
+    return " and ".join(f"{value:.{digits}f}" for value in values) + f" {unit}"
