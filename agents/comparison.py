@@ -7,12 +7,12 @@ from pathlib import Path
 
 from agents.evaluate import comparison_table
 from agents.evaluation import evaluate, make_result, scores
-from agents.files import to_json, write_atomically
 from agents.recording import FRAME_EVERY, NOMINAL_TITLE, draw_comparison, record, write_gif
 from agents.runs import load_policy
 from agents.sets import load_set
 from agents.statistics import interquartile_mean
 from agents.training import BASELINE
+from baselines.files import to_json, write_atomically
 from baselines.policies import SCRIPTED
 
 # The animation: six seconds from the tenth on.

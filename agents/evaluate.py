@@ -11,10 +11,10 @@ from tqdm import tqdm
 
 from agents.candidates import Candidate, checkpoint_names, find_candidate
 from agents.evaluation import Episode, difference, failures, make_result, scores, summarise
-from agents.files import to_json, write_atomically
 from agents.reporting import MEASURES, text_table
 from agents.sets import SET_NAMES, EvaluationSet, load_set
 from agents.statistics import interquartile_mean
+from baselines.files import to_json, write_atomically
 from baselines.policies import SCRIPTED
 
 DEFAULT_REFERENCE = "adaptive"

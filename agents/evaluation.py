@@ -10,10 +10,12 @@ from typing import Any, Protocol
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from agents.reporting import SHARE
 from agents.sets import HORIZON, EvaluationSet
 from agents.statistics import Estimate, estimate, paired_difference
+from baselines.gaits import best_known_speed, in_grid
 from capsule_gym import CapsuleVectorEnv, __version__
-from capsule_gym.task import CONTROL_DT
+from capsule_gym.task import CONTROL_DT, TORQUE_LIMIT
 
 Act = Callable[[np.ndarray], np.ndarray]
 Episode = dict[str, Any]
@@ -68,7 +70,8 @@ def evaluate(policy: Policy, evaluation_set: EvaluationSet, *, horizon: float = 
 
     Returns:
         One dict per plant, in order: M (kg), mu, seed, the plant's changes where it has any, and the metrics of
-        `capsule_gym.simulation.METRICS`.
+        `capsule_gym.simulation.METRICS`; where `has_best_known` says so also `share_of_best_known`, the mean speed
+        over the best-known one of the episode's plant.
     """
     plants = evaluation_set.plants
     seeds = [plant.seed for plant in plants]
@@ -94,13 +97,21 @@ def evaluate(policy: Policy, evaluation_set: EvaluationSet, *, horizon: float = 
                 break
     finally:
         env.close()
+    shared = has_best_known(evaluation_set) and settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
     episodes = []
     for plant, values in zip(plants, metrics, strict=True):
+        if shared:
+            values[SHARE.metric] = values["mean_speed"] / best_known_speed(plant.M, plant.mu)
         label = plant.to_dict()
         if not plant.changes:
             del label["changes"]
         episodes.append({**label, **values})
     return episodes
+
+
+def has_best_known(evaluation_set: EvaluationSet) -> bool:
+    """Whether every episode of a set is one of the table of best-known gaits: no jumps, M and mu within its grid."""
+    return all(not plant.changes and in_grid(plant.M, plant.mu) for plant in evaluation_set.plants)
 
 
 def scores(episodes: Sequence[Episode], metric: str) -> np.ndarray:

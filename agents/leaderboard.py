@@ -38,10 +38,10 @@ from tqdm import tqdm
 
 from agents.candidates import POLICY_FILES, Candidate, Run, all_candidates
 from agents.evaluation import Episode, summarise, versions
-from agents.files import file_hash, to_json, without_nonfinite, write_atomically
 from agents.leaderboard_page import COMMAND, rank, render, with_head
-from agents.reporting import MEASURES
+from agents.reporting import MEASURES, SHARE
 from agents.sets import HORIZON, SET_NAMES, EvaluationSet, load_set
+from baselines.files import file_hash, to_json, without_nonfinite, write_atomically
 
 ROOT = Path(__file__).resolve().parent.parent
 EXACT_FIELDS = ("description", "training_seeds", "revision", "files")
@@ -104,7 +104,8 @@ def _static_row(candidate: Candidate) -> dict[str, Any]:
 
 def _rounded(summary: Mapping[str, Any]) -> dict[str, Any]:
     """The summary's measures to six digits, and its counts."""
-    measures = {name: {end: float(f"{value:.6g}") for end, value in summary[name].items()} for name in MEASURES}
+    names = [name for name in (*MEASURES, SHARE.metric) if name in summary]
+    measures = {name: {end: float(f"{value:.6g}") for end, value in summary[name].items()} for name in names}
     return {**measures, **{name: summary[name] for name in ("episodes", "failures", "resampled")}}
 
 
@@ -154,7 +155,7 @@ def _stale_numbers(where: str, recorded: Mapping[str, Any], found: Mapping[str, 
     allowed_failures = math.ceil(tolerance.failures * found["episodes"])
     same = abs(recorded["failures"] - found["failures"]) <= allowed_failures
     compare("failures", recorded["failures"], found["failures"], same)
-    for metric in MEASURES:
+    for metric in (name for name in (*MEASURES, SHARE.metric) if name in found):
         before = recorded[metric]
         for end, new in found[metric].items():
             old = before[end]

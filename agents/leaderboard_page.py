@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from agents.reporting import MEASURES, Measure, markdown_table
+from agents.reporting import MEASURES, SHARE, Measure, markdown_table
 
 RANKING_SET = "paper"
 REFERENCE = "adaptive"
@@ -41,11 +41,16 @@ def _failures(summary: Mapping[str, Any]) -> str:
     return f"{summary['failures']}/{summary['episodes']}"
 
 
+def _share(summary: Mapping[str, Any]) -> str:
+    """The share of the best-known speed; a dash on sets that the table of gaits does not cover."""
+    return SHARE.format(summary.get(SHARE.metric, {}).get("iqm"))
+
+
 def _main_table(board: Mapping[str, Any]) -> list[str]:
     shown = [MEASURES[name] for name in ("cost_of_transport", "peak_torque", "backward_ratio")]
     table = [
         [
-            *("", "policy", f"{SPEED.label} [95 %]", RATIO.label),
+            *("", "policy", f"{SPEED.label} [95 %]", RATIO.label, SHARE.label),
             *(measure.label for measure in shown),
             *("failures", "training seeds", "revision", "command"),
         ]
@@ -57,6 +62,7 @@ def _main_table(board: Mapping[str, Any]) -> list[str]:
                 str(place),
                 row["policy"],
                 *_speed_cells(board, row),
+                _share(summary),
                 *(measure.with_interval(summary[measure.metric]) for measure in shown),
                 _failures(summary),
                 str(len(row["training_seeds"]) or "-"),
@@ -65,6 +71,14 @@ def _main_table(board: Mapping[str, Any]) -> list[str]:
             ]
         )
     return markdown_table(table)
+
+
+def _shares_table(board: Mapping[str, Any]) -> list[str]:
+    """The shares on the sets that the table of gaits covers."""
+    rows = rank(board["rows"])
+    names = [name for name in board["sets"] if any(SHARE.metric in row["results"][name] for row in rows)]
+    table = [[row["policy"], *(_share(row["results"][name]) for name in names)] for row in rows]
+    return markdown_table([["policy", *names], *table])
 
 
 def _sets_table(board: Mapping[str, Any]) -> list[str]:
@@ -104,6 +118,15 @@ def render(board: Mapping[str, Any]) -> str:
         "## Mean speed (cm/s) on every set",
         "",
         *_sets_table(board),
+        "",
+        "## Share of the best-known speed",
+        "",
+        "Each episode's mean speed over the best-known one of its plant, which numerical optimisation of periodic "
+        "gaits has found from the same start, under the same limits (`python -m baselines.gait_search`); linear in M "
+        "and log(mu) between the plants of its grid. A share above 1 is a better gait than any known. Sets with plants "
+        "outside the grid, or whose plants change on the way, have none. Here too, interquartile means.",
+        "",
+        *_shares_table(board),
         "",
         "## The policies",
         "",

@@ -48,6 +48,9 @@ MEASURES = {
     )
 }
 
+# Stands in the results of the sets whose plants all lie on the grid of best-known gaits.
+SHARE = Measure("share_of_best_known", "share of best-known", 2)
+
 
 def text_table(rows: Sequence[Sequence[str]]) -> str:
     """Aligned columns, the first row as the header."""

@@ -40,7 +40,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.files import canonical_hash, write_atomically
+from baselines.files import canonical_hash, write_atomically
 from capsule_gym.parameters import RANDOMIZATIONS, Capsule, check_number
 from capsule_gym.task import CONTROL_DT, EPISODE_STEPS
 

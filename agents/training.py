@@ -23,7 +23,6 @@ from stable_baselines3.common.vec_env import VecNormalize
 from tqdm import tqdm
 
 from agents.evaluation import evaluate, scores, versions
-from agents.files import to_json, write_atomically
 from agents.presets import Config, PPOConfig, SACConfig
 from agents.runs import (
     ALGORITHMS,
@@ -42,6 +41,7 @@ from agents.runs import (
 from agents.sets import EvaluationSet, PlantSpec
 from agents.statistics import interquartile_mean
 from agents.vec_env import CapsuleSB3VecEnv
+from baselines.files import to_json, write_atomically
 from baselines.policies import SCRIPTED
 from capsule_gym import Capsule, Randomization
 from capsule_gym.simulation import Stream, random_stream

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, is_dataclass
@@ -22,6 +21,7 @@ import numpy as np
 
 from baselines import adaptation_text, paper_text, proofs
 from baselines.comparison import Judgement, Row, compare_numbers, judge_claims
+from baselines.files import write_atomically
 from baselines.proofs import Envelope, PeakTorque
 from baselines.reproduction import Progress, Reproduction, reproduce
 
@@ -139,7 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     report = make_report(_tell)
     # Written before anything is printed: a closed pipe must not cost the result.
     if options.json is not None:
-        _write(options.json, json.dumps(report.to_dict(), indent=1, allow_nan=False) + "\n")
+        write_atomically(options.json, json.dumps(report.to_dict(), indent=1, allow_nan=False) + "\n")
     figures = []
     if options.figures is not None:
         from baselines.paper_figures import draw_all
@@ -153,16 +153,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if figures:
         print(f"{len(figures)} files drawn to {options.figures}")
     return 0
-
-
-def _write(path: Path, text: str) -> None:
-    """Writes a text file whole or not at all."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The named scripted policies: a control law inside the step with a zero residual, or actions without any law."""
+"""The named scripted policies: a law inside the step with a zero residual, a gait, or no law at all."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+
+from baselines import gaits
 
 Act = Callable[[np.ndarray], np.ndarray]
 
@@ -60,5 +62,17 @@ SCRIPTED = {
         ),
         _with_law("compliant", "compliant", "the paper's profile (9), adaptive law (39) with low gains"),
         _with_law("epc", "epc", "the EPC profile, feedback linearisation (35)"),
+        ScriptedPolicy(
+            "gait-nominal",
+            "the tolerant gait of the nominal plant, whatever the plant; torque every 10 ms",
+            gaits.ENV_KWARGS,
+            gaits.start_nominal,
+        ),
+        ScriptedPolicy(
+            "gait-oracle",
+            "sees M and mu and takes the known gait that proved fastest around such a plant; torque every 10 ms",
+            {**gaits.ENV_KWARGS, "observe_parameters": True},
+            gaits.start_oracle,
+        ),
     )
 }

@@ -23,8 +23,8 @@ import numpy as np
 
 import capsule_gym
 from agents.evaluation import versions
-from agents.files import to_json, write_atomically
 from agents.reporting import text_table
+from baselines.files import to_json, write_atomically
 
 # The paper's torques are below this fraction of the limit most of the time; full random torque would mostly reset.
 ACTION_SCALE = 0.2

@@ -8,11 +8,11 @@ from stable_baselines3 import PPO
 from agents import candidates, evaluate, evaluation
 from agents.candidates import Run, all_candidates, checkpoint_names, find_candidate
 from agents.evaluation import difference, failures, make_result, scores, summarise
-from agents.files import to_json
 from agents.runs import CONFIG, MODEL, NORMALISATION, Normalisation, save_model
 from agents.sets import load_set, parse_set
 from agents.statistics import estimate
 from agents.vec_env import CapsuleSB3VecEnv
+from baselines.files import to_json
 from capsule_gym import CapsuleVectorEnv
 from tests.evaluation_fakes import Sine, write_run
 

@@ -8,6 +8,7 @@ from agents.candidates import all_candidates
 from agents.leaderboard import build, check, write
 from agents.leaderboard_page import END, START, head, rank, render, with_head
 from agents.sets import parse_set
+from baselines.gaits import best_known_speed
 from tests.evaluation_fakes import Sine, write_run
 
 HORIZON = 0.6
@@ -103,6 +104,29 @@ def test_page(written):
     assert "3/3 failed" in page
     for s in SETS:
         assert s.hash[:12] in page
+
+
+def test_shares_of_the_best_known_speed(written):
+    board = json.loads((written / "leaderboard.json").read_text())
+    results = row_of(board, "bold")["results"]["nominal"]
+    speed = results["mean_speed"]["iqm"]
+    assert results["share_of_best_known"]["iqm"] == pytest.approx(speed / best_known_speed(0.5, 0.01), rel=1e-5)
+    page = (written / "LEADERBOARD.md").read_text()
+    cell = f"{results['share_of_best_known']['iqm']:.2f}"
+    assert "| share of best-known |" in page
+    assert f"| bold | {cell} | " in page
+    edit(written, nudge("bold", 1.01, "share_of_best_known"))
+    (stale,) = checked(written)
+    assert stale.startswith("bold on paper: share_of_best_known (iqm) is ")
+
+
+def test_no_share_outside_the_table_of_gaits(world):
+    jump = {"t": 0.3, "M": 0.5, "mu": 0.02}
+    drift = parse_set({"name": "drift", "plants": [{"M": 0.5, "mu": 0.01, "seed": 0, "changes": [jump]}]})
+    board = build(all_candidates(), [SETS[1], make_set("far", (0.5, 0.01), (0.5, 0.6)), drift], horizon=HORIZON)
+    for row in board["rows"]:
+        assert ["share_of_best_known" in summary for summary in row["results"].values()] == [True, False, False]
+    assert "| policy | paper |\n" in render(board)
 
 
 def test_head_always_shows_the_reference(written):

@@ -1,0 +1,156 @@
+"""The families of gaits: how a handful of parameters, the time and the observation give a torque.
+
+| family | torque, in parts of the torque limit, clipped to [-1, 1] |
+|---|---|
+| `harmonics` | four harmonics of a period, plus linear feedback of theta, theta_dot and x_dot |
+| `bang-bang` | full torque with free switching times, plus the same feedback |
+| `phase-space` | a cubic polynomial of the state without any clock, steep where it pays: a switching surface |
+
+All hold feedback, so that a gait can be an attracting cycle and not a course that only its own plant follows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+# The torque of many candidates at once: parameters of shape (size, n), time in s, observations of shape (n, entries).
+Torque = Callable[[np.ndarray, float, np.ndarray], np.ndarray]
+
+# Half the environment's own step: switching times matter, and shorter steps gained nothing worth their cost.
+GAIT_DT = 0.01
+HARMONICS = 4
+
+FEEDBACK = ("theta", "theta_dot", "x_dot")
+# Scales in rad, rad/s and m/s that make the polynomial's coefficients comparable.
+STATE_SCALE = (1.0, 5.0, 0.3)
+EXPONENTS = tuple((i, j, k) for i in range(4) for j in range(4) for k in range(4) if i + j + k <= 3)
+
+
+def _feedback(gains: np.ndarray, observations: np.ndarray) -> np.ndarray:
+    """Linear feedback of theta, theta_dot and x_dot: the first three observations."""
+    torque: np.ndarray = np.einsum("in,ni->n", gains, observations[:, :3])
+    return torque
+
+
+def _harmonics(parameters: np.ndarray, time: float, observations: np.ndarray) -> np.ndarray:
+    angle = 2.0 * math.pi * time / parameters[0]
+    first = np.exp(1j * angle)
+    # Horner's scheme: a sum of (cos_k - i sin_k) exp(i k angle), whose real part is the series.
+    weights = parameters[2 : 2 + HARMONICS] - 1j * parameters[2 + HARMONICS : 2 + 2 * HARMONICS]
+    total = weights[-1] * first
+    for weight in weights[-2::-1]:
+        total = (total + weight) * first
+    return parameters[1] + total.real + _feedback(parameters[2 + 2 * HARMONICS :], observations)
+
+
+def _bang_bang(parameters: np.ndarray, time: float, observations: np.ndarray) -> np.ndarray:
+    durations = np.abs(parameters[:4])
+    period = durations.sum(axis=0)
+
+    def impulse(moment: np.ndarray) -> np.ndarray:
+        """Integral of the square wave up to a moment, in s."""
+        cycles = np.floor(moment / period)
+        left = moment - cycles * period
+        total = cycles * (durations[0] - durations[1] + durations[2] - durations[3])
+        for i, duration in enumerate(durations):
+            spent = np.minimum(left, duration)
+            total += spent if i % 2 == 0 else -spent
+            left = left - spent
+        return total
+
+    # The mean over the step, so that the torque depends continuously on the switching times.
+    start = time + parameters[4] * period
+    square = (impulse(start + GAIT_DT) - impulse(start)) / GAIT_DT
+    return square + _feedback(parameters[5:], observations)
+
+
+def _phase_space(parameters: np.ndarray, time: float, observations: np.ndarray) -> np.ndarray:
+    powers = []
+    for i, scale in enumerate(STATE_SCALE):
+        value = observations[:, i] / scale
+        powers.append((1.0, value, value * value, value * value * value))
+    theta, theta_dot, x_dot = powers
+    torque = parameters[-1] * np.sign(observations[:, 2])
+    for coefficient, (i, j, k) in zip(parameters, EXPONENTS, strict=False):
+        torque += coefficient * theta[i] * theta_dot[j] * x_dot[k]
+    return torque
+
+
+@dataclass(frozen=True)
+class Family:
+    """A kind of gait.
+
+    Attributes:
+        name: as it stands in the data.
+        names: of the parameters, in order.
+        units: steps of the search, one per parameter, in the parameter's own unit.
+        start: where a search from nothing begins.
+        spread: standard deviations of the random starts around it.
+        torque: the torque in parts of the limit, before clipping; see `Torque`.
+    """
+
+    name: str
+    names: tuple[str, ...]
+    units: tuple[float, ...]
+    start: tuple[float, ...]
+    spread: tuple[float, ...]
+    torque: Torque
+
+
+def _families() -> dict[str, Family]:
+    series = (*(f"cos_{k}" for k in range(1, HARMONICS + 1)), *(f"sin_{k}" for k in range(1, HARMONICS + 1)))
+    gains, gain_units = tuple(f"gain_{name}" for name in FEEDBACK), (1.0, 0.1, 1.0)
+    terms = tuple("phi_" + "".join(str(e) for e in exponents) for exponents in EXPONENTS)
+    # Positive feedback of theta_dot starts an oscillation by itself.
+    excited = tuple(1.0 if exponents == (0, 1, 0) else 0.0 for exponents in EXPONENTS)
+    steps, durations = ("push_1", "pull_1", "push_2", "pull_2"), (0.25, 0.1, 0.1, 0.25)
+    families = (
+        Family(
+            "harmonics",
+            ("period", "offset", *series, *gains),
+            (0.05, 0.3, *(0.5 for _ in series), *gain_units),
+            (0.65, 0.0, *(0.0 for _ in series), 0.0, 0.0, 0.0),
+            (0.08, 0.2, *(0.7 for _ in series), 0.5, 0.05, 0.5),
+            _harmonics,
+        ),
+        Family(
+            "bang-bang",
+            (*steps, "phase", *gains),
+            (0.04, 0.04, 0.04, 0.04, 0.1, *gain_units),
+            (*durations, 0.0, 0.0, 0.0, 0.0),
+            (0.08, 0.08, 0.08, 0.08, 0.3, 0.3, 0.03, 0.3),
+            _bang_bang,
+        ),
+        Family(
+            "phase-space",
+            (*terms, "sign_x_dot"),
+            tuple(1.0 for _ in (*terms, "sign")),
+            (*excited, 0.0),
+            tuple(0.7 for _ in (*terms, "sign")),
+            _phase_space,
+        ),
+    )
+    return {family.name: family for family in families}
+
+
+FAMILIES = _families()
+
+
+def actions(family: Family, parameters: np.ndarray, time: float, observations: np.ndarray) -> np.ndarray:
+    """The actions of many gaits of one family.
+
+    Args:
+        family: of the gaits.
+        parameters: shape (size, n), one column per environment.
+        time: since the start of the episode, s.
+        observations: shape (n, entries), as the direct-torque task gives them.
+
+    Returns:
+        Shape (n, 1), float32, in [-1, 1].
+    """
+    torque = family.torque(parameters, time, observations.astype(np.float64))
+    return np.clip(torque, -1.0, 1.0).astype(np.float32)[:, None]
