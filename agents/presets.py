@@ -9,7 +9,7 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-from capsule_gym.task import TORQUE_LIMIT
+from capsule_gym.task import ENERGY_WEIGHT, TORQUE_LIMIT
 
 
 def option(default: Any, help_text: str, choices: tuple[str, ...] | None = None) -> Any:
@@ -34,7 +34,7 @@ class Config:
     torque_limit: float = option(TORQUE_LIMIT, "largest motor torque, N m")
     randomization: str = option("paper", "where M and mu of an episode come from", ("none", "paper", "wide"))
     observe_parameters: bool = option(False, "let the agent see M and mu")
-    energy_weight: float = option(0.1, "centimetres of reward that a joule costs")
+    energy_weight: float = option(ENERGY_WEIGHT, "centimetres of reward that a joule costs")
     termination_penalty: float = option(30.0, "centimetres of reward that a failed episode costs")
     learning_rate: float = option(1e-3, "step size of Adam at the start")
     final_learning_rate: float = option(1e-4, "step size of Adam at the end; linear in between")

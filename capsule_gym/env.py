@@ -149,44 +149,30 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         randomization: str | Randomization = "paper",
         capsule: Capsule | None = None,
         observe_parameters: bool = False,
-        energy_weight: float = 0.1,
-        termination_penalty: float = 10.0,
+        energy_weight: float = task.ENERGY_WEIGHT,
+        termination_penalty: float = task.TERMINATION_PENALTY,
         initial_noise: float = 0.0,
         control_dt: float = task.CONTROL_DT,
         physics_dt: float | None = None,
         render_mode: str | None = None,
     ) -> None:
-        EzPickle.__init__(
-            self,
-            controller=controller,
-            residual_limit=residual_limit,
-            torque_limit=torque_limit,
-            randomization=randomization,
-            capsule=capsule,
-            observe_parameters=observe_parameters,
-            energy_weight=energy_weight,
-            termination_penalty=termination_penalty,
-            initial_noise=initial_noise,
-            control_dt=control_dt,
-            physics_dt=physics_dt,
-            render_mode=render_mode,
-        )
+        settings: dict[str, Any] = {
+            "controller": controller,
+            "residual_limit": residual_limit,
+            "torque_limit": torque_limit,
+            "randomization": randomization,
+            "capsule": capsule,
+            "observe_parameters": observe_parameters,
+            "energy_weight": energy_weight,
+            "termination_penalty": termination_penalty,
+            "initial_noise": initial_noise,
+            "control_dt": control_dt,
+            "physics_dt": physics_dt,
+        }
+        EzPickle.__init__(self, **settings, render_mode=render_mode)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode must be None or one of {self.metadata['render_modes']}, got {render_mode!r}")
-        self.simulation = Simulation(
-            1,
-            capsule=capsule,
-            controller=controller,
-            randomization=randomization,
-            torque_limit=torque_limit,
-            residual_limit=residual_limit,
-            control_dt=control_dt,
-            physics_dt=physics_dt,
-            energy_weight=energy_weight,
-            termination_penalty=termination_penalty,
-            observe_parameters=observe_parameters,
-            initial_noise=initial_noise,
-        )
+        self.simulation = Simulation(1, **settings)
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": round(1.0 / self.simulation.control_dt)}
         self.action_space, self.observation_space = make_spaces(self.simulation)

@@ -16,6 +16,9 @@ from capsule_gym.parameters import Capsule
 EPISODE_STEPS = 1650
 CONTROL_DT = 0.02
 TORQUE_LIMIT = 1.5
+# In centimetres of progress: a joule, and a failure.
+ENERGY_WEIGHT = 0.1
+TERMINATION_PENALTY = 10.0
 THETA_LIMIT = math.pi / 2.0
 START_THETA = -math.pi / 3.0
 
