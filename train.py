@@ -73,7 +73,7 @@ def parse(arguments: Sequence[str] | None = None) -> tuple[Config, argparse.Name
         prog="train.py",
         parents=[first],
         description="Trains an agent and compares it with the paper's adaptive controller on the set 'paper'. The "
-        "options below are those of the chosen --task and --algo; their defaults are tuned.",
+        "options below are those of the chosen --task and --algo, with the preset as their defaults.",
         epilog="Ctrl-C saves and stops; --resume DIR goes on, also after a crash. Model archives contain pickles: load "
         "only what you trust.",
     )
