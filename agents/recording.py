@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +15,7 @@ import numpy as np
 from agents.candidates import find_candidate
 from agents.evaluation import EPISODE_SETTINGS, Policy
 from agents.sets import HORIZON, PlantSpec
+from baselines.files import replacing
 from baselines.policies import SCRIPTED
 from capsule_gym.task import CONTROL_DT, EPISODE_STEPS
 
@@ -119,9 +119,8 @@ def draw_comparison(recordings: Sequence[Recording], path: Path, title: str, sec
         axes.grid(color="#e3e8ef", lw=0.7)
         axes.set_axisbelow(True)
     FigureCanvasAgg(figure)
-    temporary = path.with_suffix(f".{os.getpid()}.tmp.png")
-    figure.savefig(temporary, dpi=120)
-    os.replace(temporary, path)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=120)
 
 
 def write_gif(
@@ -149,16 +148,15 @@ def write_gif(
     # By coverage, not by frequency: the few pixels of a legend keep their colour too.
     palette = pictures[len(pictures) // 2].quantize(128, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-    temporary = path.with_suffix(f".{os.getpid()}.tmp.gif")
-    pictures[0].save(
-        temporary,
-        save_all=True,
-        append_images=pictures[1:],
-        duration=round(1000 * frame_seconds),
-        loop=0,
-        optimize=True,
-    )
-    os.replace(temporary, path)
+    with replacing(path) as temporary:
+        pictures[0].save(
+            temporary,
+            save_all=True,
+            append_images=pictures[1:],
+            duration=round(1000 * frame_seconds),
+            loop=0,
+            optimize=True,
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -28,7 +28,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
-from baselines.files import to_json, write_atomically
+from baselines.files import replacing, to_json, write_atomically
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
 MODEL, NORMALISATION, CONFIG = "model.zip", "normalisation.json", "config.json"
@@ -128,9 +128,8 @@ def load_policy(path: Path) -> TrainedPolicy:
 def save_model(folder: Path, model: BaseAlgorithm, normalisation: Normalisation) -> None:
     """Writes model and normalisation into a folder, each whole or not at all."""
     folder.mkdir(parents=True, exist_ok=True)
-    temporary = folder / f".{MODEL}.{os.getpid()}.tmp.zip"
-    model.save(temporary)
-    os.replace(temporary, folder / MODEL)
+    with replacing(folder / MODEL) as temporary:
+        model.save(temporary)
     normalisation.write(folder / NORMALISATION)
 
 

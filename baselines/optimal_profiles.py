@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from baselines.exact_tracking import STANDSTILLS, Assessment, Demands, assess, published_bounds
+from baselines.files import write_atomically
 from baselines.profiles import PROPOSED, Profile, seven_phases
 from capsule_gym.parameters import Capsule, Plant
 from capsule_gym.task import START_THETA
@@ -312,9 +313,7 @@ def save(solutions: Sequence[Solution], path: Path, seed: int, generations: int)
         "bounds": dict(zip(("theta_0", "v_theta", "a_theta"), published_bounds(), strict=True)),
         "solutions": [asdict(each) for each in solutions],
     }
-    partial = path.with_suffix(".partial")
-    partial.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    partial.replace(path)
+    write_atomically(path, json.dumps(document, indent=1) + "\n")
 
 
 def _settings(path: Path) -> tuple[int, int]:
