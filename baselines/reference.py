@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numba.extending import register_jitable
 
 from baselines.profiles import Profile
 from capsule_gym import dynamics
@@ -17,6 +18,48 @@ from capsule_gym.parameters import Plant
 FINE = 50
 
 COLUMNS = ("theta_d", "theta_d_dot", "theta_d_ddot", "x_d", "x_d_dot", "x_d_ddot", "cycle_start")
+
+
+@register_jitable
+def slide(
+    force: float, forwards: float, backwards: float, static_ratio: float, total: float, x: float, x_dot: float, h: float
+) -> tuple[float, float, float]:
+    """Moves a platform under a constant push by h seconds, through a stop within them.
+
+    Args:
+        force: the pendulum's push, N.
+        forwards: kinetic friction while it slides forwards, N.
+        backwards: likewise backwards.
+        static_ratio: static over kinetic friction.
+        total: M + m, kg.
+        x: m.
+        x_dot: m/s; exactly 0.0 in stick.
+        h: s.
+
+    Returns:
+        x and x_dot afterwards, and x'' at the start in m/s^2.
+    """
+    initial = 0.0
+    remaining = h
+    # Twice at most: what slides before it stops, and what follows from rest.
+    for piece in range(2):
+        at_rest = x_dot == 0.0
+        forward = force > 0.0 if at_rest else x_dot > 0.0
+        friction = forwards if forward else backwards
+        if at_rest and abs(force) <= static_ratio * friction:
+            break
+        x_ddot = (force - friction if forward else force + friction) / total
+        if piece == 0:
+            initial = x_ddot
+        after = x_dot + remaining * x_ddot
+        if x_dot * after >= 0.0:
+            x += remaining * (x_dot + 0.5 * remaining * x_ddot)
+            x_dot = after
+            break
+        x -= 0.5 * x_dot * x_dot / x_ddot
+        remaining += x_dot / x_ddot
+        x_dot = 0.0
+    return x, x_dot, initial
 
 
 def platform_motion(
@@ -40,30 +83,10 @@ def platform_motion(
     for n in range(len(angle)):
         force = dynamics.driving_force(angle[n], velocity[n], acceleration[n], p)
         normal = max(0.0, dynamics.normal_force(angle[n], velocity[n], acceleration[n], p))
-        if x_dot == 0.0:
-            slip = 1.0 if force > 0.0 else -1.0
-            if abs(force) <= p.static_ratio * dynamics.kinetic_friction(slip, p) * normal:
-                slip = 0.0
-        else:
-            slip = 1.0 if x_dot > 0.0 else -1.0
-        x_ddot = 0.0
-        if slip != 0.0:
-            x_ddot = (force - slip * dynamics.kinetic_friction(slip, p) * normal) / total
-        motion[0, n], motion[1, n], motion[2, n] = x, x_dot, x_ddot
-        after = x_dot + h * x_ddot
-        if x_dot * after < 0.0:
-            # Stops inside the step; what is left of it begins at rest.
-            tau = -x_dot / x_ddot
-            x += 0.5 * tau * x_dot
-            x_dot = 0.0
-            slip = 1.0 if force > 0.0 else -1.0
-            friction = dynamics.kinetic_friction(slip, p) * normal
-            if abs(force) > p.static_ratio * friction:
-                x_dot = (h - tau) * (force - slip * friction) / total
-                x += 0.5 * (h - tau) * x_dot
-        else:
-            x += h * x_dot + 0.5 * h * h * x_ddot
-            x_dot = after
+        forwards = dynamics.kinetic_friction(1.0, p) * normal
+        backwards = dynamics.kinetic_friction(-1.0, p) * normal
+        motion[0, n], motion[1, n] = x, x_dot
+        x, x_dot, motion[2, n] = slide(force, forwards, backwards, p.static_ratio, total, x, x_dot, h)
     return motion
 
 

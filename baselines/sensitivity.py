@@ -16,7 +16,7 @@ import numpy as np
 from baselines import published
 from baselines.control_laws import K_P, K_V, NOMINAL, feedback_linearising_law
 from baselines.profiles import EPC, PROPOSED, Profile
-from baselines.reference import COLUMNS
+from baselines.reference import COLUMNS, slide
 from baselines.traces import CYCLES, UNLIMITED
 from capsule_gym import Capsule, Controller, dynamics
 from capsule_gym.kernels import compile_cached
@@ -71,24 +71,7 @@ def displacements(
         for _ in range(cycles):
             for n in range(len(force)):
                 limit = friction[i] * max(0.0, normal[n])
-                remaining = h
-                # Twice at most: what slides before it stops, and what follows from rest.
-                for _ in range(2):
-                    if x_dot == 0.0:
-                        if abs(force[n]) <= limit:
-                            break
-                        slip = 1.0 if force[n] > 0.0 else -1.0
-                    else:
-                        slip = 1.0 if x_dot > 0.0 else -1.0
-                    x_ddot = (force[n] - slip * limit) / total
-                    after = x_dot + remaining * x_ddot
-                    if x_dot * after >= 0.0:
-                        x += remaining * (x_dot + 0.5 * remaining * x_ddot)
-                        x_dot = after
-                        break
-                    x -= 0.5 * x_dot * x_dot / x_ddot
-                    remaining += x_dot / x_ddot
-                    x_dot = 0.0
+                x, x_dot, _ = slide(force[n], limit, limit, 1.0, total, x, x_dot, h)
         result[i] = x
     return result
 
