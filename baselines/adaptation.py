@@ -14,7 +14,6 @@ import numpy as np
 from baselines.control_laws import (
     BETA,
     BETA_AS_PUBLISHED,
-    ETA_0,
     GAMMA_1,
     GAMMA_2,
     K_1,
@@ -24,6 +23,8 @@ from baselines.control_laws import (
     LAMBDA_X,
     N_EXPONENT,
     SATURATION_WIDTH,
+    eta_of,
+    initial_memory,
     nominal_estimates,
 )
 from baselines.traces import Trace
@@ -70,9 +71,8 @@ def law_terms(run: Trace, *, as_published: bool, nominal: Plant | None = None) -
     """
     p = nominal or Capsule().plant()
     # The memory of a sample is what its call left; the call itself used the one before, but its own anchor.
-    start = (*nominal_estimates(p), ETA_0, 0.0)
-    before = np.vstack([start, run.memory[:-1]])
-    h, g, eta = before[:, :5], before[:, 5:9], before[:, 9]
+    before = np.vstack([initial_memory(p, 0.0), run.memory[:-1]])
+    h, g, eta = before[:, :5], before[:, 5:9], eta_of(before)
     theta_d, theta_d_dot, theta_d_ddot, x_d, x_d_dot, x_d_ddot, _ = run.reference.T
     e, e_dot = run.theta - theta_d, run.theta_dot - theta_d_dot
     e_x, e_x_dot = run.x - (run.memory[:, 10] + x_d), run.x_dot - x_d_dot
@@ -174,9 +174,10 @@ ESTIMATES = ("m l^2", "m l", "k", "c", "m g l", "m l (x)", "M + m", "mu", "m l (
 def courses(run: Trace, plant: Plant) -> list[Course]:
     """The course of the nine estimates and of eta."""
     truth: list[float | None] = [*nominal_estimates(plant), None]
+    values_of = [*run.memory[:, : len(ESTIMATES)].T, eta_of(run.memory)]
     return [
         Course(name, true, float(values[0]), float(values[-1]), float(values.min()), float(values.max()))
-        for name, true, values in zip((*ESTIMATES, "eta"), truth, run.memory[:, :10].T, strict=True)
+        for name, true, values in zip((*ESTIMATES, "eta"), truth, values_of, strict=True)
     ]
 
 

@@ -9,11 +9,14 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from baselines.profiles import EPC, PROPOSED, Profile
 from baselines.reference import reference_table
 from capsule_gym import dynamics
 from capsule_gym.controller import Controller, Law
 from capsule_gym.parameters import Capsule, Plant, check_number
+from capsule_gym.trigonometry import sincos
 
 NOMINAL = Capsule()
 
@@ -28,7 +31,7 @@ GAMMA_1 = GAMMA_2 = 0.1
 
 # Not published: beta, n and eta(0). eta = 1 takes the positive feedback out of the last term of (39c).
 ETA_0 = 1.0
-N_EXPONENT = 1.0
+N = 1
 BETA = 1.0
 BETA_AS_PUBLISHED = 0.01
 # Width in rad/s of the saturation that replaces sgn(delta_theta).
@@ -42,7 +45,7 @@ ESTIMATE_RANGE = 0.5
 MEMORY = (
     *(f"alpha_theta_{i}" for i in range(1, 6)),
     *(f"alpha_x_{i}" for i in range(1, 5)),
-    "eta",
+    "eta_root",
     "x_anchor",
 )
 
@@ -61,7 +64,7 @@ def feedback_linearising_law(p: Plant, K_p: float, K_v: float) -> Law:
     ) -> tuple[float, tuple[float, ...]]:
         theta_d, theta_d_dot, theta_d_ddot = reference[0], reference[1], reference[2]
         a = theta_d_ddot - K_v * (theta_dot - theta_d_dot) - K_p * (theta - theta_d)
-        sin, cos = math.sin(theta), math.cos(theta)
+        sin, cos = sincos(theta)
         force = dynamics.driving_force(theta, theta_dot, a, p)
         limit = p.mu * max(0.0, dynamics.normal_force(theta, theta_dot, a, p))
         if x_dot > 0.0:
@@ -94,7 +97,9 @@ def adaptive_law(
 ) -> Law:
     """The torque (39) with its auxiliary variable and adaptation, integrated by Euler steps of the law's period.
 
-    The memory is `MEMORY`: the estimates of alpha_theta and alpha_x, eta, and where x_d starts from.
+    The memory is `MEMORY`: the estimates of alpha_theta and alpha_x, the (2n + 1)-th root of eta, and where x_d starts
+    from. With r for that root (39d) is r' = r^2 delta_theta^2 (..) / ((2n + 1) (delta_theta^2 + beta)), which needs no
+    power that a loop over environments could not take.
 
     Args:
         p: the nominal plant, for the normal force in Y_x and the range of the estimates.
@@ -110,8 +115,8 @@ def adaptive_law(
     """
     dt = 1e-3
     beta = BETA_AS_PUBLISHED if as_published else BETA
-    eta_bound = ETA_BOUND_AS_PUBLISHED if as_published else ETA_BOUND
-    exponent = (2.0 * N_EXPONENT + 2.0) / (2.0 * N_EXPONENT + 1.0)
+    odd = 2 * N + 1
+    root_bound = (ETA_BOUND_AS_PUBLISHED if as_published else ETA_BOUND) ** (1.0 / odd)
     low, high = (-math.inf, math.inf) if as_published else (1.0 - ESTIMATE_RANGE, 1.0 + ESTIMATE_RANGE)
     a1, a2, a3, a4, a5, b1, b2, b3, b4 = nominal_estimates(p)
 
@@ -119,11 +124,12 @@ def adaptive_law(
         theta: float, theta_dot: float, x: float, x_dot: float, memory: tuple[float, ...], reference: tuple[float, ...]
     ) -> tuple[float, tuple[float, ...]]:
         theta_d, theta_d_dot, theta_d_ddot, x_d, x_d_dot, x_d_ddot, cycle_start = reference
-        h1, h2, h3, h4, h5, g1, g2, g3, g4, eta, anchor = memory
+        h1, h2, h3, h4, h5, g1, g2, g3, g4, root, anchor = memory
         if cycle_start > 0.0:
             anchor = anchor + cycle_advance if as_published else x
 
-        sin, cos = math.sin(theta), math.cos(theta)
+        eta = root**odd
+        sin, cos = sincos(theta)
         e, e_dot = theta - theta_d, theta_dot - theta_d_dot
         e_x, e_x_dot = x - (anchor + x_d), x_dot - x_d_dot
         rho_theta = theta_d_dot - Lambda_theta * e  # Eq. (37a), with the error's tilde that the print lacks
@@ -151,8 +157,8 @@ def adaptive_law(
             -sgn * abs(delta_x) * (abs(eta) + K2) - (eta + 1.0) * share * drift - (eta - 1.0) * share * load
         )  # Eq. (39c)
 
-        eta_rate = eta**exponent * delta_theta * share * (drift + load)  # Eq. (39d)
-        eta = min(eta_bound, max(0.0, eta + dt * eta_rate))
+        root_rate = root * root * delta_theta * share * (drift + load) / odd  # Eq. (39d)
+        root = min(root_bound, max(0.0, root + dt * root_rate))
         s1, s2 = -dt * Gamma_1 * delta_theta, -dt * Gamma_2 * delta_x  # Eq. (39e)
         return T_c + T_n, (
             min(high * a1, max(low * a1, h1 + s1 * y1)),
@@ -164,7 +170,7 @@ def adaptive_law(
             min(high * b2, max(low * b2, g2 + s2 * z2)),
             min(high * b3, max(low * b3, g3 + s2 * z3)),
             min(high * b4, max(low * b4, g4 + s2 * z4)),
-            eta,
+            root,
             anchor,
         )
 
@@ -239,7 +245,7 @@ def adaptive(
     cycle_advance = float(table[-1, 3])
     law = adaptive_law(plant, as_published=bool(as_published), cycle_advance=cycle_advance, **gains)
     anchor = -cycle_advance if as_published else 0.0
-    return Controller(name, law, table, (*nominal_estimates(plant), ETA_0, anchor))
+    return Controller(name, law, table, initial_memory(plant, anchor))
 
 
 def adaptive_as_published() -> Controller:
@@ -261,6 +267,23 @@ def _check_gains(**gains: Any) -> dict[str, float]:
     return {name: check_number(name, value, "a finite number >= 0", 0.0) for name, value in gains.items()}
 
 
+def initial_memory(p: Plant, anchor: float) -> tuple[float, ...]:
+    """The adaptive law's memory before its first call.
+
+    Args:
+        p: the plant that the law starts from.
+        anchor: where x_d starts from, m.
+    """
+    return (*nominal_estimates(p), ETA_0 ** (1.0 / (2 * N + 1)), anchor)
+
+
+def eta_of(memory: np.ndarray) -> np.ndarray:
+    """The auxiliary variable eta out of memories of the adaptive law, shape (.., cells)."""
+    return memory[..., MEMORY.index("eta_root")] ** (2 * N + 1)
+
+
 def describe_memory(memory: Sequence[float]) -> dict[str, float]:
     """The adaptive law's memory by name: estimates, eta and the anchor of x_d."""
-    return dict(zip(MEMORY, memory, strict=True))
+    cells = dict(zip(MEMORY, memory, strict=True))
+    del cells["eta_root"]
+    return {**cells, "eta": float(eta_of(np.array(memory)))}

@@ -19,7 +19,7 @@ from baselines.principles import sample
 from baselines.profiles import PROPOSED, Profile
 from baselines.reference import platform_motion
 from capsule_gym import dynamics
-from capsule_gym.kernels import compile_cached
+from capsule_gym.compilation import compile_cached
 from capsule_gym.parameters import Plant, check_number
 
 # Without Principle 1 the ball's meeting the platform still bounds the angle, rad.

@@ -18,7 +18,7 @@ from numba.extending import register_jitable
 
 from baselines import published
 from capsule_gym import dynamics
-from capsule_gym.kernels import compile_cached
+from capsule_gym.compilation import compile_cached
 from capsule_gym.parameters import Capsule, Plant
 from capsule_gym.task import START_THETA
 

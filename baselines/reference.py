@@ -10,8 +10,8 @@ from numba.extending import register_jitable
 
 from baselines.profiles import Profile
 from capsule_gym import dynamics
+from capsule_gym.compilation import compile_cached
 from capsule_gym.controller import LAW_DT
-from capsule_gym.kernels import compile_cached
 from capsule_gym.parameters import Plant
 
 # The nominal platform is integrated in this many steps per step of the law; the error is then below 1e-8 m.

@@ -10,7 +10,7 @@ import numpy as np
 
 from baselines import published, sensitivity
 from baselines.adaptation import Course, Descent, courses, descent, law_terms
-from baselines.control_laws import adaptive, adaptive_as_published, feedback_linearising
+from baselines.control_laws import adaptive, adaptive_as_published, eta_of, feedback_linearising
 from baselines.profiles import EPC, PROPOSED, Profile
 from baselines.sensitivity import ContactEffect, StepStudy
 from baselines.traces import CYCLES, UNLIMITED, Trace, trace, traces
@@ -214,7 +214,7 @@ def _adaptive_run(run: Trace, M: float, mu: float, as_published: bool) -> Adapti
         mean_speed=100.0 * run.metrics["distance"] / run.metrics["duration"],
         drift=float(np.abs(terms.error_x).max()),
         auxiliary_torque=float(np.abs(terms.T_n).max()),
-        eta=float(run.memory[-1, 9]),
+        eta=float(eta_of(run.memory[-1])),
         sliding_first=float(sliding[:cycle].max()),
         sliding_last=float(sliding[-cycle:].max()) if run.completed else None,
     )

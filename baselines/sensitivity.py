@@ -19,7 +19,7 @@ from baselines.profiles import EPC, PROPOSED, Profile
 from baselines.reference import COLUMNS, slide
 from baselines.traces import CYCLES, UNLIMITED
 from capsule_gym import Capsule, Controller, dynamics
-from capsule_gym.kernels import compile_cached
+from capsule_gym.compilation import compile_cached
 from capsule_gym.parameters import NormalForce, Plant, check_number
 from capsule_gym.simulation import Simulation
 

@@ -89,16 +89,17 @@ def traces(controller: Controller, plants: list[tuple[float, float]], **settings
     everywhere = np.arange(len(plants))
     simulation.reset(everywhere, M=[M for M, _ in plants], mu=[mu for _, mu in plants])
     steps = cycles * len(simulation.reference)
-    course = np.zeros((steps + 1, *simulation.world.shape))
-    course[0] = simulation.world
+    rows = ROWS + len(simulation.memory)
+    course = np.zeros((steps + 1, rows, len(plants)))
+    course[0] = simulation.rows(0, rows)
     running = np.ones(len(plants), np.bool_)
     last = np.zeros(len(plants), np.int64)
-    nothing = np.zeros((len(plants), 1), np.float32)
+    nothing = np.zeros(len(plants))
     for n in range(1, steps + 1):
         simulation.step(nothing, running)
-        course[n] = simulation.world
+        course[n] = simulation.rows(0, rows)
         last[running] = n
-        running &= simulation.world[Row.termination] == 0.0
+        running &= course[n, Row.termination] == 0.0
         if not running.any():
             break
     metrics = simulation.metrics(everywhere, steps)

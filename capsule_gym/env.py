@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import EzPickle
 
-from capsule_gym import kernels, task
+from capsule_gym import task
 from capsule_gym.controller import Controller
 from capsule_gym.kernels import Row
 from capsule_gym.parameters import Capsule, Randomization
@@ -19,8 +19,8 @@ from capsule_gym.rendering import Renderer
 from capsule_gym.simulation import Simulation
 
 RESET_OPTIONS = ("M", "mu", "state", "changes")
+REWARD_TERMS = ("reward_progress", "reward_energy", "reward_termination")
 THE_ONE = np.zeros(1, np.int64)
-ACTIVE = np.ones(1, np.bool_)
 
 
 class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
@@ -176,6 +176,10 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": round(1.0 / self.simulation.control_dt)}
         self.action_space, self.observation_space = make_spaces(self.simulation)
+        # Views of the only environment, made once: finding them takes a good part of a step.
+        lane = self.simulation.world[0, :, 0]
+        self._shown, self._state = lane[: Row.steps], lane[: Row.M]
+        self._observation = self.simulation.observations[0]
         self._renderer: Renderer | None = None
         self._running = False
 
@@ -211,7 +215,10 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         self._running = True
         if self.render_mode == "human":
             self.render()
-        return self.simulation.observations[0].copy(), self._info(self.simulation.world[:, 0].tolist())
+        info, _, _ = self._info()
+        for name in REWARD_TERMS:
+            del info[name]
+        return self._observation.copy(), info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
         """One agent step.
@@ -229,23 +236,17 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         if not self._running:
             raise gym.error.ResetNeeded("call reset() before step(): there is no running episode")
         array = np.asarray(action, np.float32)
-        if array.shape != (1,) or not math.isfinite(array.item()):
+        if array.shape != (1,) or not math.isfinite(value := array.item()):
             raise ValueError(f"action must be one finite number of shape (1,) in [-1, 1], got {action!r}")
-        simulation = self.simulation
-        simulation.step(array.reshape(1, 1), ACTIVE)
-        row = simulation.world[:, 0].tolist()
-        info = self._info(row)
-        info["reward_progress"] = row[kernels.REWARD_PROGRESS]
-        info["reward_energy"] = row[kernels.REWARD_ENERGY]
-        info["reward_termination"] = row[kernels.REWARD_TERMINATION]
-        terminated = row[kernels.TERMINATION] != 0.0
-        if terminated:
-            info["termination"] = task.Termination(int(row[kernels.TERMINATION])).name
+        self.simulation.step_one(value)
+        info, reward, ended = self._info()
+        if ended:
+            info["termination"] = task.Termination(int(ended)).name
             info["metrics"] = self.episode_metrics()
             self._running = False
         if self.render_mode == "human":
             self.render()
-        return simulation.observations[0].copy(), simulation.rewards.item(), terminated, False, info
+        return self._observation.copy(), reward, ended != 0.0, False, info
 
     def episode_metrics(self, horizon: int = task.EPISODE_STEPS) -> dict[str, float]:
         """The metrics of the episode so far; `Simulation.metrics` says what each means.
@@ -276,20 +277,25 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
             self._renderer.close()
             self._renderer = None
 
-    @staticmethod
-    def _info(row: list[float]) -> dict[str, Any]:
-        """The part of the info that reset and step share."""
-        # Plain integers: indexing a list by an enumeration's member takes several times as long.
-        return {
-            "state": np.array(row[:4]),
-            "M": row[kernels.MASS],
-            "mu": row[kernels.MU],
-            "stick": row[kernels.X_DOT] == 0.0,
-            "torque": row[kernels.TORQUE],
-            "law_torque": row[kernels.LAW_TORQUE],
-            "normal_force": row[kernels.NORMAL_FORCE],
-            "energy": row[kernels.STEP_ENERGY],
+    def _info(self) -> tuple[dict[str, Any], float, float]:
+        """The info of a step, the reward, and why the episode has ended (0.0: it has not)."""
+        (
+            *_, x_dot, M, mu, _, law_torque, torque, normal_force, energy, reward, progress, cost, penalty, ended
+        ) = self._shown.tolist()  # fmt: skip
+        info = {
+            "state": self._state.copy(),
+            "M": M,
+            "mu": mu,
+            "stick": x_dot == 0.0,
+            "torque": torque,
+            "law_torque": law_torque,
+            "normal_force": normal_force,
+            "energy": energy,
+            "reward_progress": progress,
+            "reward_energy": cost,
+            "reward_termination": penalty,
         }
+        return info, reward, ended
 
 
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:
@@ -314,7 +320,7 @@ def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> 
 
 def draw(renderer: Renderer, simulation: Simulation, i: int) -> np.ndarray | None:
     """Draws environment i."""
-    row = simulation.world[:, i]
+    row = simulation.columns(np.array([i]))[:, 0]
     reference = float(simulation.reference[int(row[Row.clock]), 0]) if simulation.controller else None
     return renderer.draw(
         theta=float(row[Row.theta]),

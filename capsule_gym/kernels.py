@@ -1,8 +1,10 @@
 """Compiles the physics, the task and a control law into one step of the agent, for any number of environments.
 
-The environments lie in one float64 array `world` of shape (rows, environments), one row per quantity of `Row`, the
-law's memory behind them. The kernels walk a range of columns and hold no lock, so threads share a batch by ranges,
-and one environment, a batch and every thread run the same machine code: their results agree bit for bit.
+The environments lie in one float64 array `world` of shape (blocks, rows, LANES): one row per quantity of `Row`, the
+law's memory and its line of the reference behind them. Within a block every loop runs over the environments, and the
+compiler takes several at once; an environment to which something happens (a change of phase, the end of the episode)
+is left out of that and follows alone. One environment is a block with one lane in use, threads share a batch by blocks:
+the arithmetic is the same everywhere, and so are the results, bit for bit.
 
 A law enters as a global of the kernel. Both are copied, the kernel with that global bound, under names that hold a hash
 of everything it compiles, which lets numba's disk cache serve built-in and user laws alike and never serve a stale one.
@@ -12,24 +14,28 @@ from __future__ import annotations
 
 import hashlib
 import math
-import types
 from collections.abc import Callable
 from enum import IntEnum, auto
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
+from numba import types
+from numba.core import cgutils
 from numba.core.registry import CPUDispatcher
-from numba.extending import register_jitable
-from numba.np.unsafe.ndarray import to_fixed_tuple
+from numba.extending import intrinsic
 
 from capsule_gym import dynamics, task
+from capsule_gym.compilation import compile_now, distinct, fingerprint, inlined, inner, jitable, kernel, rebound
 from capsule_gym.parameters import Plant
+
+# Environments that one loop takes through a step together. Their rows lie side by side at offsets that the compiler
+# knows, and one block stays in the first-level cache.
+LANES = 64
 
 
 class Row(IntEnum):
-    """The quantities of one environment in `world`; the ones from `energy` on belong to the running episode."""
+    """The quantities of one environment in `world`; the ones from `energy` to `largest_theta_dot` are the episode's."""
 
     theta = 0
     theta_dot = auto()
@@ -43,6 +49,7 @@ class Row(IntEnum):
     torque = auto()
     normal_force = auto()
     step_energy = auto()
+    reward = auto()
     reward_progress = auto()
     reward_energy = auto()
     reward_termination = auto()
@@ -61,15 +68,31 @@ class Row(IntEnum):
     smallest_normal_ratio = auto()
     largest_theta = auto()
     largest_theta_dot = auto()
+    # What the caller wants: the action, and 1.0 where the environment takes part in the step.
+    action = auto()
+    active = auto()
+    # Of the running step: m / (M + m), x at its start, the phase of the contact, whether something happens in the
+    # present substep, how far the environment has stopped, and the time that its present torque has acted.
+    mass_ratio = auto()
+    before_x = auto()
+    slip = auto()
+    eventful = auto()
+    halt = auto()
+    elapsed = auto()
 
 
-# numba compiles plain integers and floats, no enum members, as constants.
+# Where each row begins in a block. numba compiles plain integers and floats, no enum members, as constants.
 (
     THETA, THETA_DOT, X, X_DOT, MASS, MU, CLOCK, LAW_TORQUE, TORQUE, NORMAL_FORCE, STEP_ENERGY,
-    REWARD_PROGRESS, REWARD_ENERGY, REWARD_TERMINATION, TERMINATION, STEPS, START_X, DURATION, ENERGY, WEIGHT_DISTANCE,
-    TORQUE_SQUARED, PEAK_TORQUE, FORWARD, BACKWARD, STUCK, SMALLEST_NORMAL_RATIO, LARGEST_THETA, LARGEST_THETA_DOT,
-) = (int(row) for row in Row)  # fmt: skip
+    REWARD, REWARD_PROGRESS, REWARD_ENERGY, REWARD_TERMINATION, TERMINATION, STEPS, START_X, DURATION, ENERGY,
+    WEIGHT_DISTANCE, TORQUE_SQUARED, PEAK_TORQUE, FORWARD, BACKWARD, STUCK, SMALLEST_NORMAL_RATIO, LARGEST_THETA,
+    LARGEST_THETA_DOT, ACTION, ACTIVE, MASS_RATIO, BEFORE_X, SLIP, EVENTFUL, HALT, ELAPSED,
+) = (int(row) * LANES for row in Row)  # fmt: skip
 ROWS = len(Row)
+# Where the law's memory begins; its line of the reference follows.
+MEMORY = ROWS * LANES
+# The values of `Row.halt`: under way; stopped in the present substep, its law to be asked once more; and at rest.
+UNDER_WAY, ENDING, HALTED = 0.0, 1.0, 2.0
 
 
 class Settings(NamedTuple):
@@ -91,12 +114,14 @@ def pack(plant: Plant, settings: Settings) -> np.ndarray:
     return np.array([*plant, *settings], dtype=np.float64)
 
 
-@register_jitable
-def unpack(constants: np.ndarray) -> tuple[Plant, Settings]:
-    """What `pack` has packed."""
+@jitable
+def unpack(constants: np.ndarray, pivot_torque_on_contact: float) -> tuple[Plant, Settings]:
+    """What `pack` has packed, but for the constant that the compiler is to know."""
     c = constants
-    plant = Plant(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9])
-    return plant, Settings(c[10], c[11], c[12], int(c[13]), int(c[14]), c[15], c[16], c[17] != 0.0, c[18] != 0.0)
+    plant = Plant(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], pivot_torque_on_contact, c[10])
+    return plant, Settings(
+        c[11], c[12], c[13], np.int64(c[14]), np.int64(c[15]), c[16], c[17], c[18] != 0.0, c[19] != 0.0
+    )
 
 
 def no_law(
@@ -106,312 +131,345 @@ def no_law(
     return 0.0, memory
 
 
+@intrinsic(prefer_literal=True)
+def load(typing_context: Any, array: Any, start: Any, stride: Any, count: Any) -> Any:
+    """The tuple of `count` entries of a contiguous float64 array from `start` on, in steps of `stride`; unchecked.
+
+    The last two are constants of the compiler's. Slices would do as well, were their bounds not checked at run time,
+    which keeps the loop around them from vectorising.
+    """
+    size, step = count.literal_value, stride.literal_value
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        offsets = (builder.add(arguments[1], context.get_constant(types.intp, n * step)) for n in range(size))
+        entries = [builder.load(builder.gep(data, [offset])) for offset in offsets]
+        return context.make_tuple(builder, signature.return_type, entries)
+
+    return types.UniTuple(types.float64, size)(array, types.intp, stride, count), generate
+
+
+@intrinsic(prefer_literal=True)
+def store(typing_context: Any, array: Any, start: Any, stride: Any, values: Any) -> Any:
+    """Writes a tuple where `load` would read it."""
+    step = stride.literal_value
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        for n, entry in enumerate(cgutils.unpack_tuple(builder, arguments[3])):
+            offset = builder.add(arguments[1], context.get_constant(types.intp, n * step))
+            builder.store(entry, builder.gep(data, [offset]))
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, stride, types.UniTuple(types.float64, len(values))), generate
+
+
+# A table for a task without a law.
+NO_REFERENCE = np.zeros((1, 2))
+NO_REFERENCE.setflags(write=False)
+
 # Bound anew, per law, in the copies that `build` makes; so are the functions below that call each other.
 law: Callable[..., Any] = no_law
 MEMORY_SIZE = 1
 REFERENCE_SIZE = 2
+PIVOT_TORQUE_ON_CONTACT = 0.0
 
 
-def consult(
-    world: np.ndarray, i: int, reference: np.ndarray, settings: Settings, action: float, observation: np.ndarray
-) -> None:
-    """Asks the law for its torque at the present state and writes the observation of environment i."""
-    clock = int(world[CLOCK, i])
-    row = to_fixed_tuple(reference[clock], REFERENCE_SIZE)
-    memory = to_fixed_tuple(world[ROWS:, i], MEMORY_SIZE)
-    theta, theta_dot, x, x_dot = world[THETA, i], world[THETA_DOT, i], world[X, i], world[X_DOT, i]
-    law_torque, memory = law(theta, theta_dot, x, x_dot, memory, row)
-    law_torque = task.clip(law_torque, settings.torque_limit)
-    for j, cell in enumerate(memory):
-        world[ROWS + j, i] = cell
-    world[LAW_TORQUE, i] = law_torque
-    task.write_observation(
-        observation,
-        (theta, theta_dot, x_dot),
-        action,
-        (row[0], row[1], clock / reference.shape[0]),
-        law_torque,
-        (world[MASS, i], world[MU, i]),
-        settings.with_reference,
-        settings.with_parameters,
-    )
-
-
-def start(
-    world: np.ndarray, rows: np.ndarray, constants: np.ndarray, reference: np.ndarray, observations: np.ndarray
-) -> None:
-    """Begins an episode in the given environments, whose state, M, mu and memory have been set.
-
-    Args:
-        world: shape (rows, environments), float64.
-        rows: indices of the environments, int64.
-        constants: plant and settings, from `pack`.
-        reference: the controller's table.
-        observations: shape (environments, entries), float32; written.
-    """
-    _, settings = unpack(constants)
-    for i in rows:
-        consult(world, i, reference, settings, 0.0, observations[i])
-
-
-def advance_one(
-    world: np.ndarray,
-    i: int,
-    action: float,
-    plant: Plant,
-    settings: Settings,
-    reference: np.ndarray,
-    observation: np.ndarray,
-) -> float:
-    """One agent step of environment i; returns the reward. M and mu come from `world`."""
-    p = Plant(
-        world[MASS, i],
+@inlined
+def plant_of(block: np.ndarray, j: int, plant: Plant) -> Plant:
+    """The plant of one environment."""
+    return Plant(
+        block[MASS + j],
         plant.m,
         plant.l,
         plant.g,
         plant.k,
         plant.c,
-        world[MU, i],
+        block[MU + j],
         plant.static_ratio,
         plant.backward_ratio,
         plant.pivot_torque_on_contact,
+        block[MASS_RATIO + j],
     )
-    theta, theta_dot, x, x_dot = world[THETA, i], world[THETA_DOT, i], world[X, i], world[X_DOT, i]
-    law_torque = world[LAW_TORQUE, i]
-    memory = to_fixed_tuple(world[ROWS:, i], MEMORY_SIZE)
-    clock = int(world[CLOCK, i])
-    cycle = reference.shape[0]
-    h = settings.physics_dt
-    action = task.clip(action, 1.0)
-    residual = settings.residual_limit * action
-    weight = (p.M + p.m) * p.g
 
-    before = x
-    torque = 0.0
-    energy = duration = torque_squared = forward = backward = stuck = 0.0
-    peak = world[PEAK_TORQUE, i]
-    smallest_normal = math.inf
-    largest_theta = world[LARGEST_THETA, i]
-    largest_theta_dot = world[LARGEST_THETA_DOT, i]
-    ended = 0
-    for tick in range(settings.law_steps):
-        torque = task.clip(law_torque + residual, settings.torque_limit)
-        peak = max(peak, abs(torque))
-        for _ in range(settings.physics_steps):
-            motion = dynamics.step(theta, theta_dot, x, x_dot, torque, p, h)
-            theta, theta_dot, x, x_dot = motion.theta, motion.theta_dot, motion.x, motion.x_dot
-            energy += abs(torque) * motion.swept
-            torque_squared += torque * torque * h
-            duration += h
-            forward += motion.forward
-            backward += motion.backward
-            stuck += motion.stuck
-            smallest_normal = min(smallest_normal, motion.normal_force)
-            largest_theta = max(largest_theta, abs(theta))
-            largest_theta_dot = max(largest_theta_dot, abs(theta_dot))
-            ended = task.termination(theta, motion.normal_force)
-            if ended:
-                break
-        clock = clock + 1 if clock + 1 < cycle else 0
-        # The last call of the step is `consult`'s, which also shows its torque to the agent.
-        if ended or tick == settings.law_steps - 1:
-            break
-        law_torque, memory = law(theta, theta_dot, x, x_dot, memory, to_fixed_tuple(reference[clock], REFERENCE_SIZE))
-        law_torque = task.clip(law_torque, settings.torque_limit)
 
-    world[THETA, i], world[THETA_DOT, i], world[X, i], world[X_DOT, i] = theta, theta_dot, x, x_dot
-    world[CLOCK, i] = clock
-    for j, cell in enumerate(memory):
-        world[ROWS + j, i] = cell
-    world[TORQUE, i] = torque
-    world[NORMAL_FORCE, i] = smallest_normal
-    world[STEP_ENERGY, i] = energy
-    world[TERMINATION, i] = ended
-    world[STEPS, i] += 1.0
-    world[DURATION, i] += duration
-    world[ENERGY, i] += energy
-    world[WEIGHT_DISTANCE, i] += weight * (x - before)
-    world[TORQUE_SQUARED, i] += torque_squared
-    world[PEAK_TORQUE, i] = peak
-    world[FORWARD, i] += forward
-    world[BACKWARD, i] += backward
-    world[STUCK, i] += stuck
-    world[SMALLEST_NORMAL_RATIO, i] = min(world[SMALLEST_NORMAL_RATIO, i], smallest_normal / weight)
-    world[LARGEST_THETA, i] = largest_theta
-    world[LARGEST_THETA_DOT, i] = largest_theta_dot
-    progress, energy_cost, penalty = task.reward_terms(
-        x - before, energy, ended != 0, settings.energy_weight, settings.termination_penalty
-    )
-    world[REWARD_PROGRESS, i], world[REWARD_ENERGY, i], world[REWARD_TERMINATION, i] = progress, energy_cost, penalty
-    consult(world, i, reference, settings, action, observation)
-    return progress + energy_cost + penalty
+@inlined
+def prepare(block: np.ndarray, n: int, plant: Plant) -> int:
+    """Begins an agent step of the environments of block b; returns how many take part."""
+    count = 0
+    for j in range(n):
+        active = block[ACTIVE + j] != 0.0
+        block[HALT + j] = UNDER_WAY if active else HALTED
+        block[ACTION + j] = task.clip(block[ACTION + j], 1.0)
+        block[MASS_RATIO + j] = plant.m / (block[MASS + j] + plant.m)
+        block[BEFORE_X + j] = block[X + j]
+        block[STEP_ENERGY + j] = 0.0 if active else block[STEP_ENERGY + j]
+        block[NORMAL_FORCE + j] = math.inf if active else block[NORMAL_FORCE + j]
+        count += active
+    return count
+
+
+@inlined
+def engage(block: np.ndarray, n: int, plant: Plant, settings: Settings) -> int:
+    """Switches the torque and finds the phases of contact under it; returns how many environments stick."""
+    period = settings.physics_steps * settings.physics_dt
+    resting = 0
+    for j in range(n):
+        going = block[HALT + j] == UNDER_WAY
+        residual = settings.residual_limit * block[ACTION + j]
+        torque = task.clip(block[LAW_TORQUE + j] + residual, settings.torque_limit)
+        torque = torque if going else block[TORQUE + j]
+        x_dot = block[X_DOT + j]
+        block[TORQUE + j] = torque
+        block[PEAK_TORQUE + j] = max(block[PEAK_TORQUE + j], abs(torque))
+        block[ELAPSED + j] = period
+        block[SLIP + j] = -1.0 if x_dot < 0.0 else 1.0
+        resting += going and x_dot == 0.0
+    if resting == 0:
+        return 0
+    sticking = 0
+    for j in range(n):
+        p = plant_of(block, j, plant)
+        theta, theta_dot, x_dot = block[THETA + j], block[THETA_DOT + j], block[X_DOT + j]
+        slip = dynamics.contact_phase(theta, theta_dot, x_dot, block[TORQUE + j], p)
+        slip = slip if block[HALT + j] == UNDER_WAY else 1.0
+        block[SLIP + j] = slip
+        sticking += slip == 0.0
+    return sticking
+
+
+@inlined
+def glide(block: np.ndarray, n: int, plant: Plant, h: float, may_stick: bool) -> None:
+    """Takes every environment to which nothing happens through one substep, and marks the others."""
+    for j in range(n):
+        p = plant_of(block, j, plant)
+        theta, theta_dot, x, x_dot = block[THETA + j], block[THETA_DOT + j], block[X + j], block[X_DOT + j]
+        slip, torque = block[SLIP + j], block[TORQUE + j]
+        theta_1, theta_dot_1, x_1, x_dot_1, normal, lasts = dynamics.glide(
+            theta, theta_dot, x, x_dot, slip, torque, p, h, may_stick
+        )
+        going = block[HALT + j] == UNDER_WAY
+        smooth = lasts and task.termination(theta_1, normal) == 0
+        block[EVENTFUL + j] = 1.0 if going and not smooth else 0.0
+        commit = going and smooth
+        block[THETA + j] = theta_1 if commit else theta
+        block[THETA_DOT + j] = theta_dot_1 if commit else theta_dot
+        block[X + j] = x_1 if commit else x
+        block[X_DOT + j] = x_dot_1 if commit else x_dot
+        moved = x_1 - x if commit else 0.0
+        turned = dynamics.swept(theta_dot, theta_dot_1, theta_1 - theta, h) if commit else 0.0
+        block[STEP_ENERGY + j] += abs(torque) * turned
+        block[FORWARD + j] += max(0.0, moved)
+        block[BACKWARD + j] += max(0.0, -moved)
+        if may_stick:
+            block[STUCK + j] += h if commit and slip == 0.0 else 0.0
+        block[NORMAL_FORCE + j] = min(block[NORMAL_FORCE + j], normal if commit else math.inf)
+        block[LARGEST_THETA + j] = max(block[LARGEST_THETA + j], abs(theta_1) if commit else 0.0)
+        block[LARGEST_THETA_DOT + j] = max(block[LARGEST_THETA_DOT + j], abs(theta_dot_1) if commit else 0.0)
+
+
+@jitable
+def follow(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) -> int:
+    """Takes one environment through a substep in which something happens; returns by how many more stick afterwards."""
+    p = plant_of(block, j, plant)
+    torque = block[TORQUE + j]
+    motion = dynamics.step(block[THETA + j], block[THETA_DOT + j], block[X + j], block[X_DOT + j], torque, p, h)
+    block[THETA + j], block[THETA_DOT + j] = motion.theta, motion.theta_dot
+    block[X + j], block[X_DOT + j] = motion.x, motion.x_dot
+    block[STEP_ENERGY + j] += abs(torque) * motion.swept
+    block[FORWARD + j] += motion.forward
+    block[BACKWARD + j] += motion.backward
+    block[STUCK + j] += motion.stuck
+    block[NORMAL_FORCE + j] = min(block[NORMAL_FORCE + j], motion.normal_force)
+    block[LARGEST_THETA + j] = max(block[LARGEST_THETA + j], abs(motion.theta))
+    block[LARGEST_THETA_DOT + j] = max(block[LARGEST_THETA_DOT + j], abs(motion.theta_dot))
+    ended = task.termination(motion.theta, motion.normal_force)
+    slip = dynamics.contact_phase(motion.theta, motion.theta_dot, motion.x_dot, torque, p)
+    if ended != 0:
+        block[TERMINATION + j] = ended
+        block[HALT + j] = ENDING
+        block[ELAPSED + j] = elapsed
+        slip = 1.0
+    before = block[SLIP + j]
+    block[SLIP + j] = slip
+    return (1 if slip == 0.0 else 0) - (1 if before == 0.0 else 0)
+
+
+@inlined
+def consult(block: np.ndarray, n: int, reference: np.ndarray, settings: Settings, tick: float) -> None:
+    """Asks the law for its torque at the present state, `tick` rows further in its reference."""
+    # A loop of its own: where the environments read the table at different places, no compiler vectorises it.
+    for j in range(n):
+        clock = block[CLOCK + j] + (tick if block[HALT + j] != HALTED else 0.0)
+        clock = clock if clock < reference.shape[0] else 0.0
+        block[CLOCK + j] = clock
+        row = load(reference, np.int64(clock) * REFERENCE_SIZE, 1, REFERENCE_SIZE)
+        store(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, row)
+    for j in range(n):
+        row = load(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, REFERENCE_SIZE)
+        memory = load(block, MEMORY + j, LANES, MEMORY_SIZE)
+        torque, renewed = law(block[THETA + j], block[THETA_DOT + j], block[X + j], block[X_DOT + j], memory, row)
+        halt = block[HALT + j]
+        asked = halt != HALTED
+        # Infinity must not pass for a torque that was clipped: infinity minus itself is NaN.
+        clipped = task.clip(torque, settings.torque_limit) + (torque - torque)
+        block[LAW_TORQUE + j] = clipped if asked else block[LAW_TORQUE + j]
+        store(block, MEMORY + j, LANES, renewed if asked else memory)
+        elapsed = block[ELAPSED + j] if asked else 0.0
+        torque = block[TORQUE + j]
+        block[DURATION + j] += tick * elapsed
+        block[TORQUE_SQUARED + j] += tick * elapsed * torque * torque
+        block[HALT + j] = UNDER_WAY if halt == UNDER_WAY else HALTED
+
+
+@inlined
+def settle(block: np.ndarray, n: int, plant: Plant, settings: Settings) -> None:
+    """Ends an agent step: rewards and the sums of the episode."""
+    for j in range(n):
+        active = block[ACTIVE + j] != 0.0
+        share = 1.0 if active else 0.0
+        weight = (block[MASS + j] + plant.m) * plant.g
+        moved = block[X + j] - block[BEFORE_X + j]
+        energy = block[STEP_ENERGY + j]
+        terms = task.reward_terms(
+            moved, energy, block[TERMINATION + j] != 0.0, settings.energy_weight, settings.termination_penalty
+        )
+        progress, energy_cost, penalty = terms
+        block[REWARD + j] = progress + energy_cost + penalty if active else 0.0
+        block[REWARD_PROGRESS + j] = progress if active else block[REWARD_PROGRESS + j]
+        block[REWARD_ENERGY + j] = energy_cost if active else block[REWARD_ENERGY + j]
+        block[REWARD_TERMINATION + j] = penalty if active else block[REWARD_TERMINATION + j]
+        block[STEPS + j] += share
+        block[ENERGY + j] += share * energy
+        block[WEIGHT_DISTANCE + j] += share * weight * moved
+        smallest = min(block[SMALLEST_NORMAL_RATIO + j], block[NORMAL_FORCE + j] / weight)
+        block[SMALLEST_NORMAL_RATIO + j] = smallest if active else block[SMALLEST_NORMAL_RATIO + j]
+
+
+@inlined
+def observe(block: np.ndarray, n: int, begin: bool, settings: Settings, cycle: int, observations: np.ndarray) -> None:
+    """Writes the observations of block b where its environments take part."""
+    for j in range(n):
+        if block[ACTIVE + j] != 0.0:
+            task.write_observation(
+                observations[j],
+                (block[THETA + j], block[THETA_DOT + j], block[X_DOT + j]),
+                0.0 if begin else block[ACTION + j],
+                (
+                    block[MEMORY + MEMORY_SIZE * LANES + j],
+                    block[MEMORY + (MEMORY_SIZE + 1) * LANES + j],
+                    block[CLOCK + j] / cycle,
+                ),
+                block[LAW_TORQUE + j],
+                (block[MASS + j], block[MU + j]),
+                settings.with_reference,
+                settings.with_parameters,
+            )
 
 
 def advance(
     world: np.ndarray,
     first: int,
     last: int,
-    actions: np.ndarray,
-    active: np.ndarray,
+    begin: bool,
     constants: np.ndarray,
     reference: np.ndarray,
     observations: np.ndarray,
-    rewards: np.ndarray,
 ) -> int:
-    """One agent step of the environments first..last-1.
+    """One agent step of the environments first..last-1 that `Row.active` names; the others stand still.
 
     Args:
-        world: shape (rows, environments), float64; changed.
-        first: first column.
-        last: one past the last column.
-        actions: shape (environments, 1), float32.
-        active: shape (environments,), bool; the others stand still and get reward 0.
+        world: shape (blocks, (ROWS + memory cells + columns of the reference) LANES), float64; changed.
+        first: first environment, a multiple of LANES.
+        last: one past the last environment.
+        begin: begin an episode instead of taking a step: the law is asked for its first torque.
         constants: plant and settings, from `pack`; M and mu come from `world`.
         reference: the controller's table.
         observations: shape (environments, entries), float32; written.
-        rewards: shape (environments,), float64; written.
 
     Returns:
         Index of an environment whose state or torque is no longer finite, or -1.
     """
-    plant, settings = unpack(constants)
+    plant, settings = unpack(constants, PIVOT_TORQUE_ON_CONTACT)
+    h = settings.physics_dt
     broken = -1
-    for i in range(first, last):
-        rewards[i] = 0.0
-        if active[i]:
-            rewards[i] = advance_one(world, i, float(actions[i, 0]), plant, settings, reference, observations[i])
-            if not (math.isfinite(rewards[i]) and math.isfinite(world[THETA_DOT, i] + world[LAW_TORQUE, i])):
-                broken = i
+    for b in range(first // LANES, (last + LANES - 1) // LANES):
+        block = world[b]
+        n = last - b * LANES
+        n = n if n < LANES else LANES
+        if prepare(block, n, plant) == 0 and begin:
+            continue
+        for _ in range(1 if begin else settings.law_steps):
+            if not begin:
+                sticking = engage(block, n, plant, settings)
+                for substep in range(settings.physics_steps):
+                    if sticking > 0:
+                        glide(block, n, plant, h, True)
+                    else:
+                        glide(block, n, plant, h, False)
+                    for j in range(n):
+                        if block[EVENTFUL + j] != 0.0:
+                            sticking += follow(block, j, plant, h, (substep + 1) * h)
+            consult(block, n, reference, settings, 0.0 if begin else 1.0)
+        if not begin:
+            settle(block, n, plant, settings)
+        observe(block, n, begin, settings, reference.shape[0], observations[b * LANES :])
+        for j in range(n):
+            if not math.isfinite(block[THETA_DOT + j] + block[LAW_TORQUE + j] + block[REWARD + j]):
+                broken = b * LANES + j
     return broken
 
 
-class Kernels(NamedTuple):
-    """The compiled entry points for one control law."""
-
-    start: Callable[..., None]
-    advance: Callable[..., int]
-
-
-def fingerprint(function: Callable[..., Any]) -> str:
-    """A sha256 of a function and of everything it refers to: bytecode, constants, closures, globals, callees."""
-    digest = hashlib.sha256()
-    seen: set[int] = set()
-
-    def add_code(code: types.CodeType, scope: dict[str, Any]) -> None:
-        digest.update(code.co_code)
-        digest.update(repr((code.co_names, code.co_varnames, code.co_freevars)).encode())
-        for constant in code.co_consts:
-            if isinstance(constant, types.CodeType):
-                add_code(constant, scope)
-            else:
-                digest.update(repr(constant).encode())
-        for name in code.co_names:
-            if name in scope:
-                add(name, scope[name], code.co_names)
-
-    def add(name: str, value: Any, names: tuple[str, ...]) -> None:
-        digest.update(name.encode())
-        value = getattr(value, "py_func", value)
-        if isinstance(value, types.FunctionType):
-            if id(value) in seen:
-                return
-            seen.add(id(value))
-            add_code(value.__code__, value.__globals__)
-            digest.update(repr(value.__defaults__).encode())
-            for free, cell in zip(value.__code__.co_freevars, value.__closure__ or (), strict=True):
-                add(free, cell.cell_contents, ())
-        elif isinstance(value, types.ModuleType):
-            if not value.__name__.startswith(("math", "numpy", "numba", "typing", "builtins")):
-                for attribute in names:
-                    if hasattr(value, attribute):
-                        add(attribute, getattr(value, attribute), ())
-        elif isinstance(value, np.ndarray):
-            digest.update(repr((value.dtype, value.shape)).encode() + np.ascontiguousarray(value).tobytes())
-        elif isinstance(value, type):
-            digest.update(repr((value.__qualname__, getattr(value, "_fields", ()))).encode())
-        else:
-            digest.update(repr(value).encode())
-
-    add(function.__name__, function, ())
-    return digest.hexdigest()
+SIGNATURE = (
+    types.float64[:, ::1],
+    types.int64,
+    types.int64,
+    types.boolean,
+    types.float64[::1],
+    types.Array(types.float64, 2, "C", readonly=True),
+    types.float32[:, ::1],
+)
 
 
-def _rebound(function: Any, name: str, bindings: dict[str, Any]) -> Any:
-    """A copy of a module-level function under another name, some of its globals bound to other values."""
-    copy = types.FunctionType(function.__code__, {**function.__globals__, **bindings}, name, function.__defaults__)
-    copy.__qualname__ = name
-    copy.__module__ = function.__module__
-    return copy
-
-
-def _distinct(function: Any, digest: str, outer: tuple[Any, ...] = ()) -> Any:
-    """A copy of a law, and of the compiled helpers it refers to, under names that hold the hash.
-
-    numba's symbols hold a function's name and a counter of the process. Two laws out of one factory, compiled in two
-    processes and loaded from the disk cache into a third, would have the same symbol, and the linker would give both
-    the first one's code.
-    """
-
-    def renewed(value: Any) -> Any:
-        if not isinstance(value, CPUDispatcher) or value in outer:
-            return value
-        return numba.jit(_distinct(value.py_func, digest, (*outer, value)), **value.targetoptions)
-
-    names = {
-        name: renewed(function.__globals__[name]) for name in function.__code__.co_names if name in function.__globals__
-    }
-    cells = tuple(types.CellType(renewed(cell.cell_contents)) for cell in function.__closure__ or ())
-    scope = {**function.__globals__, **names}
-    name = f"{function.__name__}_{digest}"
-    copy = types.FunctionType(function.__code__, scope, name, function.__defaults__, cells or None)
-    copy.__qualname__ = name
-    copy.__module__ = function.__module__
-    return copy
-
-
-def build(law_function: Callable[..., Any], memory_size: int, reference_size: int) -> Kernels:
-    """Compiles (lazily, at the first call, or loads from numba's disk cache) the kernels for one law.
+def build(
+    law_function: Callable[..., Any],
+    memory_size: int,
+    reference_size: int,
+    pivot_torque_on_contact: float,
+    name: str = "a law",
+) -> Callable[..., int]:
+    """Compiles `advance` for one law, or loads it from numba's disk cache; says so where it has to compile.
 
     Args:
         law_function: the law, plain or jitted.
         memory_size: number of its memory cells.
         reference_size: number of columns of its reference table.
+        pivot_torque_on_contact: 1.0 for the paper's normal force, 0.0 for Newton's.
+        name: of the law, for the message.
     """
     source = law_function.py_func if isinstance(law_function, CPUDispatcher) else law_function
-    key = f"{fingerprint(source)}:{memory_size}:{reference_size}:{_own_fingerprint()}"
+    shape = f"{memory_size}:{reference_size}:{pivot_torque_on_contact}"
+    key = f"{fingerprint(source)}:{shape}:{_own_fingerprint()}"
     digest = hashlib.sha256(key.encode()).hexdigest()[:16]
     if digest not in _built:
-        _built[digest] = _bind(source, memory_size, reference_size, digest)
+        bindings: dict[str, Any] = {
+            "law": inner(distinct(source, digest)),
+            "MEMORY_SIZE": memory_size,
+            "REFERENCE_SIZE": reference_size,
+            "PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact,
+        }
+        for function in (consult, observe):
+            bindings[function.__name__] = inlined(rebound(function, f"{function.__name__}_{digest}", bindings))
+        built = kernel(advance, digest, bindings)
+        compile_now(built, SIGNATURE, f"the physics with {name}")
+        _built[digest] = built
     return _built[digest]
 
 
-_built: dict[str, Kernels] = {}
+_built: dict[str, Callable[..., int]] = {}
 
 
 @lru_cache(maxsize=1)
 def _own_fingerprint() -> str:
-    """The part of the fingerprint that all laws share: the kernels, the task and the physics."""
-    return "".join(fingerprint(function) for function in (consult, start, advance_one, advance))
-
-
-def _bind(law_function: Callable[..., Any], memory_size: int, reference_size: int, digest: str) -> Kernels:
-    """The kernels for one law and one set of sources."""
-    bindings: dict[str, Any] = {
-        "law": numba.njit(_distinct(law_function, digest)),
-        "MEMORY_SIZE": memory_size,
-        "REFERENCE_SIZE": reference_size,
-    }
-    for function in (consult, advance_one):
-        name = function.__name__
-        bindings[name] = numba.njit(_rebound(function, f"{name}_{digest}", bindings))
-    return Kernels(*(_compiled(function, digest, bindings) for function in (start, advance)))
-
-
-def _compiled(function: Callable[..., Any], digest: str, bindings: dict[str, Any]) -> Any:
-    """The function with those globals, compiled at its first call or loaded from the disk cache of its sources."""
-    return numba.njit(_rebound(function, f"{function.__name__}_{digest}", bindings), cache=True, nogil=True)
-
-
-def compile_cached(function: Callable[..., Any]) -> Any:
-    """Compiles a module-level function with numba; unlike numba's own, the disk cache notices edits of its callees."""
-    return _compiled(function, fingerprint(function)[:16], {})
+    """The part of the fingerprint that all laws share: the kernel, the task and the physics."""
+    return fingerprint(advance)

@@ -12,7 +12,10 @@ NormalForce = Literal["newton", "paper"]
 
 
 class Plant(NamedTuple):
-    """The constants of one plant as the compiled functions read them: SI units, float64, no validation."""
+    """The constants of one plant as the compiled functions read them: SI units, float64, no validation.
+
+    The last one, m / (M + m), follows from the others: it saves the integrator its divisions.
+    """
 
     M: float
     m: float
@@ -24,6 +27,7 @@ class Plant(NamedTuple):
     static_ratio: float
     backward_ratio: float
     pivot_torque_on_contact: float
+    mass_ratio: float
 
 
 def check_number(
@@ -152,6 +156,7 @@ class Capsule:
             static_ratio=float(capsule.static_ratio),
             backward_ratio=float(capsule.backward_ratio),
             pivot_torque_on_contact=float(capsule.normal_force == "paper"),
+            mass_ratio=float(capsule.m / (capsule.M + capsule.m)),
         )
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from enum import IntEnum
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -13,11 +14,9 @@ import numpy as np
 
 from capsule_gym import kernels, task
 from capsule_gym.controller import Controller, find_controller
-from capsule_gym.kernels import Row
+from capsule_gym.kernels import LANES, Row
 from capsule_gym.parameters import Capsule, Randomization, check_number
 
-# Below this many environments per thread, handing out the work costs more than it saves.
-ENVIRONMENTS_PER_THREAD = 64
 DIRECT_PHYSICS_DT = 2e-3
 LAW_PHYSICS_DT = 1e-3
 
@@ -91,9 +90,9 @@ class Simulation:
         threads: threads that share a batch; None is 1.
 
     Attributes:
-        world: shape (rows of `Row` and the law's memory, num_envs).
+        world: shape (blocks, rows, LANES): environment i is lane i % LANES of block i // LANES; the rows are those of
+            `Row`, the law's memory and its line of the reference. `row` and `columns` read it by environments.
         observations: shape (num_envs, entries), float32, of the present state.
-        rewards: shape (num_envs,), of the last step.
 
     Raises:
         TypeError: if an argument is of the wrong type.
@@ -154,21 +153,57 @@ class Simulation:
             with_parameters=self.observe_parameters,
         )
         law = self.controller.law if self.controller else kernels.no_law
-        self.reference = self.controller.reference if self.controller else np.zeros((1, 2))
+        self.reference = self.controller.reference if self.controller else kernels.NO_REFERENCE
         self.memory = self.controller.memory if self.controller else (0.0,)
-        self._kernels = kernels.build(law, len(self.memory), self.reference.shape[1])
-        self._constants = kernels.pack(self.capsule.plant(), self.settings)
+        plant = self.capsule.plant()
+        self._kernel = kernels.build(
+            law,
+            len(self.memory),
+            self.reference.shape[1],
+            plant.pivot_torque_on_contact,
+            f"the control law {self.controller.name!r}" if self.controller else "no control law",
+        )
+        self._constants = kernels.pack(plant, self.settings)
 
         self.observation_names = task.observation_names(self.settings.with_reference, self.observe_parameters)
-        self.world = np.zeros((kernels.ROWS + len(self.memory), self.num_envs))
+        blocks = -(-self.num_envs // LANES)
+        rows = kernels.ROWS + len(self.memory) + self.reference.shape[1]
+        self.world = np.zeros((blocks, rows, LANES))
+        self._blocks = self.world.reshape(blocks, -1)
+        self._action = self.world[0, Row.action]
         self.observations = np.zeros((self.num_envs, len(self.observation_names)), np.float32)
-        self.rewards = np.zeros(self.num_envs)
         self._seeds = [0] * self.num_envs
         self._episodes = [0] * self.num_envs
-        count = max(1, min(self.threads, self.num_envs // ENVIRONMENTS_PER_THREAD))
-        self._ranges = list(pairwise(self.num_envs * n // count for n in range(count + 1)))
+        # Whole blocks: two threads never write to one.
+        count = min(self.threads, blocks)
+        edges = [min(self.num_envs, LANES * (blocks * n // count)) for n in range(count + 1)]
+        self._ranges = list(pairwise(edges))
         self._changes: dict[int, list[tuple[float, float, float]]] = {}
+        # When the next of an environment's changes is due, s.
+        self._due = np.full(self.num_envs, math.inf)
+        # Whether `Row.active` is 1 everywhere.
+        self._everyone = False
         self._pool: ThreadPoolExecutor | None = None
+
+    def row(self, row: int) -> np.ndarray:
+        """A copy of one quantity of every environment, shape (num_envs,)."""
+        return self.world[:, row].flatten()[: self.num_envs]
+
+    def rows(self, first: int, last: int) -> np.ndarray:
+        """A copy of the quantities first..last-1 of every environment, shape (last - first, num_envs)."""
+        part = self.world[:, first:last].transpose(1, 0, 2)
+        return np.array(part, order="C").reshape(last - first, -1)[:, : self.num_envs]
+
+    def columns(self, environments: np.ndarray) -> np.ndarray:
+        """A copy of every quantity of some environments, shape (rows, n)."""
+        return self.world[environments // LANES, :, environments % LANES].T
+
+    def write(self, row: int, values: np.ndarray) -> None:
+        """Sets one quantity of every environment, from an array of shape (num_envs,)."""
+        whole, rest = divmod(self.num_envs, LANES)
+        self.world[:whole, row] = values[: whole * LANES].reshape(whole, LANES)
+        if rest:
+            self.world[whole, row, :rest] = values[whole * LANES :]
 
     def seed(self, i: int, seed: int) -> None:
         """Gives environment i a seed; its next episode is the first of that seed."""
@@ -196,7 +231,7 @@ class Simulation:
             TypeError: if a value is of the wrong type.
             ValueError: if a value is out of range.
         """
-        columns = np.zeros((len(self.world), len(rows)))
+        columns = np.zeros((self.world.shape[1], len(rows)))
         schedules = [self._schedule(changes[n]) if changes is not None else [] for n in range(len(rows))]
         for n, i in enumerate(rows):
             seed, episode = self._seeds[i], self._episodes[i]
@@ -216,42 +251,76 @@ class Simulation:
         columns[Row.largest_theta] = np.abs(columns[Row.theta])
         columns[Row.largest_theta_dot] = np.abs(columns[Row.theta_dot])
         columns[Row.normal_force] = (columns[Row.M] + self.capsule.m) * self.capsule.g
-        columns[kernels.ROWS :] = np.array(self.memory)[:, None]
+        columns[kernels.ROWS : kernels.ROWS + len(self.memory)] = np.array(self.memory)[:, None]
+        columns[Row.active] = 1.0
 
         # Nothing above has touched the environments: a refused reset leaves them as they were.
         for n, i in enumerate(rows):
             self._episodes[i] += 1
             self._changes.pop(int(i), None)
+            self._due[i] = math.inf
             if schedules[n]:
                 self._changes[int(i)] = schedules[n]
-        self.world[:, rows] = columns
-        self._kernels.start(self.world, rows, self._constants, self.reference, self.observations)
+                self._due[i] = schedules[n][0][0]
+        self.world[:, Row.active] = 0.0
+        self._everyone = False
+        self.world[rows // LANES, :, rows % LANES] = columns.T
+        self._run(begin=True)
 
-    def step(self, actions: np.ndarray, active: np.ndarray) -> None:
+    def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> None:
         """One agent step.
 
         Args:
-            actions: shape (num_envs, 1), float32, C-contiguous, finite; clipped to [-1, 1].
-            active: shape (num_envs,), bool; the others stand still.
+            actions: shape (num_envs,), finite; clipped to [-1, 1].
+            active: shape (num_envs,), bool: who takes part, the others stand still. None is everyone.
 
         Raises:
             ValueError: if a user's control law returned a torque that is not finite.
         """
         if self._changes:
             self._apply_changes()
-        if len(self._ranges) == 1:
-            broken = self._advance(self._ranges[0], actions, active)
-        else:
-            if self._pool is None:
-                self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="capsule")
-            broken = max(self._pool.map(lambda chunk: self._advance(chunk, actions, active), self._ranges))
+        self.write(Row.action, actions)
+        if active is not None:
+            self.write(Row.active, active)
+        elif not self._everyone:
+            self.world[:, Row.active] = 1.0
+        self._everyone = active is None
+        broken = self._run(begin=False)
         if broken >= 0:
-            name = self.controller.name if self.controller else "none"
-            state = dict(zip(("theta", "theta_dot", "x", "x_dot"), self.world[:4, broken].tolist(), strict=True))
-            raise ValueError(
-                f"the control law {name!r} returned a torque that is not finite in environment {broken} "
-                f"(step {self.world[Row.steps, broken]:.0f}, state {state}); a law must return finite numbers"
+            self._report(broken)
+
+    def step_one(self, action: float) -> None:
+        """`step` for a single environment, without the arrays."""
+        if self._changes:
+            self._apply_changes()
+        self._action[0] = action
+        if self._kernel(self._blocks, 0, 1, False, self._constants, self.reference, self.observations) >= 0:
+            self._report(0)
+
+    def _run(self, begin: bool) -> int:
+        """Runs the kernel on all environments; returns one whose numbers are no longer finite, or -1."""
+        if len(self._ranges) == 1:
+            return self._kernel(
+                self._blocks, 0, self.num_envs, begin, self._constants, self.reference, self.observations
             )
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(len(self._ranges), thread_name_prefix="capsule")
+        work = partial(self._run_part, begin)
+        return max(self._pool.map(work, self._ranges))
+
+    def _run_part(self, begin: bool, part: tuple[int, int]) -> int:
+        """Runs the kernel on one range of environments."""
+        return self._kernel(self._blocks, *part, begin, self._constants, self.reference, self.observations)
+
+    def _report(self, broken: int) -> None:
+        """Says which environment a law has broken."""
+        name = self.controller.name if self.controller else "none"
+        column = self.columns(np.array([broken]))[:, 0]
+        state = dict(zip(("theta", "theta_dot", "x", "x_dot"), column[:4].tolist(), strict=True))
+        raise ValueError(
+            f"the control law {name!r} returned a torque that is not finite in environment {broken} "
+            f"(step {column[Row.steps]:.0f}, state {state}); a law must return finite numbers"
+        )
 
     def metrics(self, rows: np.ndarray, horizon: int | None = None) -> dict[str, np.ndarray]:
         """The numbers that an episode is judged by, so far.
@@ -268,7 +337,7 @@ class Simulation:
             |theta_dot| in rad/s, distance in m, energy = integral |u theta_dot| dt in J, duration in s, failed as 0
             or 1.
         """
-        world = self.world[:, rows]
+        world = self.columns(rows)
         duration, energy = world[Row.duration], world[Row.energy]
         failed = world[Row.termination] != 0
         distance = world[Row.x] - world[Row.start_x]
@@ -302,20 +371,6 @@ class Simulation:
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None
-
-    def _advance(self, chunk: tuple[int, int], actions: np.ndarray, active: np.ndarray) -> int:
-        """Runs the kernel on one range of environments."""
-        return self._kernels.advance(
-            self.world,
-            chunk[0],
-            chunk[1],
-            actions,
-            active,
-            self._constants,
-            self.reference,
-            self.observations,
-            self.rewards,
-        )
 
     def _check_plant(self, M: float, mu: float) -> None:
         """Refuses M and mu that are invalid, or outside the bounds of the observation that shows them."""
@@ -352,10 +407,13 @@ class Simulation:
 
     def _apply_changes(self) -> None:
         """Lets M and mu jump where the time has come: at the first agent step that starts at or after t."""
-        for i, schedule in list(self._changes.items()):
-            now = self.world[Row.steps, i] * self.control_dt
-            while schedule and schedule[0][0] <= now + 1e-9:
-                _, self.world[Row.M, i], self.world[Row.mu, i] = schedule.pop(0)
+        now = self.row(Row.steps) * self.control_dt + 1e-9
+        for i in np.flatnonzero(self._due <= now).tolist():
+            schedule = self._changes[i]
+            lane = self.world[i // LANES, :, i % LANES]
+            while schedule and schedule[0][0] <= now[i]:
+                _, lane[Row.M], lane[Row.mu] = schedule.pop(0)
+            self._due[i] = schedule[0][0] if schedule else math.inf
             if not schedule:
                 del self._changes[i]
 

@@ -9,8 +9,8 @@ import math
 from enum import IntEnum
 
 import numpy as np
-from numba.extending import register_jitable
 
+from capsule_gym.compilation import inlined
 from capsule_gym.parameters import Capsule
 
 EPISODE_STEPS = 1650
@@ -80,13 +80,13 @@ def observation_bounds(
     return low.copy(), high.copy()
 
 
-@register_jitable(forceinline=True)
+@inlined
 def clip(value: float, limit: float) -> float:
     """The value, kept within -limit to limit; NaN stays NaN."""
     return limit if value > limit else -limit if value < -limit else value
 
 
-@register_jitable(forceinline=True)
+@inlined
 def reward_terms(
     progress: float, energy: float, terminated: bool, energy_weight: float, termination_penalty: float
 ) -> tuple[float, float, float]:
@@ -105,7 +105,7 @@ def reward_terms(
     return 100.0 * progress, -energy_weight * energy, -termination_penalty if terminated else 0.0
 
 
-@register_jitable(forceinline=True)
+@inlined
 def termination(theta: float, normal_force: float) -> int:
     """`Termination` as an integer: the ball meets the platform, or the platform leaves the floor."""
     if abs(theta) >= THETA_LIMIT:
@@ -115,7 +115,7 @@ def termination(theta: float, normal_force: float) -> int:
     return 0
 
 
-@register_jitable(forceinline=True)
+@inlined
 def write_observation(
     out: np.ndarray,
     state: tuple[float, float, float],

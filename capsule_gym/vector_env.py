@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 
 from capsule_gym import task
 from capsule_gym.controller import Controller
-from capsule_gym.env import RESET_OPTIONS, check_options, draw, make_spaces
+from capsule_gym.env import RESET_OPTIONS, REWARD_TERMS, check_options, draw, make_spaces
 from capsule_gym.kernels import Row
 from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.rendering import Renderer
@@ -147,7 +147,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         )
         self._ended[rows] = False
         self._started = True
-        return self.simulation.observations.copy(), _masked(self._snapshot(), mask)
+        return self.simulation.observations.copy(), _masked(_snapshot(self.simulation.rows(0, Row.start_x)), mask)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One agent step of every environment.
@@ -172,18 +172,23 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 f"with {np.count_nonzero(~np.isfinite(array))} values that are not finite"
             )
         simulation = self.simulation
-        active = ~self._ended
-        resting = not active.all()
+        resting = self._ended.any()
+        active = ~self._ended if resting else None
         if resting and self.autoreset_mode is AutoresetMode.NEXT_STEP:
             simulation.reset(np.flatnonzero(self._ended))
-        simulation.step(array, active)
+        simulation.step(array[:, 0], active)
 
-        terminated = (simulation.world[Row.termination] != 0.0) & active
-        truncated = (simulation.world[Row.steps] >= self.max_episode_steps) & active
+        shown = simulation.rows(0, Row.start_x)
+        rewards = shown[Row.reward].copy()
+        terminated = shown[Row.termination] != 0.0
+        truncated = shown[Row.steps] >= self.max_episode_steps
+        if active is not None:
+            terminated &= active
+            truncated &= active
         ended = terminated | truncated
-        info = _masked(self._snapshot(), self._everywhere)
-        terms = {name: simulation.world[Row[name]].copy() for name in REWARD_TERMS}
-        info |= _masked(terms, active if resting else self._everywhere)
+        info = _masked(_snapshot(shown), self._everywhere)
+        terms = {name: shown[Row[name]] for name in REWARD_TERMS}
+        info |= _masked(terms, self._everywhere if active is None else active)
         if ended.any():
             self._report_end(info, ended, terminated)
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
@@ -191,9 +196,9 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         elif self.autoreset_mode is AutoresetMode.DISABLED:
             # A frozen environment goes on telling how it ended, as its last step did.
             self._ended |= ended
-            terminated = (simulation.world[Row.termination] != 0.0) & self._ended
-            truncated = (simulation.world[Row.steps] >= self.max_episode_steps) & self._ended
-        return simulation.observations.copy(), simulation.rewards.copy(), terminated, truncated, info
+            terminated = (shown[Row.termination] != 0.0) & self._ended
+            truncated = (shown[Row.steps] >= self.max_episode_steps) & self._ended
+        return simulation.observations.copy(), rewards, terminated, truncated, info
 
     def episode_metrics(self) -> dict[str, np.ndarray]:
         """The metrics of the running episodes, each of shape (num_envs,); `Simulation.metrics` says what they mean."""
@@ -231,8 +236,9 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         final: dict[str, Any] = {"metrics": metrics}
         if terminated.any():
             names = np.full(self.num_envs, None, dtype=object)
+            causes = simulation.row(Row.termination)
             for i in np.flatnonzero(terminated):
-                names[i] = task.Termination(int(simulation.world[Row.termination, i])).name
+                names[i] = task.Termination(int(causes[i])).name
             final |= _masked({"termination": names}, terminated)
         if self.autoreset_mode is not AutoresetMode.SAME_STEP:
             info |= _masked(final, ended)
@@ -244,22 +250,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         info["final_info"] = _masked({**shared, **final}, ended)
         info["_final_obs"] = info["_final_info"] = ended
         simulation.reset(rows)
-        begun = self._snapshot()
-        info |= {name: begun[name] for name in begun}
-
-    def _snapshot(self) -> dict[str, Any]:
-        """The part of the infos that reset and step share, detached from the running simulation."""
-        world = self.simulation.world[: Row.reward_progress].copy()
-        return {
-            "state": world[:4].T,
-            "M": world[Row.M],
-            "mu": world[Row.mu],
-            "stick": world[Row.x_dot] == 0.0,
-            "torque": world[Row.torque],
-            "law_torque": world[Row.law_torque],
-            "normal_force": world[Row.normal_force],
-            "energy": world[Row.step_energy],
-        }
+        info |= _snapshot(simulation.rows(0, Row.start_x))
 
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
         """Hands the seeds out: environment i of seed s gets s + i."""
@@ -321,9 +312,6 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return np.asarray(states)[rows]
 
 
-REWARD_TERMS = ("reward_progress", "reward_energy", "reward_termination")
-
-
 def _check_seed(seed: Any) -> int:
     """One environment's seed as an int."""
     if isinstance(seed, (bool, np.bool_)) or not isinstance(seed, (int, np.integer)):
@@ -342,6 +330,20 @@ def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:
             return candidate
     names = [candidate.name for candidate in AutoresetMode]
     raise ValueError(f"autoreset_mode must be an AutoresetMode or one of {names}, got {mode!r}")
+
+
+def _snapshot(shown: np.ndarray) -> dict[str, Any]:
+    """The part of the infos that reset and step share, from the first rows of the simulation."""
+    return {
+        "state": shown[:4].T,
+        "M": shown[Row.M],
+        "mu": shown[Row.mu],
+        "stick": shown[Row.x_dot] == 0.0,
+        "torque": shown[Row.torque],
+        "law_torque": shown[Row.law_torque],
+        "normal_force": shown[Row.normal_force],
+        "energy": shown[Row.step_energy],
+    }
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from gymnasium.utils.env_checker import check_env
 
 import baselines
 from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization
+from capsule_gym.kernels import ROWS
 from capsule_gym.simulation import METRICS
 
 ENV_ID = "CapsuleStickSlip-v0"
@@ -327,7 +328,7 @@ def test_a_law_of_the_users_own():
     env.reset(seed=0)
     env.step(np.zeros(1, np.float32))
     # Called at the start and after each of the 20 ms.
-    assert env.simulation.world[-1, 0] == 21.0
+    assert env.simulation.world[0, ROWS, 0] == 21.0
 
 
 def test_a_law_that_is_not_finite_is_named():
@@ -336,7 +337,7 @@ def test_a_law_that_is_not_finite_is_named():
 
     env = CapsuleEnv(controller=Controller("breaks", law, np.zeros((1, 2))))
     env.reset(seed=0)
-    with pytest.raises((ValueError, ZeroDivisionError), match=r"breaks|division"):
+    with pytest.raises(ValueError, match="control law 'breaks' returned a torque that is not finite"):
         for _ in range(5):
             env.step(np.zeros(1, np.float32))
 

@@ -16,7 +16,7 @@ NUMBERS = (*POSITIVE, *NON_NEGATIVE, "static_ratio")
 
 
 def test_the_defaults_are_the_papers():
-    assert Capsule().plant() == Plant(0.5, 0.138, 0.3, 9.81, 0.36, 0.0923, 0.01, 1.0, 1.0, 0.0)
+    assert Capsule().plant() == Plant(0.5, 0.138, 0.3, 9.81, 0.36, 0.0923, 0.01, 1.0, 1.0, 0.0, 0.138 / 0.638)
 
 
 @pytest.mark.parametrize("field", NUMBERS)

@@ -23,7 +23,7 @@ from baselines.sensitivity import (
     turning_points,
 )
 from capsule_gym import Capsule, Controller
-from capsule_gym.kernels import compile_cached
+from capsule_gym.compilation import compile_cached
 from capsule_gym.simulation import Simulation
 
 CYCLES = 5

@@ -1,0 +1,155 @@
+"""How plain functions become compiled ones that numba's disk cache may keep.
+
+numba's own cache looks at the date of one file. A function here is compiled under a name that holds a hash of
+everything it refers to, so that an edit of a law, of the physics or of a gain never meets a stale entry, and an
+unchanged one is found again by any process.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+import types
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+from numba.core import event
+from numba.core.registry import CPUDispatcher
+from numba.extending import _Intrinsic, register_jitable
+
+# A division by zero gives infinity. Python's exception would be a branch in every division, which no loop over
+# environments survives; strict floating point otherwise, so that all loops give the same bits.
+OPTIONS: dict[str, Any] = {"error_model": "numpy"}
+# Nobody calls the compiled form of a helper from Python or C: half of the time to compile it.
+_NO_WRAPPERS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+# For plain functions that compiled code may call, too; `inlined` ones leave no call behind, without which no loop over
+# environments is vectorised.
+jitable = register_jitable(**_NO_WRAPPERS)
+inlined = register_jitable(forceinline=True, **_NO_WRAPPERS)
+
+
+def fingerprint(function: Callable[..., Any]) -> str:
+    """A sha256 of a function and of everything it refers to: bytecode, constants, closures, globals, callees."""
+    digest = hashlib.sha256()
+    seen: set[int] = set()
+
+    def add_code(code: types.CodeType, scope: dict[str, Any]) -> None:
+        digest.update(code.co_code)
+        digest.update(repr((code.co_names, code.co_varnames, code.co_freevars)).encode())
+        for constant in code.co_consts:
+            if isinstance(constant, types.CodeType):
+                add_code(constant, scope)
+            else:
+                digest.update(repr(constant).encode())
+        for name in code.co_names:
+            if name in scope:
+                add(name, scope[name], code.co_names)
+
+    def add(name: str, value: Any, names: tuple[str, ...]) -> None:
+        digest.update(name.encode())
+        value = value._defn if isinstance(value, _Intrinsic) else getattr(value, "py_func", value)
+        if isinstance(value, types.FunctionType):
+            if id(value) in seen:
+                return
+            seen.add(id(value))
+            add_code(value.__code__, value.__globals__)
+            digest.update(repr(value.__defaults__).encode())
+            for free, cell in zip(value.__code__.co_freevars, value.__closure__ or (), strict=True):
+                add(free, cell.cell_contents, ())
+        elif isinstance(value, types.ModuleType):
+            if not value.__name__.startswith(("math", "numpy", "numba", "typing", "builtins")):
+                for attribute in names:
+                    if hasattr(value, attribute):
+                        add(attribute, getattr(value, attribute), ())
+        elif isinstance(value, np.ndarray):
+            digest.update(repr((value.dtype, value.shape)).encode() + np.ascontiguousarray(value).tobytes())
+        elif isinstance(value, type):
+            digest.update(repr((value.__qualname__, getattr(value, "_fields", ()))).encode())
+        else:
+            digest.update(repr(value).encode())
+
+    add(function.__name__, function, ())
+    return digest.hexdigest()
+
+
+def rebound(function: Any, name: str, bindings: dict[str, Any]) -> Any:
+    """A copy of a module-level function under another name, some of its globals bound to other values."""
+    copy = types.FunctionType(function.__code__, {**function.__globals__, **bindings}, name, function.__defaults__)
+    copy.__qualname__ = name
+    copy.__module__ = function.__module__
+    return copy
+
+
+def distinct(function: Any, digest: str, outer: tuple[Any, ...] = ()) -> Any:
+    """A copy of a law, and of the compiled helpers it refers to, under names that hold the hash.
+
+    numba's symbols hold a function's name and a counter of the process. Two laws out of one factory, compiled in two
+    processes and loaded from the disk cache into a third, would have the same symbol, and the linker would give both
+    the first one's code.
+    """
+
+    def renewed(value: Any) -> Any:
+        if not isinstance(value, CPUDispatcher) or value in outer:
+            return value
+        options = {**value.targetoptions, **OPTIONS}
+        return numba.jit(distinct(value.py_func, digest, (*outer, value)), **options)
+
+    names = {
+        name: renewed(function.__globals__[name]) for name in function.__code__.co_names if name in function.__globals__
+    }
+    cells = tuple(types.CellType(renewed(cell.cell_contents)) for cell in function.__closure__ or ())
+    scope = {**function.__globals__, **names}
+    name = f"{function.__name__}_{digest}"
+    copy = types.FunctionType(function.__code__, scope, name, function.__defaults__, cells or None)
+    copy.__qualname__ = name
+    copy.__module__ = function.__module__
+    return copy
+
+
+def inner(function: Any) -> Any:
+    """Compiles a function that kernels call."""
+    return numba.njit(function, **OPTIONS, **_NO_WRAPPERS)
+
+
+def kernel(function: Callable[..., Any], digest: str, bindings: dict[str, Any]) -> Any:
+    """The function with those globals, compiled at its first call or loaded from the disk cache of its sources."""
+    return numba.njit(rebound(function, f"{function.__name__}_{digest}", bindings), cache=True, nogil=True, **OPTIONS)
+
+
+def compile_cached(function: Callable[..., Any]) -> Any:
+    """Compiles a module-level function with numba; unlike numba's own, the disk cache notices edits of its callees."""
+    return kernel(function, fingerprint(function)[:16], {})
+
+
+def compile_now(function: Any, signature: tuple[Any, ...], what: str) -> None:
+    """Compiles a function for a signature, or loads it from the disk cache; says so on stderr where it has to compile.
+
+    Args:
+        function: what `kernel` has made.
+        signature: numba's types of its arguments.
+        what: for the message.
+    """
+    with event.install_listener("numba:compile", _Announcement(what)):
+        function.compile(signature)
+
+
+class _Announcement(event.Listener):
+    """Says once that a compilation has begun."""
+
+    def __init__(self, what: str) -> None:
+        self.what = what
+
+    def on_start(self, event: Any) -> None:
+        if self.what:
+            print(
+                f"capsule_gym: compiling {self.what}; this takes some seconds, once: numba keeps the result on disk",
+                file=sys.stderr,
+                flush=True,
+            )
+        self.what = ""
+
+    def on_end(self, event: Any) -> None:
+        pass
