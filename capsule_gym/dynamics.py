@@ -276,7 +276,9 @@ class Piece(NamedTuple):
         x_dot: m/s.
         boundary: what must be positive at its end for the phase to last, and the next its rate.
         boundary_rate: per second.
-        x_ddot: at its start, m/s^2.
+        theta_ddot: at its end, rad/s^2.
+        x_ddot: at its end, m/s^2.
+        first_x_ddot: at its start, m/s^2.
         normal_force: at its start, N.
     """
 
@@ -287,7 +289,9 @@ class Piece(NamedTuple):
     x_dot: float
     boundary: float
     boundary_rate: float
+    theta_ddot: float
     x_ddot: float
+    first_x_ddot: float
     normal_force: float
 
 
@@ -308,9 +312,9 @@ def _piece(
         if smallest >= 0.0:
             break
         mu = 0.0
-    x_ddot_1 = accelerations(theta_1, theta_dot_1, slip, u, p)[1]
+    theta_ddot_1, x_ddot_1, _ = accelerations(theta_1, theta_dot_1, slip, u, p)
     value, rate = boundary(theta_1, theta_dot_1, x_dot_1, x_ddot_1, slip, u, p)
-    return Piece(tau, theta_1, theta_dot_1, x_1, x_dot_1, value, rate, x_ddot, max(0.0, normal))
+    return Piece(tau, theta_1, theta_dot_1, x_1, x_dot_1, value, rate, theta_ddot_1, x_ddot_1, x_ddot, max(0.0, normal))
 
 
 @jitable
@@ -405,16 +409,17 @@ def _until_event(
             tau = 0.5 * (low + end)
     if abs(correction) > LAST_CORRECTION * width:
         return trial
-    theta_ddot, x_ddot, _ = accelerations(trial.theta, trial.theta_dot, slip, u, p)
     return Piece(
         trial.tau + correction,
         trial.theta + correction * trial.theta_dot,
-        trial.theta_dot + correction * theta_ddot,
+        trial.theta_dot + correction * trial.theta_ddot,
         trial.x + correction * trial.x_dot,
-        trial.x_dot + correction * x_ddot,
+        trial.x_dot + correction * trial.x_ddot,
         0.0,
         trial.boundary_rate,
+        trial.theta_ddot,
         trial.x_ddot,
+        trial.first_x_ddot,
         trial.normal_force,
     )
 
@@ -450,7 +455,7 @@ def step(theta: float, theta_dot: float, x: float, x_dot: float, u: float, p: Pl
     slip = contact_phase(theta, theta_dot, x_dot, u, p)
     for piece in range(EVENT_LIMIT):
         done = _piece(theta, theta_dot, x, x_dot, slip, u, p, remaining)
-        before, rate = boundary(theta, theta_dot, x_dot, done.x_ddot, slip, u, p)
+        before, rate = boundary(theta, theta_dot, x_dot, done.first_x_ddot, slip, u, p)
         # The last piece takes what is left of the step, so that no time is lost.
         crossed = crosses(before, rate, done.boundary, remaining) and piece < EVENT_LIMIT - 1
         beyond = crossed and done.boundary < 0.0

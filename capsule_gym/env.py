@@ -280,7 +280,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
     def _info(self) -> tuple[dict[str, Any], float, float]:
         """The info of a step, the reward, and why the episode has ended (0.0: it has not)."""
         (
-            *_, x_dot, M, mu, _, law_torque, torque, normal_force, energy, reward, progress, cost, penalty, ended
+            _, _, _, x_dot, M, mu, _, law_torque, torque, normal_force, energy, reward, progress, cost, penalty, ended
         ) = self._shown.tolist()  # fmt: skip
         info = {
             "state": self._state.copy(),

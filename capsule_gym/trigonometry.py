@@ -60,9 +60,11 @@ def sincos(angle: float) -> tuple[float, float]:
     turns = fma(angle, TURNS_PER_RADIAN, ROUNDING) - ROUNDING
     y = 0.5 * fma(-turns, TURN_REST, fma(-turns, TURN, angle))
     z = y * y
-    s = fma(fma(fma(fma(fma(fma(fma(S_7, z, S_6), z, S_5), z, S_4), z, S_3), z, S_2), z, S_1), z, S_0)
-    c = fma(fma(fma(fma(fma(fma(fma(C_7, z, C_6), z, C_5), z, C_4), z, C_3), z, C_2), z, C_1), z, C_0)
-    sine = fma(y * z, s, y)
-    cosine = fma(z * z, c, fma(-0.5, z, 1.0))
+    # Even and odd powers apart: half as many operations wait for each other.
+    zz = z * z
+    odd_s, even_s = fma(fma(fma(S_7, zz, S_5), zz, S_3), zz, S_1), fma(fma(fma(S_6, zz, S_4), zz, S_2), zz, S_0)
+    odd_c, even_c = fma(fma(fma(C_7, zz, C_5), zz, C_3), zz, C_1), fma(fma(fma(C_6, zz, C_4), zz, C_2), zz, C_0)
+    sine = fma(y * z, fma(odd_s, z, even_s), y)
+    cosine = fma(zz, fma(odd_c, z, even_c), fma(-0.5, z, 1.0))
     double = sine + sine
     return double * cosine, fma(-double, sine, 1.0)
