@@ -31,7 +31,7 @@ GAMMA_1 = GAMMA_2 = 0.1
 
 # Not published: beta, n and eta(0). eta = 1 takes the positive feedback out of the last term of (39c).
 ETA_0 = 1.0
-N = 1
+N_EXPONENT = 1
 BETA = 1.0
 BETA_AS_PUBLISHED = 0.01
 # Width in rad/s of the saturation that replaces sgn(delta_theta).
@@ -115,7 +115,7 @@ def adaptive_law(
     """
     dt = 1e-3
     beta = BETA_AS_PUBLISHED if as_published else BETA
-    odd = 2 * N + 1
+    odd = 2 * N_EXPONENT + 1
     root_bound = (ETA_BOUND_AS_PUBLISHED if as_published else ETA_BOUND) ** (1.0 / odd)
     low, high = (-math.inf, math.inf) if as_published else (1.0 - ESTIMATE_RANGE, 1.0 + ESTIMATE_RANGE)
     a1, a2, a3, a4, a5, b1, b2, b3, b4 = nominal_estimates(p)
@@ -274,12 +274,12 @@ def initial_memory(p: Plant, anchor: float) -> tuple[float, ...]:
         p: the plant that the law starts from.
         anchor: where x_d starts from, m.
     """
-    return (*nominal_estimates(p), ETA_0 ** (1.0 / (2 * N + 1)), anchor)
+    return (*nominal_estimates(p), ETA_0 ** (1.0 / (2 * N_EXPONENT + 1)), anchor)
 
 
 def eta_of(memory: np.ndarray) -> np.ndarray:
     """The auxiliary variable eta out of memories of the adaptive law, shape (.., cells)."""
-    return memory[..., MEMORY.index("eta_root")] ** (2 * N + 1)
+    return memory[..., MEMORY.index("eta_root")] ** (2 * N_EXPONENT + 1)
 
 
 def describe_memory(memory: Sequence[float]) -> dict[str, float]:

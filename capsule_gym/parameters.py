@@ -230,14 +230,28 @@ class Randomization:
 
     def draw(self, rng: np.random.Generator, capsule: Capsule) -> tuple[float, float]:
         """Draws M in kg and mu for one episode: always two numbers of the stream, so that ranges do not shift it."""
-        uniform_M, uniform_mu = rng.random(2)
-        M, mu = capsule.M, capsule.mu
+        M, mu = self.plants(rng.random((1, 2)), capsule)
+        return float(M[0]), float(mu[0])
+
+    def plants(self, uniform: np.ndarray, capsule: Capsule) -> tuple[np.ndarray, np.ndarray]:
+        """The plants that numbers in [0, 1) stand for.
+
+        Args:
+            uniform: shape (n, 2): for M and for mu.
+            capsule: where what is not drawn comes from.
+
+        Returns:
+            M in kg and mu, each of shape (n,).
+        """
+        M, mu = np.full(len(uniform), float(capsule.M)), np.full(len(uniform), float(capsule.mu))
         if self.M is not None:
-            M = self.M[0] + (self.M[1] - self.M[0]) * uniform_M
+            M = self.M[0] + (self.M[1] - self.M[0]) * uniform[:, 0]
         if self.mu is not None:
             low, high = self.mu
-            mu = low * (high / low) ** uniform_mu if self.log_mu else low + (high - low) * uniform_mu
-        return float(M), float(mu)
+            # One by one: numpy's power of an array may differ from that of a number in the last bit.
+            powers = [low * (high / low) ** share for share in uniform[:, 1].tolist()] if self.log_mu else None
+            mu = low + (high - low) * uniform[:, 1] if powers is None else np.array(powers)
+        return M, mu
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types, for configuration files."""
