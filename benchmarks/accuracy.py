@@ -15,6 +15,7 @@ import math
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,22 +36,41 @@ def valid_holds(expected: reference.Trajectory) -> int:
     return int(np.argmax(ended)) - 1 if ended.any() else len(ended) - 1
 
 
-def errors(mu: float, amplitude: float, trajectories: int) -> tuple[np.ndarray, float]:
-    """Errors of every trajectory (rows) at every step size, and the median length of the trajectories in s."""
-    capsule = Capsule(mu=mu)
-    holds = round(SECONDS / HOLD)
-    table = np.empty((trajectories, len(STEPS_MS)))
-    lengths = []
+class Expected(NamedTuple):
+    """One trajectory of the reference.
+
+    Attributes:
+        torques: of every hold, N m, also after the last valid one.
+        holds: how many of them the trajectory lasts.
+        state: theta, theta_dot, x, x_dot after these.
+    """
+
+    torques: np.ndarray
+    holds: int
+    state: np.ndarray
+
+
+def expected_trajectories(mu: float, amplitude: float, trajectories: int) -> list[Expected]:
+    """Solves as many trajectories with the reference; the first of more are the same."""
+    solved = []
     for seed in range(trajectories):
-        torques = np.random.default_rng(seed).uniform(-amplitude, amplitude, holds)
-        expected = reference.simulate(torques, START, reference.Constants(mu=mu))
-        last = valid_holds(expected)
-        lengths.append(HOLD * last)
+        torques = np.random.default_rng(seed).uniform(-amplitude, amplitude, round(SECONDS / HOLD))
+        trajectory = reference.simulate(torques, START, reference.Constants(mu=mu))
+        last = valid_holds(trajectory)
+        solved.append(Expected(torques, last, trajectory.states[last]))
+    return solved
+
+
+def errors(mu: float, solved: list[Expected]) -> np.ndarray:
+    """Errors of every trajectory (rows) at every step size."""
+    plant = Capsule(mu=mu).plant()
+    table = np.empty((len(solved), len(STEPS_MS)))
+    for row, expected in enumerate(solved):
         for column, milliseconds in enumerate(STEPS_MS):
             steps = round(1000.0 * HOLD / milliseconds)
-            run = driver.run(torques[:last], START, capsule.plant(), HOLD, steps)
-            table[seed, column] = np.abs(run.states[-1] - expected.states[last]).max()
-    return table, float(np.median(lengths))
+            run = driver.run(expected.torques[: expected.holds], START, plant, HOLD, steps)
+            table[row, column] = np.abs(run.states[-1] - expected.state).max()
+    return table
 
 
 def markdown(results: list[tuple[float, float, np.ndarray, float]], trajectories: int) -> str:
@@ -91,7 +111,9 @@ def main(arguments: list[str] | None = None) -> None:
     start = time.perf_counter()
     for mu in FRICTION:
         for amplitude in AMPLITUDES:
-            results.append((mu, amplitude, *errors(mu, amplitude, options.trajectories)))
+            solved = expected_trajectories(mu, amplitude, options.trajectories)
+            length = float(np.median([HOLD * expected.holds for expected in solved]))
+            results.append((mu, amplitude, errors(mu, solved), length))
             done, total = len(results), len(FRICTION) * len(AMPLITUDES)
             elapsed = time.perf_counter() - start
             print(f"{done}/{total}: mu = {mu:g}, +-{amplitude:g} N m, {elapsed:.0f} s", file=sys.stderr, flush=True)

@@ -437,7 +437,7 @@ def build(
     reference_size: int,
     pivot_torque_on_contact: float,
     name: str = "a law",
-) -> Callable[..., int]:
+) -> Any:
     """Compiles `advance` for one law, or loads it from numba's disk cache; says so where it has to compile.
 
     Args:
@@ -466,7 +466,7 @@ def build(
     return _built[digest]
 
 
-_built: dict[str, Callable[..., int]] = {}
+_built: dict[str, Any] = {}
 
 
 @lru_cache(maxsize=1)

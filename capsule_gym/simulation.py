@@ -192,9 +192,11 @@ class Simulation:
         self.observations = np.zeros((self.num_envs, len(self.observation_names)), np.float32)
         # The kernel's only compiled form: numba's search for the right one is 0.3 us of the 4 that a step takes, and so
         # are the arguments, where they are looked up each time.
-        compiled = next(iter(self._kernel.overloads.values())).entry_point
+        compiled: Callable[..., int] = next(iter(self._kernel.overloads.values())).entry_point
         fixed = (self._constants, self.reference, self.observations)
-        self._advance = lambda first, last, begin: compiled(self._blocks, first, last, begin, *fixed)
+        self._advance: Callable[[int, int, bool], int] = lambda first, last, begin: compiled(
+            self._blocks, first, last, begin, *fixed
+        )
         self._advance_one = partial(compiled, self._blocks, 0, 1, False, *fixed)
         self._seeds = [0] * self.num_envs
         self._episodes = np.zeros(self.num_envs, np.int64)
@@ -330,7 +332,7 @@ class Simulation:
             return self._advance(0, self.num_envs, begin)
         if self._pool is None:
             self._pool = ThreadPoolExecutor(len(self._ranges), thread_name_prefix="capsule")
-        return max(self._pool.map(lambda part: self._advance(*part, begin), self._ranges))
+        return max(self._pool.map(lambda part: self._advance(part[0], part[1], begin), self._ranges))
 
     def _report(self, broken: int) -> None:
         """Says which environment a law has broken."""
