@@ -23,14 +23,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from stable_baselines3 import PPO, SAC
+from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
+from agents.sac import LeanSAC
 from baselines.files import replacing, to_json, write_atomically
 
-ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": LeanSAC}
 MODEL, NORMALISATION, CONFIG = "model.zip", "normalisation.json", "config.json"
 REPLAY_BUFFER, PROGRESS = "replay_buffer.pkl", "progress.json"
 

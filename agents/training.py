@@ -38,6 +38,7 @@ from agents.runs import (
     save_checkpoint,
     save_model,
 )
+from agents.sac import LeanSAC
 from agents.sets import EvaluationSet, PlantSpec
 from agents.statistics import interquartile_mean
 from agents.vec_env import CapsuleSB3VecEnv
@@ -70,8 +71,15 @@ def make_env(config: Config, seed: int) -> VecNormalize:
     return VecNormalize(batch, norm_obs=True, norm_reward=False, gamma=config.gamma)
 
 
-def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
-    """A fresh agent."""
+def make_model(config: Config, env: VecNormalize, sac: type[SAC] = LeanSAC, fused: bool = True) -> BaseAlgorithm:
+    """A fresh agent.
+
+    Args:
+        config: its hyperparameters.
+        env: what it trains in.
+        sac: the class that SAC is made of.
+        fused: whether SAC's steps of Adam are one call each; PPO's minibatches are too large to notice.
+    """
     network: dict[str, Any] = {"net_arch": [config.hidden, config.hidden]}
     shared: dict[str, Any] = {
         "learning_rate": LinearSchedule(config.learning_rate, config.final_learning_rate, 1.0),
@@ -92,7 +100,7 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
             **shared,
         )
     assert isinstance(config, SACConfig)
-    return SAC(
+    return sac(
         "MlpPolicy",
         env,
         buffer_size=config.buffer_size,
@@ -100,7 +108,7 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
         train_freq=1,
         gradient_steps=config.gradient_steps,
         tau=config.tau,
-        policy_kwargs=network,
+        policy_kwargs={**network, "optimizer_kwargs": {"fused": fused}},
         **shared,
     )
 

@@ -119,16 +119,20 @@ static inline double swept(double start, double end, double turned, double h) {
     return start * end >= 0.0 ? fabs(turned) : through;
 }
 
-static Piece piece(double theta, double theta_dot, double x, double x_dot, double slip, double u, Floor f, Robot r,
-                   double tau) {
-    double mu = friction(slip, f, r), a, b, n, load, boundary, rate;
-    Stage s = runge_kutta(theta, theta_dot, x, x_dot, slip, mu, u, f, r, tau);
-    if (s.smallest < 0.0) s = runge_kutta(theta, theta_dot, x, x_dot, slip, 0.0, u, f, r, tau);
-    accelerate(s.theta, s.theta_dot, slip, mu, u, f, r, &a, &b, &n);
+static Piece finish(Stage s, double slip, double u, Floor f, Robot r, double tau) {
+    double a, b, n, load, boundary, rate;
+    accelerate(s.theta, s.theta_dot, slip, friction(slip, f, r), u, f, r, &a, &b, &n);
     if (n < 0.0) accelerate(s.theta, s.theta_dot, slip, 0.0, u, f, r, &a, &b, &n);
     boundary = slip * s.x_dot, rate = slip * b;
     if (slip == 0.0) stick(s.theta, s.theta_dot, u, f, r, &boundary, &rate, &load);
     return (Piece){tau, s.theta, s.theta_dot, s.x, s.x_dot, boundary, rate, a, b, s.x_ddot, larger(0.0, s.normal)};
+}
+
+static Piece piece(double theta, double theta_dot, double x, double x_dot, double slip, double u, Floor f, Robot r,
+                   double tau) {
+    Stage s = runge_kutta(theta, theta_dot, x, x_dot, slip, friction(slip, f, r), u, f, r, tau);
+    if (s.smallest < 0.0) s = runge_kutta(theta, theta_dot, x, x_dot, slip, 0.0, u, f, r, tau);
+    return finish(s, slip, u, f, r, tau);
 }
 
 static double first_guess(double low, double low_rate, double high, double high_rate, double width) {
@@ -189,9 +193,12 @@ static int follow(double *b, int j, Robot r, const Settings *s, double elapsed) 
     const double u = b[ROW_torque + j], h = s->physics_dt;
     double theta = b[ROW_theta + j], theta_dot = b[ROW_theta_dot + j], x = b[ROW_x + j], x_dot = b[ROW_x_dot + j];
     double remaining = h, turned = 0.0, smallest = INFINITY, margin, rate, load;
-    double slip = phase(theta, theta_dot, x_dot, u, f, r);
+    double slip = b[ROW_slip + j];
+    const Stage whole = {b[ROW_next_theta + j], b[ROW_next_theta_dot + j], b[ROW_next_x + j], b[ROW_next_x_dot + j],
+                         b[ROW_x_ddot + j], b[ROW_first_normal_force + j], b[ROW_least_normal_force + j]};
     for (int i = 0; i < 1000; i++) {
-        Piece done = piece(theta, theta_dot, x, x_dot, slip, u, f, r, remaining);
+        Piece done = i == 0 && whole.smallest >= 0.0 ? finish(whole, slip, u, f, r, h)
+                                                     : piece(theta, theta_dot, x, x_dot, slip, u, f, r, remaining);
         double before = slip * x_dot;
         rate = slip * done.first_x_ddot;
         if (slip == 0.0) stick(theta, theta_dot, u, f, r, &before, &rate, &load);
@@ -242,6 +249,9 @@ static inline __attribute__((always_inline)) void glide(double *restrict b, int 
         const double theta = b[ROW_theta + j], theta_dot = b[ROW_theta_dot + j], x = b[ROW_x + j], x_dot = b[ROW_x_dot + j];
         const double slip = b[ROW_slip + j], u = b[ROW_torque + j];
         const Stage next = runge_kutta(theta, theta_dot, x, x_dot, slip, friction(slip, f, r), u, f, r, h);
+        b[ROW_next_theta + j] = next.theta, b[ROW_next_theta_dot + j] = next.theta_dot;
+        b[ROW_next_x + j] = next.x, b[ROW_next_x_dot + j] = next.x_dot, b[ROW_x_ddot + j] = next.x_ddot;
+        b[ROW_first_normal_force + j] = next.normal, b[ROW_least_normal_force + j] = next.smallest;
         double before = slip * x_dot, rate = slip * next.x_ddot, after = slip * next.x_dot, load, unused;
         int event = next.x_dot == 0.0;
         if (may_stick) {

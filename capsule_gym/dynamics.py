@@ -233,7 +233,7 @@ def crosses(before: float, rate: float, after: float, h: float) -> bool:
 @inlined
 def glide(
     theta: float, theta_dot: float, x: float, x_dot: float, slip: float, u: float, p: Plant, h: float, may_stick: bool
-) -> tuple[float, float, float, float, float, bool]:
+) -> tuple[float, float, float, float, float, float, float, bool]:
     """`step` where nothing happens: h seconds inside one phase, free of branches.
 
     Args:
@@ -248,8 +248,7 @@ def glide(
         may_stick: False promises that slip is not 0.0; where the compiler knows it, that saves a third of the work.
 
     Returns:
-        The state afterwards, the normal force at the start in N, and whether the phase lasts; if not, only `step` knows
-        what happens.
+        What `runge_kutta` returns, and whether the phase lasts; if not, only `follow` knows what happens.
     """
     theta_1, theta_dot_1, x_1, x_dot_1, x_ddot, normal, smallest = runge_kutta(
         theta, theta_dot, x, x_dot, slip, kinetic_friction(slip, p), u, p, h
@@ -262,7 +261,7 @@ def glide(
         before, rate, after = slip * x_dot, slip * x_ddot, slip * x_dot_1
         stopped = x_dot_1 == 0.0
     lasts = not (crosses(before, rate, after, h) or stopped or smallest < 0.0)
-    return theta_1, theta_dot_1, x_1, x_dot_1, normal, lasts
+    return theta_1, theta_dot_1, x_1, x_dot_1, x_ddot, normal, smallest, lasts
 
 
 class Piece(NamedTuple):
@@ -296,9 +295,26 @@ class Piece(NamedTuple):
 
 
 @jitable
-def _piece(
-    theta: float, theta_dot: float, x: float, x_dot: float, slip: float, u: float, p: Plant, tau: float
+def finish(
+    theta: float,
+    theta_dot: float,
+    x: float,
+    x_dot: float,
+    slip: float,
+    u: float,
+    p: Plant,
+    tau: float,
+    x_ddot: float,
+    normal: float,
 ) -> Piece:
+    """The piece that ends with the given state; x_ddot and normal are those at its start."""
+    theta_ddot, last_x_ddot, _ = accelerations(theta, theta_dot, slip, u, p)
+    value, rate = boundary(theta, theta_dot, x_dot, last_x_ddot, slip, u, p)
+    return Piece(tau, theta, theta_dot, x, x_dot, value, rate, theta_ddot, last_x_ddot, x_ddot, max(0.0, normal))
+
+
+@jitable
+def piece(theta: float, theta_dot: float, x: float, x_dot: float, slip: float, u: float, p: Plant, tau: float) -> Piece:
     """tau seconds in one phase, whether it lasts or not.
 
     Always a full Runge-Kutta step from the phase's start, so that an event is as accurate as the integrator itself. A
@@ -312,9 +328,7 @@ def _piece(
         if smallest >= 0.0:
             break
         mu = 0.0
-    theta_ddot_1, x_ddot_1, _ = accelerations(theta_1, theta_dot_1, slip, u, p)
-    value, rate = boundary(theta_1, theta_dot_1, x_dot_1, x_ddot_1, slip, u, p)
-    return Piece(tau, theta_1, theta_dot_1, x_1, x_dot_1, value, rate, theta_ddot_1, x_ddot_1, x_ddot, max(0.0, normal))
+    return finish(theta_1, theta_dot_1, x_1, x_dot_1, slip, u, p, tau, x_ddot, normal)
 
 
 @jitable
@@ -377,14 +391,14 @@ def _until_event(
         dip = _dip(before, rate, whole.boundary, whole.tau)
         if dip >= whole.tau:
             return whole
-        high = _piece(theta, theta_dot, x, x_dot, slip, u, p, dip)
+        high = piece(theta, theta_dot, x, x_dot, slip, u, p, dip)
         if high.boundary >= 0.0:
             return whole
     low, g_low, rate_low = 0.0, before, rate
     if before <= EVENT_TOLERANCE:
         # A phase that starts at its own boundary: the bracket is void until the boundary has been left.
         for _ in range(ROOT_ITERATIONS):
-            trial = _piece(theta, theta_dot, x, x_dot, slip, u, p, 0.5 * high.tau)
+            trial = piece(theta, theta_dot, x, x_dot, slip, u, p, 0.5 * high.tau)
             if trial.boundary > 0.0:
                 break
             high = trial
@@ -395,7 +409,7 @@ def _until_event(
     tau = low + _first_guess(g_low, rate_low, high.boundary, high.boundary_rate, width)
     correction = math.inf
     for _ in range(ROOT_ITERATIONS):
-        trial = _piece(theta, theta_dot, x, x_dot, slip, u, p, tau)
+        trial = piece(theta, theta_dot, x, x_dot, slip, u, p, tau)
         correction = -trial.boundary / trial.boundary_rate if trial.boundary_rate < 0.0 else math.inf
         small = abs(correction) <= LAST_CORRECTION * width
         if small or abs(trial.boundary) <= EVENT_TOLERANCE or end - low <= 1e-14 * width:
@@ -433,31 +447,22 @@ def swept(start: float, end: float, turned: float, h: float) -> float:
 
 
 @jitable
-def step(theta: float, theta_dot: float, x: float, x_dot: float, u: float, p: Plant, h: float) -> Motion:
-    """Advances the plant by h seconds at constant torque, through every change of contact phase.
-
-    Args:
-        theta: angle from the upright, rad.
-        theta_dot: its rate, rad/s.
-        x: displacement of the platform, m.
-        x_dot: its velocity, m/s.
-        u: motor torque, N m.
-        p: the plant.
-        h: length of the step, s.
-
-    Returns:
-        The state afterwards with the integrals of the step.
-    """
+def follow(
+    theta: float, theta_dot: float, x: float, x_dot: float, slip: float, u: float, p: Plant, whole: Piece
+) -> Motion:
+    """`step` from a phase and from what the whole step would be if that phase lasted."""
     forward = backward = stuck = turned = 0.0
     smallest_normal = math.inf
     events = 0
+    h = whole.tau
     remaining = h
-    slip = contact_phase(theta, theta_dot, x_dot, u, p)
-    for piece in range(EVENT_LIMIT):
-        done = _piece(theta, theta_dot, x, x_dot, slip, u, p, remaining)
+    done = whole
+    for count in range(EVENT_LIMIT):
+        if count > 0:
+            done = piece(theta, theta_dot, x, x_dot, slip, u, p, remaining)
         before, rate = boundary(theta, theta_dot, x_dot, done.first_x_ddot, slip, u, p)
         # The last piece takes what is left of the step, so that no time is lost.
-        crossed = crosses(before, rate, done.boundary, remaining) and piece < EVENT_LIMIT - 1
+        crossed = crosses(before, rate, done.boundary, remaining) and count < EVENT_LIMIT - 1
         beyond = crossed and done.boundary < 0.0
         if crossed:
             done = _until_event(theta, theta_dot, x, x_dot, slip, u, p, before, rate, done)
@@ -485,3 +490,24 @@ def step(theta: float, theta_dot: float, x: float, x_dot: float, u: float, p: Pl
         if remaining <= 0.0:
             break
     return Motion(theta, theta_dot, x, x_dot, forward, backward, stuck, turned, smallest_normal, events)
+
+
+@jitable
+def step(theta: float, theta_dot: float, x: float, x_dot: float, u: float, p: Plant, h: float) -> Motion:
+    """Advances the plant by h seconds at constant torque, through every change of contact phase.
+
+    Args:
+        theta: angle from the upright, rad.
+        theta_dot: its rate, rad/s.
+        x: displacement of the platform, m.
+        x_dot: its velocity, m/s.
+        u: motor torque, N m.
+        p: the plant.
+        h: length of the step, s.
+
+    Returns:
+        The state afterwards with the integrals of the step.
+    """
+    slip = contact_phase(theta, theta_dot, x_dot, u, p)
+    whole = piece(theta, theta_dot, x, x_dot, slip, u, p, h)
+    return follow(theta, theta_dot, x, x_dot, slip, u, p, whole)

@@ -26,7 +26,17 @@ from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
 
 from capsule_gym import dynamics, task
-from capsule_gym.compilation import compile_now, distinct, fingerprint, inlined, inner, jitable, kernel, rebound
+from capsule_gym.compilation import (
+    compile_now,
+    distinct,
+    fingerprint,
+    inlined,
+    inner,
+    jitable,
+    kernel,
+    rebound,
+    use_widest_vectors,
+)
 from capsule_gym.parameters import Plant
 
 # Environments that one loop takes through a step together. Their rows lie side by side at offsets that the compiler
@@ -77,6 +87,14 @@ class Row(IntEnum):
     before_x = auto()
     slip = auto()
     eventful = auto()
+    # What `dynamics.runge_kutta` returned for the present substep.
+    next_theta = auto()
+    next_theta_dot = auto()
+    next_x = auto()
+    next_x_dot = auto()
+    x_ddot = auto()
+    first_normal_force = auto()
+    least_normal_force = auto()
     halt = auto()
     elapsed = auto()
 
@@ -86,7 +104,8 @@ class Row(IntEnum):
     THETA, THETA_DOT, X, X_DOT, MASS, MU, CLOCK, LAW_TORQUE, TORQUE, NORMAL_FORCE, STEP_ENERGY,
     REWARD, REWARD_PROGRESS, REWARD_ENERGY, REWARD_TERMINATION, TERMINATION, STEPS, START_X, DURATION, ENERGY,
     WEIGHT_DISTANCE, TORQUE_SQUARED, PEAK_TORQUE, FORWARD, BACKWARD, STUCK, SMALLEST_NORMAL_RATIO, LARGEST_THETA,
-    LARGEST_THETA_DOT, ACTION, ACTIVE, MASS_RATIO, BEFORE_X, SLIP, EVENTFUL, HALT, ELAPSED,
+    LARGEST_THETA_DOT, ACTION, ACTIVE, MASS_RATIO, BEFORE_X, SLIP, EVENTFUL, NEXT_THETA, NEXT_THETA_DOT,
+    NEXT_X, NEXT_X_DOT, X_DDOT, FIRST_NORMAL_FORCE, LEAST_NORMAL_FORCE, HALT, ELAPSED,
 ) = (int(row) * LANES for row in Row)  # fmt: skip
 ROWS = len(Row)
 # Where the law's memory begins; its line of the reference follows.
@@ -196,6 +215,7 @@ def plant_of(block: np.ndarray, j: int, plant: Plant) -> Plant:
 @inlined
 def prepare(block: np.ndarray, n: int, plant: Plant) -> int:
     """Begins an agent step of the environments of block b; returns how many take part."""
+    use_widest_vectors()
     count = 0
     for j in range(n):
         active = block[ACTIVE + j] != 0.0
@@ -212,6 +232,7 @@ def prepare(block: np.ndarray, n: int, plant: Plant) -> int:
 @inlined
 def engage(block: np.ndarray, n: int, plant: Plant, settings: Settings) -> int:
     """Switches the torque and finds the phases of contact under it; returns how many environments stick."""
+    use_widest_vectors()
     period = settings.physics_steps * settings.physics_dt
     resting = 0
     for j in range(n):
@@ -241,13 +262,18 @@ def engage(block: np.ndarray, n: int, plant: Plant, settings: Settings) -> int:
 @inlined
 def glide(block: np.ndarray, n: int, plant: Plant, h: float, may_stick: bool) -> None:
     """Takes every environment to which nothing happens through one substep, and marks the others."""
+    use_widest_vectors()
     for j in range(n):
         p = plant_of(block, j, plant)
         theta, theta_dot, x, x_dot = block[THETA + j], block[THETA_DOT + j], block[X + j], block[X_DOT + j]
         slip, torque = block[SLIP + j], block[TORQUE + j]
-        theta_1, theta_dot_1, x_1, x_dot_1, normal, lasts = dynamics.glide(
+        theta_1, theta_dot_1, x_1, x_dot_1, x_ddot, normal, smallest, lasts = dynamics.glide(
             theta, theta_dot, x, x_dot, slip, torque, p, h, may_stick
         )
+        block[NEXT_THETA + j], block[NEXT_THETA_DOT + j] = theta_1, theta_dot_1
+        block[NEXT_X + j], block[NEXT_X_DOT + j] = x_1, x_dot_1
+        block[X_DDOT + j], block[FIRST_NORMAL_FORCE + j] = x_ddot, normal
+        block[LEAST_NORMAL_FORCE + j] = smallest
         going = block[HALT + j] == UNDER_WAY
         smooth = lasts and task.termination(theta_1, normal) == 0
         block[EVENTFUL + j] = 1.0 if going and not smooth else 0.0
@@ -273,7 +299,24 @@ def follow(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) ->
     """Takes one environment through a substep in which something happens; returns by how many more stick afterwards."""
     p = plant_of(block, j, plant)
     torque = block[TORQUE + j]
-    motion = dynamics.step(block[THETA + j], block[THETA_DOT + j], block[X + j], block[X_DOT + j], torque, p, h)
+    theta, theta_dot, x, x_dot = block[THETA + j], block[THETA_DOT + j], block[X + j], block[X_DOT + j]
+    slip = block[SLIP + j]
+    if block[LEAST_NORMAL_FORCE + j] >= 0.0:
+        whole = dynamics.finish(
+            block[NEXT_THETA + j],
+            block[NEXT_THETA_DOT + j],
+            block[NEXT_X + j],
+            block[NEXT_X_DOT + j],
+            slip,
+            torque,
+            p,
+            h,
+            block[X_DDOT + j],
+            block[FIRST_NORMAL_FORCE + j],
+        )
+    else:
+        whole = dynamics.piece(theta, theta_dot, x, x_dot, slip, torque, p, h)
+    motion = dynamics.follow(theta, theta_dot, x, x_dot, slip, torque, p, whole)
     block[THETA + j], block[THETA_DOT + j] = motion.theta, motion.theta_dot
     block[X + j], block[X_DOT + j] = motion.x, motion.x_dot
     block[STEP_ENERGY + j] += abs(torque) * motion.swept
@@ -284,20 +327,20 @@ def follow(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) ->
     block[LARGEST_THETA + j] = max(block[LARGEST_THETA + j], abs(motion.theta))
     block[LARGEST_THETA_DOT + j] = max(block[LARGEST_THETA_DOT + j], abs(motion.theta_dot))
     ended = task.termination(motion.theta, motion.normal_force)
-    slip = dynamics.contact_phase(motion.theta, motion.theta_dot, motion.x_dot, torque, p)
+    next_slip = dynamics.contact_phase(motion.theta, motion.theta_dot, motion.x_dot, torque, p)
     if ended != 0:
         block[TERMINATION + j] = ended
         block[HALT + j] = ENDING
         block[ELAPSED + j] = elapsed
-        slip = 1.0
-    before = block[SLIP + j]
-    block[SLIP + j] = slip
-    return (1 if slip == 0.0 else 0) - (1 if before == 0.0 else 0)
+        next_slip = 1.0
+    block[SLIP + j] = next_slip
+    return (1 if next_slip == 0.0 else 0) - (1 if slip == 0.0 else 0)
 
 
 @inlined
 def consult(block: np.ndarray, n: int, reference: np.ndarray, settings: Settings, tick: float) -> None:
     """Asks the law for its torque at the present state, `tick` rows further in its reference."""
+    use_widest_vectors()
     # A loop of its own: where the environments read the table at different places, no compiler vectorises it.
     for j in range(n):
         clock = block[CLOCK + j] + (tick if block[HALT + j] != HALTED else 0.0)
@@ -325,6 +368,7 @@ def consult(block: np.ndarray, n: int, reference: np.ndarray, settings: Settings
 @inlined
 def settle(block: np.ndarray, n: int, plant: Plant, settings: Settings) -> None:
     """Ends an agent step: rewards and the sums of the episode."""
+    use_widest_vectors()
     for j in range(n):
         active = block[ACTIVE + j] != 0.0
         share = 1.0 if active else 0.0

@@ -16,13 +16,16 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.vector import AutoresetMode
+from stable_baselines3 import SAC
 
 import train as command_line
 from agents.comparison import compare
 from agents.presets import PRESETS, Config
 from agents.runs import Normalisation, latest_checkpoint, load_policy
+from agents.sac import LeanSAC
 from agents.training import begin, make_env, make_model, own_draws, train
 from agents.vec_env import CapsuleSB3VecEnv
+from benchmarks import training as benchmark
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.parameters import RANDOMIZATIONS
 
@@ -246,3 +249,119 @@ def test_bad_options_are_named(arguments, message, capsys):
 def test_a_run_is_never_overwritten(tmp_path, capsys):
     assert command_line.main(["--run", str(tmp_path)]) == 2
     assert "--resume" in capsys.readouterr().err
+
+
+def test_lean_sac_makes_the_updates_of_sb3():
+    results = []
+    for kind in (SAC, LeanSAC):
+        config = small("residual", "sac", learning_starts=400)
+        env = make_env(config, 0)
+        model = make_model(config, env, sac=kind, fused=False)
+        # Too few steps for an update: both hold the same transitions and the same networks.
+        model.learn(400)
+        np.random.seed(0)
+        torch.manual_seed(0)
+        before = weights(model)
+        for _ in range(10):
+            model.train(1, 64)
+        entropy = model.log_ent_coef.item()
+        losses = {name: value for name, value in model.logger.name_to_value.items() if name.startswith("train/")}
+        results.append((weights(model), entropy, losses))
+        assert not np.array_equal(before, results[-1][0])
+        env.close()
+    (expected, entropy, losses), (found, own_entropy, own_losses) = results
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
+    assert own_entropy == pytest.approx(entropy, rel=1e-5)
+    assert own_losses == pytest.approx(losses, rel=1e-3, abs=1e-6)
+
+
+def test_lean_sac_draws_a_batch_of_its_own_for_each_update(monkeypatch):
+    config = small("residual", "sac", learning_starts=400)
+    env = make_env(config, 0)
+    model = make_model(config, env)
+    model.learn(400)
+    sizes, batches = [], []
+    draw = model.replay_buffer.sample
+    monkeypatch.setattr(model.replay_buffer, "sample", lambda size, env: sizes.append(size) or draw(size, env=env))
+    sample = LeanSAC.train.__globals__["sample"]
+    monkeypatch.setattr("agents.sac.sample", lambda actor, seen: batches.append(seen.numpy()) or sample(actor, seen))
+    model.train(3, 16)
+    assert sizes == [48]
+    assert [batch.shape for batch in batches] == [(16, 10)] * 6
+    assert len({batch.tobytes() for batch in batches}) == 6
+    env.close()
+
+
+def test_benchmark_compares_what_was_learned_and_goes_on(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(benchmark, "SETTINGS", {"tuned": {**SMALL, "n_steps": 32}})
+    plants = [{"M": 0.5, "mu": 0.01, "seed": seed, "changes": []} for seed in range(2)]
+    (tmp_path / "two.json").write_text(json.dumps({"name": "two", "plants": plants}))
+    options = ["--settings", "adaptive", "tuned", "--steps", "512", "--set", str(tmp_path / "two.json")]
+    options += ["--runs", str(tmp_path / "runs")]
+    assert benchmark.main([*options, "--seeds", "0", "--json", str(tmp_path / "a.json")]) == 0
+    first = (tmp_path / "runs" / "tuned-512-seed0" / "model.zip").stat().st_mtime_ns
+    written = ["--json", str(tmp_path / "b.json"), "--markdown", str(tmp_path / "b.md")]
+    assert benchmark.main([*options, "--seeds", "0", "1", *written]) == 0
+    assert (tmp_path / "runs" / "tuned-512-seed0" / "model.zip").stat().st_mtime_ns == first
+    content = json.loads((tmp_path / "b.json").read_text())
+    assert content["settings"]["tuned"]["summary"]["training_seeds"] == [0, 1]
+    assert [run["steps"] for run in content["settings"]["tuned"]["runs"]] == [512, 512]
+    assert content["settings"]["tuned"]["runs"][0]["processor_seconds"] > 0.0
+    assert "| tuned | 2 |" in (tmp_path / "b.md").read_text()
+    assert "mean speed" in capsys.readouterr().out
+
+
+def test_benchmark_measures_speeds_and_where_time_goes(tmp_path, capsys, monkeypatch):
+    tiny = {"num_envs": 4, "hidden": 8, "batch_size": 16}
+    rivals = [benchmark.ppo("ppo", n_steps=8, **tiny), benchmark.sac("sac", learning_starts=20, **tiny)]
+    slow = [benchmark.ppo("one by one", benchmark.one_by_one(benchmark.DummyVecEnv), n_steps=8, **tiny)]
+    monkeypatch.setattr(benchmark, "axes", lambda: {"both": rivals, "slow": slow})
+    monkeypatch.setattr(benchmark, "profiled", lambda: rivals)
+    before = torch.get_num_threads()
+    for mode in ("--sweep", "--profile"):
+        files = [f"--json={tmp_path / mode[2:]}.json", f"--markdown={tmp_path / mode[2:]}.md"]
+        assert benchmark.main([mode, "--turns", "2", "--seconds", "0.02", *files]) == 0
+    assert torch.get_num_threads() == before
+    rates = json.loads((tmp_path / "sweep.json").read_text())["env_steps_per_second"]
+    assert set(rates) == {"both", "slow"} and len(rates["both"]["sac"]) == 2
+    assert "[start:slow]" in (tmp_path / "sweep.md").read_text()
+    parts = json.loads((tmp_path / "profile.json").read_text())["microseconds_per_env_step"]
+    assert all(value > 0.0 for name in ("ppo", "sac") for value in parts[name].values())
+    assert {benchmark.ENVIRONMENT, benchmark.SAMPLE, benchmark.TARGETS, benchmark.BACKWARD} <= set(parts["sac"])
+    assert "update: Adam" in capsys.readouterr().out
+
+
+def test_clocks_leave_out_what_is_clocked_inside_and_leave_no_trace():
+    class Work:
+        def outer(self):
+            time.sleep(0.01)
+            self.inner()
+
+        def inner(self):
+            time.sleep(0.05)
+
+    work, clocks = Work(), benchmark.Clocks()
+    clocks.watch(work, "outer", "outer")
+    clocks.watch(Work, "inner", "inner")
+    work.outer()
+    clocks.stop()
+    assert 0.01 <= clocks.seconds["outer"] < 0.05 <= clocks.seconds["inner"]
+    assert not vars(work)
+    work.outer()
+    assert clocks.seconds["inner"] < 0.1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--json", __file__], "--json"),
+        (["--settings", "nobody"], "nobody"),
+        (["--steps", "0.5"], "--steps"),
+        (["--sweep", "sideways"], "sideways"),
+    ],
+)
+def test_bad_options_of_the_benchmark_are_named(arguments, message, capsys):
+    with pytest.raises(SystemExit) as stop:
+        benchmark.main(arguments)
+    assert stop.value.code == 2
+    assert message in capsys.readouterr().err
