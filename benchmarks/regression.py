@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from agents.reporting import text_table
+from agents.reporting import markdown_table, text_table
 from baselines.files import to_json, write_atomically
 from benchmarks import native
 from benchmarks.contenders import ACTION_SCALE, LAW, SEED, THREADS
-from benchmarks.timing import available_cores, machine
+from benchmarks.timing import available_cores, describe, machine
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.kernels import Row
 from capsule_gym.simulation import LAW_PHYSICS_DT, Simulation
@@ -33,6 +33,7 @@ DRAWS = 16
 TURNS = 15
 TURN_SECONDS = 0.04
 ATTEMPTS = 3
+COMMENT = "<!-- Written by python -m benchmarks.regression: do not edit. -->"
 
 # Takes one turn; returns the seconds that it counts and the steps of environments that these took.
 Turn = Callable[[], tuple[float, int]]
@@ -177,6 +178,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns 1 where a ratio misses its floor."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.regression", description=__doc__)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the ratios to this new file")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the table to this file")
     options = parser.parse_args(arguments)
     if options.json is not None and options.json.exists():
         parser.error(f"--json must name a new file, got {str(options.json)!r}")
@@ -195,6 +197,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         floor = "" if guard.floor is None else f"{guard.floor:g}"
         rows.append([guard.name, f"{ratio:.2f}", floor, "below its floor" if low else ""])
     print(text_table(rows))
+    if options.markdown is not None:
+        lines = [COMMENT, "", *markdown_table(rows), "", f"{describe(machine())}.", ""]
+        write_atomically(options.markdown, "\n".join(lines))
     if options.json is not None:
         write_atomically(options.json, to_json({"machine": machine(), "ratios": ratios}))
     return int(missed)
