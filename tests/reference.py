@@ -1,6 +1,6 @@
 """An independent reference for the plant: adaptive eighth-order integration, one smooth phase of contact after another.
 
-It shares no code with `capsule_gym`. The equations are typed again from model.md and solved in another arrangement:
+It shares no code with `capsule_gym`. The equations are typed again from the paper, corrected, and solved in another arrangement:
 the first row of Eq. (1) gives theta'' in terms of x'', the normal force follows as a straight line in x'', and the
 second row is left with x'' alone.
 
