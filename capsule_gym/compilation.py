@@ -7,6 +7,7 @@ unchanged one is found again by any process.
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import sys
 from collections.abc import Callable
@@ -49,8 +50,8 @@ def use_widest_vectors(typing_context: Any) -> Any:
 
 
 def fingerprint(function: Callable[..., Any]) -> str:
-    """A sha256 of a function and of everything it refers to: bytecode, constants, closures, globals, callees."""
-    digest = hashlib.sha256()
+    """A sha256 of a function, of all that it refers to (constants, closures, globals, callees), and of the options."""
+    digest = hashlib.sha256(repr(sorted(OPTIONS.items())).encode())
     seen: set[int] = set()
 
     def add_code(code: CodeType, scope: dict[str, Any]) -> None:
@@ -67,6 +68,8 @@ def fingerprint(function: Callable[..., Any]) -> str:
 
     def add(name: str, value: Any, names: tuple[str, ...]) -> None:
         digest.update(name.encode())
+        if isinstance(value, CPUDispatcher):
+            digest.update(repr(sorted(value.targetoptions.items())).encode())
         value = value._defn if isinstance(value, _Intrinsic) else getattr(value, "py_func", value)
         if isinstance(value, FunctionType):
             if id(value) in seen:
@@ -81,6 +84,10 @@ def fingerprint(function: Callable[..., Any]) -> str:
                 for attribute in names:
                     if hasattr(value, attribute):
                         add(attribute, getattr(value, attribute), ())
+        elif isinstance(value, (tuple, list)):
+            digest.update(f"{type(value).__qualname__} of {len(value)}".encode())
+            for entry in value:
+                add("", entry, ())
         elif isinstance(value, np.ndarray):
             digest.update(repr((value.dtype, value.shape)).encode() + np.ascontiguousarray(value).tobytes())
         elif isinstance(value, type):
@@ -149,8 +156,15 @@ def compile_now(function: Any, signature: tuple[Any, ...], what: str) -> None:
         signature: numba's types of its arguments.
         what: for the message.
     """
-    with event.install_listener("numba:compile", _Announcement(what)):
-        function.compile(signature)
+    # A compilation makes millions of objects that live until its end: looking for garbage is a tenth of the time.
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        with event.install_listener("numba:compile", _Announcement(what)):
+            function.compile(signature)
+    finally:
+        if collecting:
+            gc.enable()
 
 
 class _Announcement(event.Listener):

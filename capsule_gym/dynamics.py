@@ -1,6 +1,7 @@
 """The physics, once: plain scalar functions of SI quantities that numba compiles for every use.
 
-The plant is the paper's Eq. (1), its misprints corrected (docs/physics.md names them), with q = [theta, x] and the friction force f:
+The plant is the paper's Eq. (1), its misprints corrected (docs/physics.md names them), with q = [theta, x] and the
+friction force f:
 
     m l^2 theta'' - m l cos(theta) x'' - m g l sin(theta) + k theta + c theta' = u
     (M + m) x'' - m l cos(theta) theta'' + m l sin(theta) theta'^2 + f = 0

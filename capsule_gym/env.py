@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import EzPickle
 
-from capsule_gym import task
+from capsule_gym import kernels, task
 from capsule_gym.controller import Controller
 from capsule_gym.kernels import Row
 from capsule_gym.parameters import Capsule, Randomization
@@ -178,7 +178,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         self.action_space, self.observation_space = make_spaces(self.simulation)
         # Views of the only environment, made once: finding them takes a good part of a step.
         lane = self.simulation.world[0, :, 0]
-        self._shown, self._state = lane[: Row.steps], lane[: Row.M]
+        self._shown, self._state = lane[: kernels.SHOWN], lane[: Row.M]
         self._observation = self.simulation.observations[0]
         self._renderer: Renderer | None = None
         self._running = False
@@ -280,7 +280,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
     def _info(self) -> tuple[dict[str, Any], float, float]:
         """The info of a step, the reward, and why the episode has ended (0.0: it has not)."""
         (
-            _, _, _, x_dot, M, mu, _, law_torque, torque, normal_force, energy, reward, progress, cost, penalty, ended
+            _, _, _, x_dot, M, mu, _, _, torque, _, energy, normal_force, _, _, _, _, _, law_torque,
+            reward, progress, cost, penalty, ended, _,
         ) = self._shown.tolist()  # fmt: skip
         info = {
             "state": self._state.copy(),

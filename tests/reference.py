@@ -1,8 +1,8 @@
 """An independent reference for the plant: adaptive eighth-order integration, one smooth phase of contact after another.
 
-It shares no code with `capsule_gym`. The equations are typed again from the paper, corrected, and solved in another arrangement:
-the first row of Eq. (1) gives theta'' in terms of x'', the normal force follows as a straight line in x'', and the
-second row is left with x'' alone.
+It shares no code with `capsule_gym`. The equations are typed again from the paper, corrected, and solved in another
+arrangement: the first row of Eq. (1) gives theta'' in terms of x'', the normal force follows as a straight line in x'',
+and the second row is left with x'' alone.
 
 A phase (slip = +1, -1 or 0 for stick) is integrated with SciPy's DOP853. Where it ends is looked for on the dense
 output of every step, which is sampled first, so that a phase that leaves and re-enters its domain inside one step is

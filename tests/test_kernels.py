@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import FunctionType, ModuleType
 
 import numba
 import numpy as np
 import pytest
 
-from capsule_gym import Capsule, dynamics, kernels, task
+from capsule_gym import Capsule, dynamics, kernels, task, trigonometry
 from capsule_gym.compilation import fingerprint
 from capsule_gym.kernels import LANES, Row, Settings, pack, unpack
 
@@ -37,8 +39,14 @@ def test_fingerprint_sees_gains_helpers_and_code():
     assert fingerprint(make_law(1.0)) == same
     assert fingerprint(make_law(1.5)) != same
     assert fingerprint(make_law(1.0, other_helper)) != same
-    assert fingerprint(make_law(1.0, numba.njit(helper))) == same
+    jitted = fingerprint(make_law(1.0, numba.njit(helper)))
+    assert fingerprint(make_law(1.0, numba.njit(helper))) == jitted
+    assert fingerprint(make_law(1.0, numba.njit(fastmath=True)(helper))) != jitted
     assert fingerprint(make_law(np.array([1.0, 2.0]))) != fingerprint(make_law(np.array([1.0, 2.5])))
+    # Far inside an array inside a tuple, where a repr shows dots.
+    tables = [np.zeros(2000) for _ in range(2)]
+    tables[1][1000] = 1.0
+    assert fingerprint(make_law((tables[0], 1.0))) != fingerprint(make_law((tables[1], 1.0)))
 
 
 def test_fingerprint_follows_globals_and_modules(monkeypatch):
@@ -55,6 +63,54 @@ def test_fingerprint_follows_globals_and_modules(monkeypatch):
 
 
 PLANT = Capsule().plant()
+
+
+def functions_of(module: ModuleType) -> dict[str, FunctionType]:
+    """The plain functions that a module defines, also those below numba's decorators."""
+    found = {}
+    for name, value in vars(module).items():
+        function = getattr(value, "_defn", None) or getattr(value, "py_func", value)
+        if isinstance(function, FunctionType) and function.__module__ == module.__name__:
+            found[name] = function
+    return found
+
+
+# What runs in Python alone, and the physics' own way through a whole step, of which the kernel takes the parts.
+NOT_COMPILED = {"pack", "build", "_own_fingerprint", "observation_names", "observation_bounds", "step"}
+COMPILED = [
+    pytest.param(function, id=f"{module.__name__.rpartition('.')[2]}.{name}")
+    for module in (trigonometry, dynamics, task, kernels)
+    for name, function in functions_of(module).items()
+    if name not in NOT_COMPILED
+]
+
+
+@pytest.mark.parametrize("function", COMPILED)
+def test_an_edit_of_any_compiled_function_changes_the_kernels_fingerprint(function, monkeypatch):
+    before = fingerprint(kernels.advance)
+    code = function.__code__
+    monkeypatch.setattr(function, "__code__", code.replace(co_consts=(*code.co_consts, "edited")))
+    assert fingerprint(kernels.advance) != before
+
+
+@pytest.mark.parametrize(
+    ("module", "names"),
+    [
+        (trigonometry, [name for name, value in vars(trigonometry).items() if isinstance(value, float)]),
+        (dynamics, [name for name, value in vars(dynamics).items() if isinstance(value, (int, float))]),
+        (task, ["THETA_LIMIT", "THETA_DOT_BOUND", "X_DOT_BOUND"]),
+        (kernels, ["LANES", "THETA", "ELAPSED", "MEMORY", "HALTED", "MEMORY_SIZE", "PIVOT_TORQUE_ON_CONTACT"]),
+    ],
+    ids=["trigonometry", "dynamics", "task", "kernels"],
+)
+def test_an_edit_of_any_compiled_constant_changes_the_kernels_fingerprint(module, names, monkeypatch):
+    before = fingerprint(kernels.advance)
+    assert len(names) >= 3
+    for name in names:
+        with monkeypatch.context() as patch:
+            patch.setattr(module, name, getattr(module, name) * 1.0000001 + 1e-300)
+            assert fingerprint(kernels.advance) != before, name
+    assert fingerprint(kernels.advance) == before
 
 
 def test_kernels_of_the_same_law_are_built_once():
@@ -94,7 +150,12 @@ def test_plant_and_settings_survive_packing():
 
 def test_rows_have_their_plain_names():
     assert kernels.ROWS == len(Row)
-    for plain, row in (("THETA", Row.theta), ("MASS", Row.M), ("CLOCK", Row.clock), ("LARGEST_THETA_DOT", Row(28))):
+    for plain, row in (
+        ("THETA", Row.theta),
+        ("MASS", Row.M),
+        ("CLOCK", Row.clock),
+        ("LARGEST_THETA_DOT", Row.largest_theta_dot),
+    ):
         assert getattr(kernels, plain) == row * LANES
     assert list(Row) == list(range(len(Row)))
 
@@ -149,3 +210,51 @@ def test_disk_cache_hits_in_a_new_process_and_never_serves_another_law(tmp_path:
     assert run(0.5, 0.8) == [[-0.25, -0.4], 2]
     # A helper is edited, not the law itself.
     assert run(0.5, factor=1.2) == [[-0.3], 0]
+
+
+# Prints the bits of a batch after a second of torques under which everything happens.
+BATCH_SCRIPT = """
+import hashlib
+import numpy as np
+from capsule_gym.simulation import Simulation
+
+simulation = Simulation(70)
+simulation.reset(np.arange(70), M=[0.5] * 70, mu=[0.05] * 70)
+rng = np.random.default_rng(0)
+for _ in range(50):
+    simulation.step(rng.uniform(-1.0, 1.0, 70))
+print(hashlib.sha256(simulation.world.tobytes()).hexdigest())
+"""
+
+
+def test_a_loaded_kernel_gives_the_bits_of_a_compiled_one_and_is_never_stale(tmp_path: Path):
+    copied = tmp_path / "capsule_gym"
+    shutil.copytree(Path(__file__).parents[1] / "capsule_gym", copied, ignore=shutil.ignore_patterns("__pycache__"))
+    # Neither may Python's own cache serve the source of before the edit.
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment["PYTHONPATH"] = str(tmp_path)
+
+    def run() -> tuple[str, int]:
+        command = [sys.executable, "-c", BATCH_SCRIPT]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+        lines = done.stderr.splitlines()
+        assert all(line.startswith("capsule_gym: compiling the physics with no control law") for line in lines)
+        return done.stdout.strip(), len(lines)
+
+    compiled, announced = run()
+    assert announced == 1
+    assert run() == (compiled, 0)
+
+    # The same size and the same date: nothing of the file but its content tells of the edit.
+    source = copied / "dynamics.py"
+    original, times = source.read_text(encoding="utf-8"), source.stat()
+    edited = original.replace("fma(p.g / p.l, sincos(theta)[0], free)", "fma(p.g / p.l, sincos(theta)[1], free)")
+    assert edited != original
+    source.write_text(edited, encoding="utf-8")
+    os.utime(source, ns=(times.st_atime_ns, times.st_mtime_ns))
+    assert (source.stat().st_size, source.stat().st_mtime_ns) == (times.st_size, times.st_mtime_ns)
+    different, announced = run()
+    assert (different != compiled, announced) == (True, 1)
+    # Both are kept.
+    source.write_text(original, encoding="utf-8")
+    assert run() == (compiled, 0)
