@@ -41,16 +41,16 @@ static inline void sine_cosine(double angle, double *sine, double *cosine) {
     const double turns = rint(angle * 0.15915494309189535);
     const double y = 0.5 * ((angle - turns * 6.283185307179586) - turns * 2.4492935982947064e-16);
     const double z = y * y;
-    const double zz = z * z;
-    const double odd_s = ((2.731428986122616e-15 * zz + 1.6058977272815506e-10) * zz + 2.755731921915843e-06) * zz
-                         + 0.008333333333333316;
-    const double even_s = ((-7.643969031052769e-13 * zz - 2.5052107616384595e-08) * zz - 0.00019841269841254955) * zz
-                          - 0.16666666666666666;
-    const double odd_c = ((-1.521855926409455e-16 * zz - 1.1470712252875163e-11) * zz - 2.7557319221567154e-07) * zz
-                         - 0.001388888888888888;
-    const double even_c = ((4.777877290768691e-14 * zz + 2.0876756602568905e-09) * zz + 2.4801587301579844e-05) * zz
-                          + 0.041666666666666664;
-    const double half_sine = y * z * (odd_s * z + even_s) + y, half_cosine = zz * (odd_c * z + even_c) + (1.0 - 0.5 * z);
+    const double zz = z * z, z4 = zz * zz;
+    const double s = ((2.731428986122616e-15 * z - 7.643969031052769e-13) * zz
+                      + (1.6058977272815506e-10 * z - 2.5052107616384595e-08)) * z4
+                     + ((2.755731921915843e-06 * z - 0.00019841269841254955) * zz
+                        + (0.008333333333333316 * z - 0.16666666666666666));
+    const double c = ((-1.521855926409455e-16 * z + 4.777877290768691e-14) * zz
+                      + (-1.1470712252875163e-11 * z + 2.0876756602568905e-09)) * z4
+                     + ((-2.7557319221567154e-07 * z + 2.4801587301579844e-05) * zz
+                        + (-0.001388888888888888 * z + 0.041666666666666664));
+    const double half_sine = y * z * s + y, half_cosine = zz * c + (1.0 - 0.5 * z);
     *sine = 2.0 * half_sine * half_cosine;
     *cosine = 1.0 - 2.0 * half_sine * half_sine;
 }
@@ -65,7 +65,7 @@ static inline void accelerate(double theta, double theta_dot, double slip, doubl
     const double squared = theta_dot * theta_dot, tilted = rough * sine + cosine;
     const double rest = share * r.l * ((rough * cosine - sine) * squared) - rough * r.g;
     const double free = (r.g / r.l) * sine - (r.k / inertia) * theta - (r.c / inertia) * theta_dot + u * (1.0 / inertia);
-    const double a = (cosine * (1.0 / r.l) * rest + free) / (1.0 - share * cosine * tilted);
+    const double a = (cosine * (1.0 / r.l) * rest + free) * (1.0 / (1.0 - share * cosine * tilted));
     *theta_ddot = a;
     *x_ddot = share * r.l * tilted * a + rest;
     *normal = (f.M + r.m) * r.g - r.m * r.l * (squared * cosine + a * sine);

@@ -120,7 +120,8 @@ def pressed_accelerations(
     rest = fma(share * p.l, fma(rough, cos, -sin) * squared, -brake)
     # The first row over m l^2: theta'' = free + cos x'' / l.
     free = stick_acceleration(theta, theta_dot, u, p)
-    theta_ddot = fma(cos * (1.0 / p.l), rest, free) / fma(-share * cos, tilted, 1.0)
+    # The division need not wait for what it divides.
+    theta_ddot = fma(cos * (1.0 / p.l), rest, free) * (1.0 / fma(-share * cos, tilted, 1.0))
     x_ddot = fma(share * p.l * tilted, theta_ddot, rest)
     return theta_ddot, x_ddot, fma(-(p.m * p.l), fma(squared, cos, theta_ddot * sin), weight)
 

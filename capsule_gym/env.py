@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import EzPickle
 
-from capsule_gym import kernels, task
+from capsule_gym import task
 from capsule_gym.controller import Controller
 from capsule_gym.kernels import Row
 from capsule_gym.parameters import Capsule, Randomization
@@ -178,7 +178,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         self.action_space, self.observation_space = make_spaces(self.simulation)
         # Views of the only environment, made once: finding them takes a good part of a step.
         lane = self.simulation.world[0, :, 0]
-        self._shown, self._state = lane[: kernels.SHOWN], lane[: Row.M]
+        self._shown, self._state = lane[: Row.steps], lane[: Row.M]
         self._observation = self.simulation.observations[0]
         self._renderer: Renderer | None = None
         self._running = False
@@ -235,7 +235,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         """
         if not self._running:
             raise gym.error.ResetNeeded("call reset() before step(): there is no running episode")
-        array = np.asarray(action, np.float32)
+        plain = type(action) is np.ndarray and action.dtype.char == "f"
+        array = action if plain else np.asarray(action, np.float32)
         if array.shape != (1,) or not math.isfinite(value := array.item()):
             raise ValueError(f"action must be one finite number of shape (1,) in [-1, 1], got {action!r}")
         self.simulation.step_one(value)
@@ -280,8 +281,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
     def _info(self) -> tuple[dict[str, Any], float, float]:
         """The info of a step, the reward, and why the episode has ended (0.0: it has not)."""
         (
-            _, _, _, x_dot, M, mu, _, _, torque, _, energy, normal_force, _, _, _, _, _, law_torque,
-            reward, progress, cost, penalty, ended, _,
+            _, _, _, x_dot, M, mu, _, law_torque, torque, normal_force, energy, reward, progress, cost, penalty, ended
         ) = self._shown.tolist()  # fmt: skip
         info = {
             "state": self._state.copy(),

@@ -45,53 +45,47 @@ LANES = 64
 
 
 class Row(IntEnum):
-    """The quantities of one environment in `world`, those that are read or written together side by side."""
+    """The quantities of one environment in `world`; the ones from `energy` to `largest_theta_dot` are the episode's."""
 
-    # The state, the plant, and what drives it: m / (M + m), the phase of the contact, the torque, and whether the
-    # environment is under way.
     theta = 0
     theta_dot = auto()
     x = auto()
     x_dot = auto()
     M = auto()
     mu = auto()
-    mass_ratio = auto()
-    slip = auto()
-    torque = auto()
-    halt = auto()
-    # Sums of the running step (energy and normal force) and of the episode.
-    step_energy = auto()
-    normal_force = auto()
-    forward = auto()
-    backward = auto()
-    stuck = auto()
-    largest_theta = auto()
-    largest_theta_dot = auto()
-    # What comes of the step.
+    # Row of the reference table that the law has seen last.
+    clock = auto()
     law_torque = auto()
+    torque = auto()
+    normal_force = auto()
+    step_energy = auto()
     reward = auto()
     reward_progress = auto()
     reward_energy = auto()
     reward_termination = auto()
     termination = auto()
     steps = auto()
-    # The rest of the episode's: the distance is weighted with (M + m) g, J, for a cost of transport also where M
-    # changes on the way.
-    energy = auto()
-    weight_distance = auto()
-    smallest_normal_ratio = auto()
+    start_x = auto()
     duration = auto()
+    energy = auto()
+    # Distance weighted with (M + m) g, J: the denominator of the cost of transport, also where M changes on the way.
+    weight_distance = auto()
     torque_squared = auto()
     peak_torque = auto()
-    start_x = auto()
+    forward = auto()
+    backward = auto()
+    stuck = auto()
+    smallest_normal_ratio = auto()
+    largest_theta = auto()
+    largest_theta_dot = auto()
     # What the caller wants: the action, and 1.0 where the environment takes part in the step.
     action = auto()
     active = auto()
-    # Of the running step: x at its start, the row of the reference that the law has seen last, how long the present
-    # torque has acted, and whether something happens in the present substep.
+    # Of the running step: m / (M + m), x at its start, the phase of the contact, whether something happens in the
+    # present substep, how far the environment has stopped, and the time that its present torque has acted.
+    mass_ratio = auto()
     before_x = auto()
-    clock = auto()
-    elapsed = auto()
+    slip = auto()
     eventful = auto()
     # What `dynamics.runge_kutta` returned for the present substep.
     next_theta = auto()
@@ -101,19 +95,17 @@ class Row(IntEnum):
     x_ddot = auto()
     first_normal_force = auto()
     least_normal_force = auto()
+    halt = auto()
+    elapsed = auto()
 
-
-# The rows that infos show.
-SHOWN = Row.steps + 1
 
 # Where each row begins in a block. numba compiles plain integers and floats, no enum members, as constants.
 (
-    THETA, THETA_DOT, X, X_DOT, MASS, MU, MASS_RATIO, SLIP, TORQUE, HALT,
-    STEP_ENERGY, NORMAL_FORCE, FORWARD, BACKWARD, STUCK, LARGEST_THETA, LARGEST_THETA_DOT,
-    LAW_TORQUE, REWARD, REWARD_PROGRESS, REWARD_ENERGY, REWARD_TERMINATION, TERMINATION, STEPS,
-    ENERGY, WEIGHT_DISTANCE, SMALLEST_NORMAL_RATIO, DURATION, TORQUE_SQUARED, PEAK_TORQUE, START_X, ACTION, ACTIVE,
-    BEFORE_X, CLOCK, ELAPSED, EVENTFUL,
-    NEXT_THETA, NEXT_THETA_DOT, NEXT_X, NEXT_X_DOT, X_DDOT, FIRST_NORMAL_FORCE, LEAST_NORMAL_FORCE,
+    THETA, THETA_DOT, X, X_DOT, MASS, MU, CLOCK, LAW_TORQUE, TORQUE, NORMAL_FORCE, STEP_ENERGY,
+    REWARD, REWARD_PROGRESS, REWARD_ENERGY, REWARD_TERMINATION, TERMINATION, STEPS, START_X, DURATION, ENERGY,
+    WEIGHT_DISTANCE, TORQUE_SQUARED, PEAK_TORQUE, FORWARD, BACKWARD, STUCK, SMALLEST_NORMAL_RATIO, LARGEST_THETA,
+    LARGEST_THETA_DOT, ACTION, ACTIVE, MASS_RATIO, BEFORE_X, SLIP, EVENTFUL, NEXT_THETA, NEXT_THETA_DOT,
+    NEXT_X, NEXT_X_DOT, X_DDOT, FIRST_NORMAL_FORCE, LEAST_NORMAL_FORCE, HALT, ELAPSED,
 ) = (int(row) * LANES for row in Row)  # fmt: skip
 ROWS = len(Row)
 # Where the law's memory begins; its line of the reference follows.
@@ -136,19 +128,25 @@ class Settings(NamedTuple):
     with_parameters: bool
 
 
-def pack(plant: Plant, settings: Settings) -> np.ndarray:
-    """Plant and settings in one array: a tuple of numbers takes ten times as long to enter compiled code."""
-    return np.array([*plant, *settings], dtype=np.float64)
+def pack(plant: Plant, settings: Settings, reference: np.ndarray) -> np.ndarray:
+    """Plant, settings and the controller's table in one array, shape (CONSTANTS + table.size,).
+
+    Numbers in a tuple, and every array more, would take longer to enter compiled code than a substep takes.
+    """
+    return np.concatenate([[*plant, *settings], reference.ravel()])
 
 
 @jitable
-def unpack(constants: np.ndarray, pivot_torque_on_contact: float) -> tuple[Plant, Settings]:
-    """What `pack` has packed, but for the constant that the compiler is to know."""
-    c = constants
+def unpack(fixed: np.ndarray, pivot_torque_on_contact: float) -> tuple[Plant, Settings]:
+    """Plant and settings out of what `pack` has packed, but for the constant that the compiler is to know."""
+    c = fixed
     plant = Plant(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], pivot_torque_on_contact, c[10])
-    return plant, Settings(
-        c[11], c[12], c[13], np.int64(c[14]), np.int64(c[15]), c[16], c[17], c[18] != 0.0, c[19] != 0.0
-    )
+    steps, law_steps = np.int64(c[14]), np.int64(c[15])
+    return plant, Settings(c[11], c[12], c[13], steps, law_steps, c[16], c[17], c[18] != 0.0, c[19] != 0.0)
+
+
+# Where the controller's table begins.
+CONSTANTS = len(Plant._fields) + len(Settings._fields)
 
 
 def no_law(
@@ -193,7 +191,6 @@ def store(typing_context: Any, array: Any, start: Any, stride: Any, values: Any)
 
 # A table for a task without a law.
 NO_REFERENCE = np.zeros((1, 2))
-NO_REFERENCE.setflags(write=False)
 
 # Bound anew, per law, in the copies that `build` makes; so are the functions below that call each other.
 law: Callable[..., Any] = no_law
@@ -203,36 +200,36 @@ PIVOT_TORQUE_ON_CONTACT = 0.0
 
 
 @inlined
-def on_floor(plant: Plant, M: float, mu: float, mass_ratio: float) -> Plant:
+def plant_of(block: np.ndarray, j: int, plant: Plant) -> Plant:
     """The plant of one environment."""
     return Plant(
-        M,
+        block[MASS + j],
         plant.m,
         plant.l,
         plant.g,
         plant.k,
         plant.c,
-        mu,
+        block[MU + j],
         plant.static_ratio,
         plant.backward_ratio,
         plant.pivot_torque_on_contact,
-        mass_ratio,
+        block[MASS_RATIO + j],
     )
 
 
 @inlined
 def prepare(block: np.ndarray, n: int, plant: Plant) -> int:
-    """Begins an agent step of a block's environments; returns how many take part."""
+    """Begins an agent step of the environments of block b; returns how many take part."""
     use_widest_vectors()
     count = 0
     for j in range(n):
         active = block[ACTIVE + j] != 0.0
-        energy, normal = load(block, STEP_ENERGY + j, LANES, 2)
-        store(block, STEP_ENERGY + j, LANES, (0.0 if active else energy, math.inf if active else normal))
         block[HALT + j] = UNDER_WAY if active else HALTED
         block[ACTION + j] = task.clip(block[ACTION + j], 1.0)
         block[MASS_RATIO + j] = plant.m / (block[MASS + j] + plant.m)
         block[BEFORE_X + j] = block[X + j]
+        block[STEP_ENERGY + j] = 0.0 if active else block[STEP_ENERGY + j]
+        block[NORMAL_FORCE + j] = math.inf if active else block[NORMAL_FORCE + j]
         count += active
     return count
 
@@ -249,17 +246,19 @@ def engage(block: np.ndarray, n: int, plant: Plant, settings: Settings) -> int:
         torque = task.clip(block[LAW_TORQUE + j] + residual, settings.torque_limit)
         torque = torque if going else block[TORQUE + j]
         x_dot = block[X_DOT + j]
-        store(block, SLIP + j, LANES, (-1.0 if x_dot < 0.0 else 1.0, torque))
+        block[TORQUE + j] = torque
         block[PEAK_TORQUE + j] = max(block[PEAK_TORQUE + j], abs(torque))
         block[ELAPSED + j] = period
+        block[SLIP + j] = -1.0 if x_dot < 0.0 else 1.0
         resting += going and x_dot == 0.0
     if resting == 0:
         return 0
     sticking = 0
     for j in range(n):
-        theta, theta_dot, _, x_dot, M, mu, mass_ratio, _, torque, halt = load(block, THETA + j, LANES, 10)
-        slip = dynamics.contact_phase(theta, theta_dot, x_dot, torque, on_floor(plant, M, mu, mass_ratio))
-        slip = slip if halt == UNDER_WAY else 1.0
+        p = plant_of(block, j, plant)
+        theta, theta_dot, x_dot = block[THETA + j], block[THETA_DOT + j], block[X_DOT + j]
+        slip = dynamics.contact_phase(theta, theta_dot, x_dot, block[TORQUE + j], p)
+        slip = slip if block[HALT + j] == UNDER_WAY else 1.0
         block[SLIP + j] = slip
         sticking += slip == 0.0
     return sticking
@@ -270,59 +269,70 @@ def glide(block: np.ndarray, n: int, plant: Plant, h: float, may_stick: bool) ->
     """Takes every environment to which nothing happens through one substep, and marks the others."""
     use_widest_vectors()
     for j in range(n):
-        theta, theta_dot, x, x_dot, M, mu, mass_ratio, slip, torque, halt = load(block, THETA + j, LANES, 10)
-        energy, least, forward, backward, stuck, largest, fastest = load(block, STEP_ENERGY + j, LANES, 7)
-        p = on_floor(plant, M, mu, mass_ratio)
+        p = plant_of(block, j, plant)
+        theta, theta_dot, x, x_dot = block[THETA + j], block[THETA_DOT + j], block[X + j], block[X_DOT + j]
+        slip, torque = block[SLIP + j], block[TORQUE + j]
         theta_1, theta_dot_1, x_1, x_dot_1, x_ddot, normal, smallest, lasts = dynamics.glide(
             theta, theta_dot, x, x_dot, slip, torque, p, h, may_stick
         )
-        store(block, NEXT_THETA + j, LANES, (theta_1, theta_dot_1, x_1, x_dot_1, x_ddot, normal, smallest))
-        going = halt == UNDER_WAY
+        block[NEXT_THETA + j], block[NEXT_THETA_DOT + j] = theta_1, theta_dot_1
+        block[NEXT_X + j], block[NEXT_X_DOT + j] = x_1, x_dot_1
+        block[X_DDOT + j], block[FIRST_NORMAL_FORCE + j] = x_ddot, normal
+        block[LEAST_NORMAL_FORCE + j] = smallest
+        going = block[HALT + j] == UNDER_WAY
         smooth = lasts and task.termination(theta_1, normal) == 0
-        commit = going and smooth
         block[EVENTFUL + j] = 1.0 if going and not smooth else 0.0
-        end_theta, end_theta_dot = theta_1 if commit else theta, theta_dot_1 if commit else theta_dot
-        end_x, end_x_dot = x_1 if commit else x, x_dot_1 if commit else x_dot
-        store(block, THETA + j, LANES, (end_theta, end_theta_dot, end_x, end_x_dot))
-        moved = end_x - x
+        commit = going and smooth
+        block[THETA + j] = theta_1 if commit else theta
+        block[THETA_DOT + j] = theta_dot_1 if commit else theta_dot
+        block[X + j] = x_1 if commit else x
+        block[X_DOT + j] = x_dot_1 if commit else x_dot
+        moved = x_1 - x if commit else 0.0
         turned = dynamics.swept(theta_dot, theta_dot_1, theta_1 - theta, h) if commit else 0.0
-        sums = (
-            energy + abs(torque) * turned,
-            min(least, normal if commit else math.inf),
-            forward + max(0.0, moved),
-            backward + max(0.0, -moved),
-            stuck + (h if may_stick and commit and slip == 0.0 else 0.0),
-            max(largest, abs(end_theta)),
-            max(fastest, abs(end_theta_dot)),
-        )
-        store(block, STEP_ENERGY + j, LANES, sums)
+        block[STEP_ENERGY + j] += abs(torque) * turned
+        block[FORWARD + j] += max(0.0, moved)
+        block[BACKWARD + j] += max(0.0, -moved)
+        if may_stick:
+            block[STUCK + j] += h if commit and slip == 0.0 else 0.0
+        block[NORMAL_FORCE + j] = min(block[NORMAL_FORCE + j], normal if commit else math.inf)
+        block[LARGEST_THETA + j] = max(block[LARGEST_THETA + j], abs(theta_1) if commit else 0.0)
+        block[LARGEST_THETA_DOT + j] = max(block[LARGEST_THETA_DOT + j], abs(theta_dot_1) if commit else 0.0)
 
 
 @jitable
 def follow(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) -> int:
     """Takes one environment through a substep in which something happens; returns by how many more stick afterwards."""
-    theta, theta_dot, x, x_dot, M, mu, mass_ratio, slip, torque, _ = load(block, THETA + j, LANES, 10)
-    energy, least, forward, backward, stuck, largest, fastest = load(block, STEP_ENERGY + j, LANES, 7)
-    theta_1, theta_dot_1, x_1, x_dot_1, x_ddot, normal, smallest = load(block, NEXT_THETA + j, LANES, 7)
-    p = on_floor(plant, M, mu, mass_ratio)
-    if smallest >= 0.0:
-        whole = dynamics.finish(theta_1, theta_dot_1, x_1, x_dot_1, slip, torque, p, h, x_ddot, normal)
+    p = plant_of(block, j, plant)
+    torque = block[TORQUE + j]
+    theta, theta_dot, x, x_dot = block[THETA + j], block[THETA_DOT + j], block[X + j], block[X_DOT + j]
+    slip = block[SLIP + j]
+    if block[LEAST_NORMAL_FORCE + j] >= 0.0:
+        whole = dynamics.finish(
+            block[NEXT_THETA + j],
+            block[NEXT_THETA_DOT + j],
+            block[NEXT_X + j],
+            block[NEXT_X_DOT + j],
+            slip,
+            torque,
+            p,
+            h,
+            block[X_DDOT + j],
+            block[FIRST_NORMAL_FORCE + j],
+        )
     else:
         whole = dynamics.piece(theta, theta_dot, x, x_dot, slip, torque, p, h)
     motion = dynamics.follow(theta, theta_dot, x, x_dot, slip, torque, p, whole)
-    store(block, THETA + j, LANES, (motion.theta, motion.theta_dot, motion.x, motion.x_dot))
-    sums = (
-        energy + abs(torque) * motion.swept,
-        min(least, motion.normal_force),
-        forward + motion.forward,
-        backward + motion.backward,
-        stuck + motion.stuck,
-        max(largest, abs(motion.theta)),
-        max(fastest, abs(motion.theta_dot)),
-    )
-    store(block, STEP_ENERGY + j, LANES, sums)
-    next_slip = dynamics.contact_phase(motion.theta, motion.theta_dot, motion.x_dot, torque, p)
+    block[THETA + j], block[THETA_DOT + j] = motion.theta, motion.theta_dot
+    block[X + j], block[X_DOT + j] = motion.x, motion.x_dot
+    block[STEP_ENERGY + j] += abs(torque) * motion.swept
+    block[FORWARD + j] += motion.forward
+    block[BACKWARD + j] += motion.backward
+    block[STUCK + j] += motion.stuck
+    block[NORMAL_FORCE + j] = min(block[NORMAL_FORCE + j], motion.normal_force)
+    block[LARGEST_THETA + j] = max(block[LARGEST_THETA + j], abs(motion.theta))
+    block[LARGEST_THETA_DOT + j] = max(block[LARGEST_THETA_DOT + j], abs(motion.theta_dot))
     ended = task.termination(motion.theta, motion.normal_force)
+    next_slip = dynamics.contact_phase(motion.theta, motion.theta_dot, motion.x_dot, torque, p)
     if ended != 0:
         block[TERMINATION + j] = ended
         block[HALT + j] = ENDING
@@ -333,31 +343,30 @@ def follow(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) ->
 
 
 @inlined
-def consult(block: np.ndarray, n: int, reference: np.ndarray, settings: Settings, tick: float) -> None:
-    """Asks the law for its torque at the present state, `tick` rows further in its reference."""
+def consult(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, settings: Settings, tick: float) -> None:
+    """Asks the law for its torque at the present state, `tick` rows further in its reference of `cycle` rows."""
     use_widest_vectors()
     # A loop of its own: where the environments read the table at different places, no compiler vectorises it.
     for j in range(n):
         clock = block[CLOCK + j] + (tick if block[HALT + j] != HALTED else 0.0)
-        clock = clock if clock < reference.shape[0] else 0.0
+        clock = clock if clock < cycle else 0.0
         block[CLOCK + j] = clock
-        row = load(reference, np.int64(clock) * REFERENCE_SIZE, 1, REFERENCE_SIZE)
+        row = load(fixed, CONSTANTS + np.int64(clock) * REFERENCE_SIZE, 1, REFERENCE_SIZE)
         store(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, row)
     for j in range(n):
         row = load(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, REFERENCE_SIZE)
         memory = load(block, MEMORY + j, LANES, MEMORY_SIZE)
-        theta, theta_dot, x, x_dot = load(block, THETA + j, LANES, 4)
-        torque, renewed = law(theta, theta_dot, x, x_dot, memory, row)
+        torque, renewed = law(block[THETA + j], block[THETA_DOT + j], block[X + j], block[X_DOT + j], memory, row)
         halt = block[HALT + j]
         asked = halt != HALTED
         # Infinity must not pass for a torque that was clipped: infinity minus itself is NaN.
         clipped = task.clip(torque, settings.torque_limit) + (torque - torque)
         block[LAW_TORQUE + j] = clipped if asked else block[LAW_TORQUE + j]
         store(block, MEMORY + j, LANES, renewed if asked else memory)
-        elapsed = tick * block[ELAPSED + j] if asked else 0.0
-        duration, squared = load(block, DURATION + j, LANES, 2)
-        applied = block[TORQUE + j]
-        store(block, DURATION + j, LANES, (duration + elapsed, squared + elapsed * applied * applied))
+        elapsed = block[ELAPSED + j] if asked else 0.0
+        torque = block[TORQUE + j]
+        block[DURATION + j] += tick * elapsed
+        block[TORQUE_SQUARED + j] += tick * elapsed * torque * torque
         block[HALT + j] = UNDER_WAY if halt == UNDER_WAY else HALTED
 
 
@@ -367,20 +376,23 @@ def settle(block: np.ndarray, n: int, plant: Plant, settings: Settings) -> None:
     use_widest_vectors()
     for j in range(n):
         active = block[ACTIVE + j] != 0.0
+        share = 1.0 if active else 0.0
         weight = (block[MASS + j] + plant.m) * plant.g
         moved = block[X + j] - block[BEFORE_X + j]
-        energy, normal = load(block, STEP_ENERGY + j, LANES, 2)
-        _, progress, cost, penalty, termination, steps = load(block, REWARD + j, LANES, 6)
-        if active:
-            progress, cost, penalty = task.reward_terms(
-                moved, energy, termination != 0.0, settings.energy_weight, settings.termination_penalty
-            )
-        reward = progress + cost + penalty if active else 0.0
-        share = 1.0 if active else 0.0
-        store(block, REWARD + j, LANES, (reward, progress, cost, penalty, termination, steps + share))
-        spent, carried, least = load(block, ENERGY + j, LANES, 3)
-        least = min(least, normal / weight) if active else least
-        store(block, ENERGY + j, LANES, (spent + share * energy, carried + share * weight * moved, least))
+        energy = block[STEP_ENERGY + j]
+        terms = task.reward_terms(
+            moved, energy, block[TERMINATION + j] != 0.0, settings.energy_weight, settings.termination_penalty
+        )
+        progress, energy_cost, penalty = terms
+        block[REWARD + j] = progress + energy_cost + penalty if active else 0.0
+        block[REWARD_PROGRESS + j] = progress if active else block[REWARD_PROGRESS + j]
+        block[REWARD_ENERGY + j] = energy_cost if active else block[REWARD_ENERGY + j]
+        block[REWARD_TERMINATION + j] = penalty if active else block[REWARD_TERMINATION + j]
+        block[STEPS + j] += share
+        block[ENERGY + j] += share * energy
+        block[WEIGHT_DISTANCE + j] += share * weight * moved
+        smallest = min(block[SMALLEST_NORMAL_RATIO + j], block[NORMAL_FORCE + j] / weight)
+        block[SMALLEST_NORMAL_RATIO + j] = smallest if active else block[SMALLEST_NORMAL_RATIO + j]
 
 
 @inlined
@@ -388,15 +400,17 @@ def observe(block: np.ndarray, n: int, begin: bool, settings: Settings, cycle: i
     """Writes the observations of block b where its environments take part."""
     for j in range(n):
         if block[ACTIVE + j] != 0.0:
-            theta, theta_dot, _, x_dot, M, mu = load(block, THETA + j, LANES, 6)
-            theta_d, theta_d_dot = load(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, 2)
             task.write_observation(
                 observations[j],
-                (theta, theta_dot, x_dot),
+                (block[THETA + j], block[THETA_DOT + j], block[X_DOT + j]),
                 0.0 if begin else block[ACTION + j],
-                (theta_d, theta_d_dot, block[CLOCK + j] / cycle),
+                (
+                    block[MEMORY + MEMORY_SIZE * LANES + j],
+                    block[MEMORY + (MEMORY_SIZE + 1) * LANES + j],
+                    block[CLOCK + j] / cycle,
+                ),
                 block[LAW_TORQUE + j],
-                (M, mu),
+                (block[MASS + j], block[MU + j]),
                 settings.with_reference,
                 settings.with_parameters,
             )
@@ -407,8 +421,7 @@ def advance(
     first: int,
     last: int,
     begin: bool,
-    constants: np.ndarray,
-    reference: np.ndarray,
+    fixed: np.ndarray,
     observations: np.ndarray,
 ) -> int:
     """One agent step of the environments first..last-1 that `Row.active` names; the others stand still.
@@ -418,14 +431,14 @@ def advance(
         first: first environment, a multiple of LANES.
         last: one past the last environment.
         begin: begin an episode instead of taking a step: the law is asked for its first torque.
-        constants: plant and settings, from `pack`; M and mu come from `world`.
-        reference: the controller's table.
+        fixed: plant, settings and the controller's table, from `pack`; M and mu come from `world`.
         observations: shape (environments, entries), float32; written.
 
     Returns:
         Index of an environment whose state or torque is no longer finite, or -1.
     """
-    plant, settings = unpack(constants, PIVOT_TORQUE_ON_CONTACT)
+    plant, settings = unpack(fixed, PIVOT_TORQUE_ON_CONTACT)
+    cycle = (fixed.size - CONSTANTS) // REFERENCE_SIZE
     h = settings.physics_dt
     broken = -1
     for b in range(first // LANES, (last + LANES - 1) // LANES):
@@ -445,10 +458,10 @@ def advance(
                     for j in range(n):
                         if block[EVENTFUL + j] != 0.0:
                             sticking += follow(block, j, plant, h, (substep + 1) * h)
-            consult(block, n, reference, settings, 0.0 if begin else 1.0)
+            consult(block, n, fixed, cycle, settings, 0.0 if begin else 1.0)
         if not begin:
             settle(block, n, plant, settings)
-        observe(block, n, begin, settings, reference.shape[0], observations[b * LANES :])
+        observe(block, n, begin, settings, cycle, observations[b * LANES :])
         for j in range(n):
             if not math.isfinite(block[THETA_DOT + j] + block[LAW_TORQUE + j] + block[REWARD + j]):
                 broken = b * LANES + j
@@ -461,7 +474,6 @@ SIGNATURE = (
     types.int64,
     types.boolean,
     types.float64[::1],
-    types.Array(types.float64, 2, "C", readonly=True),
     types.float32[:, ::1],
 )
 

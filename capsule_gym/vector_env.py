@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from capsule_gym import task
 from capsule_gym.controller import Controller
 from capsule_gym.env import RESET_OPTIONS, REWARD_TERMS, check_options, draw, make_spaces
-from capsule_gym.kernels import SHOWN, Row
+from capsule_gym.kernels import Row
 from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.rendering import Renderer
 from capsule_gym.simulation import Simulation, check_count
@@ -147,7 +147,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         )
         self._ended[rows] = False
         self._started = True
-        return self.simulation.observations.copy(), _masked(_snapshot(self.simulation.rows(0, SHOWN)), mask)
+        return self.simulation.observations.copy(), _masked(_snapshot(self.simulation.rows(0, Row.start_x)), mask)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One agent step of every environment.
@@ -178,7 +178,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             simulation.reset(np.flatnonzero(self._ended))
         simulation.step(array[:, 0], active)
 
-        shown = simulation.rows(0, SHOWN)
+        shown = simulation.rows(0, Row.start_x)
         rewards = shown[Row.reward].copy()
         terminated = shown[Row.termination] != 0.0
         truncated = shown[Row.steps] >= self.max_episode_steps
@@ -250,7 +250,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         info["final_info"] = _masked({**shared, **final}, ended)
         info["_final_obs"] = info["_final_info"] = ended
         simulation.reset(rows)
-        info |= _snapshot(simulation.rows(0, SHOWN))
+        info |= _snapshot(simulation.rows(0, Row.start_x))
 
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
         """Hands the seeds out: environment i of seed s gets s + i."""

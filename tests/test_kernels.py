@@ -142,7 +142,7 @@ def test_laws_of_one_factory_never_share_a_symbol():
 
 def test_plant_and_settings_survive_packing():
     settings = Settings(1.5, 3.0, 1e-3, 7, 20, 0.1, 10.0, True, False)
-    plant, again = unpack(pack(PLANT, settings), PLANT.pivot_torque_on_contact)
+    plant, again = unpack(pack(PLANT, settings, np.zeros((3, 2))), PLANT.pivot_torque_on_contact)
     assert plant == PLANT
     assert again == settings
     assert all(isinstance(value, (int, np.integer)) for value in (again.physics_steps, again.law_steps))
