@@ -52,11 +52,15 @@ def step_single(env_id: str, scale: float = 1.0, unwrapped: bool = False, **kwar
     samples = [env.action_space.sample() for _ in range(256)]
     actions = [sample if isinstance(sample, (int, np.integer)) else np.float32(scale) * sample for sample in samples]
     env.reset(seed=SEED)
+    taken = 0
 
     def step(count: int) -> None:
-        for n in range(count):
-            _, _, terminated, truncated, _ = env.step(actions[n % len(actions)])
-            if terminated or truncated:
+        nonlocal taken
+        for _ in range(count):
+            taken += 1
+            _, _, terminated, truncated, _ = env.step(actions[taken % len(actions)])
+            # Without a wrapper nobody else truncates.
+            if terminated or truncated or (unwrapped and taken % task.EPISODE_STEPS == 0):
                 env.reset()
 
     return Stepper(step, made.close)

@@ -1,11 +1,11 @@
 """Sine and cosine that the compiler can evaluate for several environments at once.
 
-The library's sin and cos are calls, and a loop that calls cannot be vectorised: with them the batch takes two and a
-half times as long. These are straight-line arithmetic, the same for one environment and for a batch, bit for bit.
+The library's sin and cos are calls, and a loop that calls cannot be vectorised: with them the batch takes three times
+as long. These are straight-line arithmetic, the same for one environment and for a batch, bit for bit.
 
 The multiplications and additions of the polynomials are fused by name. A compiler that may fuse as it likes ("fast
 math") decides differently in different loops, and the batch would differ from the single environment; one that may not
-fuse at all runs at four fifths of the speed. `python -m benchmarks.tricks` measures both.
+fuse at all runs at five sixths of the speed. `python -m benchmarks.tricks` measures both.
 """
 
 from __future__ import annotations
