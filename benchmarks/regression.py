@@ -32,7 +32,7 @@ MANY = 16384
 DRAWS = 16
 TURNS = 15
 TURN_SECONDS = 0.04
-ATTEMPTS = 3
+ATTEMPTS = 5
 COMMENT = "<!-- Written by python -m benchmarks.regression: do not edit. -->"
 
 # Takes one turn; returns the seconds that it counts and the steps of environments that these took.

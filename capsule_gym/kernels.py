@@ -346,13 +346,22 @@ def follow(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) ->
 def consult(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, settings: Settings, tick: float) -> None:
     """Asks the law for its torque at the present state, `tick` rows further in its reference of `cycle` rows."""
     use_widest_vectors()
-    # A loop of its own: where the environments read the table at different places, no compiler vectorises it.
     for j in range(n):
         clock = block[CLOCK + j] + (tick if block[HALT + j] != HALTED else 0.0)
-        clock = clock if clock < cycle else 0.0
-        block[CLOCK + j] = clock
-        row = load(fixed, CONSTANTS + np.int64(clock) * REFERENCE_SIZE, 1, REFERENCE_SIZE)
-        store(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, row)
+        block[CLOCK + j] = clock if clock < cycle else 0.0
+    # Environments that began together read the same line of the reference; where they read different ones, no compiler
+    # vectorises the loop, which is therefore one of its own.
+    first, apart = block[CLOCK], 0
+    for j in range(n):
+        apart += block[CLOCK + j] != first
+    if apart == 0:
+        line = load(fixed, CONSTANTS + np.int64(first) * REFERENCE_SIZE, 1, REFERENCE_SIZE)
+        for j in range(n):
+            store(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, line)
+    else:
+        for j in range(n):
+            line = load(fixed, CONSTANTS + np.int64(block[CLOCK + j]) * REFERENCE_SIZE, 1, REFERENCE_SIZE)
+            store(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, line)
     for j in range(n):
         row = load(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, REFERENCE_SIZE)
         memory = load(block, MEMORY + j, LANES, MEMORY_SIZE)

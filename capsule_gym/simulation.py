@@ -188,7 +188,7 @@ class Simulation:
         self.world = np.zeros((blocks, rows, LANES))
         self._blocks = self.world.reshape(blocks, -1)
         # Set through a memoryview, which takes half the time of an array.
-        self._action = memoryview(self.world[0, Row.action])
+        self._action: Any = memoryview(self.world[0, Row.action])
         self.observations = np.zeros((self.num_envs, len(self.observation_names)), np.float32)
         # The kernel's only compiled form: numba's search for the right one is 0.3 us of the 4 that a step takes, and so
         # are the arguments, where they are looked up each time.
