@@ -180,6 +180,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         lane = self.simulation.world[0, :, 0]
         self._shown, self._state = lane[: Row.steps], lane[: Row.M]
         self._observation = self.simulation.observations[0]
+        self._advance = self.simulation.step_one
         self._renderer: Renderer | None = None
         self._running = False
 
@@ -239,7 +240,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         array = action if plain else np.asarray(action, np.float32)
         if array.shape != (1,) or not math.isfinite(value := array.item()):
             raise ValueError(f"action must be one finite number of shape (1,) in [-1, 1], got {action!r}")
-        self.simulation.step_one(value)
+        self._advance(value)
         info, reward, ended = self._info()
         if ended:
             info["termination"] = task.Termination(int(ended)).name
