@@ -7,7 +7,7 @@ import math
 import torch
 from stable_baselines3 import SAC
 from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN, Actor
-from torch.nn import functional as F  # noqa: N812
+from torch import nn
 
 HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 # As in SB3: keeps the logarithm finite where tanh has saturated.
@@ -56,7 +56,7 @@ class LeanSAC(SAC):
 
             pairs = torch.cat([observations, actions], dim=1)
             first, second = (network(pairs) for network in self.critic.q_networks)
-            critic_loss = 0.5 * (F.mse_loss(first, wanted) + F.mse_loss(second, wanted))
+            critic_loss = 0.5 * (nn.functional.mse_loss(first, wanted) + nn.functional.mse_loss(second, wanted))
             step(self.critic.optimizer, critic, critic_loss)
 
             pairs = torch.cat([observations, proposed], dim=1)
@@ -78,6 +78,7 @@ def sample(actor: Actor, observations: torch.Tensor) -> tuple[torch.Tensor, torc
     """Actions of the present policy and their log probabilities, each of shape (batch, 1)."""
     latent = actor.latent_pi(observations)
     mean = actor.mu(latent)
+    # SB3 declares a layer or a parameter; it is the layer without gSDE, which `train` has made sure of.
     log_std = actor.log_std(latent).clamp(LOG_STD_MIN, LOG_STD_MAX)  # type: ignore[operator]
     noise = torch.randn_like(mean)
     actions = torch.tanh(mean + log_std.exp() * noise)

@@ -21,15 +21,14 @@ import numpy as np
 from agents.reporting import markdown_table, text_table
 from baselines.files import to_json, write_atomically
 from benchmarks import native
-from benchmarks.contenders import ACTION_SCALE, LAW, SEED, THREADS
+from benchmarks.contenders import ACTION_SCALE, DRAWS, LAW, SEED, THREADS, step_batch
 from benchmarks.timing import available_cores, describe, machine
-from capsule_gym import CapsuleVectorEnv
+from capsule_gym import ENV_ID
 from capsule_gym.kernels import Row
 from capsule_gym.simulation import LAW_PHYSICS_DT, Simulation
 
 NUM_ENVS = 1024
 MANY = 16384
-DRAWS = 16
 TURNS = 15
 TURN_SECONDS = 0.04
 ATTEMPTS = 5
@@ -96,11 +95,17 @@ def stepping(simulation: Simulation, kernel: Callable[[], Any], held: bool = Fal
     return turn
 
 
-def ours(num_envs: int, held: bool = False, **settings: Any) -> Turn:
-    """This package's kernel."""
+def seeded(num_envs: int, **settings: Any) -> Simulation:
+    """Environments with a seed each, so that no two have the same plant."""
     simulation = Simulation(num_envs, **settings)
     for i in range(num_envs):
         simulation.seed(i, i)
+    return simulation
+
+
+def ours(num_envs: int, held: bool = False, **settings: Any) -> Turn:
+    """This package's kernel."""
+    simulation = seeded(num_envs, **settings)
     return stepping(simulation, lambda: simulation._run(begin=False), held)
 
 
@@ -125,27 +130,19 @@ def one_at_a_time() -> Turn:
 
 def in_c(flags: tuple[str, ...]) -> Turn:
     """The hand-written kernel on the same environments."""
-    simulation = Simulation(MANY)
-    for i in range(MANY):
-        simulation.seed(i, i)
+    simulation = seeded(MANY)
     return stepping(simulation, native.Native(simulation, flags))
 
 
 def whole_steps(num_envs: int) -> Turn:
-    """`CapsuleVectorEnv.step`, with everything that it returns."""
-    env = CapsuleVectorEnv(num_envs, max_episode_steps=sys.maxsize)
-    env.reset(seed=SEED)
-    shape = (DRAWS, num_envs, 1)
-    draws = np.random.default_rng(SEED).uniform(-ACTION_SCALE, ACTION_SCALE, shape).astype(np.float32)
-    taken = 0
+    """The `step` of a native batch, with everything that it returns."""
+    stepper = step_batch(ENV_ID, num_envs, ACTION_SCALE, max_episode_steps=sys.maxsize)
 
     def turn() -> tuple[float, int]:
-        nonlocal taken
         start, steps = time.perf_counter(), 0
         while time.perf_counter() - start < TURN_SECONDS:
-            env.step(draws[taken % DRAWS])
-            taken += 1
-            steps += num_envs
+            stepper.step(DRAWS)
+            steps += DRAWS * num_envs
         return time.perf_counter() - start, steps
 
     return turn

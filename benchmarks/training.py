@@ -46,6 +46,7 @@ from agents.runs import MODEL, load_policy
 from agents.sets import EvaluationSet, load_set
 from agents.training import begin, make_env, make_model, train
 from baselines.files import to_json, write_atomically
+from benchmarks.timing import available_cores
 
 RUNS = Path("runs/benchmark-training")
 COST = "cost.json"
@@ -317,16 +318,22 @@ def torch_threads_kept() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def sweep(rivals: Sequence[Contender], turns: int, seconds: float, title: str = "") -> dict[str, list[float]]:
-    """Environment steps per second of each, updates included, one number per turn. Ctrl-C ends it after this turn's.
+def take_turns(
+    rivals: Sequence[Contender],
+    turns: int,
+    seconds: float,
+    title: str,
+    turn: Callable[[Contender, BaseAlgorithm, int], str],
+) -> None:
+    """Lets contenders train in turns. Ctrl-C ends it; what was measured until then counts.
 
     Args:
         rivals: what takes turns.
         turns: how many turns each takes.
         seconds: about how long a turn is.
         title: for the progress bar.
+        turn: takes the contender, its agent and the number of its units to train; returns what the bar shows.
     """
-    rates: dict[str, list[float]] = {rival.name: [] for rival in rivals}
     models: list[BaseAlgorithm] = []
     with torch_threads_kept(), tqdm(total=turns * len(rivals), desc=title, unit=" turns", dynamic_ncols=True) as bar:
         try:
@@ -338,15 +345,25 @@ def sweep(rivals: Sequence[Contender], turns: int, seconds: float, title: str = 
             for _ in range(turns):
                 for rival, model, count in zip(rivals, models, counts, strict=True):
                     torch.set_num_threads(rival.threads)
-                    rates[rival.name].append(count * vector_step(model) / learn(model, count))
-                    bar.set_postfix_str(f"{rival.name}: {rates[rival.name][-1]:,.0f} steps/s", refresh=False)
+                    bar.set_postfix_str(turn(rival, model, count), refresh=False)
                     bar.update()
         except KeyboardInterrupt:
             print("\nStopped; what was measured:", file=sys.stderr)
         finally:
             for model in models:
                 cast(VecEnv, model.get_env()).close()
-    return {name: values for name, values in rates.items() if values}
+
+
+def sweep(rivals: Sequence[Contender], turns: int, seconds: float, title: str = "") -> dict[str, list[float]]:
+    """Environment steps per second of each, updates included, one number per turn; arguments as for `take_turns`."""
+    rates: dict[str, list[float]] = defaultdict(list)
+
+    def turn(rival: Contender, model: BaseAlgorithm, count: int) -> str:
+        rates[rival.name].append(count * vector_step(model) / learn(model, count))
+        return f"{rival.name}: {rates[rival.name][-1]:,.0f} steps/s"
+
+    take_turns(rivals, turns, seconds, title, turn)
+    return dict(rates)
 
 
 def sweep_rows(rivals: Sequence[Contender], rates: dict[str, list[float]]) -> list[list[str]]:
@@ -441,30 +458,20 @@ def watch(model: BaseAlgorithm, clocks: Clocks) -> None:
 
 def profile(rivals: Sequence[Contender], turns: int, seconds: float) -> dict[str, dict[str, float]]:
     """Microseconds per environment step that each part of a training takes."""
-    totals = {rival.name: Clocks() for rival in rivals}
+    totals: dict[str, Clocks] = defaultdict(Clocks)
     steps: dict[str, int] = defaultdict(int)
-    models: list[BaseAlgorithm] = []
-    with torch_threads_kept(), tqdm(total=turns * len(rivals), unit=" turns", dynamic_ncols=True) as bar:
+
+    def turn(rival: Contender, model: BaseAlgorithm, count: int) -> str:
+        clocks = totals[rival.name]
+        watch(model, clocks)
         try:
-            prepared = [prepare(rival, seconds) for rival in rivals]
-            models = [model for model, _ in prepared]
-            for _ in range(turns):
-                for rival, (model, count) in zip(rivals, prepared, strict=True):
-                    torch.set_num_threads(rival.threads)
-                    clocks = totals[rival.name]
-                    watch(model, clocks)
-                    try:
-                        learn(model, count)
-                    finally:
-                        clocks.stop()
-                    steps[rival.name] += count * vector_step(model)
-                    bar.set_postfix_str(rival.name, refresh=False)
-                    bar.update()
-        except KeyboardInterrupt:
-            print("\nStopped; what was measured:", file=sys.stderr)
+            learn(model, count)
         finally:
-            for model in models:
-                cast(VecEnv, model.get_env()).close()
+            clocks.stop()
+        steps[rival.name] += count * vector_step(model)
+        return rival.name
+
+    take_turns(rivals, turns, seconds, "profile", turn)
     return {
         name: {part: 1e6 * value / steps[name] for part, value in clocks.seconds.items()}
         for name, clocks in totals.items()
@@ -502,8 +509,7 @@ def profiled() -> list[Contender]:
 
 def machine() -> str:
     """The machine, in words."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{cores} of {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}"
+    return f"{available_cores()} of {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}"
 
 
 def number(text: str) -> int:

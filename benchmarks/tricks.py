@@ -22,6 +22,7 @@ import numpy as np
 
 from agents.reporting import markdown_table, text_table
 from baselines.files import to_json, write_atomically
+from benchmarks.contenders import ACTION_SCALE, DRAWS, SEED
 from benchmarks.timing import Contender, Rate, Stepper, describe, machine, measure
 from capsule_gym import dynamics, kernels, simulation, task, trigonometry
 from capsule_gym.compilation import inlined
@@ -29,9 +30,6 @@ from capsule_gym.compilation import inlined
 TURNS = 15
 TURN_SECONDS = 0.1
 BATCHES = (1024, 16384)
-# Of the torque's limit: so no episode fails.
-ACTION_SCALE = 0.2
-DRAWS = 16
 COMMENT = "<!-- Written by python -m benchmarks.tricks: do not edit. -->"
 
 
@@ -90,7 +88,7 @@ def batch(num_envs: int) -> Callable[[int], None]:
     """Environments in this process, as the function that takes a number of steps of the kernel."""
     environments = simulation.Simulation(num_envs)
     environments.reset(np.arange(num_envs))
-    actions = np.random.default_rng(0).uniform(-ACTION_SCALE, ACTION_SCALE, (DRAWS, num_envs))
+    actions = np.random.default_rng(SEED).uniform(-ACTION_SCALE, ACTION_SCALE, (DRAWS, num_envs))
 
     def step(count: int) -> None:
         for n in range(count):

@@ -99,9 +99,10 @@ def fingerprint(function: Callable[..., Any]) -> str:
     return digest.hexdigest()
 
 
-def rebound(function: Any, name: str, bindings: dict[str, Any]) -> Any:
-    """A copy of a module-level function under another name, some of its globals bound to other values."""
-    copy = FunctionType(function.__code__, {**function.__globals__, **bindings}, name, function.__defaults__)
+def rebound(function: Any, name: str, bindings: dict[str, Any], cells: tuple[CellType, ...] | None = None) -> Any:
+    """A copy of a function under another name, with some globals bound to other values, and with that closure."""
+    scope = {**function.__globals__, **bindings}
+    copy = FunctionType(function.__code__, scope, name, function.__defaults__, cells)
     copy.__qualname__ = name
     copy.__module__ = function.__module__
     return copy
@@ -125,12 +126,7 @@ def distinct(function: Any, digest: str, outer: tuple[Any, ...] = ()) -> Any:
         name: renewed(function.__globals__[name]) for name in function.__code__.co_names if name in function.__globals__
     }
     cells = tuple(CellType(renewed(cell.cell_contents)) for cell in function.__closure__ or ())
-    scope = {**function.__globals__, **names}
-    name = f"{function.__name__}_{digest}"
-    copy = FunctionType(function.__code__, scope, name, function.__defaults__, cells or None)
-    copy.__qualname__ = name
-    copy.__module__ = function.__module__
-    return copy
+    return rebound(function, f"{function.__name__}_{digest}", names, cells or None)
 
 
 def inner(function: Any) -> Any:

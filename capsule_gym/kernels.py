@@ -219,7 +219,7 @@ def plant_of(block: np.ndarray, j: int, plant: Plant) -> Plant:
 
 @inlined
 def prepare(block: np.ndarray, n: int, plant: Plant) -> int:
-    """Begins an agent step of the environments of block b; returns how many take part."""
+    """Begins an agent step of a block's environments; returns how many take part."""
     use_widest_vectors()
     count = 0
     for j in range(n):
@@ -406,7 +406,7 @@ def settle(block: np.ndarray, n: int, plant: Plant, settings: Settings) -> None:
 
 @inlined
 def observe(block: np.ndarray, n: int, begin: bool, settings: Settings, cycle: int, observations: np.ndarray) -> None:
-    """Writes the observations of block b where its environments take part."""
+    """Writes the observations of a block's environments that take part."""
     for j in range(n):
         if block[ACTIVE + j] != 0.0:
             task.write_observation(

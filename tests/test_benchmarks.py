@@ -6,6 +6,7 @@ import json
 import sys
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,8 +29,8 @@ def make_stepper(log: list[str], name: str) -> Stepper:
     return Stepper(lambda count: log.append(f"{name} {count}"), lambda: log.append(f"{name} closed"))
 
 
-def contender(label: str, peer: str | None = None, **kwargs: object) -> Contender:
-    return Contender(label, partial(make_stepper, [], label), peer=peer, **kwargs)  # type: ignore[arg-type]
+def contender(label: str, peer: str | None = None, **kwargs: Any) -> Contender:
+    return Contender(label, partial(make_stepper, [], label), peer=peer, **kwargs)
 
 
 def test_rate_holds_the_quartiles_of_the_turns() -> None:

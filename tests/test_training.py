@@ -331,24 +331,29 @@ def test_benchmark_measures_speeds_and_where_time_goes(tmp_path, capsys, monkeyp
     assert "update: Adam" in capsys.readouterr().out
 
 
-def test_clocks_leave_out_what_is_clocked_inside_and_leave_no_trace():
+def test_clocks_leave_out_what_is_clocked_inside_and_leave_no_trace(monkeypatch):
+    now = 0.0
+    monkeypatch.setattr(benchmark.time, "perf_counter", lambda: now)
+
     class Work:
         def outer(self):
-            time.sleep(0.01)
+            nonlocal now
+            now += 1.0
             self.inner()
 
         def inner(self):
-            time.sleep(0.05)
+            nonlocal now
+            now += 5.0
 
     work, clocks = Work(), benchmark.Clocks()
     clocks.watch(work, "outer", "outer")
     clocks.watch(Work, "inner", "inner")
     work.outer()
     clocks.stop()
-    assert 0.01 <= clocks.seconds["outer"] < 0.05 <= clocks.seconds["inner"]
+    assert clocks.seconds == {"outer": 1.0, "inner": 5.0}
     assert not vars(work)
     work.outer()
-    assert clocks.seconds["inner"] < 0.1
+    assert clocks.seconds == {"outer": 1.0, "inner": 5.0}
 
 
 @pytest.mark.parametrize(
