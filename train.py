@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from agents.presets import PRESETS, Config
+from agents.training.presets import PRESETS, Config
 
 RUNS = Path("runs")
 
@@ -106,7 +106,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     config, options = parse(arguments)
     # After the command line is known to be right: importing torch takes seconds.
-    from agents import comparison, training
+    from agents import comparison
+    from agents.training import loop as training
 
     if options.resume is not None:
         run = options.resume

@@ -6,14 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from agents.evaluate import comparison_table
-from agents.evaluation import evaluate, make_result, scores
+from agents.evaluation.episodes import evaluate, make_result, scores
+from agents.evaluation.sets import load_set
+from agents.evaluation.statistics import interquartile_mean
 from agents.recording import FRAME_EVERY, NOMINAL_TITLE, draw_comparison, record, write_gif
-from agents.runs import load_policy
-from agents.sets import load_set
-from agents.statistics import interquartile_mean
-from agents.training import BASELINE
-from baselines.files import to_json, write_atomically
+from agents.training.loop import BASELINE
+from agents.training.runs import load_policy
 from baselines.policies import SCRIPTED
+from capsule_gym.files import to_json, write_atomically
 
 # The animation: six seconds from the tenth on.
 ANIMATED_FROM, ANIMATED_STEPS = 500, 300

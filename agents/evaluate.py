@@ -9,13 +9,13 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from agents.candidates import Candidate, checkpoint_names, find_candidate
-from agents.evaluation import Episode, difference, failures, make_result, scores, summarise
-from agents.reporting import MEASURES, text_table
-from agents.sets import SET_NAMES, EvaluationSet, load_set
-from agents.statistics import interquartile_mean
-from baselines.files import to_json, write_atomically
+from agents.evaluation.candidates import Candidate, checkpoint_names, find_candidate
+from agents.evaluation.episodes import Episode, difference, failures, make_result, scores, summarise
+from agents.evaluation.sets import SET_NAMES, EvaluationSet, load_set
+from agents.evaluation.statistics import interquartile_mean
+from agents.evaluation.tables import MEASURES, text_table
 from baselines.policies import SCRIPTED
+from capsule_gym.files import to_json, write_atomically
 
 DEFAULT_REFERENCE = "adaptive"
 RESAMPLED = {

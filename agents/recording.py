@@ -12,11 +12,11 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from agents.candidates import find_candidate
-from agents.evaluation import EPISODE_SETTINGS, Policy
-from agents.sets import HORIZON, PlantSpec
-from baselines.files import replacing
+from agents.evaluation.candidates import find_candidate
+from agents.evaluation.episodes import EPISODE_SETTINGS, Policy
+from agents.evaluation.sets import HORIZON, PlantSpec
 from baselines.policies import SCRIPTED
+from capsule_gym.files import replacing
 from capsule_gym.task import CONTROL_DT, EPISODE_STEPS
 
 NOMINAL = PlantSpec(M=0.5, mu=0.01, seed=0)

@@ -3,6 +3,7 @@
 The functions here are what the environment's argument `controller` takes, as in `controller="baselines:adaptive"`.
 """
 
-from baselines.control_laws import adaptive, adaptive_as_published, compliant, epc, feedback_linearising
+from baselines.laws.adaptive import adaptive, adaptive_as_published, compliant
+from baselines.laws.feedback_linearisation import epc, feedback_linearising
 
 __all__ = ["adaptive", "adaptive_as_published", "compliant", "epc", "feedback_linearising"]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baselines.files import replacing
+from capsule_gym.files import replacing
 
 # Okabe and Ito's colours, told apart in every common colour blindness; the dashes tell them apart in grey.
 BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#AA4499"

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines import gaits
+from baselines.gaits import performance
 
 Act = Callable[[np.ndarray], np.ndarray]
 
@@ -65,14 +65,14 @@ SCRIPTED = {
         ScriptedPolicy(
             "gait-nominal",
             "the tolerant gait of the nominal plant, whatever the plant; torque every 10 ms",
-            gaits.ENV_KWARGS,
-            gaits.start_nominal,
+            performance.ENV_KWARGS,
+            performance.start_nominal,
         ),
         ScriptedPolicy(
             "gait-oracle",
             "sees M and mu and takes the known gait that proved fastest around such a plant; torque every 10 ms",
-            {**gaits.ENV_KWARGS, "observe_parameters": True},
-            gaits.start_oracle,
+            {**performance.ENV_KWARGS, "observe_parameters": True},
+            performance.start_oracle,
         ),
     )
 }

@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from agents.reporting import markdown_table, text_table
-from baselines.files import to_json, write_atomically
+from agents.evaluation.tables import markdown_table, text_table
 from benchmarks import native
 from benchmarks.contenders import ACTION_SCALE, DRAWS, LAW, SEED, THREADS, step_batch
 from benchmarks.timing import available_cores, describe, machine
 from capsule_gym import ENV_ID
+from capsule_gym.files import to_json, write_atomically
 from capsule_gym.kernels import Row
 from capsule_gym.simulation import LAW_PHYSICS_DT, Simulation
 

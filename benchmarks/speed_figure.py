@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from baselines import drawing
-from baselines.files import replacing
 from benchmarks.contenders import DIRECT, WITH_LAW
 from benchmarks.cost import CASES, OURS, Point
 from benchmarks.timing import Contender, Rate
+from capsule_gym.files import replacing
 
 HEIGHT = 8.0
 # Of the PNG: half as many bytes as at the resolution of the paper's figures.

@@ -16,11 +16,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from agents.reporting import markdown_table, text_table
-from baselines.files import to_json, write_atomically
+from agents.evaluation.tables import markdown_table, text_table
 from benchmarks import accuracy, contenders, cost, creep, speed_figure
 from benchmarks.timing import Contender, Rate, available_cores, describe, machine, measure, present
 from capsule_gym import task
+from capsule_gym.files import to_json, write_atomically
 from capsule_gym.simulation import DIRECT_PHYSICS_DT
 
 TURNS, QUICK_TURNS = 9, 3

@@ -20,12 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from agents.reporting import markdown_table, text_table
-from baselines.files import to_json, write_atomically
+from agents.evaluation.tables import markdown_table, text_table
 from benchmarks.contenders import ACTION_SCALE, DRAWS, SEED
 from benchmarks.timing import Contender, Rate, Stepper, describe, machine, measure
 from capsule_gym import dynamics, kernels, simulation, task, trigonometry
 from capsule_gym.compilation import inlined
+from capsule_gym.files import to_json, write_atomically
 
 TURNS = 15
 TURN_SECONDS = 0.1

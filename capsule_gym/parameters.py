@@ -160,6 +160,10 @@ class Capsule:
         )
 
 
+NOMINAL = Capsule()
+"""The capsule of the paper."""
+
+
 def _check_range(name: str, value: Any, *, positive: bool) -> tuple[float, float]:
     """Validates one range (low, high) of a Randomization."""
     accepted = f"a pair (low, high) of finite numbers with {'0 <' if positive else '0 <='} low <= high"

@@ -1,0 +1,188 @@
+"""Runs policies on evaluation sets and sums their episodes up."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, Protocol
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from agents.evaluation.sets import HORIZON, EvaluationSet
+from agents.evaluation.statistics import Estimate, estimate, paired_difference
+from agents.evaluation.tables import SHARE
+from baselines.gaits.archive import best_known_speed, in_grid
+from capsule_gym import CapsuleVectorEnv, __version__
+from capsule_gym.task import CONTROL_DT, TORQUE_LIMIT
+
+Act = Callable[[np.ndarray], np.ndarray]
+Episode = dict[str, Any]
+
+# What makes an episode of a set, whatever a policy was trained with.
+EPISODE_SETTINGS: dict[str, Any] = {
+    "autoreset_mode": AutoresetMode.DISABLED,
+    "randomization": "none",
+    "initial_noise": 0.0,
+}
+# What an episode says beside its metrics.
+LABELS = ("M", "mu", "seed", "changes", "training_seed")
+PACKAGES = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
+
+
+class Policy(Protocol):
+    """What can be evaluated: scripted policies and trained ones alike.
+
+    Attributes:
+        name: as it appears in results.
+        env_kwargs: the `CapsuleVectorEnv` that the policy acts in: controller, residual_limit, torque_limit and so on.
+            What makes an episode (`EPISODE_SETTINGS`, number and length) is the evaluation's.
+    """
+
+    @property
+    def name(self) -> str:
+        """As it appears in results."""
+
+    @property
+    def env_kwargs(self) -> Mapping[str, Any]:
+        """The environment that the policy acts in."""
+
+    def start(self, seeds: Sequence[int], /) -> Act:
+        """Begins a batch of episodes.
+
+        Args:
+            seeds: one per episode, for policies that draw random numbers.
+
+        Returns:
+            A function from observations of shape (episodes, entries) to actions of shape (episodes, 1), float32,
+            called once per agent step.
+        """
+
+
+def evaluate(policy: Policy, evaluation_set: EvaluationSet, *, horizon: float = HORIZON) -> list[Episode]:
+    """Runs a policy once on every plant of a set, all at once, each from rest.
+
+    Args:
+        policy: what acts.
+        evaluation_set: the plants.
+        horizon: length of an episode in s.
+
+    Returns:
+        One dict per plant, in order: M (kg), mu, seed, the plant's changes where it has any, and the metrics of
+        `capsule_gym.simulation.METRICS`; where `has_best_known` says so also `share_of_best_known`, the mean speed
+        over the best-known one of the episode's plant.
+    """
+    plants = evaluation_set.plants
+    seeds = [plant.seed for plant in plants]
+    settings: dict[str, Any] = {**policy.env_kwargs, **EPISODE_SETTINGS}
+    steps = round(horizon / settings.get("control_dt", CONTROL_DT))
+    env = CapsuleVectorEnv(**{**settings, "num_envs": len(plants), "max_episode_steps": steps})
+    try:
+        observations, _ = env.reset(
+            seed=seeds,
+            options={
+                "M": np.array([plant.M for plant in plants]),
+                "mu": np.array([plant.mu for plant in plants]),
+                "changes": [[change.to_dict() for change in plant.changes] for plant in plants],
+            },
+        )
+        act = policy.start(seeds)
+        metrics: list[dict[str, float]] = [{} for _ in plants]
+        for _ in range(steps):
+            observations, _, terminated, truncated, info = env.step(act(observations))
+            for i in np.flatnonzero(info.get("_metrics", ())):
+                metrics[i] = {name: float(values[i]) for name, values in info["metrics"].items()}
+            if (terminated | truncated).all():
+                break
+    finally:
+        env.close()
+    shared = has_best_known(evaluation_set) and settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
+    episodes = []
+    for plant, values in zip(plants, metrics, strict=True):
+        if shared:
+            values[SHARE.metric] = values["mean_speed"] / best_known_speed(plant.M, plant.mu)
+        label = plant.to_dict()
+        if not plant.changes:
+            del label["changes"]
+        episodes.append({**label, **values})
+    return episodes
+
+
+def has_best_known(evaluation_set: EvaluationSet) -> bool:
+    """Whether every episode of a set is one of the table of best-known gaits: no jumps, M and mu within its grid."""
+    return all(not plant.changes and in_grid(plant.M, plant.mu) for plant in evaluation_set.plants)
+
+
+def scores(episodes: Sequence[Episode], metric: str) -> np.ndarray:
+    """The values of a metric, shape (training seeds, episodes of a set).
+
+    Args:
+        episodes: of one policy on one set; those of a training seed follow each other.
+        metric: its name. None, which stands for infinite in files, becomes infinite again.
+    """
+    runs: dict[Any, list[float]] = {}
+    for episode in episodes:
+        value = episode[metric]
+        runs.setdefault(episode.get("training_seed"), []).append(float("inf") if value is None else value)
+    return np.array(list(runs.values()), dtype=np.float64)
+
+
+def failures(episodes: Sequence[Episode]) -> int:
+    """How many episodes ended before their time."""
+    return sum(int(episode["failed"]) for episode in episodes)
+
+
+def summarise(episodes: Sequence[Episode]) -> dict[str, Any]:
+    """The summary of a policy's episodes on one set.
+
+    Returns:
+        For every metric but `failed` its interquartile mean with interval, `{"iqm": .., "low": .., "high": ..}`; then
+        `episodes` and `failures` as counts over all training seeds (a trimmed mean would hide a few failures),
+        `training_seeds` (empty for scripted policies) and `resampled`: "seeds", "episodes" or "nothing".
+    """
+    names = [name for name in episodes[0] if name not in LABELS and name != "failed"]
+    estimates = {name: estimate(scores(episodes, name)) for name in names}
+    training_seeds = list(dict.fromkeys(e["training_seed"] for e in episodes if "training_seed" in e))
+    return {
+        **{name: result.to_dict() for name, result in estimates.items()},
+        "episodes": len(episodes),
+        "failures": failures(episodes),
+        "training_seeds": training_seeds,
+        "resampled": estimates[names[0]].resampled,
+    }
+
+
+def difference(episodes: Sequence[Episode], reference: Sequence[Episode], metric: str) -> Estimate:
+    """The paired difference of a metric between two policies on the same set; see `paired_difference`."""
+    return paired_difference(scores(episodes, metric), scores(reference, metric))
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package, of Python and of the packages that a result depends on."""
+    found = {"capsule_gym": __version__, "python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            # Scripted policies need neither torch nor Stable-Baselines3.
+            continue
+    return found
+
+
+def make_result(name: str, evaluation_set: EvaluationSet, episodes: Sequence[Episode]) -> dict[str, Any]:
+    """The content of a result file.
+
+    Args:
+        name: of the policy.
+        evaluation_set: what it ran on.
+        episodes: all of them; those of trained policies carry `training_seed`.
+    """
+    return {
+        "policy": name,
+        "set": evaluation_set.name,
+        "set_hash": evaluation_set.hash,
+        "versions": versions(),
+        "episodes": list(episodes),
+        "summary": summarise(episodes),
+    }

@@ -1,0 +1,328 @@
+"""The frozen evaluation sets: the plants that every policy is judged on, the same for all.
+
+    python -m agents.evaluation.sets           draws them again and writes agents/evaluation/frozen/*.json
+    python -m agents.evaluation.sets --check   fails where a file differs from its draw
+
+| set | episodes | platform mass M (kg) | friction coefficient mu |
+|---|---|---|---|
+| `nominal` | 1 | 0.5 | 0.01 |
+| `paper` | 100 | uniform in [0.45, 0.55] | uniform in [0.009, 0.011] |
+| `wide` | 100 | uniform in [0.35, 0.75] | log-uniform in [0.005, 0.3] |
+| `extrapolation` | 100 | outside `wide` in M, in mu or in both | (see below) |
+| `drift` | 100 | drawn three times from `wide` | drawn three times from `wide` |
+
+`nominal` holds one plant: the episode starts from rest without noise, so that repetitions would be copies.
+
+`extrapolation`: a third of the plants leaves `wide` in M alone, a third in mu alone, a third in both. Outside means
+M uniform in [0.25, 0.35] or [0.75, 1.2] and mu log-uniform in [0.002, 0.005] or [0.3, 0.6], either side with equal
+chance; what stays inside is drawn as in `wide`. The lightest platform with the roughest floor is far from Painleve's
+paradox ((M + m) / m = 2.81, the bound is 1.08).
+
+`drift`: M and mu jump together at two times, the first drawn uniformly from the middle third of the episode's first
+half (5.5 to 11 s), the second from that of its second half (22 to 27.5 s), so that no plant rules for less than 5.5 s.
+Times are multiples of the agent's step.
+
+Numbers are rounded (M to 0.1 g, mu to five digits), so that the files do not depend on the last digit of some
+machine's `exp`. Every set has a random seed of its own; the plants' own seeds are 0, 1, ..
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from capsule_gym.files import canonical_hash, write_atomically
+from capsule_gym.parameters import RANDOMIZATIONS, Capsule, check_number
+from capsule_gym.task import CONTROL_DT, EPISODE_STEPS
+
+SETS_FOLDER = Path(__file__).with_name("frozen")
+HORIZON = EPISODE_STEPS * CONTROL_DT
+EPISODES = 100
+
+LIGHTER, HEAVIER = (0.25, 0.35), (0.75, 1.2)
+SMOOTHER, ROUGHER = (0.002, 0.005), (0.3, 0.6)
+CHANGE_WINDOWS = ((HORIZON / 6.0, HORIZON / 3.0), (HORIZON * 2.0 / 3.0, HORIZON * 5.0 / 6.0))
+
+
+@dataclass(frozen=True)
+class Change:
+    """A jump of the plant within an episode.
+
+    Attributes:
+        t: when, in s from the start of the episode.
+        M: mass of the platform from then on, kg.
+        mu: friction coefficient from then on.
+    """
+
+    t: float
+    M: float
+    mu: float
+
+    def to_dict(self) -> dict[str, float]:
+        """The fields as plain types."""
+        return {"t": self.t, "M": self.M, "mu": self.mu}
+
+
+@dataclass(frozen=True)
+class PlantSpec:
+    """One episode of an evaluation set.
+
+    Attributes:
+        M: mass of the platform, kg.
+        mu: friction coefficient.
+        seed: seeds the episode's environment and the policy, where they draw random numbers.
+        changes: the plant's jumps in order of time.
+    """
+
+    M: float
+    mu: float
+    seed: int
+    changes: tuple[Change, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """The fields as plain types."""
+        return {
+            "M": self.M,
+            "mu": self.mu,
+            "seed": self.seed,
+            "changes": [change.to_dict() for change in self.changes],
+        }
+
+
+@dataclass(frozen=True)
+class EvaluationSet:
+    """A named list of episodes.
+
+    Attributes:
+        name: as it appears in results.
+        plants: the episodes, at least one.
+    """
+
+    name: str
+    plants: tuple[PlantSpec, ...]
+
+    @cached_property
+    def hash(self) -> str:
+        """The sha256 of the content in canonical JSON; the file's layout does not matter."""
+        return canonical_hash(self.to_dict())
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of the set's file."""
+        return {"name": self.name, "plants": [plant.to_dict() for plant in self.plants]}
+
+    def to_json(self) -> str:
+        """The text of the set's file: one plant a line."""
+        plants = ",\n".join("  " + json.dumps(plant.to_dict()) for plant in self.plants)
+        return f'{{\n "name": {json.dumps(self.name)},\n "plants": [\n{plants}\n ]\n}}\n'
+
+
+def _rounded_mass(M: float) -> float:
+    return round(M, 4)
+
+
+def _rounded_friction(mu: float) -> float:
+    return float(f"{mu:.5g}")
+
+
+def _uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return low + (high - low) * float(rng.random())
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return low * (high / low) ** float(rng.random())
+
+
+def _drawn(rng: np.random.Generator, randomization: str) -> tuple[float, float]:
+    """M and mu from one of the environment's own ranges."""
+    M, mu = RANDOMIZATIONS[randomization].draw(rng, Capsule())
+    return _rounded_mass(M), _rounded_friction(mu)
+
+
+def _nominal(rng: np.random.Generator) -> list[PlantSpec]:
+    capsule = Capsule()
+    return [PlantSpec(capsule.M, capsule.mu, 0)]
+
+
+def _paper(rng: np.random.Generator) -> list[PlantSpec]:
+    return [PlantSpec(*_drawn(rng, "paper"), seed) for seed in range(EPISODES)]
+
+
+def _wide(rng: np.random.Generator) -> list[PlantSpec]:
+    return [PlantSpec(*_drawn(rng, "wide"), seed) for seed in range(EPISODES)]
+
+
+def _extrapolation(rng: np.random.Generator) -> list[PlantSpec]:
+    plants = []
+    for seed in range(EPISODES):
+        M, mu = _drawn(rng, "wide")
+        if seed % 3 != 1:
+            M = _rounded_mass(_uniform(rng, *(LIGHTER if rng.random() < 0.5 else HEAVIER)))
+        if seed % 3 != 0:
+            mu = _rounded_friction(_log_uniform(rng, *(SMOOTHER if rng.random() < 0.5 else ROUGHER)))
+        plants.append(PlantSpec(M, mu, seed))
+    return plants
+
+
+def _drift(rng: np.random.Generator) -> list[PlantSpec]:
+    plants = []
+    for seed in range(EPISODES):
+        M, mu = _drawn(rng, "wide")
+        changes = []
+        for window in CHANGE_WINDOWS:
+            t = round(round(_uniform(rng, *window) / CONTROL_DT) * CONTROL_DT, 6)
+            changes.append(Change(t, *_drawn(rng, "wide")))
+        plants.append(PlantSpec(M, mu, seed, tuple(changes)))
+    return plants
+
+
+# Name -> (the seed of the set's own stream, how it is drawn). Frozen: a different set needs a different name.
+_DRAWS: dict[str, tuple[int, Callable[[np.random.Generator], list[PlantSpec]]]] = {
+    "nominal": (20180, _nominal),
+    "paper": (20181, _paper),
+    "wide": (20182, _wide),
+    "extrapolation": (20183, _extrapolation),
+    "drift": (20184, _drift),
+}
+SET_NAMES = tuple(_DRAWS)
+
+
+def draw_set(name: str) -> EvaluationSet:
+    """Draws a frozen set anew, from its fixed seed.
+
+    Args:
+        name: one of `SET_NAMES`.
+    """
+    seed, draw = _DRAWS[name]
+    return EvaluationSet(name, tuple(draw(np.random.default_rng(seed))))
+
+
+def _fields(where: str, value: Any, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Any]:
+    """The JSON object, after a check that it has these fields and no others."""
+    accepted = f"an object with the fields {', '.join(required)}" + "".join(f" and optionally {o}" for o in optional)
+    if not isinstance(value, dict):
+        raise ValueError(f"{where} must be {accepted}, got {value!r}")
+    for name in required:
+        if name not in value:
+            raise ValueError(f"{where} must be {accepted}; {name} is missing")
+    for name in value:
+        if name not in required and name not in optional:
+            raise ValueError(f"{where} must be {accepted}, got a field {name!r}")
+    return value
+
+
+def _items(where: str, value: Any, accepted: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise ValueError(f"{where} must be {accepted}, got {value!r}")
+    return value
+
+
+def _mass_and_friction(where: str, entry: dict[str, Any]) -> tuple[float, float]:
+    M = check_number(f"{where}.M", entry["M"], "a finite number > 0 (kg)", 0.0, open_low=True)
+    mu = check_number(f"{where}.mu", entry["mu"], "a finite number > 0", 0.0, open_low=True)
+    try:
+        Capsule().check_plant(M, mu)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+    return M, mu
+
+
+def _parse_change(where: str, value: Any, after: float) -> Change:
+    entry = _fields(where, value, ("t", "M", "mu"))
+    accepted = f"a number of seconds within (0, {HORIZON:g}), later than the change before"
+    t = check_number(f"{where}.t", entry["t"], accepted, after, math.nextafter(HORIZON, 0.0), open_low=True)
+    return Change(t, *_mass_and_friction(where, entry))
+
+
+def _parse_plant(where: str, value: Any) -> PlantSpec:
+    entry = _fields(where, value, ("M", "mu", "seed"), ("changes",))
+    M, mu = _mass_and_friction(where, entry)
+    seed = entry["seed"]
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise ValueError(f"{where}.seed must be an integer >= 0, got {seed!r}")
+    changes: list[Change] = []
+    for j, change in enumerate(_items(f"{where}.changes", entry.get("changes", []), "a list of changes")):
+        changes.append(_parse_change(f"{where}.changes[{j}]", change, changes[-1].t if changes else 0.0))
+    return PlantSpec(M, mu, seed, tuple(changes))
+
+
+def parse_set(content: Any) -> EvaluationSet:
+    """Validates the parsed JSON of a set.
+
+    Args:
+        content: `{"name": .., "plants": [{"M": .., "mu": .., "seed": .., "changes": [{"t": .., "M": .., "mu": ..}]}]}`
+            with M in kg and t in s; `changes` may be left out.
+
+    Raises:
+        TypeError: if a number is of the wrong type.
+        ValueError: if anything else is malformed; the message names the field, its value and what is accepted.
+    """
+    entry = _fields("set", content, ("name", "plants"))
+    name = entry["name"]
+    if not isinstance(name, str) or not name.strip():
+        raise ValueError(f"set.name must be a string that is not empty, got {name!r}")
+    plants = _items("set.plants", entry["plants"], "a list of at least one plant")
+    if not plants:
+        raise ValueError("set.plants must be a list of at least one plant, got []")
+    return EvaluationSet(name, tuple(_parse_plant(f"set.plants[{i}]", plant) for i, plant in enumerate(plants)))
+
+
+def load_set(name_or_path: str | Path) -> EvaluationSet:
+    """Loads an evaluation set.
+
+    Args:
+        name_or_path: one of `SET_NAMES`, or the path of a JSON file of the same form (see `parse_set`).
+
+    Raises:
+        ValueError: if there is no such set, or its file is malformed.
+    """
+    path = SETS_FOLDER / f"{name_or_path}.json" if name_or_path in SET_NAMES else Path(name_or_path)
+    if not path.is_file():
+        raise ValueError(
+            f"set must be one of {', '.join(SET_NAMES)}, or the path of a JSON file, got {str(name_or_path)!r}"
+        )
+    try:
+        return parse_set(json.loads(path.read_text(encoding="utf-8")))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path} is not an evaluation set: {error}") from error
+
+
+def stale_sets(folder: Path = SETS_FOLDER) -> list[str]:
+    """What in the folder differs from a new draw, one line each."""
+    stale = []
+    for name in SET_NAMES:
+        path = folder / f"{name}.json"
+        if not path.is_file():
+            stale.append(f"{path} is missing")
+        elif path.read_text(encoding="utf-8") != draw_set(name).to_json():
+            stale.append(f"{path} differs from its draw")
+    return stale
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m agents.evaluation.sets", description="Draws the frozen evaluation sets from their fixed seeds."
+    )
+    parser.add_argument("--check", action="store_true", help="write nothing; fail where a file differs from its draw")
+    if parser.parse_args(arguments).check:
+        stale = stale_sets()
+        print("\n".join(stale) or "The evaluation sets are what their seeds give.")
+        return 1 if stale else 0
+    SETS_FOLDER.mkdir(exist_ok=True)
+    for name in SET_NAMES:
+        write_atomically(SETS_FOLDER / f"{name}.json", draw_set(name).to_json())
+        print(f"{name}: {len(draw_set(name).plants)} episodes, {draw_set(name).hash[:12]}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Every policy on every frozen set: what `python -m agents.leaderboard` writes and checks."""

@@ -1,0 +1,180 @@
+"""Renders leaderboard.json as LEADERBOARD.md, and its head into the README.
+
+Rendering uses nothing but the JSON's content, so that the page can be checked without a simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from agents.evaluation.tables import MEASURES, SHARE, Measure, markdown_table
+
+RANKING_SET = "paper"
+REFERENCE = "adaptive"
+HEAD_ROWS = 5
+COMMAND = "python -m agents.leaderboard"
+START, END = "<!-- leaderboard:start -->", "<!-- leaderboard:end -->"
+
+RATIO = Measure("ratio", f"x {REFERENCE}", 2)
+SPEED = MEASURES["mean_speed"]
+
+
+def rank(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """The rows, fastest on the ranking set first; names break ties."""
+    return sorted(rows, key=lambda row: (-row["results"][RANKING_SET]["mean_speed"]["iqm"], row["policy"]))
+
+
+def _reference_speed(board: Mapping[str, Any]) -> float:
+    return next(
+        (row["results"][RANKING_SET]["mean_speed"]["iqm"] for row in board["rows"] if row["policy"] == REFERENCE), 0.0
+    )
+
+
+def _speed_cells(board: Mapping[str, Any], row: Mapping[str, Any]) -> list[str]:
+    """Mean speed with interval, and as a multiple of the reference's."""
+    speed, reference = row["results"][RANKING_SET]["mean_speed"], _reference_speed(board)
+    return [SPEED.with_interval(speed), RATIO.format(speed["iqm"] / reference if reference > 0.0 else None)]
+
+
+def _failures(summary: Mapping[str, Any]) -> str:
+    return f"{summary['failures']}/{summary['episodes']}"
+
+
+def _share(summary: Mapping[str, Any]) -> str:
+    """The share of the best-known speed; a dash on sets that the table of gaits does not cover."""
+    return SHARE.format(summary.get(SHARE.metric, {}).get("iqm"))
+
+
+def _main_table(board: Mapping[str, Any]) -> list[str]:
+    shown = [MEASURES[name] for name in ("cost_of_transport", "peak_torque", "backward_ratio")]
+    table = [
+        [
+            *("", "policy", f"{SPEED.label} [95 %]", RATIO.label, SHARE.label),
+            *(measure.label for measure in shown),
+            *("failures", "training seeds", "revision", "command"),
+        ]
+    ]
+    for place, row in enumerate(rank(board["rows"]), start=1):
+        summary = row["results"][RANKING_SET]
+        table.append(
+            [
+                str(place),
+                row["policy"],
+                *_speed_cells(board, row),
+                _share(summary),
+                *(measure.with_interval(summary[measure.metric]) for measure in shown),
+                _failures(summary),
+                str(len(row["training_seeds"]) or "-"),
+                f"`{row['revision']}`" if row["revision"] else "-",
+                f"`python -m agents.evaluate {row['policy']} --set {RANKING_SET}`",
+            ]
+        )
+    return markdown_table(table)
+
+
+def _shares_table(board: Mapping[str, Any]) -> list[str]:
+    """The shares on the sets that the table of gaits covers."""
+    rows = rank(board["rows"])
+    names = [name for name in board["sets"] if any(SHARE.metric in row["results"][name] for row in rows)]
+    table = [[row["policy"], *(_share(row["results"][name]) for name in names)] for row in rows]
+    return markdown_table([["policy", *names], *table])
+
+
+def _sets_table(board: Mapping[str, Any]) -> list[str]:
+    table = [["policy", *board["sets"]]]
+    for row in rank(board["rows"]):
+        cells = []
+        for name in board["sets"]:
+            summary = row["results"][name]
+            failed = f", {_failures(summary)} failed" if summary["failures"] else ""
+            cells.append(SPEED.with_interval(summary["mean_speed"]) + failed)
+        table.append([row["policy"], *cells])
+    return markdown_table(table)
+
+
+def render(board: Mapping[str, Any]) -> str:
+    """The text of LEADERBOARD.md.
+
+    Args:
+        board: the content of leaderboard.json.
+    """
+    hashes = ", ".join(f"`{name}` {value[:12]}" for name, value in board["sets"].items())
+    versions = ", ".join(f"{name} {value}" for name, value in board["versions"].items())
+    lines = [
+        "# Leaderboard",
+        "",
+        f"Written by `{COMMAND}` from `leaderboard.json`; do not edit. `{COMMAND} --check` evaluates every row again "
+        "and fails where a number, a set or a checkpoint is not what stands here.",
+        "",
+        "Every policy runs the same frozen episodes: 33 s from rest. Numbers are interquartile means (the middle half "
+        "of the episodes) with 95 % bootstrap intervals. A failed episode (the ball meets the platform, or the "
+        "platform leaves the floor) counts with the distance it had made over the whole 33 s.",
+        "",
+        f"## On the set `{RANKING_SET}`, by mean speed",
+        "",
+        *_main_table(board),
+        "",
+        "## Mean speed (cm/s) on every set",
+        "",
+        *_sets_table(board),
+        "",
+        "## Share of the best-known speed",
+        "",
+        "Each episode's mean speed over the best-known one of its plant, which numerical optimisation of periodic "
+        "gaits has found from the same start, under the same limits (`python -m baselines.gaits`); linear in M "
+        "and log(mu) between the plants of its grid. A share above 1 is a better gait than any known. Sets with plants "
+        "outside the grid, or whose plants change on the way, have none. Here too, interquartile means.",
+        "",
+        *_shares_table(board),
+        "",
+        "## The policies",
+        "",
+        *(f"- `{row['policy']}`: {row['description']}" for row in rank(board["rows"])),
+        "",
+        "## Notes",
+        "",
+        "- Intervals. Where a policy was trained with several seeds, whole seeds are resampled, all episodes of a seed "
+        "together; with three seeds the interval is the range from the worst to the best seed and holds the true value "
+        "less often than 95 %. Scripted policies, and policies of a single seed, have their episodes resampled: the "
+        "interval then says how much the choice of plants matters, not what another training run would give. `nominal` "
+        "is one plant, so that scripted policies have no interval there.",
+        "- Failures are counted over all episodes of all training seeds.",
+        "- Revision: the git revision that a checkpoint was trained at. Scripted policies are this checkout's own "
+        "code, which the check runs, so they need none.",
+        "- A dash stands for what does not exist: the cost of transport where more than a quarter of the episodes make "
+        "no forward progress, the revision of a scripted policy.",
+        f"- Sets (sha256 of the content): {hashes}.",
+        f"- Written with {versions}.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def head(board: Mapping[str, Any]) -> list[str]:
+    """The leaderboard's head for the README, as Markdown lines: the fastest few, and always the reference."""
+    table = [["policy", f"{SPEED.label} [95 %]", RATIO.label, MEASURES["cost_of_transport"].label, "failures"]]
+    for place, row in enumerate(rank(board["rows"])):
+        if place < HEAD_ROWS or row["policy"] == REFERENCE:
+            summary = row["results"][RANKING_SET]
+            transport = MEASURES["cost_of_transport"].format(summary["cost_of_transport"]["iqm"])
+            table.append([row["policy"], *_speed_cells(board, row), transport, _failures(summary)])
+    return markdown_table(table)
+
+
+def with_head(text: str, board: Mapping[str, Any]) -> str:
+    """The README with the leaderboard's head between its markers; the same text where it has no markers.
+
+    Args:
+        text: the README.
+        board: the content of leaderboard.json.
+
+    Raises:
+        ValueError: if there is one marker without the other, or one twice.
+    """
+    if START not in text and END not in text:
+        return text
+    before, start, rest = text.partition(START)
+    _, end, after = rest.partition(END)
+    if not (start and end) or START in rest or END in before + after:
+        raise ValueError(f"README.md must hold {START} and then {END}, once each, or neither")
+    return "\n".join([f"{before}{START}", *head(board), f"{END}{after}"])

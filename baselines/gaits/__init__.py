@@ -1,0 +1,1 @@
+"""Best-known gaits, the yardstick of the direct-torque task: `python -m baselines.gaits` searches them."""

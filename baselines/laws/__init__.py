@@ -1,0 +1,1 @@
+"""The paper's reference profiles and control laws."""

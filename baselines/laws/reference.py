@@ -1,0 +1,125 @@
+"""The reference that the control laws track: the profile, and the motion of the nominal platform along it."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numba.extending import register_jitable
+
+from baselines.laws.profiles import Profile
+from capsule_gym import dynamics
+from capsule_gym.compilation import compile_cached
+from capsule_gym.controller import LAW_DT
+from capsule_gym.parameters import Plant
+
+# The nominal platform is integrated in this many steps per step of the law; the error is then below 1e-8 m.
+FINE = 50
+
+COLUMNS = ("theta_d", "theta_d_dot", "theta_d_ddot", "x_d", "x_d_dot", "x_d_ddot", "cycle_start")
+
+
+@register_jitable
+def slide(
+    force: float, forwards: float, backwards: float, static_ratio: float, total: float, x: float, x_dot: float, h: float
+) -> tuple[float, float, float]:
+    """Moves a platform under a constant push by h seconds, through a stop within them.
+
+    Args:
+        force: the pendulum's push, N.
+        forwards: kinetic friction while it slides forwards, N.
+        backwards: likewise backwards.
+        static_ratio: static over kinetic friction.
+        total: M + m, kg.
+        x: m.
+        x_dot: m/s; exactly 0.0 in stick.
+        h: s.
+
+    Returns:
+        x and x_dot afterwards, and x'' at the start in m/s^2.
+    """
+    initial = 0.0
+    remaining = h
+    # Twice at most: what slides before it stops, and what follows from rest.
+    for piece in range(2):
+        at_rest = x_dot == 0.0
+        forward = force > 0.0 if at_rest else x_dot > 0.0
+        friction = forwards if forward else backwards
+        if at_rest and abs(force) <= static_ratio * friction:
+            break
+        x_ddot = (force - friction if forward else force + friction) / total
+        if piece == 0:
+            initial = x_ddot
+        after = x_dot + remaining * x_ddot
+        if x_dot * after >= 0.0:
+            x += remaining * (x_dot + 0.5 * remaining * x_ddot)
+            x_dot = after
+            break
+        x -= 0.5 * x_dot * x_dot / x_ddot
+        remaining += x_dot / x_ddot
+        x_dot = 0.0
+    return x, x_dot, initial
+
+
+def platform_motion(
+    angle: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, h: float, p: Plant
+) -> np.ndarray:
+    """x, x' and x'' of the platform while the pendulum follows a prescribed motion: the second row of Eq. (1).
+
+    Args:
+        angle: theta at every h seconds, rad, shape (n,).
+        velocity: theta', rad/s.
+        acceleration: theta'', rad/s^2.
+        h: s.
+        p: the plant.
+
+    Returns:
+        Shape (3, n), from rest at x = 0: m, m/s, m/s^2.
+    """
+    motion = np.zeros((3, len(angle)))
+    total = p.M + p.m
+    x = x_dot = 0.0
+    for n in range(len(angle)):
+        force = dynamics.driving_force(angle[n], velocity[n], acceleration[n], p)
+        normal = max(0.0, dynamics.normal_force(angle[n], velocity[n], acceleration[n], p))
+        forwards = dynamics.kinetic_friction(1.0, p) * normal
+        backwards = dynamics.kinetic_friction(-1.0, p) * normal
+        motion[0, n], motion[1, n] = x, x_dot
+        x, x_dot, motion[2, n] = slide(force, forwards, backwards, p.static_ratio, total, x, x_dot, h)
+    return motion
+
+
+@lru_cache(maxsize=1)
+def _platform_motion() -> Any:
+    """The function above, compiled."""
+    return compile_cached(platform_motion)
+
+
+@lru_cache(maxsize=16)
+def reference_table(profile: Profile, nominal: Plant) -> np.ndarray:
+    """One cycle at the law's rate.
+
+    Args:
+        profile: what the pendulum is to follow; its period must be a multiple of 1 ms.
+        nominal: the plant that the controller believes in.
+
+    Returns:
+        Shape (steps, 7), float64, columns COLUMNS; read-only.
+
+    Raises:
+        ValueError: if the period is no multiple of the law's step.
+    """
+    steps = round(profile.period / LAW_DT)
+    if abs(steps * LAW_DT - profile.period) > 1e-9:
+        raise ValueError(f"the profile's period must be a multiple of {LAW_DT} s, got {profile.period!r} s")
+    h = LAW_DT / FINE
+    # Sampled at the middle of the fine steps, where the jumps of theta_d'' at the edges of the phases do not lie.
+    angle, velocity, acceleration = profile.evaluate((np.arange(steps * FINE) + 0.5) * h)
+    platform = _platform_motion()(angle, velocity, acceleration, h, nominal)[:, ::FINE]
+    table = np.zeros((steps, len(COLUMNS)))
+    table[:, :3] = np.stack(profile.evaluate(np.arange(steps) * LAW_DT), axis=1)
+    table[:, 3:6] = platform.T
+    table[0, 6] = 1.0
+    table.setflags(write=False)
+    return table

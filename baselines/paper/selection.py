@@ -1,0 +1,332 @@
+"""The paper's selection of the profile's parameters, Eqs. (20) to (31), evaluated as printed with its own constants.
+
+Sect. 3.2 presents the times of Table 1 as the outcome of these equations. `what_follows` puts what each one gives
+beside what Table 1 says. They are kept as printed, errors included, because that is the point: several
+add an angle to a velocity times a time, or a radian to a second. Symbols: V1 = P1 omega; theta_0 = pi/3; N = 1.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from baselines.laws.profiles import PROPOSED, seven_phases
+from capsule_gym.parameters import Capsule, Plant
+
+NOMINAL = Capsule().plant()
+THETA_0 = math.pi / 3.0
+OMEGA_N = 5.7184  # rad/s, sqrt(g / l), as Sect. 5 gives it
+
+TABLE_1 = (0.133, 0.195, 0.27, 0.9, 1.7, 5.8, 6.6)
+# Half a unit of the last digit of each time in Table 1, s.
+ROUNDING = (0.0005, 0.0005, 0.005, 0.05, 0.05, 0.05, 0.05)
+# Calibrated to the published peak velocity and swing, rad/s: the paper gives neither.
+V1 = 7.8
+P2 = 2.122
+
+# (30) and (31) together are (23) and t6 - t4 = t7 - t5; with P3 from (23), only the latter is tested.
+CIRCULAR = "P3 of (23), so only t6 - t4 = t7 - t5 is tested"
+
+
+def friction_bound(p: Plant = NOMINAL) -> float:
+    """The right side of Lemma 2 (15), (M + m) g / (m l) mu / sqrt(mu^2 + 1), rad/s^2."""
+    return (p.M + p.m) * p.g / (p.m * p.l) * p.mu / math.sqrt(p.mu * p.mu + 1.0)
+
+
+def eq_21_p2(times: tuple[float, ...] = TABLE_1, V1: float = V1, P2: float = P2, p: Plant = NOMINAL) -> float:
+    """Eq. (21): P2 in rad/s, its integrals taken along the profile (9) from -theta_0.
+
+    It is the momentum balance (20) between two instants at rest. In print (20) multiplies x' by g, and its integrals
+    of k and c appear once over the angle and once over the velocity; (21) keeps the former.
+    The bracket of c is the antiderivative between 0 and t3. Derived without its slip, int theta' sin(theta) dt =
+    cos(theta(0)) - cos(theta(t3)), it would vanish under the boundary conditions, where theta(t3) = +theta_0.
+
+    Args:
+        times: t1 to t7, s.
+        V1: of the profile that the integrals are taken along, rad/s.
+        P2: likewise, rad/s.
+        p: the plant.
+    """
+    t3 = times[2]
+    t = np.linspace(0.0, t3, 3001)
+    theta, _, _ = seven_phases(times, V1, P2).evaluate(t)
+    ml = p.m * p.l
+    int_sin, int_cos = _integral(theta * np.sin(theta), t), _integral(theta * np.cos(theta), t)
+    edge = float(theta[-1] * math.sin(theta[-1]) - theta[0] * math.sin(theta[0]))
+    pushed = p.mu * (p.M + p.m) * p.g * t3 - p.mu * p.k * int_sin + p.mu * p.c * (edge - int_cos)
+    return pushed / (ml * math.cos(THETA_0) + p.mu * ml * math.sin(THETA_0))
+
+
+def eq_22_swing(omega: float, times: tuple[float, ...] = TABLE_1, V1: float = V1, P2: float = P2, N: int = 1) -> float:
+    """Eq. (22), left side: the angle swept until t3, rad; the paper equates it with 2 theta_0.
+
+    The third integral keeps the printed argument omega t - t2, and the last term is not needed: the three integrals
+    are the whole angle.
+
+    Args:
+        omega: frequency of the excitation, rad/s.
+        times: t1 to t7, s.
+        V1: rad/s.
+        P2: rad/s.
+        N: half periods of the excitation.
+    """
+    t1, t2, t3 = times[:3]
+    rise = V1 / omega * (1.0 - math.cos(omega * t1))
+    fall = V1 / omega * (math.cos(omega * t2 - t2) - math.cos(omega * t3 - t2))
+    return rise + V1 * (t2 - t1) + fall - 0.5 * P2 * (N * math.pi / omega + t2 - t3)
+
+
+def eq_22_v1(omega: float, times: tuple[float, ...] = TABLE_1, P2: float = P2, N: int = 1) -> float:
+    """Eq. (22) solved for V1, rad/s, in which it is linear. Arguments as in `eq_22_swing`."""
+    at_rest = eq_22_swing(omega, times, 0.0, P2, N)
+    return (2.0 * THETA_0 - at_rest) / (eq_22_swing(omega, times, 1.0, P2, N) - at_rest)
+
+
+def eq_23_p3(P2: float, times: tuple[float, ...] = TABLE_1) -> float:
+    """Eq. (23): the P3, rad/s, whose return covers phase IV and 2 theta_0.
+
+    It needs theta(t3) = +theta_0, as the boundary conditions say. The sign before P3 belongs to the direction.
+
+    Args:
+        P2: rad/s.
+        times: t1 to t7, s.
+    """
+    _, _, t3, t4, t5, t6, t7 = times
+    return (0.5 * P2 * (t4 - t3) + 2.0 * THETA_0) / (0.5 * ((t7 - t4) + (t6 - t5)))
+
+
+def eq_24_t1(V1: float = V1, p: Plant = NOMINAL) -> float:
+    """Eq. (24): t1 in s, from Lemma 1 at t1 with theta(t1) = V1 t1, which leaves out the start at -theta_0.
+
+    Args:
+        V1: rad/s.
+        p: the plant.
+    """
+    return (_lemma_1_bound(p) / V1**3 - p.c) / p.k
+
+
+def eq_24_v1(t1: float, p: Plant = NOMINAL) -> float:
+    """Eq. (24) solved for V1, rad/s.
+
+    Args:
+        t1: s.
+        p: the plant.
+    """
+    return float((_lemma_1_bound(p) / (p.k * t1 + p.c)) ** (1.0 / 3.0))
+
+
+def eq_25_t2(omega: float, t3: float = TABLE_1[2], V1: float = V1, P2: float = P2, *, falling: bool = False) -> float:
+    """Eq. (25): t2, a number of radians that the paper reads as seconds.
+
+    Args:
+        omega: rad/s.
+        t3: s.
+        V1: rad/s.
+        P2: rad/s.
+        falling: take the branch of arcsin on which the sine falls from V1 to P2, as phase III does; printed is the
+            rising one.
+    """
+    angle = math.asin(P2 / V1)
+    return omega * t3 - (math.pi - angle if falling else angle)
+
+
+def eq_26_omega(t3: float = TABLE_1[2], N: int = 1) -> float:
+    """Eq. (26) solved for omega, rad/s: the excitation has gone through N half periods at t3.
+
+    Args:
+        t3: s.
+        N: half periods of the excitation.
+    """
+    return N * math.pi / t3
+
+
+def eq_27_t4(P2: float = P2, t3: float = TABLE_1[2], p: Plant = NOMINAL) -> float:
+    """Eq. (27): t4 in s, from the printed Lemma 2 at t3 with theta(t3) = P2 t3.
+
+    Args:
+        P2: rad/s.
+        t3: s.
+        p: the plant.
+    """
+    return -P2 / (friction_bound(p) - P2 * P2 - p.k * P2 * t3 - p.c * P2) + t3
+
+
+def eq_27_p2(times: tuple[float, ...] = TABLE_1, p: Plant = NOMINAL) -> float:
+    """Eq. (27) solved for P2, rad/s: the positive root of a quadratic.
+
+    Args:
+        times: t1 to t7, s.
+        p: the plant.
+    """
+    t3, t4 = times[2], times[3]
+    half = 0.5 * (p.k * t3 + p.c - 1.0 / (t4 - t3))
+    return math.sqrt(half * half + friction_bound(p)) - half
+
+
+def eq_28_t5(P3: float, p: Plant = NOMINAL) -> float:
+    """Eq. (28): t5 in s, from the printed Lemma 2 at t5 with theta(t5) = P3 t5 and theta'(t5) = +P3; it is -P3.
+
+    Args:
+        P3: rad/s.
+        p: the plant.
+    """
+    return (friction_bound(p) - P3 * P3 - p.c * P3) / (p.k * P3)
+
+
+def eq_29_p3(P2: float, times: tuple[float, ...] = TABLE_1) -> float:
+    """Eq. (29) solved for P3, rad/s. Equal areas of phases IV and V would read P2 (t4 - t3) = P3 (t5 - t4).
+
+    Args:
+        P2: rad/s.
+        times: t1 to t7, s.
+    """
+    _, _, t3, t4, t5, _, _ = times
+    return P2 * (t5 - t4) / (t4 - t3)
+
+
+def eq_30_t6(P2: float, P3: float, times: tuple[float, ...] = TABLE_1) -> float:
+    """Eq. (30): t6 in s.
+
+    Args:
+        P2: rad/s.
+        P3: rad/s.
+        times: t1 to t7, s.
+    """
+    t3, t4 = times[2], times[3]
+    return (4.0 * THETA_0 + t4 * (P2 + 2.0 * P3) - P2 * t3) / (2.0 * P3)
+
+
+def eq_31_t7(P2: float, P3: float, times: tuple[float, ...] = TABLE_1) -> float:
+    """Eq. (31): t7 in s.
+
+    Args:
+        P2: rad/s.
+        P3: rad/s.
+        times: t1 to t7, s.
+    """
+    _, _, t3, t4, t5, _, _ = times
+    return (4.0 * THETA_0 - P2 * t3 + P2 * t4 + 2.0 * P3 * t5) / (2.0 * P3)
+
+
+@dataclass(frozen=True)
+class Consequence:
+    """One equation beside Table 1.
+
+    Attributes:
+        equation: its number.
+        quantity: what it determines.
+        unit: SI.
+        gives: what it gives.
+        implied: what Table 1 states or implies.
+        rounding: how far the rounding of Table 1 can move the difference of the two.
+        remark: how to read the row.
+    """
+
+    equation: str
+    quantity: str
+    unit: str
+    gives: float
+    implied: float
+    rounding: float
+    remark: str
+
+    @property
+    def follows(self) -> bool:
+        """Whether the two agree within the digits of Table 1."""
+        return abs(self.gives - self.implied) <= self.rounding
+
+
+def what_follows() -> tuple[Consequence, ...]:
+    """What each equation gives, what Table 1 implies, and whether the one follows from the other."""
+    rows: list[tuple[str, str, str, Callable[[tuple[float, ...]], tuple[float, float]], str]] = [
+        ("(21)", "P2", "rad/s", lambda t: (eq_21_p2(t), eq_27_p2(t)), "implied by (27) and t4"),
+        ("(22)", "swing", "rad", lambda t: (eq_22_swing(OMEGA_N, t), 2 * THETA_0), "omega = omega_n"),
+        ("(22)", "swing", "rad", lambda t: (eq_22_swing(eq_26_omega(t[2]), t), 2 * THETA_0), "omega of (26)"),
+        ("(22)", "swing", "rad", lambda t: (eq_22_swing(_quarter(t), t), 2 * THETA_0), "omega = pi / (2 t1)"),
+        ("(22)", "V1", "rad/s", lambda t: (eq_22_v1(_quarter(t), t), V1), "closes; omega = pi / (2 t1)"),
+        ("(24)", "t1", "s", lambda t: (eq_24_t1(), t[0]), f"at V1 = {V1} rad/s"),
+        ("(24)", "V1", "rad/s", lambda t: (eq_24_v1(t[0]), V1), "solved for V1"),
+        ("(25)", "t2", "s", lambda t: (eq_25_t2(_quarter(t), t[2]), t[1]), "radians as seconds, as printed"),
+        ("(25)", "t2", "s", lambda t: (eq_25_t2(_quarter(t), t[2], falling=True), t[1]), "on the falling branch"),
+        ("(26)", "omega", "rad/s", lambda t: (eq_26_omega(t[2]), _quarter(t)), "against pi / (2 t1) of phase I"),
+        ("(26)", "omega", "rad/s", lambda t: (eq_26_omega(t[2]), OMEGA_N), "against the natural frequency"),
+        ("(27)", "P2", "rad/s", lambda t: (eq_27_p2(t), P2), "solved for P2, against the published swing"),
+        ("(28)", "t5", "s", lambda t: (eq_28_t5(_implied_p3(t)), t[4]), "P3 of (23)"),
+        ("(29)", "P3", "rad/s", lambda t: (eq_29_p3(eq_27_p2(t), t), _implied_p3(t)), "against (23)"),
+        ("(30)", "t6", "s", lambda t: (eq_30_t6(eq_27_p2(t), _implied_p3(t), t), t[5]), CIRCULAR),
+        ("(31)", "t7", "s", lambda t: (eq_31_t7(eq_27_p2(t), _implied_p3(t), t), t[6]), CIRCULAR),
+    ]
+    return tuple(
+        Consequence(equation, quantity, unit, *pair(TABLE_1), _rounding(pair), remark)
+        for equation, quantity, unit, pair, remark in rows
+    )
+
+
+@dataclass(frozen=True)
+class BoundaryCondition:
+    """What theta(t3) = +theta_0, on which (23) rests, would take with the times of Table 1.
+
+    Attributes:
+        V1: the peak velocity that reaches +theta_0 at t3, rad/s.
+        largest_angle: of the cycle at that peak velocity, rad.
+        reached: theta(t3) at the published peak velocity, rad.
+        drift: angle by which a cycle with the P3 of (23) fails to close at the published peak velocity, rad.
+    """
+
+    V1: float
+    largest_angle: float
+    reached: float
+    drift: float
+
+
+def boundary_condition() -> BoundaryCondition:
+    """The boundary condition theta(t3) = +theta_0 against the published peak velocity."""
+    low, high = V1, 4.0 * V1
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if _angle_at_t3(middle) < THETA_0:
+            low = middle
+        else:
+            high = middle
+    # The angle peaks at t4, where the pendulum turns back.
+    largest = THETA_0 + 0.5 * P2 * (TABLE_1[3] - TABLE_1[2])
+    returned = PROPOSED.restoring_speed / _implied_p3(TABLE_1)
+    forth = _angle_at_t3(V1) + THETA_0 + 0.5 * P2 * (TABLE_1[3] - TABLE_1[2])
+    return BoundaryCondition(low, largest, _angle_at_t3(V1), forth / returned - forth)
+
+
+def _angle_at_t3(V1: float) -> float:
+    """theta(t3) in rad of the profile (9) with the times of Table 1."""
+    return float(seven_phases(TABLE_1, V1, P2).evaluate(np.array([TABLE_1[2]]))[0][0])
+
+
+def _quarter(times: tuple[float, ...]) -> float:
+    """The frequency in rad/s whose quarter period is phase I."""
+    return math.pi / (2.0 * times[0])
+
+
+def _implied_p3(times: tuple[float, ...]) -> float:
+    """P3 in rad/s as Table 1 implies it: (23) with the P2 of (27)."""
+    return eq_23_p3(eq_27_p2(times), times)
+
+
+def _lemma_1_bound(p: Plant) -> float:
+    """The right side of Lemma 1 (10)."""
+    return ((p.M + p.m) * p.g) ** 2 / (2.0 * p.m * p.l)
+
+
+def _integral(values: np.ndarray, t: np.ndarray) -> float:
+    """The trapezoidal rule on equal steps."""
+    return float((values.sum() - 0.5 * (values[0] + values[-1])) * (t[1] - t[0]))
+
+
+def _rounding(pair: Callable[[tuple[float, ...]], tuple[float, float]]) -> float:
+    """The most by which times within the digits of Table 1 move the difference of the pair, at the range's corners."""
+    gives, implied = pair(TABLE_1)
+    corners = itertools.product(*((t - half, t + half) for t, half in zip(TABLE_1, ROUNDING, strict=True)))
+    moved = (pair(corner) for corner in corners)
+    return max(abs((a - b) - (gives - implied)) for a, b in moved)
