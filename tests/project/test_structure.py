@@ -13,6 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 ORDER = [
     "files",
+    "command_line",
     "compilation",
     "trigonometry",
     "parameters",

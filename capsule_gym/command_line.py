@@ -1,0 +1,117 @@
+"""Command lines out of dataclasses: a field is an option, its docstring the help, its default the default.
+
+@dataclass(frozen=True)
+class Options:
+    \"""What the command does: the first words of its `--help`.\"""
+
+    policy: Positional[str]
+    \"""A positional argument.\"""
+
+    steps: Count = 1000
+    \"""Written 8000000, 8_000_000 or 8e6.\"""
+
+options = parse(Options, "python -m agents.evaluate", arguments)
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, NoReturn, TypeVar
+
+try:
+    import tyro
+except ImportError as error:
+    raise ImportError('this command needs tyro: pip install "capsule-gym[paper]"') from error
+
+__all__ = ["Count", "Positional", "check_output", "parse", "refuse"]
+
+T = TypeVar("T")
+Positional = tyro.conf.Positional
+
+
+def _count(text: str) -> int:
+    """An integer >= 0 out of one word of a command line."""
+    value = float(text.replace("_", ""))
+    if value != int(value) or value < 0:
+        raise ValueError(f"must be an integer >= 0, got {text!r}")
+    return int(value)
+
+
+Count = Annotated[
+    int,
+    tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="N",
+        instance_from_str=lambda words: _count(words[0]),
+        is_instance=lambda value: isinstance(value, int),
+        str_from_instance=lambda value: [str(value)],
+    ),
+]
+"""An integer >= 0, also in the form 8e6."""
+
+
+def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, default: T | None = None) -> T:
+    """Reads a command line.
+
+    Args:
+        kind: a dataclass. Its docstring is the description; where it has a method `check`, what that refuses with a
+            `ValueError` or `TypeError` is an error of the command line.
+        prog: the command as the user types it.
+        arguments: the words behind it; None takes them from `sys.argv`.
+        default: defaults other than the fields' own.
+
+    Raises:
+        SystemExit: with 0 after `--help`, with 2 where the command line is wrong.
+    """
+    defaults: dict[str, Any] = {} if default is None else {"default": default}
+    options: T = tyro.cli(
+        kind,
+        prog=prog,
+        description=inspect.getdoc(kind),
+        args=arguments,
+        config=(tyro.conf.FlagCreatePairsOff,),
+        **defaults,
+    )
+    check = getattr(options, "check", None)
+    if check is not None:
+        try:
+            check()
+        except (TypeError, ValueError) as error:
+            refuse(prog, str(error))
+    return options
+
+
+def refuse(prog: str, message: str) -> NoReturn:
+    """Ends the command with an error of its user.
+
+    Args:
+        prog: the command as the user types it.
+        message: which option is wrong, its value, and what would be accepted.
+
+    Raises:
+        SystemExit: always, with 2.
+    """
+    print(f"{prog}: error: {message}", file=sys.stderr)
+    raise SystemExit(2)
+
+
+def check_output(option: str, path: Path | None, *, overwrite: bool = False) -> None:
+    """Refuses a file that a result cannot be written to, before the work and not after it.
+
+    Args:
+        option: as the user types it.
+        path: the file; None where none is asked for.
+        overwrite: whether an existing file may be replaced.
+
+    Raises:
+        ValueError: if the file exists and may not be replaced, is a folder, or has no folder to lie in.
+    """
+    if path is None:
+        return
+    if path.is_dir() or not path.parent.is_dir():
+        raise ValueError(f"{option} must name a file in a folder that exists, got {str(path)!r}")
+    if path.exists() and not overwrite:
+        raise ValueError(f"{option} must name a new file unless --overwrite is given, got {str(path)!r}")
