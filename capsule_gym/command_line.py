@@ -1,16 +1,7 @@
-"""Command lines out of dataclasses: a field is an option, its docstring the help, its default the default.
+"""Command lines out of dataclasses: a field is an option, the text under it the help, its default the default.
 
-@dataclass(frozen=True)
-class Options:
-    \"""What the command does: the first words of its `--help`.\"""
-
-    policy: Positional[str]
-    \"""A positional argument.\"""
-
-    steps: Count = 1000
-    \"""Written 8000000, 8_000_000 or 8e6.\"""
-
-options = parse(Options, "python -m agents.evaluate", arguments)
+A command declares its options as a frozen dataclass and calls `parse(Options, "python -m agents.evaluate", arguments)`.
+A field of type `Positional[str]` is a positional argument, one of type `Count` may be written 8e6.
 """
 
 from __future__ import annotations
