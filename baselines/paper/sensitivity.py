@@ -1,11 +1,12 @@
 """How far the paper's two profiles carry the platform on other plants, contacts and integration steps.
 
 The pendulum follows its profile exactly here, so a run is the platform's motion under known forces:
-`python -m baselines.paper.sensitivity` prints the numbers, `baselines.paper.figures.profiles` draws them.
+`python -m baselines.paper.sensitivity` prints the numbers, `baselines.paper.figures.studies` draws them.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,6 +21,7 @@ from baselines.laws.reference import COLUMNS, slide
 from baselines.paper import published
 from baselines.paper.traces import CYCLES, UNLIMITED
 from capsule_gym import Capsule, Controller, dynamics
+from capsule_gym.command_line import parse
 from capsule_gym.compilation import compile_cached
 from capsule_gym.parameters import NOMINAL, NormalForce, Plant, check_number
 from capsule_gym.simulation import Simulation
@@ -328,5 +330,21 @@ def report() -> str:
     return "\n".join(lines)
 
 
-if __name__ == "__main__":
+@dataclass(frozen=True)
+class Options:
+    """Prints how far both profiles carry the platform on other plants, contacts and integration steps; some seconds.
+
+    Examples:
+      python -m baselines.paper.sensitivity    the speed map in numbers, the normal force of (7), the steps
+    """
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    parse(Options, "python -m baselines.paper.sensitivity", arguments)
     print(report())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

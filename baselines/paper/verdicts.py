@@ -9,9 +9,10 @@ import numpy as np
 
 from baselines.laws.adaptive import nominal_estimates
 from baselines.paper import published
-from baselines.paper.proofs import Envelope, PeakTorque
+from baselines.paper.proofs import LargestRate, PeakTorque
 from baselines.paper.published import Claim, Number
 from baselines.paper.reproduction import Reproduction
+from baselines.tables import printed_above, printed_below
 from capsule_gym import Capsule
 
 # Reading a curve off a figure, and the digits of print, are no better.
@@ -69,18 +70,18 @@ class Judgement:
     reproduced: bool
 
 
-def compare_numbers(result: Reproduction, peaks: list[PeakTorque], envelopes: list[Envelope]) -> list[Row]:
+def compare_numbers(result: Reproduction, peaks: list[PeakTorque], rates: list[LargestRate]) -> list[Row]:
     """Every published number of Sect. 5 beside ours."""
     rows = []
-    for name, numbers, peak, envelope in zip(
-        ("proposed", "EPC"), (published.PROPOSED, published.EPC), peaks, envelopes, strict=True
+    for name, numbers, peak, rate in zip(
+        ("proposed", "EPC"), (published.PROPOSED, published.EPC), peaks, rates, strict=True
     ):
         run = result.run(name)
         rows += [
             Row(name, numbers["peak_velocity"], run.peak_velocity, CALIBRATED),
             Row(name, numbers["swing"], run.swing, CALIBRATED),
             Row(name, numbers["mean_speed"], run.mean_speed, PREDICTED, _why_speed(result, name)),
-            Row(name, numbers["peak_torque"], run.peak_torque, PREDICTED, _why_torque(peak, envelope)),
+            Row(name, numbers["peak_torque"], run.peak_torque, PREDICTED, _why_torque(peak, rate)),
         ]
     swings = result.run("EPC").swing - result.run("proposed").swing
     rows.append(Row("both", published.SWING_DIFFERENCE, swings, CALIBRATED))
@@ -113,12 +114,13 @@ def _why_speed(result: Reproduction, name: str) -> str:
     )
 
 
-def _why_torque(peak: PeakTorque, envelope: Envelope) -> str:
+def _why_torque(peak: PeakTorque, rate: LargestRate) -> str:
     """Why the published torque cannot come out."""
     return (
         f"Impossible beside the published velocity. Proof 1: at the peak of {peak.velocity:g} rad/s the motor gives at "
-        f"least {peak.bound:.3f} N m. Proof 2: with {envelope.torque:g} N m theta' stays below {envelope.bound:.2f} "
-        f"rad/s; to reach {envelope.published:g} takes at least {envelope.torque_needed:.2f} N m."
+        f"least {printed_below(peak.bound, 3)} N m. Proof 2: with {rate.torque:g} N m theta' stays below "
+        f"{printed_above(rate.bound, 3)} rad/s; to reach {rate.published:g} takes at least "
+        f"{printed_below(rate.torque_needed, 3)} N m."
     )
 
 

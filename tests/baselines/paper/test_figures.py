@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import re
 import sys
 
 import numpy as np
 import pytest
 
 from baselines import drawing
+from baselines.laws.profiles import PROPOSED
 from baselines.paper import published
 from baselines.paper.figures.adaptive import draw_adaptive_tracking, run_adaptive, sliding_variable
-from baselines.paper.figures.profiles import NAMES, PROFILE_FIGURES, STUDIES, draw_all, run_profiles
+from baselines.paper.figures.gallery import NAMES, SCHEMATICS, STUDIES, draw_all
+from baselines.paper.figures.profiles import PROFILE_FIGURES, run_profiles
 from baselines.paper.figures.studies import draw_principles
+from baselines.paper.proofs import largest_rates
 
 pytest.importorskip("matplotlib")
 IMAGE = pytest.importorskip("PIL.Image")
@@ -46,8 +50,19 @@ def test_every_figure_comes_as_vector_and_as_picture(drawn):
         assert len(content) < 400_000
 
 
-def test_figures_three_to_nine_are_there():
-    assert [name.split("_")[0] for name in sorted(NAMES) if name.startswith("fig")] == [f"fig{n}" for n in range(3, 10)]
+def test_figures_one_to_nine_are_there():
+    assert [name.split("_")[0] for name in sorted(NAMES) if name.startswith("fig")] == [f"fig{n}" for n in range(1, 10)]
+
+
+def test_schematics_name_what_the_paper_names():
+    with drawing.style():
+        capsule, phases = (text_of(draw()) for draw in SCHEMATICS.values())
+    for word in ("platform, M", "ball, m", "spring k and damper c", " l ", " x ", "θ", " u ", "m g", "N", "f, "):
+        assert word in capsule
+    for number in (*PROPOSED.times, PROPOSED.restoring_speed):
+        assert f"{number:.3g}" in phases
+    assert all(f"t{sign}" in phases for sign in "₀₁₂₃₄₅₆₇")
+    assert all(f" {numeral} " in f" {phases} " for numeral in ("I", "II", "III", "IV", "V", "VI", "VII"))
 
 
 def test_pictures_are_not_empty(drawn):
@@ -89,6 +104,7 @@ def text_of(figure):
 def test_notes_set_found_beside_published(runs):
     with drawing.style():
         texts = {name: text_of(draw(runs)) for name, draw in PROFILE_FIGURES.items()}
+    assert sum("curves are not available as data" in text for text in texts.values()) == 3
     for name, key in (
         ("fig3_tracking", "peak_velocity"),
         ("fig4_displacement", "mean_speed"),
@@ -152,3 +168,13 @@ def test_missing_matplotlib_says_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(ImportError, match=r'pip install "capsule-gym\[paper\]"'):
         draw_all(tmp_path)
+
+
+def test_bounds_in_the_phase_plane_are_rounded_up():
+    proposed, epc = largest_rates()
+    with drawing.style():
+        text = text_of(STUDIES["phase_plane"]())
+    found = re.search(r"below ([\d.]+) and ([\d.]+) rad/s, in any contact.* below ([\d.]+) and ([\d.]+) rad/s", text)
+    bounds = (proposed.from_start, epc.from_start, proposed.bound, epc.bound)
+    for printed, bound in zip(found.groups(), bounds, strict=True):
+        assert bound <= float(printed) < bound + 0.001
