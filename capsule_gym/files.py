@@ -13,15 +13,28 @@ from typing import Any
 
 
 @contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Gives an error of the system the name of a file or folder where it has none, as on a full disk."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None and error.errno is not None:
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        raise
+
+
+@contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Gives the path of a temporary file beside `path`, of the same type, which takes its place at the end.
 
-    Nobody ever reads half of the file, and where the block fails what stood there stays.
+    Nobody ever reads half of the file, and where the block fails, or the power does, what stood there stays.
     """
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
     try:
-        yield temporary
-        os.replace(temporary, path)
+        with naming(path):
+            yield temporary
+            synchronise(temporary)
+            os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -30,6 +43,25 @@ def write_atomically(path: Path, text: str) -> None:
     """Writes a text file whole or not at all."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def write_bytes_atomically(path: Path, content: bytes) -> None:
+    """Writes a file whole or not at all."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def synchronise(path: Path) -> None:
+    """Waits until a file's content, or a folder's list of names, is on the disk and not only on its way there."""
+    folder = path.is_dir()
+    # Windows opens no folders, and puts their names on the disk by itself.
+    if folder and os.name == "nt":
+        return
+    descriptor = os.open(path, os.O_RDONLY if folder else os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def without_nonfinite(value: Any) -> Any:
