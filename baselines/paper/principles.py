@@ -12,7 +12,6 @@ That torque acts between pendulum and platform and never on the floor, and its d
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -72,23 +71,10 @@ class Margin:
         return self.limit - self.load
 
     @property
-    def by_phase(self) -> np.ndarray:
-        """The smallest margin in each phase."""
-        return _over_phases(self.margin, self.cycle.phase, np.min)
-
-    @property
     def factor_by_phase(self) -> np.ndarray:
         """The largest load over limit in each phase: above 1 the demand is violated by that factor."""
-        return _over_phases(self.load / self.limit, self.cycle.phase, np.max)
-
-    def smallest(self, last_phases: int | None = None) -> float:
-        """The smallest margin of the cycle, or of its last phases."""
-        return float(self.by_phase[-(last_phases or 0) :].min())
-
-
-def _over_phases(values: np.ndarray, phase: np.ndarray, reduce: Callable[[np.ndarray], float]) -> np.ndarray:
-    """One number per phase."""
-    return np.array([reduce(values[phase == n]) for n in range(int(phase[-1]) + 1)])
+        phase, ratio = self.cycle.phase, self.load / self.limit
+        return np.array([ratio[phase == n].max() for n in range(int(phase[-1]) + 1)])
 
 
 def sample(profile: Profile, samples: int = SAMPLES_PER_PHASE) -> Cycle:

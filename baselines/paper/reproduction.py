@@ -248,7 +248,7 @@ def fit_friction() -> tuple[FrictionFit, ...]:
     frictions = np.geomspace(*sensitivity.MU_RANGE, FRICTIONS)
     maps = [sensitivity.speed_map(profile, [Capsule().M], frictions) for profile in (PROPOSED, EPC)]
     # Where EPC rests there is nothing to compare.
-    moving = maps[1].speed[0] > 0.01
+    moving = maps[1].speed[0] > sensitivity.ALL_BUT_AT_REST
     fits = []
     for speeds, numbers in zip(maps, (published.PROPOSED, published.EPC), strict=True):
         target = numbers["mean_speed"].value

@@ -254,6 +254,7 @@ def what_follows() -> tuple[Consequence, ...]:
         ("(25)", "t2", "s", lambda t: (eq_25_t2(_quarter(t), t[2], falling=True), t[1]), "on the falling branch"),
         ("(26)", "omega", "rad/s", lambda t: (eq_26_omega(t[2]), _quarter(t)), "against pi / (2 t1) of phase I"),
         ("(26)", "omega", "rad/s", lambda t: (eq_26_omega(t[2]), OMEGA_N), "against the natural frequency"),
+        ("(27)", "t4", "s", lambda t: (eq_27_t4(t3=t[2]), t[3]), f"at P2 = {P2} rad/s"),
         ("(27)", "P2", "rad/s", lambda t: (eq_27_p2(t), P2), "solved for P2, against the published swing"),
         ("(28)", "t5", "s", lambda t: (eq_28_t5(_implied_p3(t)), t[4]), "P3 of (23)"),
         ("(29)", "P3", "rad/s", lambda t: (eq_29_p3(eq_27_p2(t), t), _implied_p3(t)), "against (23)"),

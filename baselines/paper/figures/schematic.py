@@ -143,7 +143,7 @@ def draw_phases() -> Any:
     pen, count = PENS[PROPOSED.name], len(PROPOSED.segments)
     V1, P2, P3 = 1.0, 0.36, 0.3
     levels = [(0.0, V1), (V1, V1), (V1, P2), (P2, 0.0), (0.0, -P3), (-P3, -P3), (-P3, 0.0)]
-    axes.axvspan(count - RESTORING_PHASES, count, color="#eef1f5", linewidth=0.0)
+    axes.axvspan(count - RESTORING_PHASES, count, color="#eef1f5", linewidth=0.0, zorder=0.5)
     for n, (begin, end) in enumerate(levels):
         s = np.linspace(0.0, 1.0, 101)
         rate = begin + (end - begin) * s

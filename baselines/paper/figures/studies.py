@@ -25,6 +25,7 @@ from baselines.paper.principles import RESTORING_PHASES, Margin, principle_3, pr
 from baselines.paper.printed_profile import ROMAN
 from baselines.paper.proofs import swing_envelope
 from baselines.paper.sensitivity import (
+    ALL_BUT_AT_REST,
     STEPS,
     SpeedMap,
     contact_effect,
@@ -43,8 +44,6 @@ STATED = {"proposed": published.PROPOSED, "EPC": published.EPC}
 EVERY, THIN = 20, 200
 # Of the phase planes, rad/s.
 TOP_RATE = 13.5
-# Below this both profiles rest but for their first push, and a ratio says nothing; cm/s.
-SLOWEST_COMPARED = 0.01
 SPEED_LEVELS = (0.0, 0.5, 1.0, 1.5, 2.0)
 # Where the map's lines carry their number: (mu, M), away from the nominal plant.
 LABELS = {
@@ -159,7 +158,7 @@ def draw_speed_map() -> Any:
     for axes, speeds in zip(panels, maps, strict=False):
         _draw_map(figure, axes, speeds)
     ratio = np.full_like(maps[0].speed, np.nan)
-    np.divide(maps[0].speed, maps[1].speed, out=ratio, where=maps[1].speed > SLOWEST_COMPARED)
+    np.divide(maps[0].speed, maps[1].speed, out=ratio, where=maps[1].speed > ALL_BUT_AT_REST)
     levels = np.arange(-0.4, 0.91, 0.1)
     drawn = panels[2].contourf(mu, M, ratio, levels=levels, cmap="cividis")
     lines = panels[2].contour(mu, M, ratio, levels=(0.0, 0.5, 0.8), colors=("white", "white", INK), linewidths=0.8)
@@ -208,7 +207,7 @@ def _draw_map(figure: Any, axes: Any, speeds: SpeedMap) -> None:
     """One profile's speeds with the published one as a dashed line, hatched where contact is lost."""
     drawn = axes.contourf(speeds.mu, speeds.M, speeds.speed, levels=np.arange(-0.25, 2.76, 0.25), cmap="cividis")
     # A profile that never slides back has a wide floor of exactly 0, and no line at it.
-    levels = SPEED_LEVELS if speeds.speed.min() < -SLOWEST_COMPARED else SPEED_LEVELS[1:]
+    levels = SPEED_LEVELS if speeds.speed.min() < -ALL_BUT_AT_REST else SPEED_LEVELS[1:]
     lines = axes.contour(speeds.mu, speeds.M, speeds.speed, levels=levels, colors="white", linewidths=0.7)
     _set_off(axes.clabel(lines, fmt="%g", fontsize=6.5, manual=LABELS[speeds.profile]))
     value = STATED[speeds.profile]["mean_speed"].value

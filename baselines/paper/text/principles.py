@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from baselines.paper.demand_study import Implication, Keeping
+from baselines.paper.demand_study import FLYING, STANDING, Implication, Keeping
 from baselines.paper.principles import RESTORING_PHASES
 from baselines.paper.text.layout import paragraph, table, title
 
@@ -60,6 +60,10 @@ def _implications(implications: Sequence[Implication]) -> list[str]:
     return [
         *table(cells, left=3, last_left=False),
         "",
+        *paragraph(
+            f"Random: |theta| < 90 degrees, for Lemma 1 |theta'| < {FLYING[0]:g} rad/s and |theta''| < {FLYING[1]:g} "
+            f"rad/s^2, for Lemma 2 {STANDING[0]:g} and {STANDING[1]:g}."
+        ),
         *paragraph(
             "Lemma 1: (12) is sufficient for Principle 3, by Cauchy and Schwarz. The step to (13) uses a^2 + b^2 >= 2 "
             "a b, so (12) implies (10) and never the other way round: (10) is sufficient for nothing. Lemma 2: (15) "
