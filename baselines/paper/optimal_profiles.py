@@ -27,8 +27,9 @@ from typing import Any
 
 import numpy as np
 
-from baselines.laws.profiles import PROPOSED, Profile, seven_phases
+from baselines.laws.profiles import P2, PROPOSED, V1, Profile, seven_phases
 from baselines.paper.exact_tracking import STANDSTILLS, Assessment, Demands, assess, published_bounds
+from baselines.paper.published import M_RANGE, MU_RANGE
 from capsule_gym.files import write_atomically
 from capsule_gym.parameters import Capsule, Plant
 from capsule_gym.task import START_THETA
@@ -36,8 +37,6 @@ from capsule_gym.task import START_THETA
 DATA = Path(__file__).with_name("optimal_profiles.json")
 
 TORQUE_LIMITS = (0.54, 1.0, 1.5)
-# The paper's ranges of M and mu: speed and demands are monotonic enough for the corners; a test looks between them.
-RANGES = ((0.45, 0.55), (0.009, 0.011))
 GENERATIONS = 200
 MEMBERS_PER_PARAMETER = 10
 SEED = 0
@@ -97,7 +96,8 @@ class Problem:
         capsule = Capsule()
         if self.plants == "nominal":
             return [capsule.plant()]
-        return [capsule.plant(M, mu) for M in RANGES[0] for mu in RANGES[1]]
+        # Speed and demands are monotonic enough for the corners; a test looks between them.
+        return [capsule.plant(M, mu) for M in M_RANGE for mu in MU_RANGE]
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ def search(
         return -assessment.mean_speed if assessment.feasible else 1.0 + min(assessment.excess, 1e9)
 
     began = perf_counter()
-    published = _encode(tuple(PROPOSED.times), 7.8, 2.122, START_THETA)
+    published = _encode(tuple(PROPOSED.times), V1, P2, START_THETA)
     starts = [published, *(_encode(each.times, each.V1, each.P2, each.start) for each in known)]
     x0 = min(starts, key=aim)
     found = []

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from baselines.paper import proofs
+from baselines.paper.adaptive_study import AdaptiveStudy, study_adaptive
+from baselines.paper.adaptive_verdicts import compare_adaptive, judge_adaptive
 from baselines.paper.proofs import Envelope, PeakTorque
 from baselines.paper.reproduction import Progress, Reproduction, reproduce
 from baselines.paper.text import adaptation, sections
-from baselines.paper.verdicts import Judgement, Row, compare_numbers, judge_claims
+from baselines.paper.verdicts import Judgement, Row, compare_constants, compare_numbers, judge_claims
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,8 @@ class Report:
     Attributes:
         numbers: published and found.
         claims: published claims and what was found.
-        runs: what was run.
+        runs: what was run under (35).
+        adaptive: what was run under (39).
         proof_1: the torque at the peak.
         proof_2: the upper envelope.
     """
@@ -30,6 +33,7 @@ class Report:
     numbers: list[Row]
     claims: list[Judgement]
     runs: Reproduction
+    adaptive: AdaptiveStudy
     proof_1: list[PeakTorque]
     proof_2: list[Envelope]
 
@@ -42,9 +46,11 @@ class Report:
             *sections.proofs_section(self.proof_1, self.proof_2),
             *sections.selection_section(),
             *sections.optimal_section(),
-            *adaptation.adaptive_section(self.runs),
-            *adaptation.estimates_section(self.runs),
-            *adaptation.lyapunov_section(self.runs),
+            *adaptation.adaptive_section(self.adaptive),
+            *adaptation.choices_section(self.adaptive),
+            *adaptation.long_runs_section(self.adaptive),
+            *adaptation.estimates_section(self.adaptive),
+            *adaptation.lyapunov_section(self.adaptive),
             *sections.sensitivity_section(self.runs),
         ]
         return "\n".join(lines).lstrip("\n")
@@ -59,6 +65,7 @@ class Report:
             "numbers": numbers,
             "claims": self.claims,
             "runs": self.runs,
+            "adaptive": self.adaptive,
             "proof_1": [{**asdict(proof), "holds": proof.holds} for proof in self.proof_1],
             "proof_2": [{**asdict(proof), "holds": proof.holds} for proof in self.proof_2],
             "table_1": [{**asdict(row), "follows": row.follows} for row in what_follows()],
@@ -93,4 +100,7 @@ def make_report(progress: Progress | None = None) -> Report:
         progress("proofs")
     peaks, envelopes = proofs.peak_torques(), proofs.envelopes()
     runs = reproduce(progress)
-    return Report(compare_numbers(runs, peaks, envelopes), judge_claims(runs), runs, peaks, envelopes)
+    adaptive = study_adaptive(progress)
+    numbers = [*compare_numbers(runs, peaks, envelopes), compare_adaptive(adaptive), *compare_constants()]
+    claims = [*judge_claims(runs), *judge_adaptive(adaptive)]
+    return Report(numbers, claims, runs, adaptive, peaks, envelopes)
