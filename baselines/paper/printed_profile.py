@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.laws.profiles import PROPOSED
-from baselines.paper.selection import P2, TABLE_1, V1
+from baselines.laws.profiles import P2, PROPOSED, TABLE_1, V1
 
 ROMAN = ("I", "II", "III", "IV", "V", "VI", "VII")
 SAMPLES = 10_001

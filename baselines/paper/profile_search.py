@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from baselines.laws import profiles
 from baselines.laws.profiles import PROPOSED, seven_phases
-from baselines.paper import selection
 from baselines.paper.exact_tracking import assess
 from baselines.paper.profile_problems import TORQUE_LIMITS, Problem, Solution
 from capsule_gym.task import START_THETA
@@ -104,7 +104,7 @@ def search(
 
     began = perf_counter()
     starts = [
-        _encode(PROPOSED.times, selection.V1, selection.P2, START_THETA),
+        _encode(PROPOSED.times, profiles.V1, profiles.P2, START_THETA),
         *(_encode(each.times, each.V1, each.P2, each.start) for each in known),
     ]
     x0 = min(starts, key=aim)

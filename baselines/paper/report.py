@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from baselines.paper import demand_study, printed_profile, proofs, selection
+from baselines.paper.adaptive_study import AdaptiveStudy, study_adaptive
+from baselines.paper.adaptive_verdicts import compare_adaptive, judge_adaptive
 from baselines.paper.demand_study import Implication, Keeping
 from baselines.paper.linearity import Linearity, check_linearity
 from baselines.paper.optimal_profiles import DATA, load
@@ -18,7 +20,7 @@ from baselines.paper.selection import BoundaryCondition, Consequence
 from baselines.paper.shapes import ShapeSpeed, shape_speeds
 from baselines.paper.text import adaptation, derivation, optimum, principles, section_5, sensitivity
 from baselines.paper.text import proofs as proofs_text
-from baselines.paper.verdicts import Judgement, Row, compare_numbers, judge_claims
+from baselines.paper.verdicts import Judgement, Row, compare_constants, compare_numbers, judge_claims
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,8 @@ class Report:
     Attributes:
         numbers: published and found.
         claims: published claims and what was found.
-        runs: what was run.
+        runs: what was run under (35).
+        adaptive: what was run under (39).
         proof_1: the torque at the peak.
         proof_2: the upper envelope.
         derivation: Sections 2 and 3.
@@ -60,6 +63,7 @@ class Report:
     numbers: list[Row]
     claims: list[Judgement]
     runs: Reproduction
+    adaptive: AdaptiveStudy
     proof_1: list[PeakTorque]
     proof_2: list[LargestRate]
     derivation: Derivation
@@ -79,9 +83,11 @@ class Report:
             *derivation.table_1_section(derived.table_1, derived.boundary_condition),
             *principles.principles_section(derived.keepings, derived.implications),
             *optimum.optimal_section(),
-            *adaptation.adaptive_section(self.runs),
-            *adaptation.estimates_section(self.runs),
-            *adaptation.lyapunov_section(self.runs),
+            *adaptation.adaptive_section(self.adaptive),
+            *adaptation.choices_section(self.adaptive),
+            *adaptation.long_runs_section(self.adaptive),
+            *adaptation.estimates_section(self.adaptive),
+            *adaptation.lyapunov_section(self.adaptive),
         ]
         return "\n".join(lines).lstrip("\n")
 
@@ -93,6 +99,7 @@ class Report:
             "numbers": numbers,
             "claims": self.claims,
             "runs": self.runs,
+            "adaptive": self.adaptive,
             "proof_1": [{**asdict(proof), "holds": proof.holds} for proof in self.proof_1],
             "proof_2": [{**asdict(proof), "holds": proof.holds} for proof in self.proof_2],
             "property_3": derived.linearity,
@@ -141,4 +148,7 @@ def make_report(progress: Progress | None = None) -> Report:
         shape_speeds(),
     )
     runs = reproduce(progress)
-    return Report(compare_numbers(runs, peaks, rates), judge_claims(runs), runs, peaks, rates, derived)
+    adaptive = study_adaptive(progress)
+    numbers = [*compare_numbers(runs, peaks, rates), compare_adaptive(adaptive), *compare_constants()]
+    claims = [*judge_claims(runs), *judge_adaptive(adaptive)]
+    return Report(numbers, claims, runs, adaptive, peaks, rates, derived)

@@ -14,19 +14,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.laws.profiles import PROPOSED, seven_phases
+from baselines.laws.profiles import P2, PROPOSED, TABLE_1, V1, seven_phases
+from baselines.paper.published import NATURAL_FREQUENCY
 from capsule_gym.parameters import Capsule, Plant
 
 NOMINAL = Capsule().plant()
 THETA_0 = math.pi / 3.0
-OMEGA_N = 5.7184  # rad/s, sqrt(g / l), as Sect. 5 gives it
+OMEGA_N = NATURAL_FREQUENCY.value
 
-TABLE_1 = (0.133, 0.195, 0.27, 0.9, 1.7, 5.8, 6.6)
 # Half a unit of the last digit of each time in Table 1, s.
 ROUNDING = (0.0005, 0.0005, 0.005, 0.05, 0.05, 0.05, 0.05)
-# Calibrated to the published peak velocity and swing, rad/s: the paper gives neither.
-V1 = 7.8
-P2 = 2.122
 
 # (30) and (31) together are (23) and t6 - t4 = t7 - t5; with P3 from (23), only the latter is tested.
 CIRCULAR = "P3 of (23), so only t6 - t4 = t7 - t5 is tested"

@@ -76,11 +76,12 @@ def draw_tracking(runs: Runs) -> Any:
     rate[0].legend(loc="center right")
     peaks = [run.theta_dot.max() for run in (runs.proposed, runs.epc)]
     swings = [np.degrees(run.theta.max()) for run in (runs.proposed, runs.epc)]
+    rates, angles = _stated("peak_velocity"), _stated("swing")
     add_note(
         figure,
-        f"Largest rate: found {listed(peaks, 2, 'rad/s')}, published 7.8 and 11. Largest angle: found "
-        f"{listed(swings, 2, 'deg')}, published 68.75 and 85.85. Both are what the profiles were calibrated to. "
-        f"{NO_CURVES}",
+        f"Largest rate: found {listed(peaks, 2, 'rad/s')}, published {rates[0]:g} and {rates[1]:g}. Largest angle: "
+        f"found {listed(swings, 2, 'deg')}, published {angles[0]:g} and {angles[1]:g}. Both are what the profiles were "
+        f"calibrated to. {NO_CURVES}",
     )
     return figure
 

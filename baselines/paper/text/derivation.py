@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from baselines.laws.profiles import V1
 from baselines.paper.linearity import Linearity
 from baselines.paper.printed_profile import PrintedPhase
-from baselines.paper.selection import THETA_0, V1, BoundaryCondition, Consequence
+from baselines.paper.selection import THETA_0, BoundaryCondition, Consequence
 from baselines.paper.text.layout import paragraph, table, title
 
 

@@ -66,7 +66,7 @@ def tracking_section(result: Reproduction) -> list[str]:
                 run.profile,
                 run.contact,
                 f"{run.peak_velocity:.3f}",
-                f"{run.swing:.2f}",
+                f"{run.largest_angle_deg:.2f}",
                 f"{run.mean_speed:.4f}",
                 f"{run.peak_torque:.4f}",
                 f"{run.energy:.3f}",

@@ -11,7 +11,7 @@ import pytest
 from baselines import drawing
 from baselines.laws.profiles import PROPOSED
 from baselines.paper import published
-from baselines.paper.figures.adaptive import draw_adaptive_tracking, run_adaptive, sliding_variable
+from baselines.paper.figures.adaptive import draw_adaptive_error, draw_adaptive_tracking, run_adaptive, sliding_variable
 from baselines.paper.figures.gallery import NAMES, SCHEMATICS, STUDIES, draw_all
 from baselines.paper.figures.profiles import PROFILE_FIGURES, run_profiles
 from baselines.paper.figures.studies import draw_principles
@@ -119,10 +119,22 @@ def test_notes_set_found_beside_published(runs):
 def test_both_forms_of_the_adaptive_law_are_what_they_are_called():
     adaptive_runs = run_adaptive()
     assert all(run.completed for run in adaptive_runs.regularised)
-    # Nominal, light and heavy: the printed law lifts the light platform off the floor in its first push.
-    assert [run.completed for run in adaptive_runs.as_published] == [True, False, True]
+    # Nominal, light and heavy: unregularised, the law lifts the light platform off the floor in its first push.
+    assert [run.completed for run in adaptive_runs.corrected] == [True, False, True]
     with drawing.style():
-        assert "1 of 3 runs loses contact with the floor, at 0.10 s" in text_of(draw_adaptive_tracking(adaptive_runs))
+        tracking, errors = draw_adaptive_tracking(adaptive_runs), draw_adaptive_error(adaptive_runs)
+    for figure in (tracking, errors):
+        text = text_of(figure)
+        assert "1 of 3 runs loses contact with the floor, at 0.10 s" in text
+        assert "corrected, unregularised" in text and "curves are not available as data" in text
+    # Five cycles, and the first swing in an inset.
+    for axes in tracking.axes:
+        assert axes.get_xlim()[1] == pytest.approx(33.0) and len(axes.child_axes) == 1
+        assert axes.child_axes[0].get_xlim() == (0.0, 0.9)
+    assert [axes.get_ylabel().split()[0] for axes in errors.axes if axes.get_ylabel()] == ["angle", "rate"]
+    drawn = {line.get_label(): line.get_ydata() for line in errors.axes[2].lines}
+    nominal = adaptive_runs.regularised[0]
+    np.testing.assert_allclose(drawn["M = 0.5 kg, μ = 0.01"], 1e3 * (nominal.theta_dot - nominal.theta_d_dot))
 
 
 def test_labels_name_their_units(runs):

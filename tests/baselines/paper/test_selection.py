@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from baselines.laws.profiles import PROPOSED, seven_phases
+from baselines.laws.profiles import PROPOSED, TABLE_1, seven_phases
 from baselines.paper import selection
-from baselines.paper.selection import TABLE_1, boundary_condition, what_follows
+from baselines.paper.selection import boundary_condition, what_follows
 
 
 def test_bound_of_lemma_2():
@@ -41,7 +41,7 @@ def test_equation_23_closes_the_cycle_that_reaches_theta_0():
     condition = boundary_condition()
     profile = seven_phases(TABLE_1, condition.V1, selection.P2)
     assert selection.eq_23_p3(selection.P2) == pytest.approx(profile.restoring_speed, rel=1e-9)
-    assert condition.largest_angle == pytest.approx(profile.swing - math.pi / 3, abs=1e-6)
+    assert condition.largest_angle == pytest.approx(profile.peak_to_peak - math.pi / 3, abs=1e-6)
     assert selection.eq_23_p3(selection.P2) > PROPOSED.restoring_speed
 
 
