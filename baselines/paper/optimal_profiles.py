@@ -30,6 +30,7 @@ from baselines.paper.profile_search import (
     search_again,
     spread_problems,
 )
+from baselines.tables import printed_below
 from capsule_gym.command_line import parse, refuse
 from capsule_gym.files import to_json, write_atomically
 
@@ -115,7 +116,7 @@ def format_row(solution: Solution) -> str:
         return f"{solution.problem.label:<52} none found, nearest exceeds {_binding(solution, 1.0)}"
     cost = math.inf if solution.cost_of_transport is None else solution.cost_of_transport
     return (
-        f"{solution.problem.label:<52} {100 * solution.mean_speed:6.3f} cm/s {cost:6.2f} "
+        f"{solution.problem.label:<52} {printed_below(100.0 * solution.mean_speed, 3):>6} cm/s {cost:6.2f} "
         f"{solution.peak_torque:6.3f} N m  reaches {_binding(solution, 0.98)}"
     )
 

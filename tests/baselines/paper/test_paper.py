@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +15,10 @@ from baselines.paper import proofs, published, sensitivity
 from baselines.paper import report as paper_report
 from baselines.paper.report import make_report
 from baselines.paper.reproduction import track
+from baselines.tables import printed_above, printed_below
 from capsule_gym import Capsule, dynamics
 
+ROOT = Path(__file__).resolve().parents[3]
 SWINGS = {
     "proposed": math.radians(published.PROPOSED["swing"].value),
     "EPC": math.radians(published.EPC["swing"].value),
@@ -127,6 +130,18 @@ def test_needed_torque_is_certified_and_close(rates):
         assert proofs.swing_envelope(rate.torque_needed, *swing).fastest < rate.published
         # A thousandth more, and the envelope itself reaches the rate.
         assert proofs.swing_envelope(1.001 * rate.torque_needed, *swing, certified=False).fastest > rate.published
+
+
+def test_pages_print_the_bounds_rounded_outwards(rates):
+    page, readme = ((ROOT / name).read_text(encoding="utf-8") for name in ("docs/paper.md", "README.md"))
+    for peak, rate in zip(proofs.peak_torques(), rates, strict=True):
+        first = [f"**{printed_below(peak.bound, 3)} N m**", f"{printed_below(peak.sticking, 3)} N m"]
+        second = [f"**{printed_above(rate.bound, 3)} rad/s**", f"{rate.published:g} rad/s"]
+        second += [f"{printed_below(rate.torque_needed, 3)} N m", f"{printed_above(rate.torque_enough, 3)} N m"]
+        assert " | ".join(first) in page
+        assert " | ".join(second) in page
+        assert printed_above(rate.undamped, 2) in page
+        assert printed_above(rate.bound, 3) in readme
 
 
 @pytest.mark.parametrize(("name", "limit"), [("proposed", 0.5367), ("EPC", 0.6246)])
