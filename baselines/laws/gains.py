@@ -16,7 +16,7 @@ class Gains(NamedTuple):
         Lambda_x: likewise of the platform's, 1/s.
         K1: N m s/rad.
         K2: N s.
-        K3: gain of the non-collocated terms.
+        K3: of the non-collocated terms, N s/m.
         Gamma_1: rate of adaptation of alpha_theta.
         Gamma_2: rate of adaptation of alpha_x.
     """

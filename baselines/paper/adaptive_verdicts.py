@@ -109,7 +109,7 @@ def _course(study: AdaptiveStudy, quantity: str) -> str:
         f"Regularised, the largest of a cycle: on the nominal plant {study.on_nominal(slow).at(quantity, 1):.1e} rad/s "
         f"at {slow // 1000} kHz and {study.on_nominal(fast).at(quantity, 1):.1e} at {fast // 1000} kHz, which is the "
         f"torque's hold. Off it, {_span(study.off_nominal(slow), quantity, 1)} and "
-        f"{_span(study.off_nominal(fast), quantity, 1)}, which is not; in the {LONG}th cycle "
+        f"{_span(study.off_nominal(fast), quantity, 1)}, which hardly is; in the {LONG}th cycle "
         f"{_span(study.off_nominal(slow), quantity, LONG)} and {_span(study.off_nominal(fast), quantity, LONG)}, in "
         f"the {LONGEST}th (at {slow // 1000} kHz) {_span(study.off_nominal(slow), quantity, LONGEST)}: it falls, and "
         "does not vanish"

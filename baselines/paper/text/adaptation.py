@@ -194,8 +194,8 @@ def long_runs_section(study: AdaptiveStudy) -> list[str]:
     lines += [*_table(cells), ""]
     return lines + paragraph(
         "On the nominal plant the errors go with the law's period: they are those of a torque that is held, and in the "
-        "limit nothing is left of them. Off it they do not. They fall while the estimates of alpha_theta adapt, wander "
-        "below the first cycle's from then on, and do not vanish: every cycle starts x_d anew and excites them again."
+        "limit nothing is left of them. Off it they hardly do. They fall while the estimates of alpha_theta adapt, "
+        "wander below the first cycle's from then on, and do not vanish: every cycle starts x_d anew and excites them."
     )
 
 

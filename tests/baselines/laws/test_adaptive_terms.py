@@ -211,6 +211,14 @@ def test_x_d_starts_anew_or_goes_on_at_the_start_of_a_cycle(form, expected):
     assert constants.cycle_advance == pytest.approx(reference_table(PROPOSED, constants.plant)[-1, 3]) and start != 0.0
 
 
+def test_eta_enters_39c_by_its_size():
+    constants = some_constants(beta=0.7)
+    state, memory, reference = draw(np.random.default_rng(9))
+    memory = (*memory[:9], -1.2, memory[10])
+    terms = adaptive_terms(*state, memory, reference, constants)
+    assert terms.T_n == pytest.approx(printed(state, memory, reference, constants, 1)["T_n"], rel=1e-10)
+
+
 @pytest.mark.parametrize("n", [1, 2, 3, 4])
 def test_eta_is_the_odd_power_of_its_root(n):
     assert eta_of_root(1.3, n) == pytest.approx(1.3 ** (2 * n + 1), rel=1e-14)

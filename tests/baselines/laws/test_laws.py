@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import baselines
 from baselines.laws.adaptive import adaptive, compliant, eta_of, nominal_estimates
 from baselines.laws.adaptive_terms import MEMORY
 from baselines.laws.feedback_linearisation import feedback_linearising
+from baselines.laws.gains import COMPLIANT, K_P, K_V, PUBLISHED, REGULARISED, UNREGULARISED
 from baselines.laws.profiles import EPC, PROPOSED, seven_phases, six_phases
 from baselines.laws.reference import COLUMNS, reference_table
 from baselines.policies import SCRIPTED
@@ -293,3 +295,16 @@ def test_zero_and_random_policies():
     act = SCRIPTED["random"].start([3, 4])
     again = SCRIPTED["random"].start([4])
     assert act(np.zeros((2, 5)))[1] == again(np.zeros((1, 5)))[0]
+
+
+def test_page_prints_the_constants_of_the_laws():
+    page = (Path(__file__).resolve().parents[3] / "docs" / "controllers.md").read_text(encoding="utf-8")
+    cells = [[cell.strip() for cell in line.split("|")[1:4]] for line in page.splitlines() if line.startswith("| `")]
+
+    def shown(value):
+        return str(value) if isinstance(value, bool) else f"{value:g}"
+
+    for pair in ((PUBLISHED, COMPLIANT), (REGULARISED, UNREGULARISED)):
+        for name, *values in zip(pair[0]._fields, *pair, strict=True):
+            assert [f"`{name}`", *map(shown, values)] in cells
+    assert f"`K_p` = {K_P:g} 1/s²" in page and f"`K_v` = {K_V:g} 1/s" in page
