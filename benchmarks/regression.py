@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.evaluation.tables import markdown_table, text_table
+from baselines.tables import markdown_table, text_table
 from benchmarks import native
 from benchmarks.contenders import ACTION_SCALE, DRAWS, LAW, SEED, THREADS, step_batch
 from benchmarks.timing import available_cores, describe, machine
@@ -195,7 +195,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rows.append([guard.name, f"{ratio:.2f}", floor, "below its floor" if low else ""])
     print(text_table(rows))
     if options.markdown is not None:
-        lines = [COMMENT, "", *markdown_table(rows), "", f"{describe(machine())}.", ""]
+        lines = [COMMENT, "", markdown_table(rows), "", f"{describe(machine())}.", ""]
         write_atomically(options.markdown, "\n".join(lines))
     if options.json is not None:
         write_atomically(options.json, to_json({"machine": machine(), "ratios": ratios}))

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from agents.evaluation.tables import markdown_table, text_table
+from baselines.tables import markdown_table, text_table
 from benchmarks import accuracy, contenders, cost, creep, speed_figure
 from benchmarks.timing import Contender, Rate, available_cores, describe, machine, measure, present
 from capsule_gym import task
@@ -181,7 +181,7 @@ def as_markdown(listed: Sequence[Section], notes: Sequence[str]) -> str:
     """The tables for the documentation."""
     lines = [COMMENT, ""]
     for section in listed:
-        lines += [f"### {section.title}", "", *markdown_table(section.rows), ""]
+        lines += [f"### {section.title}", "", markdown_table(section.rows), ""]
         lines += [line for note in section.notes for line in (note, "")]
     return "\n".join([*lines, *(line for note in notes for line in (note, ""))])
 

@@ -27,10 +27,11 @@ from typing import Any
 from agents.evaluation.candidates import find_candidate
 from agents.evaluation.episodes import Episode, difference, evaluate, summarise, versions
 from agents.evaluation.sets import EvaluationSet, load_set
-from agents.evaluation.tables import MEASURES, markdown_table, text_table
+from agents.evaluation.tables import MEASURES
 from agents.training.loop import begin, train
 from agents.training.presets import PPOConfig
 from agents.training.runs import MODEL, load_policy
+from baselines.tables import markdown_table, text_table
 from benchmarks.timing import available_cores
 from benchmarks.training_cost import BROAD, UNTUNED, axes, sweep, sweep_rows
 from benchmarks.training_profile import profile, profile_rows, profiled
@@ -268,7 +269,7 @@ def write(options: argparse.Namespace, content: dict[str, Any], tables: dict[str
     if options.markdown is not None:
         lines = ["<!-- Written by python -m benchmarks.training: do not edit. -->", ""]
         for name, rows in tables.items():
-            lines += [f"<!-- --8<-- [start:{name}] -->", *markdown_table(rows)]
+            lines += [f"<!-- --8<-- [start:{name}] -->", markdown_table(rows)]
             lines += ["", f"{machine()}; {note}.", f"<!-- --8<-- [end:{name}] -->", ""]
         write_atomically(options.markdown, "\n".join(lines))
 

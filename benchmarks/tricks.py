@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.evaluation.tables import markdown_table, text_table
+from baselines.tables import markdown_table, text_table
 from benchmarks.contenders import ACTION_SCALE, DRAWS, SEED
 from benchmarks.timing import Contender, Rate, Stepper, describe, machine, measure
 from capsule_gym import dynamics, kernels, simulation, task, trigonometry
@@ -176,7 +176,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         content: dict[str, Any] = {"machine": found, "turns": options.turns, "rates": entries}
         write_atomically(options.json, to_json(content))
     if options.markdown is not None:
-        write_atomically(options.markdown, "\n".join([COMMENT, "", *markdown_table(rows(rates)), "", note, ""]))
+        write_atomically(options.markdown, "\n".join([COMMENT, "", markdown_table(rows(rates)), "", note, ""]))
     return 0
 
 
