@@ -14,20 +14,21 @@ NormalForce = Literal["newton", "paper"]
 class Plant(NamedTuple):
     """The constants of one plant as the compiled functions read them: SI units, float64, no validation.
 
-    The last one, m / (M + m), follows from the others: it saves the integrator its divisions.
+    The first three differ between the environments of a batch. mass_ratio, m / (M + m), follows from others: it saves
+    the integrator its divisions.
     """
 
     M: float
+    mu: float
+    mass_ratio: float
+    pivot_torque_on_contact: float
     m: float
     l: float
     g: float
     k: float
     c: float
-    mu: float
     static_ratio: float
     backward_ratio: float
-    pivot_torque_on_contact: float
-    mass_ratio: float
 
 
 def check_number(
@@ -152,19 +153,12 @@ class Capsule:
             mu: friction coefficient; this capsule's own where None.
         """
         capsule = replace(self, M=self.M if M is None else M, mu=self.mu if mu is None else mu)
-        return Plant(
-            M=float(capsule.M),
-            m=float(capsule.m),
-            l=float(capsule.l),
-            g=float(capsule.g),
-            k=float(capsule.k),
-            c=float(capsule.c),
-            mu=float(capsule.mu),
-            static_ratio=float(capsule.static_ratio),
-            backward_ratio=float(capsule.backward_ratio),
-            pivot_torque_on_contact=float(capsule.normal_force == "paper"),
-            mass_ratio=float(capsule.m / (capsule.M + capsule.m)),
-        )
+        derived = {
+            "mass_ratio": float(capsule.m / (capsule.M + capsule.m)),
+            "pivot_torque_on_contact": float(capsule.normal_force == "paper"),
+        }
+        own = {name: float(getattr(capsule, name)) for name in Plant._fields if name not in derived}
+        return Plant(**own, **derived)
 
 
 NOMINAL = Capsule()

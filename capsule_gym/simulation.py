@@ -368,7 +368,7 @@ class Simulation:
             or 1.
         """
         world = self.columns(rows)
-        duration, energy = world[Row.duration], world[Row.energy]
+        duration, energy = world[Row.duration], world[Row.episode_energy]
         failed = world[Row.termination] != 0
         distance = world[Row.x] - world[Row.start_x]
         # Before the first step every integral is 0, and so is every ratio.

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 
 from capsule_gym import task
 from capsule_gym.controller import Controller
-from capsule_gym.env import RESET_OPTIONS, REWARD_TERMS, check_options, draw, make_spaces
+from capsule_gym.env import RESET_OPTIONS, REWARD_TERMS, check_options, draw, make_spaces, show
 from capsule_gym.kernels import Row
 from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.rendering import Renderer
@@ -29,7 +29,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     Truncation is the batch's own, after `max_episode_steps`. The autoreset mode is gymnasium's: with NEXT_STEP the
     step after the end ignores the action and returns the first observation of the next episode with reward 0; with
     SAME_STEP the observation is that first one already and the last one is in `info["final_obs"]`, its info in
-    `info["final_info"]`; with DISABLED an ended environment stands still until
+    `info["final_info"]`, to which the episode's metrics are added; with DISABLED an ended environment stands still until
     `reset(options={"reset_mask": mask})` names it.
 
     Args:
@@ -147,7 +147,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         )
         self._ended[rows] = False
         self._started = True
-        return self.simulation.observations.copy(), _masked(_snapshot(self.simulation.rows(0, Row.start_x)), mask)
+        return self.simulation.observations.copy(), _masked(_infos(self.simulation.rows(0, Row.start_x)), mask)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One agent step of every environment.
@@ -186,11 +186,11 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             terminated &= active
             truncated &= active
         ended = terminated | truncated
-        info = _masked(_snapshot(shown), self._everywhere)
-        terms = {name: shown[Row[name]] for name in REWARD_TERMS}
-        info |= _masked(terms, self._everywhere if active is None else active)
-        if ended.any():
-            self._report_end(info, ended, terminated)
+        info = _masked(_infos(shown), self._everywhere)
+        if active is not None and self.autoreset_mode is AutoresetMode.DISABLED:
+            info |= {f"_{name}": active for name in REWARD_TERMS}
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
+            self._begin_next(info, ended)
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
             self._ended = ended
         elif self.autoreset_mode is AutoresetMode.DISABLED:
@@ -225,32 +225,22 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             renderer.close()
         self._renderers = []
 
-    def _report_end(self, info: dict[str, Any], ended: np.ndarray, terminated: np.ndarray) -> None:
-        """Adds to the info how episodes ended; with SAME_STEP also begins the next ones."""
+    def _begin_next(self, info: dict[str, Any], ended: np.ndarray) -> None:
+        """Begins the next episodes, and moves to the info's `final_..` how the last ones have ended."""
         simulation = self.simulation
         rows = np.flatnonzero(ended)
         metrics = {}
         for name, values in simulation.metrics(rows, self.max_episode_steps).items():
             metrics[name] = np.zeros(self.num_envs)
             metrics[name][rows] = values
-        final: dict[str, Any] = {"metrics": metrics}
-        if terminated.any():
-            names = np.full(self.num_envs, None, dtype=object)
-            causes = simulation.row(Row.termination)
-            for i in np.flatnonzero(terminated):
-                names[i] = task.Termination(int(causes[i])).name
-            final |= _masked({"termination": names}, terminated)
-        if self.autoreset_mode is not AutoresetMode.SAME_STEP:
-            info |= _masked(final, ended)
-            return
+        shared = {name: value for name, value in info.items() if not name.startswith("_")}
         info["final_obs"] = np.full(self.num_envs, None, dtype=object)
         for i in rows:
             info["final_obs"][i] = simulation.observations[i].copy()
-        shared = {name: value for name, value in info.items() if not name.startswith("_") and name != "final_obs"}
-        info["final_info"] = _masked({**shared, **final}, ended)
+        info["final_info"] = _masked({**shared, "metrics": metrics}, ended)
         info["_final_obs"] = info["_final_info"] = ended
         simulation.reset(rows)
-        info |= _snapshot(simulation.rows(0, Row.start_x))
+        info |= _infos(simulation.rows(0, Row.start_x))
 
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
         """Hands the seeds out: environment i of seed s gets s + i."""
@@ -332,18 +322,12 @@ def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:
     raise ValueError(f"autoreset_mode must be an AutoresetMode or one of {names}, got {mode!r}")
 
 
-def _snapshot(shown: np.ndarray) -> dict[str, Any]:
-    """The part of the infos that reset and step share, from the first rows of the simulation."""
-    return {
-        "state": shown[:4].T,
-        "M": shown[Row.M],
-        "mu": shown[Row.mu],
-        "stick": shown[Row.x_dot] == 0.0,
-        "torque": shown[Row.torque],
-        "law_torque": shown[Row.law_torque],
-        "normal_force": shown[Row.normal_force],
-        "energy": shown[Row.step_energy],
-    }
+def _infos(rows: np.ndarray) -> dict[str, Any]:
+    """The infos that the first rows of `Row` hold, without their masks."""
+    info = show(rows)
+    info["state"] = info["state"].T
+    info["termination"] = rows[Row.termination].astype(np.int64)
+    return info
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:

@@ -16,7 +16,9 @@ NUMBERS = (*POSITIVE, *NON_NEGATIVE, "static_ratio")
 
 
 def test_the_defaults_are_the_papers():
-    assert Capsule().plant() == Plant(0.5, 0.138, 0.3, 9.81, 0.36, 0.0923, 0.01, 1.0, 1.0, 0.0, 0.138 / 0.638)
+    own = {"M": 0.5, "m": 0.138, "l": 0.3, "g": 9.81, "k": 0.36, "c": 0.0923, "mu": 0.01}
+    ratios = {"static_ratio": 1.0, "backward_ratio": 1.0, "mass_ratio": 0.138 / 0.638}
+    assert Capsule().plant() == Plant(**own, **ratios, pivot_torque_on_contact=0.0)
 
 
 @pytest.mark.parametrize("field", NUMBERS)

@@ -266,10 +266,10 @@ def run(policy, M, mu, **kwargs):
     act = policy.start(range(len(M)))
     error = 0.0
     for _ in range(1650):
-        observations, _, _, _, info = env.step(act(observations))
+        observations = env.step(act(observations))[0]
         if env.simulation.controller:
             error = max(error, float(np.abs(observations[:, 0] - observations[:, 5]).max()))
-    return info["metrics"], error
+    return env.episode_metrics(), error
 
 
 def test_adaptive_law_tracks_over_the_whole_range_of_the_paper():
