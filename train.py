@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from agents.training.presets import PRESETS, Config
+from agents.training.stopping import INTERRUPTED, Leaving
+
+LEAVING = Leaving()
+if __name__ == "__main__":
+    # Before what takes seconds to import.
+    LEAVING.install()
+
+from agents.training.errors import RunError  # noqa: E402
+from agents.training.presets import PRESETS, Config, read_config  # noqa: E402
 
 RUNS = Path("runs")
 
@@ -80,7 +87,10 @@ def parse(arguments: Sequence[str] | None = None) -> tuple[Config, argparse.Name
     _add_fields(parser.add_argument_group(f"hyperparameters ({known.task}, {known.algo})"), preset)
     options = parser.parse_args(arguments)
     if options.resume is not None:
-        config = _read_config(parser, options.resume)
+        try:
+            config = read_config(options.resume)
+        except RunError as error:
+            parser.error(str(error))
         given = (
             options.total_steps
             if any(a.startswith("--total-steps") for a in arguments or sys.argv[1:])
@@ -92,16 +102,6 @@ def parse(arguments: Sequence[str] | None = None) -> tuple[Config, argparse.Name
     return config, options
 
 
-def _read_config(parser: argparse.ArgumentParser, run: Path) -> Config:
-    """The configuration of an earlier run."""
-    path = run / "config.json"
-    if not path.is_file():
-        parser.error(f"--resume must name the folder of a run, got {str(run)!r}, which has no config.json")
-    content = json.loads(path.read_text(encoding="utf-8"))
-    kind = type(PRESETS[content["task"], content["algo"]])
-    return kind(**content["hyperparameters"])
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     config, options = parse(arguments)
@@ -109,28 +109,40 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from agents import comparison
     from agents.training import loop as training
 
-    if options.resume is not None:
-        run = options.resume
-        print(f"Going on with {run} (seed {config.seed}) towards {config.total_steps:,} steps.")
-    else:
-        stamp = time.strftime("%Y%m%d-%H%M%S")
-        run = options.run or RUNS / f"{config.task}-{config.algo}-seed{config.seed}-{stamp}"
-        try:
-            training.begin(run, config)
-        except FileExistsError:
-            print(
-                f"train.py: error: --run must name a new folder, got {str(run)!r}; --resume {run} goes on with it",
-                file=sys.stderr,
-            )
-            return 2
-        print(f"Training {config.algo.upper()} on the {config.task} task, seed {config.seed}, in {run}.")
-    if not training.train(run, config):
+    try:
+        if options.resume is not None:
+            run = options.resume
+            print(f"Going on with {run} (seed {config.seed}) towards {config.total_steps:,} steps.")
+        else:
+            stamp = time.strftime("%Y%m%d-%H%M%S")
+            run = options.run or RUNS / f"{config.task}-{config.algo}-seed{config.seed}-{stamp}"
+            begin(run, config)
+            print(f"Training {config.algo.upper()} on the {config.task} task, seed {config.seed}, in {run}.")
+        LEAVING.message = f"Stopped. To go on: python train.py --resume {run}"
+        finished = training.train(run, config)
+    except (RunError, OSError) as error:
+        print(f"train.py: error: {error}", file=sys.stderr)
+        return 2
+    if not finished:
         print(f"\nStopped; saved. To go on: python train.py --resume {run}")
-        return 130
+        return INTERRUPTED
     print(f"Trained; the best model on its own draws is {run / 'best' / 'model.zip'}.")
     if not options.no_comparison:
+        LEAVING.message = "Stopped. The run is complete; its comparison is not."
         comparison.compare(run)
     return 0
+
+
+def begin(run: Path, config: Config) -> None:
+    """Makes the folder of a new run; whatever it refuses is an error of the command line."""
+    from agents.training import loop as training
+
+    try:
+        training.begin(run, config)
+    except FileExistsError:
+        raise RunError(f"--run must name a new folder, got {str(run)!r}; --resume {run} goes on with it") from None
+    except (TypeError, ValueError) as error:
+        raise RunError(str(error)) from error
 
 
 if __name__ == "__main__":

@@ -67,7 +67,7 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
         **defaults,
     )
     check = getattr(options, "check", None)
-    if check is not None:
+    if callable(check):
         try:
             check()
         except (TypeError, ValueError) as error:

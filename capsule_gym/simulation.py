@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from enum import IntEnum
@@ -211,6 +212,8 @@ class Simulation:
         # Whether `Row.active` is 1 everywhere.
         self._everyone = False
         self._pool: ThreadPoolExecutor | None = None
+        # The process whose threads they are.
+        self._owner = 0
 
     def row(self, row: int) -> np.ndarray:
         """A copy of one quantity of every environment, shape (num_envs,)."""
@@ -330,7 +333,9 @@ class Simulation:
         """Runs the kernel on all environments; returns one whose numbers are no longer finite, or -1."""
         if len(self._ranges) == 1:
             return self._advance(0, self.num_envs, begin)
-        if self._pool is None:
+        # A forked process inherits the pool, but none of its threads.
+        if self._pool is None or self._owner != os.getpid():
+            self._owner = os.getpid()
             self._pool = ThreadPoolExecutor(len(self._ranges) - 1, thread_name_prefix="capsule")
         # The calling thread does its share: one less to be woken up.
         others = [self._pool.submit(self._advance, first, last, begin) for first, last in self._ranges[1:]]
@@ -393,9 +398,9 @@ class Simulation:
 
     def close(self) -> None:
         """Ends the threads."""
-        if self._pool is not None:
+        if self._pool is not None and self._owner == os.getpid():
             self._pool.shutdown()
-            self._pool = None
+        self._pool = None
 
     def _check_plant(self, M: float, mu: float) -> None:
         """Refuses M and mu that are invalid, or outside the bounds of the observation that shows them."""

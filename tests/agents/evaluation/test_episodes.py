@@ -12,7 +12,8 @@ from agents.evaluation.candidates import Run, all_candidates, checkpoint_names, 
 from agents.evaluation.episodes import difference, failures, make_result, scores, summarise
 from agents.evaluation.sets import load_set, parse_set
 from agents.evaluation.statistics import estimate
-from agents.training.runs import CONFIG, MODEL, NORMALISATION, Normalisation, save_model
+from agents.training.presets import CONFIG
+from agents.training.runs import MODEL, NORMALISATION, Normalisation, save_model
 from agents.training.vec_env import CapsuleSB3VecEnv
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.files import to_json

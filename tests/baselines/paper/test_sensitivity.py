@@ -17,7 +17,7 @@ from baselines.paper.sensitivity import (
     friction_for,
     grid,
     least_mass_in_contact,
-    report,
+    main,
     speed_map,
     step_study,
     turning_points,
@@ -221,7 +221,8 @@ def test_grid_spans_the_stated_ranges():
     np.testing.assert_allclose((mu[0], mu[-1]), MU_RANGE)
 
 
-def test_report_says_where_the_order_turns():
-    text = report()
-    assert "changes at     no points" in text
-    assert "EPC       loses contact below M = 0.40" in text
+def test_command_says_where_the_order_turns(capsys):
+    assert main([]) == 0
+    text = capsys.readouterr().out
+    assert "the faster profile changes at no points" in text
+    assert "EPC loses contact below M = 0.40" in text
