@@ -37,7 +37,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from capsule_gym import task
-from capsule_gym.files import replacing
+from capsule_gym.files import write_bytes_atomically
 from capsule_gym.network import Layer, decision, pack
 from capsule_gym.parameters import Capsule, Randomization, check_number
 from capsule_gym.simulation import Simulation
@@ -206,8 +206,7 @@ class Policy:
             "training_seed": str(self.training_seed),
             "revision": self.revision,
         }
-        with replacing(Path(path)) as temporary:
-            temporary.write_bytes(_in_order(save(tensors, metadata)))
+        write_bytes_atomically(Path(path), _in_order(save(tensors, metadata)))
 
 
 def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool = False) -> Policy:
