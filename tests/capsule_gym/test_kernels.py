@@ -77,7 +77,10 @@ def functions_of(module: ModuleType) -> dict[str, FunctionType]:
 
 
 # What runs in Python alone, and the physics' own way through a whole step, of which the kernel takes the parts.
-NOT_COMPILED = {"pack", "build", "_own_fingerprint", "observation_names", "observation_bounds", "step"}
+NOT_COMPILED = {
+    "pack", "build", "_own_fingerprint", "observation_names", "observation_bounds", "step",
+    "arccos", "sines_and_cosines", "_evaluate", "_compiled",
+}  # fmt: skip
 COMPILED = [
     pytest.param(function, id=f"{module.__name__.rpartition('.')[2]}.{name}")
     for module in (trigonometry, dynamics, task, kernels)
