@@ -12,7 +12,7 @@ from numba import types
 
 from capsule_gym import kernels
 from capsule_gym.compilation import compile_now, fingerprint, kernel
-from capsule_gym.kernels import ACTION, ACTIVE, LANES, MASS, MU, STEPS, TERMINATION
+from capsule_gym.kernels import AT, LANES
 from capsule_gym.network import think_apart, workspace
 from capsule_gym.policy import Policy
 from capsule_gym.simulation import Simulation, check_count
@@ -57,17 +57,17 @@ def play(
         for _ in range(steps):
             going = 0
             for j in range(n):
-                active = block[TERMINATION + j] == 0.0
-                block[ACTIVE + j] = 1.0 if active else 0.0
+                active = block[AT.termination + j] == 0.0
+                block[AT.active + j] = 1.0 if active else 0.0
                 going += active
             actions = think_apart(network, observations, start, n, lanes)
             for j in range(n):
                 # As coarse as an action that is handed to the environment.
-                block[ACTION + j] = np.float32(actions[j])
+                block[AT.action + j] = np.float32(actions[j])
             for change in changes:
                 j = int(change[ENVIRONMENT]) - start
-                if 0 <= j < n and change[TIME] <= block[STEPS + j] * control_dt + 1e-9:
-                    block[MASS + j], block[MU + j] = change[NEW_M], change[NEW_MU]
+                if 0 <= j < n and change[TIME] <= block[AT.steps + j] * control_dt + 1e-9:
+                    block[AT.M + j], block[AT.mu + j] = change[NEW_M], change[NEW_MU]
                     change[ENVIRONMENT] = -1.0
             broken = advance(world, start, start + n, False, fixed, observations)
             if broken >= 0:
