@@ -90,10 +90,10 @@ def launch(bench: Bench, algo: str, run: Path, moment: Moment) -> Child:
 
 def await_moment(bench: Bench, child: Child, run: Path, moment: Moment) -> None:
     """Waits for a moment."""
-    first = steps_of(run)
+    first, now = steps_of(run), time.time()
     conditions = {
         "training": (lambda: steps_of(run) > first, 0.5),
-        "writing": (lambda: any(run.glob(f"*{checkpoint.PARTIAL}")), 0.02),
+        "writing": (lambda: written_since(run, now), 0.02),
         "starting": (child.handles_signals, 1.5),
         "importing": (child.handles_signals, 3.0),
         "compiling": (lambda: "compiling" in child.printed(), 4.0),
@@ -101,6 +101,14 @@ def await_moment(bench: Bench, child: Child, run: Path, moment: Moment) -> None:
     condition, longest = conditions[moment.when]
     child.wait(condition)
     child.wait(seconds=bench.rng.uniform(0.0, longest))
+
+
+def written_since(run: Path, then: float) -> bool:
+    """Whether a checkpoint is being written, not one that was never finished."""
+    try:
+        return any(path.stat().st_mtime > then for path in run.glob(f"*{checkpoint.PARTIAL}"))
+    except FileNotFoundError:
+        return False
 
 
 def judge(child: Child, run: Path, moment: Moment, outcome: Outcome, interval: int) -> None:
