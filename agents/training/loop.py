@@ -131,6 +131,7 @@ class Monitor(BaseCallback):
         baseline = evaluate(SCRIPTED[BASELINE], self.draws)
         self.baseline_speed = float(interquartile_mean(scores(baseline, "mean_speed"))[0])
         self.evaluations = Table(run / EVALUATIONS, EVALUATED, progress.evaluated_at)
+        self.bar: tqdm[Any] = tqdm(disable=True)
 
     def _on_training_start(self) -> None:
         self.began = time.monotonic() - self.progress.elapsed
@@ -174,7 +175,6 @@ class Monitor(BaseCallback):
 
     def _on_training_end(self) -> None:
         self.evaluate()
-        self.bar.close()
 
     def evaluate(self) -> None:
         """Evaluates the deterministic policy, writes a line, a checkpoint, and the best model where it is one."""
@@ -307,9 +307,9 @@ def train(run: Path, config: Config) -> bool:
                 with stop:
                     model.learn(remaining, callback=monitor, reset_num_timesteps=latest is None)
         except Stopped:
-            monitor.bar.close()
             monitor.checkpoint()
         finally:
+            monitor.bar.close()
             model.logger.close()
             env.close()
         save_model(run, model, Normalisation.of(env))

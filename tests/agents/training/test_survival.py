@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import json
 import os
@@ -17,7 +16,6 @@ import numpy as np
 import pytest
 import torch
 from stable_baselines3.common.logger import Logger
-from stable_baselines3.common.save_util import load_from_zip_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import train as command_line
@@ -28,6 +26,7 @@ from agents.training.logs import Events, Table
 from agents.training.loop import Monitor, begin, make_env, make_model, train
 from agents.training.presets import PRESETS, Config, read_config
 from agents.training.stopping import Stop
+from tests.agents.training.sameness import differences, parameters, rows, same
 
 SMALL = {"num_envs": 8, "batch_size": 64, "hidden": 8, "evaluation_episodes": 2, "evaluate_every": 300}
 OWN = {
@@ -73,38 +72,6 @@ def new_run(folder: Path, config: Config) -> Path:
     return folder
 
 
-def parameters(archive: Path) -> dict:
-    """Networks and optimisers of an archive, without unpickling."""
-    _, states, variables = load_from_zip_file(archive, load_data=False, device="cpu")
-    return {"states": states, "variables": variables}
-
-
-def same(a, b) -> bool:
-    if isinstance(a, torch.Tensor):
-        return torch.equal(a, b)
-    if isinstance(a, dict):
-        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
-    if isinstance(a, (list, tuple)):
-        return len(a) == len(b) and all(map(same, a, b))
-    return a == b
-
-
-def rows(path: Path, without: tuple[str, ...]) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return [{name: value for name, value in row.items() if name not in without} for row in csv.DictReader(file)]
-
-
-CLOCKS = ("seconds", "time/fps", "time/time_elapsed", "time/iterations")
-
-
-def assert_same_run(run: Path, other: Path) -> None:
-    for folder in (".", "best"):
-        assert same(parameters(run / folder / "model.zip"), parameters(other / folder / "model.zip"))
-        assert (run / folder / "normalisation.json").read_text() == (other / folder / "normalisation.json").read_text()
-    for table in ("evaluations.csv", "logs/progress.csv"):
-        assert rows(run / table, CLOCKS) == rows(other / table, CLOCKS)
-
-
 def scalars(run: Path, tag: str) -> list[tuple[int, float]]:
     events = EventAccumulator(str(run / "logs"))
     events.Reload()
@@ -145,7 +112,7 @@ def test_a_run_that_was_killed_and_stopped_ends_with_the_same_policy(tmp_path, m
     for draw in (random.random, np.random.random, lambda: torch.rand(1)):
         draw()
     assert train(run, config)
-    assert_same_run(run, whole[algo])
+    assert differences(run, whole[algo]) == []
     assert scalars(run, "episodes/mean_speed") == scalars(whole[algo], "episodes/mean_speed")
     progress = json.loads((checkpoint.newest(run) / "progress.json").read_text())
     assert len(progress["resumed_at"]) == 2 and progress["resumed_at"][-1] == stopped
@@ -229,7 +196,7 @@ def test_a_run_goes_on_from_the_checkpoint_before_a_damaged_one(tmp_path, capsys
     (run / "model.zip").unlink()
     assert train(run, small("residual", "ppo"))
     assert f"{newer} is damaged" in capsys.readouterr().err
-    assert_same_run(run, whole["ppo"])
+    assert differences(run, whole["ppo"]) == []
     assert sorted(run.glob("checkpoint-*")) == [older, newer]
     assert checkpoint.damage(newer) is None
 
@@ -402,7 +369,7 @@ def test_a_new_end_is_another_run_and_said_so(tmp_path, capsys, monkeypatch, who
     assert command_line.main(["--resume", str(run), "--total-steps", "2000", "--no-comparison"]) == 0
     assert "this is another run" in capsys.readouterr().out
     assert read_config(run).total_steps == 2000
-    evaluations = [int(row["steps"]) for row in rows(run / "evaluations.csv", ())]
+    evaluations = [int(row["steps"]) for row in rows(run / "evaluations.csv")]
     assert evaluations[-1] >= 2000 and evaluations == sorted(set(evaluations))
     # From now on it is the end of this run.
     assert command_line.main(["--resume", str(run), "--no-comparison"]) == 0
@@ -424,7 +391,7 @@ def test_a_table_goes_on_where_it_was(tmp_path):
     table.add({"steps": 10, "a": 1.5})
     table.add({"steps": 20, "b": "x, y"})
     table.add({"steps": 30, "a": 2.5})
-    assert rows(path, ()) == [
+    assert rows(path) == [
         {"steps": "10", "a": "1.5", "b": ""},
         {"steps": "20", "a": "", "b": "x, y"},
         {"steps": "30", "a": "2.5", "b": ""},
@@ -433,11 +400,11 @@ def test_a_table_goes_on_where_it_was(tmp_path):
         file.write("15,2.")
     again = Table(path, "steps", 20)
     again.add({"steps": 25, "c": 3})
-    assert [(row["steps"], row["c"]) for row in rows(path, ())] == [("10", ""), ("20", ""), ("25", "3")]
+    assert [(row["steps"], row["c"]) for row in rows(path)] == [("10", ""), ("20", ""), ("25", "3")]
     for content in ("", "ste", "\0\n\0\0\n"):
         path.write_text(content)
         Table(path, "steps", 20).add({"steps": 1})
-        assert rows(path, ()) == [{"steps": "1"}]
+        assert rows(path) == [{"steps": "1"}]
 
 
 def test_events_of_a_part_that_is_trained_again_are_hidden(tmp_path):
