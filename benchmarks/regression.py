@@ -25,7 +25,8 @@ from benchmarks.timing import available_cores, describe, machine
 from capsule_gym import ENV_ID
 from capsule_gym.files import to_json, write_atomically
 from capsule_gym.kernels import Row
-from capsule_gym.simulation import LAW_PHYSICS_DT, Simulation
+from capsule_gym.options import LAW_PHYSICS_DT, Options
+from capsule_gym.simulation import Simulation
 
 NUM_ENVS = 1024
 MANY = 16384
@@ -97,7 +98,7 @@ def stepping(simulation: Simulation, kernel: Callable[[], Any], held: bool = Fal
 
 def seeded(num_envs: int, **settings: Any) -> Simulation:
     """Environments with a seed each, so that no two have the same plant."""
-    simulation = Simulation(num_envs, **settings)
+    simulation = Simulation(num_envs, Options(**settings))
     for i in range(num_envs):
         simulation.seed(i, i)
     return simulation

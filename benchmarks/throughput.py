@@ -21,7 +21,7 @@ from benchmarks import accuracy, contenders, cost, creep, speed_figure
 from benchmarks.timing import Contender, Rate, available_cores, describe, machine, measure, present
 from capsule_gym import task
 from capsule_gym.files import to_json, write_atomically
-from capsule_gym.simulation import DIRECT_PHYSICS_DT
+from capsule_gym.options import DIRECT_PHYSICS_DT
 
 TURNS, QUICK_TURNS = 9, 3
 TURN_SECONDS = 0.2

@@ -26,6 +26,7 @@ from benchmarks.timing import Contender, Rate, Stepper, describe, machine, measu
 from capsule_gym import dynamics, kernels, simulation, task, trigonometry
 from capsule_gym.compilation import inlined
 from capsule_gym.files import to_json, write_atomically
+from capsule_gym.options import DIRECT_PHYSICS_DT
 
 TURNS = 15
 TURN_SECONDS = 0.1
@@ -168,7 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rates = {key: measured[contender.name] for key, contender in everything.items()}
     note = (
         f"The kernel alone on one core, direct torque uniform within ±{ACTION_SCALE * task.TORQUE_LIMIT:g} N m, "
-        f"{1e3 * simulation.DIRECT_PHYSICS_DT:g} ms; medians of {options.turns} turns. {describe(found)}."
+        f"{1e3 * DIRECT_PHYSICS_DT:g} ms; medians of {options.turns} turns. {describe(found)}."
     )
     print(text_table(rows(rates)), note, sep="\n\n")
     if options.json is not None:

@@ -21,6 +21,7 @@ from baselines.paper import published
 from baselines.paper.traces import CYCLES, UNLIMITED
 from capsule_gym import Capsule, Controller, dynamics
 from capsule_gym.compilation import compile_cached
+from capsule_gym.options import Options
 from capsule_gym.parameters import NOMINAL, NormalForce, Plant, check_number
 from capsule_gym.simulation import Simulation
 
@@ -218,8 +219,7 @@ def step_study(profile: Profile, steps: Sequence[float] = STEPS, law_step: float
         table = np.zeros((len(times), len(COLUMNS)))
         table[:, :3] = np.stack(profile.evaluate(times), axis=1)
         controller = Controller("feedback-linearising", feedback_linearising_law(plant, K_P, K_V), table, dt=held)
-        simulation = Simulation(
-            1,
+        options = Options(
             controller=controller,
             randomization="none",
             torque_limit=UNLIMITED,
@@ -227,6 +227,7 @@ def step_study(profile: Profile, steps: Sequence[float] = STEPS, law_step: float
             control_dt=AGENT_STEP,
             physics_dt=step,
         )
+        simulation = Simulation(1, options)
         everyone = np.zeros(1, np.int64)
         simulation.reset(everyone, M=[plant.M], mu=[plant.mu])
         for _ in range(round(CYCLES * profile.period / AGENT_STEP)):

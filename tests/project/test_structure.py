@@ -21,6 +21,7 @@ ORDER = [
     "controller",
     "task",
     "kernels",
+    "options",
     "simulation",
     "canvas",
     "rendering",
