@@ -19,8 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks import driver, reference
 from capsule_gym.parameters import Capsule
-from tests import driver, reference
 
 START = (-math.pi / 3, 0.0, 0.0, 0.0)
 HOLD = 0.02

@@ -18,10 +18,9 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from benchmarks import mujoco_capsule
+from benchmarks import driver, mujoco_capsule
 from benchmarks.timing import Progress
 from capsule_gym.parameters import Capsule, Plant
-from tests import driver
 
 LOADS = (0.2, 0.5, 0.9)
 SECONDS = 10.0

@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import accuracy, contenders, cost, creep, mujoco_capsule, native, throughput
+from benchmarks import accuracy, contenders, cost, creep, driver, mujoco_capsule, native, throughput
 from benchmarks.timing import Contender, Rate, Stepper, measure, present
 from capsule_gym.kernels import Row
 from capsule_gym.options import Options
 from capsule_gym.parameters import Capsule
 from capsule_gym.simulation import Simulation
-from tests import driver
 
 ABSENT = "a_package_that_nobody_has"
 
