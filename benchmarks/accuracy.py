@@ -24,7 +24,7 @@ from capsule_gym.command_line import Count, parse
 from capsule_gym.parameters import Capsule
 
 if TYPE_CHECKING:
-    from tests import reference
+    from benchmarks import reference
 
 COMMAND = "python -m benchmarks.accuracy"
 START = (task.START_THETA, 0.0, 0.0, 0.0)
@@ -76,7 +76,7 @@ class Expected(NamedTuple):
 def expected_trajectories(mu: float, amplitude: float, trajectories: int) -> list[Expected]:
     """Solves as many trajectories with the reference; the first of more are the same."""
     # scipy's solvers take a second to import, which --help need not wait for.
-    from tests import reference
+    from benchmarks import reference
 
     solved = []
     for seed in range(trajectories):
@@ -89,7 +89,7 @@ def expected_trajectories(mu: float, amplitude: float, trajectories: int) -> lis
 
 def errors(mu: float, solved: list[Expected]) -> np.ndarray:
     """Errors of every trajectory (rows) at every step size."""
-    from tests import driver
+    from benchmarks import driver
 
     plant = Capsule(mu=mu).plant()
     table = np.empty((len(solved), len(STEPS_MS)))

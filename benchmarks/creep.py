@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks import driver
 from benchmarks.frictions import HOLDING_FRICTIONS, INTEGRATORS, series_name
 from benchmarks.timing import Progress
 from capsule_gym.parameters import Capsule, Plant
-from tests import driver
 
 LOADS = (0.2, 0.5, 0.9)
 SECONDS = 10.0

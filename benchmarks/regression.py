@@ -30,7 +30,9 @@ from benchmarks.output import Output
 from capsule_gym import ENV_ID
 from capsule_gym.command_line import parse
 from capsule_gym.kernels import Row
-from capsule_gym.simulation import LAW_PHYSICS_DT, Simulation
+from capsule_gym.options import LAW_PHYSICS_DT
+from capsule_gym.options import Options as EnvOptions
+from capsule_gym.simulation import Simulation
 
 COMMAND = "python -m benchmarks.regression"
 NUM_ENVS = 1024
@@ -138,7 +140,7 @@ def stepping(
 
 def seeded(num_envs: int, **settings: Any) -> Simulation:
     """Environments with a seed each, so that no two have the same plant."""
-    simulation = Simulation(num_envs, **settings)
+    simulation = Simulation(num_envs, EnvOptions(**settings))
     for i in range(num_envs):
         simulation.seed(i, i)
     return simulation

@@ -26,6 +26,7 @@ from benchmarks.timing import Contender, Rate, Stepper, measure
 from capsule_gym import dynamics, kernels, simulation, task, trigonometry
 from capsule_gym.command_line import Count, parse
 from capsule_gym.compilation import inlined
+from capsule_gym.options import DIRECT_PHYSICS_DT
 
 COMMAND = "python -m benchmarks.tricks"
 TURNS = 15
@@ -178,7 +179,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rates = {key: measured[contender.name] for key, contender in everything.items()}
     note = (
         f"The kernel alone on one core, direct torque uniform within ±{ACTION_SCALE * task.TORQUE_LIMIT:g} N m, "
-        f"{1e3 * simulation.DIRECT_PHYSICS_DT:g} ms; medians of {options.turns} turns. {describe(found)}."
+        f"{1e3 * DIRECT_PHYSICS_DT:g} ms; medians of {options.turns} turns. {describe(found)}."
     )
     print(text_table(rows(rates)), note, sep="\n\n")
     entries = [{"undone": name, "environments": n, **asdict(rate)} for (name, n), rate in rates.items()]

@@ -50,10 +50,27 @@ def check_number(
     """
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise TypeError(f"{name} must be {accepted}, got {value!r} of type {type(value).__name__}")
-    number = float(value)
+    try:
+        number = float(value)
+    except OverflowError:  # an integer beyond the largest float
+        number = math.inf
     if not math.isfinite(number) or number < low or number > high or (open_low and number == low):
         raise ValueError(f"{name} must be {accepted}, got {value!r}")
     return number
+
+
+def check_count(name: str, value: Any) -> int:
+    """Returns `value` as a positive int.
+
+    Raises:
+        TypeError: if it is no integer.
+        ValueError: if it is below 1.
+    """
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
+        raise TypeError(f"{name} must be an integer >= 1, got {value!r}")
+    if value < 1:
+        raise ValueError(f"{name} must be an integer >= 1, got {value!r}")
+    return int(value)
 
 
 def check_contact_is_regular(M: float, m: float, mu: float) -> None:
@@ -262,6 +279,14 @@ class Randomization:
             powers = [low * (high / low) ** share for share in uniform[:, 1].tolist()] if self.log_mu else None
             mu = low + (high - low) * uniform[:, 1] if powers is None else np.array(powers)
         return M, mu
+
+    def __str__(self) -> str:
+        if self.M is None and self.mu is None:
+            return "the capsule's own M and mu"
+        M = "the capsule's own M" if self.M is None else f"M in [{self.M[0]:g}, {self.M[1]:g}] kg"
+        scale = "log-uniform " if self.log_mu else ""
+        mu = "the capsule's own mu" if self.mu is None else f"mu {scale}in [{self.mu[0]:g}, {self.mu[1]:g}]"
+        return f"{M}, {mu}"
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types, for configuration files."""

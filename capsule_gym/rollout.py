@@ -14,8 +14,9 @@ from capsule_gym import kernels
 from capsule_gym.compilation import compile_now, fingerprint, kernel
 from capsule_gym.kernels import AT, LANES
 from capsule_gym.network import think_apart, workspace
+from capsule_gym.parameters import check_count
 from capsule_gym.policy import Policy
-from capsule_gym.simulation import Simulation, check_count
+from capsule_gym.simulation import Simulation
 
 # The columns of the changes of M and mu: the environment, or -1 where the change is done, and the rest in SI units.
 ENVIRONMENT, TIME, NEW_M, NEW_MU = range(4)
@@ -113,7 +114,7 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
     entries = simulation.observations.shape[1]
     if policy.entries != entries:
         raise ValueError(
-            f"policy must take the observations of the simulation, {entries} entries {simulation.observation_names}, "
+            f"policy must take the observations of the simulation, {entries} entries, "
             f"got {policy.name!r}, which takes {policy.entries}"
         )
     changes = np.array(
@@ -129,7 +130,7 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
             blocks,
             *bounds,
             steps,
-            simulation.control_dt,
+            simulation.options.control_dt,
             fixed,
             simulation.observations,
             policy._network,

@@ -11,8 +11,7 @@ from baselines.laws.gains import COMPLIANT, PUBLISHED, REGULARISED, UNREGULARISE
 from baselines.laws.profiles import PROPOSED, Profile
 from baselines.laws.reference import COLUMNS, reference_table
 from capsule_gym.controller import LAW_DT, Controller, Law
-from capsule_gym.parameters import NOMINAL, Capsule, Plant, check_number
-from capsule_gym.simulation import check_count
+from capsule_gym.parameters import NOMINAL, Capsule, Plant, check_count, check_number
 
 
 def adaptive_law(constants: Constants) -> Law:

@@ -20,6 +20,7 @@ from baselines.laws.reference import reference_table
 from baselines.paper.traces import CYCLES, UNLIMITED
 from capsule_gym.controller import LAW_DT, Controller, Law
 from capsule_gym.kernels import ROWS, Row
+from capsule_gym.options import Options
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.simulation import Simulation
 
@@ -143,8 +144,7 @@ def endure(
     """
     count = len(plants)
     # An agent step of one cycle: nothing but the law's memory has to be looked at in between.
-    simulation = Simulation(
-        count,
+    options = Options(
         controller=controller,
         randomization="none",
         torque_limit=torque_limit,
@@ -152,6 +152,7 @@ def endure(
         control_dt=PROPOSED.period,
         physics_dt=min(controller.dt, LAW_DT),
     )
+    simulation = Simulation(count, options)
     simulation.reset(np.arange(count), M=[M for M, _ in plants], mu=[mu for _, mu in plants])
     running, nothing = np.ones(count, np.bool_), np.zeros(count)
     first, last = ROWS + FIRST_PEAK, ROWS + FIRST_PEAK + len(PEAKS)

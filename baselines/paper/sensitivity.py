@@ -22,6 +22,7 @@ from baselines.paper.traces import CYCLES, UNLIMITED
 from capsule_gym import Capsule, Controller, dynamics
 from capsule_gym.command_line import parse
 from capsule_gym.compilation import compile_cached
+from capsule_gym.options import Options as EnvOptions
 from capsule_gym.parameters import NOMINAL, NormalForce, Plant, check_number
 from capsule_gym.simulation import Simulation
 
@@ -221,8 +222,7 @@ def step_study(profile: Profile, steps: Sequence[float] = STEPS, law_step: float
         table = np.zeros((len(times), len(COLUMNS)))
         table[:, :3] = np.stack(profile.evaluate(times), axis=1)
         controller = Controller("feedback-linearising", feedback_linearising_law(plant, K_P, K_V), table, dt=held)
-        simulation = Simulation(
-            1,
+        options = EnvOptions(
             controller=controller,
             randomization="none",
             torque_limit=UNLIMITED,
@@ -230,6 +230,7 @@ def step_study(profile: Profile, steps: Sequence[float] = STEPS, law_step: float
             control_dt=AGENT_STEP,
             physics_dt=step,
         )
+        simulation = Simulation(1, options)
         everyone = np.zeros(1, np.int64)
         simulation.reset(everyone, M=[plant.M], mu=[plant.mu])
         for _ in range(round(CYCLES * profile.period / AGENT_STEP)):

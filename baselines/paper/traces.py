@@ -10,6 +10,7 @@ import numpy as np
 from capsule_gym import Capsule, Controller
 from capsule_gym.controller import LAW_DT
 from capsule_gym.kernels import ROWS, Row
+from capsule_gym.options import Options
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.simulation import Simulation
 
@@ -104,9 +105,8 @@ def traces(controller: Controller, plants: list[tuple[float, float]], **settings
     cycles = settings.pop("cycles", CYCLES)
     settings.setdefault("torque_limit", UNLIMITED)
     settings.setdefault("physics_dt", LAW_DT)
-    simulation = Simulation(
-        len(plants), controller=controller, randomization="none", residual_limit=0.0, control_dt=LAW_DT, **settings
-    )
+    options = Options(controller=controller, randomization="none", residual_limit=0.0, control_dt=LAW_DT, **settings)
+    simulation = Simulation(len(plants), options)
     everywhere = np.arange(len(plants))
     simulation.reset(everywhere, M=[M for M, _ in plants], mu=[mu for _, mu in plants])
     steps = cycles * len(simulation.reference)

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import accuracy, contenders, cost, creep, native, speed_tables, throughput
+from benchmarks import accuracy, contenders, cost, creep, driver, native, speed_tables, throughput
 from benchmarks.frictions import CONTACT, FRICTIONLOSS, HOLDING_FRICTIONS, Friction, series_name
 from benchmarks.output import written_by
 from benchmarks.timing import Contender, Rate, Stepper, measure, present
 from capsule_gym.kernels import Row
+from capsule_gym.options import Options
 from capsule_gym.parameters import Capsule
 from capsule_gym.simulation import Simulation
-from tests import driver
 
 ABSENT = "a_package_that_nobody_has"
 
@@ -201,7 +201,7 @@ def test_mujoco_steps_a_batch_and_begins_again_where_the_ball_meets_the_platform
 def test_the_kernel_in_c_does_the_same_work():
     # Twenty steps of hard torques with events and ended episodes; then rounding is no longer all that differs.
     n = 100
-    simulations = [Simulation(n, randomization="wide") for _ in range(2)]
+    simulations = [Simulation(n, Options(randomization="wide")) for _ in range(2)]
     for simulation in simulations:
         for i in range(n):
             simulation.seed(i, i)
@@ -225,4 +225,4 @@ def test_the_kernel_in_c_does_the_same_work():
 
 def test_the_kernel_in_c_refuses_what_it_does_not_know():
     with pytest.raises(ValueError, match="direct-torque task"):
-        native.Native(Simulation(1, observe_parameters=True), native.STRICT)
+        native.Native(Simulation(1, Options(observe_parameters=True)), native.STRICT)

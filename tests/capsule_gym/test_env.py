@@ -308,7 +308,7 @@ def test_spec_survives_json_and_pickle():
     env = gym.make(ENV_ID, controller="baselines:adaptive", residual_limit=2.0)
     spec = type(env.spec).from_json(env.spec.to_json())
     again = gym.make(spec)
-    assert again.unwrapped.simulation.residual_limit == 2.0
+    assert again.unwrapped.simulation.settings.residual_limit == 2.0
     assert json.loads(env.spec.to_json())["kwargs"]["controller"] == "baselines:adaptive"
     copy = pickle.loads(pickle.dumps(env))
     a, b = rollout(env, 1, 60), rollout(copy, 1, 60)

@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.kernels import ROWS, Row
+from capsule_gym.options import Options
 from capsule_gym.simulation import METRICS, Simulation
 from capsule_gym.task import Termination
 from tests.capsule_gym.test_env import layout
@@ -159,7 +160,7 @@ def alone(request) -> Alone:
     running = np.zeros(actions.shape, bool)
     columns, observations, metrics = [], [], []
     for i in range(LARGEST_BATCH):
-        simulation = Simulation(1, **kwargs)
+        simulation = Simulation(1, Options(**kwargs))
         simulation.seed(0, i)
         simulation.reset(np.array([0]))
         trace, seen = [], []
@@ -192,15 +193,15 @@ def test_the_lanes_meet_everything_that_can_happen(alone):
     assert 3 <= np.count_nonzero(failed) <= 40
     assert len(set(running.sum(axis=0))) >= 4
     # Phases change within steps of the integrator, and episodes end within steps of the agent.
-    simulation = Simulation(1, **alone.kwargs)
-    assert count_off_grid(columns[-1, Row.stuck], simulation.physics_dt) > 30
-    assert count_off_grid(columns[-1, Row.duration, failed], simulation.control_dt) > 0
+    simulation = Simulation(1, Options(**alone.kwargs))
+    assert count_off_grid(columns[-1, Row.stuck], simulation.settings.physics_dt) > 30
+    assert count_off_grid(columns[-1, Row.duration, failed], simulation.options.control_dt) > 0
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
 @pytest.mark.parametrize("n", [1, 63, 64, 65, LARGEST_BATCH])
 def test_every_quantity_is_that_of_the_environment_alone(alone, n, threads):
-    simulation = Simulation(n, threads=threads, **alone.kwargs)
+    simulation = Simulation(n, Options(threads=threads, **alone.kwargs))
     for i in range(n):
         simulation.seed(i, i)
     simulation.reset(np.arange(n))
