@@ -136,7 +136,7 @@ def test_the_horizon_of_the_metrics_is_the_rollouts():
 
 def test_a_policy_for_another_observation_is_refused():
     env, _ = begun(load_policy("direct-ppo"), 2)
-    with pytest.raises(ValueError, match=r"policy must take the observations of the simulation, 5 entries .*takes 10"):
+    with pytest.raises(ValueError, match=r"policy must take the observations of the simulation, 5 entries, .*takes 10"):
         rollout(env.simulation, load_policy("residual-ppo"), 10)
     with pytest.raises(ValueError, match="steps must be an integer >= 1, got 0"):
         rollout(env.simulation, load_policy("direct-ppo"), 0)
