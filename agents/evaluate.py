@@ -13,8 +13,9 @@ from agents.evaluation.candidates import Candidate, checkpoint_names, find_candi
 from agents.evaluation.episodes import Episode, difference, failures, make_result, scores, summarise
 from agents.evaluation.sets import SET_NAMES, EvaluationSet, load_set
 from agents.evaluation.statistics import interquartile_mean
-from agents.evaluation.tables import MEASURES, text_table
+from agents.evaluation.tables import MEASURES
 from baselines.policies import SCRIPTED
+from baselines.tables import text_table
 from capsule_gym.files import to_json, write_atomically
 
 DEFAULT_REFERENCE = "adaptive"

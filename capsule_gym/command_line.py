@@ -17,7 +17,7 @@ try:
 except ImportError as error:
     raise ImportError('this command needs tyro: pip install "capsule-gym[paper]"') from error
 
-__all__ = ["Count", "Positional", "check_output", "parse", "refuse"]
+__all__ = ["Count", "Positional", "check_output", "described", "parse", "refuse"]
 
 T = TypeVar("T")
 Positional = tyro.conf.Positional
@@ -44,6 +44,11 @@ Count = Annotated[
 """An integer >= 0, also in the form 8e6."""
 
 
+def described(text: str) -> Any:
+    """The help of a field as an annotation, for texts that hold values: `Annotated[int, ..]` with it as the second."""
+    return tyro.conf.arg(help=text)
+
+
 def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, default: T | None = None) -> T:
     """Reads a command line.
 
@@ -67,7 +72,7 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
         **defaults,
     )
     check = getattr(options, "check", None)
-    if check is not None:
+    if callable(check):
         try:
             check()
         except (TypeError, ValueError) as error:

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import inspect
 import pickle
+import re
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -35,6 +37,8 @@ OPTIONS: dict[str, Any] = {"error_model": "numpy"}
 _NO_WRAPPERS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 DIGEST_SIZE = hashlib.sha256().digest_size
+# What a fingerprint does not look into.
+_LIBRARIES = ("math", "numpy", "numba", "typing", "builtins")
 
 # For plain functions that compiled code may call, too; `inlined` ones leave no call behind, without which no loop over
 # environments is vectorised.
@@ -81,26 +85,33 @@ def fingerprint(function: Callable[..., Any]) -> str:
             digest.update(repr(sorted(value.targetoptions.items())).encode())
         value = value._defn if isinstance(value, _Intrinsic) else getattr(value, "py_func", value)
         if isinstance(value, FunctionType):
-            if id(value) in seen:
+            if id(value) in seen or value.__module__.startswith(_LIBRARIES):
                 return
             seen.add(id(value))
             add_code(value.__code__, value.__globals__)
             digest.update(repr(value.__defaults__).encode())
+            # numba learns from the argument where a named tuple holds which field: the code does not say it.
+            for word in re.findall(r"\w+", repr(value.__annotations__)):
+                kind = value.__globals__.get(word)
+                if isinstance(kind, type) and hasattr(kind, "_fields"):
+                    add(word, kind, ())
             for free, cell in zip(value.__code__.co_freevars, value.__closure__ or (), strict=True):
                 add(free, cell.cell_contents, ())
         elif isinstance(value, ModuleType):
-            if not value.__name__.startswith(("math", "numpy", "numba", "typing", "builtins")):
+            if not value.__name__.startswith(_LIBRARIES):
                 for attribute in names:
                     if hasattr(value, attribute):
                         add(attribute, getattr(value, attribute), ())
         elif isinstance(value, (tuple, list)):
             digest.update(f"{type(value).__qualname__} of {len(value)}".encode())
+            digest.update(repr(getattr(value, "_fields", ())).encode())
             for entry in value:
                 add("", entry, ())
         elif isinstance(value, np.ndarray):
             digest.update(repr((value.dtype, value.shape)).encode() + np.ascontiguousarray(value).tobytes())
         elif isinstance(value, type):
-            digest.update(repr((value.__qualname__, getattr(value, "_fields", ()))).encode())
+            fields = inspect.get_annotations(value) if hasattr(value, "_fields") else None
+            digest.update(repr((value.__qualname__, fields)).encode())
         else:
             digest.update(repr(value).encode())
 

@@ -76,12 +76,23 @@ def without_nonfinite(value: Any) -> Any:
 
 
 def to_json(value: Any) -> str:
-    """Indented JSON with None for numbers that are not finite."""
+    """Indented JSON with None for numbers that are not finite.
+
+    >>> print(to_json({"speed": 1.5, "cost": float("inf")}), end="")
+    {
+     "speed": 1.5,
+     "cost": null
+    }
+    """
     return json.dumps(without_nonfinite(value), indent=1, allow_nan=False) + "\n"
 
 
 def canonical_hash(value: Any) -> str:
-    """The sha256 of the value as JSON with sorted keys and no white space: layout and key order do not matter."""
+    """The sha256 of the value as JSON with sorted keys and no white space: layout and key order do not matter.
+
+    >>> canonical_hash({"M": 0.5, "mu": 0.01}) == canonical_hash({"mu": 0.01, "M": 0.5})
+    True
+    """
     return hashlib.sha256(json.dumps(value, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 

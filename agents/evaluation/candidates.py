@@ -13,6 +13,8 @@ from agents.evaluation.sets import HORIZON, EvaluationSet
 from baselines.policies import SCRIPTED
 from capsule_gym.task import TORQUE_LIMIT
 
+# The paper's controller, which everything else is compared with.
+BASELINE = "adaptive"
 CHECKPOINTS = Path(__file__).parents[1] / "checkpoints"
 # What decides a run's policy, as `agents.training.runs` names it (importing that would load torch).
 CONFIG = "config.json"

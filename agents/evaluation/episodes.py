@@ -88,18 +88,18 @@ def evaluate(policy: Policy, evaluation_set: EvaluationSet, *, horizon: float = 
             },
         )
         act = policy.start(seeds)
-        metrics: list[dict[str, float]] = [{} for _ in plants]
         for _ in range(steps):
-            observations, _, terminated, truncated, info = env.step(act(observations))
-            for i in np.flatnonzero(info.get("_metrics", ())):
-                metrics[i] = {name: float(values[i]) for name, values in info["metrics"].items()}
+            observations, _, terminated, truncated, _ = env.step(act(observations))
             if (terminated | truncated).all():
                 break
+        # Who has ended stands still.
+        metrics = env.episode_metrics()
     finally:
         env.close()
     shared = has_best_known(evaluation_set) and settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
     episodes = []
-    for plant, values in zip(plants, metrics, strict=True):
+    for i, plant in enumerate(plants):
+        values = {name: float(column[i]) for name, column in metrics.items()}
         if shared:
             values[SHARE.metric] = values["mean_speed"] / best_known_speed(plant.M, plant.mu)
         label = plant.to_dict()

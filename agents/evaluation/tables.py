@@ -1,9 +1,9 @@
-"""How numbers stand in tables: for the terminal and for Markdown."""
+"""The measures of an episode as tables show them: labels, units, digits."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,16 +50,3 @@ MEASURES = {
 
 # Stands in the results of the sets whose plants all lie on the grid of best-known gaits.
 SHARE = Measure("share_of_best_known", "share of best-known", 2)
-
-
-def text_table(rows: Sequence[Sequence[str]]) -> str:
-    """Aligned columns, the first row as the header."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    return "\n".join([lines[0], "-" * (sum(widths) + 2 * (len(widths) - 1)), *lines[1:]])
-
-
-def markdown_table(rows: Sequence[Sequence[str]]) -> list[str]:
-    """A Markdown table, the first row as the header."""
-    lines = ["| " + " | ".join(row) + " |" for row in rows]
-    return [lines[0], "|" + "---|" * len(rows[0]), *lines[1:]]

@@ -1,15 +1,15 @@
-"""The content of leaderboard.json: every policy evaluated on every frozen set."""
+"""The content of leaderboard.json: every policy evaluated on every frozen set, and how chaotic its numbers are."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from tqdm import tqdm
 
@@ -17,8 +17,11 @@ from agents.evaluation.candidates import POLICY_FILES, Candidate, Run
 from agents.evaluation.episodes import Episode, summarise, versions
 from agents.evaluation.sets import HORIZON, EvaluationSet
 from agents.evaluation.tables import MEASURES, SHARE
+from agents.leaderboard import tolerance
 from agents.leaderboard.page import rank, render, with_head
 from capsule_gym.files import file_hash, to_json, without_nonfinite, write_atomically
+
+T = TypeVar("T")
 
 
 def _one_thread() -> None:
@@ -42,7 +45,12 @@ def _pool(jobs: int) -> Iterator[Any]:
         yield executor.map
 
 
-def _static_row(candidate: Candidate) -> dict[str, Any]:
+def _with_progress(doing: str, results: Iterable[T], count: int) -> list[T]:
+    """All results, with a progress bar on a terminal."""
+    return list(tqdm(results, doing, count, file=sys.stderr, disable=None))
+
+
+def static_row(candidate: Candidate) -> dict[str, Any]:
     """What a row says before anything is evaluated."""
     revisions = dict.fromkeys(run.revision for run in candidate.runs if run.revision)
     folder = candidate.folder
@@ -56,15 +64,27 @@ def _static_row(candidate: Candidate) -> dict[str, Any]:
     }
 
 
-def _rounded(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """The summary's measures to six digits, and its counts."""
-    names = [name for name in (*MEASURES, SHARE.metric) if name in summary]
-    measures = {name: {end: float(f"{value:.6g}") for end, value in summary[name].items()} for name in names}
-    return {**measures, **{name: summary[name] for name in ("episodes", "failures", "resampled")}}
+def _rounded(value: Any, digits: int) -> Any:
+    """The same nested dicts with floats to so many significant digits."""
+    if isinstance(value, dict):
+        return {key: _rounded(entry, digits) for key, entry in value.items()}
+    return float(f"{value:.{digits}g}") if isinstance(value, float) else value
+
+
+def _summary(episodes: Sequence[Episode]) -> dict[str, Any]:
+    """What a row says of one set: its measures, to six digits, and its counts."""
+    summary = summarise(episodes)
+    shown = (*MEASURES, SHARE.metric, "episodes", "failures", "resampled")
+    return {name: _rounded(summary[name], 6) for name in shown if name in summary}
 
 
 def build(
-    candidates: Sequence[Candidate], sets: Sequence[EvaluationSet], *, jobs: int = 1, horizon: float = HORIZON
+    candidates: Sequence[Candidate],
+    sets: Sequence[EvaluationSet],
+    *,
+    jobs: int = 1,
+    horizon: float = HORIZON,
+    with_spread: bool = True,
 ) -> dict[str, Any]:
     """Evaluates everything: the content of leaderboard.json.
 
@@ -73,17 +93,24 @@ def build(
         sets: the columns; one of them is the ranking set.
         jobs: number of processes.
         horizon: length of an episode in s.
+        with_spread: whether to measure every number's spread too, which takes several times as long.
     """
     runs = [run for candidate in candidates for run in candidate.runs]
+    pairs = [(candidate, evaluation_set) for candidate in candidates for evaluation_set in sets]
     with _pool(jobs) as run_map:
         evaluated = run_map(_evaluate_run, runs, [sets] * len(runs), [horizon] * len(runs))
-        results = iter(list(tqdm(evaluated, "evaluating", len(runs), file=sys.stderr, disable=None, unit="run")))
+        results = iter(_with_progress("evaluating", evaluated, len(runs)))
+        if with_spread:
+            measured = run_map(tolerance.measure, *zip(*pairs, strict=True), [horizon] * len(pairs))
+            spreads = iter(_with_progress("measuring the spread", measured, len(pairs)))
     rows = []
     for candidate in candidates:
         own = [next(results) for _ in candidate.runs]
-        merged = [[episode for run in own for episode in run[i]] for i in range(len(sets))]
-        summaries = {s.name: _rounded(summarise(episodes)) for s, episodes in zip(sets, merged, strict=True)}
-        rows.append({**_static_row(candidate), "results": summaries})
+        summaries = {s.name: _summary([episode for run in own for episode in run[i]]) for i, s in enumerate(sets)}
+        if with_spread:
+            for summary in summaries.values():
+                summary["spread"] = _rounded(next(spreads), 3)
+        rows.append({**static_row(candidate), "results": summaries})
     board = {"sets": {s.name: s.hash for s in sets}, "versions": versions(), "rows": rank(rows)}
     return without_nonfinite(board)
 

@@ -8,15 +8,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from agents.evaluation.tables import MEASURES, SHARE, Measure, markdown_table
+from agents.evaluation.candidates import BASELINE
+from agents.evaluation.tables import MEASURES, SHARE, Measure
+from agents.leaderboard.tolerance import EVALUATIONS, MULTIPLE, NOISE, RELATIVE
+from baselines.tables import markdown_table
 
 RANKING_SET = "paper"
-REFERENCE = "adaptive"
 HEAD_ROWS = 5
 COMMAND = "python -m agents.leaderboard"
 START, END = "<!-- leaderboard:start -->", "<!-- leaderboard:end -->"
 
-RATIO = Measure("ratio", f"x {REFERENCE}", 2)
+RATIO = Measure("ratio", f"x {BASELINE}", 2)
 SPEED = MEASURES["mean_speed"]
 
 
@@ -25,16 +27,16 @@ def rank(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     return sorted(rows, key=lambda row: (-row["results"][RANKING_SET]["mean_speed"]["iqm"], row["policy"]))
 
 
-def _reference_speed(board: Mapping[str, Any]) -> float:
+def _baseline_speed(board: Mapping[str, Any]) -> float:
     return next(
-        (row["results"][RANKING_SET]["mean_speed"]["iqm"] for row in board["rows"] if row["policy"] == REFERENCE), 0.0
+        (row["results"][RANKING_SET]["mean_speed"]["iqm"] for row in board["rows"] if row["policy"] == BASELINE), 0.0
     )
 
 
 def _speed_cells(board: Mapping[str, Any], row: Mapping[str, Any]) -> list[str]:
-    """Mean speed with interval, and as a multiple of the reference's."""
-    speed, reference = row["results"][RANKING_SET]["mean_speed"], _reference_speed(board)
-    return [SPEED.with_interval(speed), RATIO.format(speed["iqm"] / reference if reference > 0.0 else None)]
+    """Mean speed with interval, and as a multiple of the baseline's."""
+    speed, baseline = row["results"][RANKING_SET]["mean_speed"], _baseline_speed(board)
+    return [SPEED.with_interval(speed), RATIO.format(speed["iqm"] / baseline if baseline > 0.0 else None)]
 
 
 def _failures(summary: Mapping[str, Any]) -> str:
@@ -46,7 +48,7 @@ def _share(summary: Mapping[str, Any]) -> str:
     return SHARE.format(summary.get(SHARE.metric, {}).get("iqm"))
 
 
-def _main_table(board: Mapping[str, Any]) -> list[str]:
+def _main_table(board: Mapping[str, Any]) -> str:
     shown = [MEASURES[name] for name in ("cost_of_transport", "peak_torque", "backward_ratio")]
     table = [
         [
@@ -73,7 +75,7 @@ def _main_table(board: Mapping[str, Any]) -> list[str]:
     return markdown_table(table)
 
 
-def _shares_table(board: Mapping[str, Any]) -> list[str]:
+def _shares_table(board: Mapping[str, Any]) -> str:
     """The shares on the sets that the table of gaits covers."""
     rows = rank(board["rows"])
     names = [name for name in board["sets"] if any(SHARE.metric in row["results"][name] for row in rows)]
@@ -81,7 +83,7 @@ def _shares_table(board: Mapping[str, Any]) -> list[str]:
     return markdown_table([["policy", *names], *table])
 
 
-def _sets_table(board: Mapping[str, Any]) -> list[str]:
+def _sets_table(board: Mapping[str, Any]) -> str:
     table = [["policy", *board["sets"]]]
     for row in rank(board["rows"]):
         cells = []
@@ -90,6 +92,20 @@ def _sets_table(board: Mapping[str, Any]) -> list[str]:
             failed = f", {_failures(summary)} failed" if summary["failures"] else ""
             cells.append(SPEED.with_interval(summary["mean_speed"]) + failed)
         table.append([row["policy"], *cells])
+    return markdown_table(table)
+
+
+def _spread_table(board: Mapping[str, Any]) -> str:
+    """The spread of the mean speed on every set."""
+
+    def cell(spread: float) -> str:
+        return SPEED.format(spread) if float(SPEED.format(spread)) else f"< {0.5 * 10.0**-SPEED.digits:g}"
+
+    table = [["policy", *board["sets"]]]
+    for row in rank(board["rows"]):
+        table.append(
+            [row["policy"], *(cell(row["results"][name]["spread"]["mean_speed"]["iqm"]) for name in board["sets"])]
+        )
     return markdown_table(table)
 
 
@@ -108,16 +124,17 @@ def render(board: Mapping[str, Any]) -> str:
         "and fails where a number, a set or a checkpoint is not what stands here.",
         "",
         "Every policy runs the same frozen episodes: 33 s from rest. Numbers are interquartile means (the middle half "
-        "of the episodes) with 95 % bootstrap intervals. A failed episode (the ball meets the platform, or the "
-        "platform leaves the floor) counts with the distance it had made over the whole 33 s.",
+        "of the episodes) with 95 % bootstrap intervals. A failed episode (the pendulum reaches 90 degrees, or the "
+        "platform leaves the floor) ends there: its mean speed is the distance it had made over the whole 33 s, its "
+        "other numbers are of the time until then.",
         "",
         f"## On the set `{RANKING_SET}`, by mean speed",
         "",
-        *_main_table(board),
+        _main_table(board),
         "",
         "## Mean speed (cm/s) on every set",
         "",
-        *_sets_table(board),
+        _sets_table(board),
         "",
         "## Share of the best-known speed",
         "",
@@ -126,7 +143,17 @@ def render(board: Mapping[str, Any]) -> str:
         "and log(mu) between the plants of its grid. A share above 1 is a better gait than any known. Sets with plants "
         "outside the grid, or whose plants change on the way, have none. Here too, interquartile means.",
         "",
-        *_shares_table(board),
+        _shares_table(board),
+        "",
+        "## Spread",
+        "",
+        f"How much of a mean speed (cm/s) is chance: the largest minus the smallest of {EVALUATIONS} evaluations with "
+        f"noise of 1 / {1.0 / NOISE:,.0f} of full action on every action. Networks in float32 differ by as much from "
+        "machine to machine; a chaotic policy amplifies it. The check accepts a number within "
+        f"{MULTIPLE:g} times its spread, which is recorded for each, and {100.0 * RELATIVE:g} % for rounding. A set of "
+        "a single plant leaves a chaotic policy a single draw.",
+        "",
+        _spread_table(board),
         "",
         "## The policies",
         "",
@@ -135,10 +162,10 @@ def render(board: Mapping[str, Any]) -> str:
         "## Notes",
         "",
         "- Intervals. Where a policy was trained with several seeds, whole seeds are resampled, all episodes of a seed "
-        "together; with three seeds the interval is the range from the worst to the best seed and holds the true value "
-        "less often than 95 %. Scripted policies, and policies of a single seed, have their episodes resampled: the "
-        "interval then says how much the choice of plants matters, not what another training run would give. `nominal` "
-        "is one plant, so that scripted policies have no interval there.",
+        "together; with three seeds the interval is the range from the worst to the best seed, which holds the true "
+        "median of training runs with a probability of 75 %, not 95 %. Scripted policies, and policies of a single "
+        "seed, have their episodes resampled: the interval then says how much the choice of plants matters, not what "
+        "another training run would give. `nominal` is one plant, so that these have no interval there.",
         "- Failures are counted over all episodes of all training seeds.",
         "- Revision: the git revision that a checkpoint was trained at. Scripted policies are this checkout's own "
         "code, which the check runs, so they need none.",
@@ -150,11 +177,11 @@ def render(board: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def head(board: Mapping[str, Any]) -> list[str]:
-    """The leaderboard's head for the README, as Markdown lines: the fastest few, and always the reference."""
+def head(board: Mapping[str, Any]) -> str:
+    """The leaderboard's head for the README, as a Markdown table: the fastest few, and always the baseline."""
     table = [["policy", f"{SPEED.label} [95 %]", RATIO.label, MEASURES["cost_of_transport"].label, "failures"]]
     for place, row in enumerate(rank(board["rows"])):
-        if place < HEAD_ROWS or row["policy"] == REFERENCE:
+        if place < HEAD_ROWS or row["policy"] == BASELINE:
             summary = row["results"][RANKING_SET]
             transport = MEASURES["cost_of_transport"].format(summary["cost_of_transport"]["iqm"])
             table.append([row["policy"], *_speed_cells(board, row), transport, _failures(summary)])
@@ -177,4 +204,4 @@ def with_head(text: str, board: Mapping[str, Any]) -> str:
     _, end, after = rest.partition(END)
     if not (start and end) or START in rest or END in before + after:
         raise ValueError(f"README.md must hold {START} and then {END}, once each, or neither")
-    return "\n".join([f"{before}{START}", *head(board), f"{END}{after}"])
+    return f"{before}{START}\n{head(board)}\n{END}{after}"

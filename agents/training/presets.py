@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from agents.training.errors import RunError
-from capsule_gym.parameters import check_number
-from capsule_gym.task import ENERGY_WEIGHT, TORQUE_LIMIT
+from capsule_gym.options import DOCS, Options
+from capsule_gym.parameters import RANDOMIZATIONS, check_number
 
 CONFIG = "config.json"
 # Of numpy's generators, which SB3 seeds.
@@ -39,13 +39,13 @@ class Config:
     num_envs: int = option(64, "environments that are stepped together")
     controller: str | None = option("baselines:adaptive", "control law under a residual torque, as module:attribute")
     residual_limit: float = option(
-        2.0 * TORQUE_LIMIT, "torque of the action 1, N m; twice the torque limit is full authority"
+        2.0 * Options.torque_limit, f"{DOCS['residual_limit']}; twice the torque limit is full authority"
     )
-    torque_limit: float = option(TORQUE_LIMIT, "largest motor torque, N m")
-    randomization: str = option("paper", "where M and mu of an episode come from", ("none", "paper", "wide"))
-    observe_parameters: bool = option(False, "let the agent see M and mu")
-    energy_weight: float = option(ENERGY_WEIGHT, "centimetres of reward that a joule costs")
-    termination_penalty: float = option(30.0, "centimetres of reward that a failed episode costs")
+    torque_limit: float = option(Options.torque_limit, DOCS["torque_limit"])
+    randomization: str = option("paper", "where M and mu of an episode come from", tuple(RANDOMIZATIONS))
+    observe_parameters: bool = option(Options.observe_parameters, DOCS["observe_parameters"])
+    energy_weight: float = option(Options.energy_weight, DOCS["energy_weight"])
+    termination_penalty: float = option(30.0, DOCS["termination_penalty"])
     learning_rate: float = option(1e-3, "step size of Adam at the start")
     final_learning_rate: float = option(1e-4, "step size of Adam at the end; linear in between")
     gamma: float = option(0.995, "discount factor per agent step")
@@ -54,22 +54,12 @@ class Config:
     evaluate_every: int = option(500_000, "environment steps between evaluations and checkpoints")
     evaluation_episodes: int = option(32, "episodes in each of them, with draws of their own")
     torch_threads: int = option(1, "threads of torch")
-    env_threads: int = option(1, "threads of the environment")
+    env_threads: int = option(Options.threads, "threads of the environment")
 
     def env_kwargs(self) -> dict[str, Any]:
         """The arguments of the environment that this run trains in."""
-        names = (
-            "residual_limit",
-            "torque_limit",
-            "randomization",
-            "observe_parameters",
-            "energy_weight",
-            "termination_penalty",
-        )
-        kwargs = {name: getattr(self, name) for name in names}
-        if self.task == "direct":
-            return {**kwargs, "controller": None, "residual_limit": self.torque_limit}
-        return {**kwargs, "controller": self.controller}
+        kwargs = {name: getattr(self, name) for name in DOCS if hasattr(self, name)}
+        return kwargs | {"controller": None, "residual_limit": self.torque_limit} if self.task == "direct" else kwargs
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""

@@ -1,53 +1,23 @@
-"""What in the committed leaderboard is stale, and how far a number may be from the recorded one."""
+"""What in the committed leaderboard is stale."""
 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from agents.evaluation.candidates import Candidate
 from agents.evaluation.sets import HORIZON, EvaluationSet
 from agents.evaluation.tables import MEASURES, SHARE
-from agents.leaderboard.board import _static_row, build
+from agents.leaderboard.board import build, static_row
 from agents.leaderboard.page import render, with_head
+from agents.leaderboard.tolerance import agree, agree_counts
 
 EXACT_FIELDS = ("description", "training_seeds", "revision", "files")
 
 
-class Tolerance(NamedTuple):
-    """How far a number may be from the recorded one.
-
-    Attributes:
-        relative: of the recorded number.
-        absolute: in the number's own unit.
-        interval: as a fraction of the recorded interval. The largest of the three counts.
-        ends: the same fraction for the ends of the interval, which one episode moves farther than it moves the mean.
-        failures: as a fraction of the episodes.
-    """
-
-    relative: float
-    absolute: float
-    interval: float
-    ends: float
-    failures: float
-
-
-STABLE = Tolerance(relative=1e-3, absolute=1e-4, interval=0.0, ends=0.0, failures=0.0)
-CHAOTIC = Tolerance(relative=0.03, absolute=0.01, interval=0.25, ends=1.0, failures=0.05)
-
-
-def _allowed(recorded: Mapping[str, float | None], end: str, tolerance: Tolerance) -> float:
-    """How far one number of `{"iqm": .., "low": .., "high": ..}` may be from the recorded one."""
-    value, low, high = recorded[end], recorded["low"], recorded["high"]
-    width = high - low if low is not None and high is not None else 0.0
-    share = tolerance.interval if end == "iqm" else tolerance.ends
-    return max(tolerance.relative * abs(value or 0.0), tolerance.absolute, share * width)
-
-
-def _stale_numbers(where: str, recorded: Mapping[str, Any], found: Mapping[str, Any], learned: bool) -> list[str]:
+def _stale_numbers(where: str, recorded: Mapping[str, Any], found: Mapping[str, Any]) -> list[str]:
     """Compares two summaries of one policy on one set."""
     stale = []
 
@@ -55,28 +25,22 @@ def _stale_numbers(where: str, recorded: Mapping[str, Any], found: Mapping[str, 
         if not same:
             stale.append(f"{where}: {name} is {old!r} in leaderboard.json and {new!r} now")
 
+    spread = recorded["spread"]
     for name in ("episodes", "resampled"):
-        compare(name, recorded.get(name), found[name], recorded.get(name) == found[name])
-    tolerance = CHAOTIC if learned or recorded["failures"] else STABLE
-    allowed_failures = math.ceil(tolerance.failures * found["episodes"])
-    same = abs(recorded["failures"] - found["failures"]) <= allowed_failures
-    compare("failures", recorded["failures"], found["failures"], same)
+        compare(name, recorded[name], found[name], recorded[name] == found[name])
+    old, new = recorded["failures"], found["failures"]
+    compare("failures", old, new, agree_counts(old, new, spread["failures"]))
     for metric in (name for name in (*MEASURES, SHARE.metric) if name in found):
-        before = recorded[metric]
         for end, new in found[metric].items():
-            old = before[end]
-            if old is None or new is None:
-                same = old is new
-            else:
-                same = abs(new - old) <= _allowed(before, end, tolerance)
-            compare(f"{metric} ({end})", old, new, same)
+            old = recorded[metric][end]
+            compare(f"{metric} ({end})", old, new, agree(old, new, spread[metric][end]))
     return stale
 
 
 def _stale_rows(recorded: Mapping[str, Any], candidates: Sequence[Candidate]) -> list[str]:
     """Compares what needs no evaluation."""
     old = {row["policy"]: row for row in recorded["rows"]}
-    new = {candidate.name: _static_row(candidate) for candidate in candidates}
+    new = {candidate.name: static_row(candidate) for candidate in candidates}
     stale = [f"{name}: is in leaderboard.json and does not exist" for name in old if name not in new]
     stale += [f"{name}: exists and is not in leaderboard.json" for name in new if name not in old]
     for name in (name for name in old if name in new):
@@ -145,12 +109,13 @@ def check(
         return [str(error)]
     if stale:
         return [*stale, "the numbers were not evaluated again"]
-    found = {row["policy"]: row for row in build(candidates, sets, jobs=jobs, horizon=horizon)["rows"]}
+    board = build(candidates, sets, jobs=jobs, horizon=horizon, with_spread=False)
+    found = {row["policy"]: row for row in board["rows"]}
     for row in recorded["rows"]:
         for name, summary in found[row["policy"]]["results"].items():
             where, before = f"{row['policy']} on {name}", row["results"][name]
             try:
-                stale += _stale_numbers(where, before, summary, learned=bool(row["training_seeds"]))
+                stale += _stale_numbers(where, before, summary)
             except (KeyError, TypeError) as error:
                 stale.append(f"{where}: leaderboard.json is malformed: {type(error).__name__}: {error}")
     return stale

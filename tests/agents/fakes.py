@@ -29,6 +29,19 @@ class Sine:
         return act
 
 
+@dataclass
+class Twitch:
+    """A torque whose sign hangs on the last digits of the rate: chaotic from its second step on."""
+
+    amplitude: float = 0.4
+    name: str = "twitch"
+    description: str = "Chaos."
+    env_kwargs: dict = field(default_factory=dict)
+
+    def start(self, seeds):
+        return lambda observations: (self.amplitude * np.sign(np.sin(1e6 * observations[:, 1:2]))).astype(np.float32)
+
+
 def write_run(folder, seed, algo="ppo", model=b"model"):
     """The folder of a training run, with a model that nothing can load."""
     folder.mkdir(parents=True, exist_ok=True)
