@@ -7,7 +7,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help train test coverage venv lint types docs leaderboard leaderboard-check regression check clean
+.PHONY: help train test coverage venv lint types docs leaderboard leaderboard-check regression faults check clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
@@ -49,7 +49,10 @@ leaderboard-check: $(STAMP)  ## Fail where LEADERBOARD.md or leaderboard.json is
 regression: $(STAMP)  ## Fail where a kernel has become slower against what it is compared with
 	$(BIN)/python -m benchmarks.regression
 
-check: lint types docs leaderboard-check regression  ## All checks but the tests
+faults: $(STAMP)  ## Kill, stop and starve trainings, and damage caches; fail where something is lost
+	$(BIN)/python -m tests.faults --short
+
+check: lint types docs leaderboard-check regression faults  ## All checks but the tests
 
 clean:  ## Remove caches and build outputs; keeps .venv and runs/
 	rm -rf build dist site *.egg-info .pytest_cache .ruff_cache .mypy_cache .coverage*

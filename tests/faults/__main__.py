@@ -5,9 +5,10 @@ from __future__ import annotations
 import random
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -108,16 +109,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     CONTEXT.set_forkserver_preload(PRELOADED)
     plan = Plan(options)
     began = time.monotonic()
-    stopped = False
+    stopped = threading.Event()
+
+    def tick(trials: int = 1) -> None:
+        bar.update(trials)
+        if stopped.is_set():
+            raise CancelledError
+
     with tempfile.TemporaryDirectory(prefix="faults-") as folder, tqdm(total=plan.total, unit=" faults") as bar:
-        bench = Bench(Path(folder), 5 if options.short else 12, options.seed, bar.update)
+        bench = Bench(Path(folder), 5 if options.short else 12, options.seed, tick)
         pool = ThreadPoolExecutor(options.workers)
         running = [pool.submit(trial, bench) for trial in plan.trials]
         try:
             for each in running:
                 each.result()
         except KeyboardInterrupt:
-            stopped = True
+            stopped.set()
+            tqdm.write("Stopping after what is being tried.", file=sys.stderr)
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
     for outcome in plan.outcomes:
@@ -125,7 +133,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"\n{message}", file=sys.stderr)
     intervals = " and ".join(f"{steps} steps ({algo.upper()})" for algo, steps in INTERVAL.items())
     print(f"\n{table(plan.outcomes)}\n\nA checkpoint every {intervals}; {time.monotonic() - began:.0f} s in all.")
-    if stopped:
+    if stopped.is_set():
         print("Stopped: this is what was tried until then.")
         return INTERRUPTED
     return 1 if any(outcome.broken for outcome in plan.outcomes) else 0

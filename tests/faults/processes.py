@@ -45,7 +45,7 @@ class Child:
         self._command: Any = None
         if function is None:
             with log.open("a") as file:
-                self._command = subprocess.Popen(arguments, cwd=ROOT, stdout=file, stderr=file)
+                self._command = subprocess.Popen(arguments, cwd=ROOT, stdout=file, stderr=file, start_new_session=True)
         else:
             self._process = CONTEXT.Process(target=_call, args=(str(log), function, arguments))
             self._process.start()
@@ -94,6 +94,8 @@ class Child:
 
 def _call(log: str, function: Callable[..., None], arguments: Sequence[Any]) -> None:
     """In the child: calls the function, which prints into a file."""
+    # A terminal's Ctrl-C is meant for who tries the faults.
+    os.setsid()
     descriptor = os.open(log, os.O_WRONLY | os.O_APPEND)
     os.dup2(descriptor, 1)
     os.dup2(descriptor, 2)
