@@ -219,7 +219,7 @@ NO_REFERENCE = np.zeros((1, 2))
 # Bound anew, per law, in the copies that `build` makes; so are the functions below that call each other.
 law: Callable[..., Any] = no_law
 MEMORY_SIZE = 1
-REFERENCE_SIZE = 2
+REFERENCE_SIZE = NO_REFERENCE.shape[1]
 PIVOT_TORQUE_ON_CONTACT = 0.0
 
 
