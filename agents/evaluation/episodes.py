@@ -70,7 +70,7 @@ def evaluate(policy: Policy, evaluation_set: EvaluationSet, *, horizon: float = 
 
     Returns:
         One dict per plant, in order: M (kg), mu, seed, the plant's changes where it has any, and the metrics of
-        `capsule_gym.simulation.METRICS`; where `has_best_known` says so also `share_of_best_known`, the mean speed
+        `capsule_gym.task.Metrics`; where `has_best_known` says so also `share_of_best_known`, the mean speed
         over the best-known one of the episode's plant.
     """
     plants = evaluation_set.plants

@@ -49,7 +49,7 @@ def simulate(
         threads: that share the batch; the results do not depend on it.
 
     Returns:
-        The metrics of `capsule_gym.simulation.METRICS`, `late_speed` in cm/s, the mean from `late_from` on, and
+        The metrics of `capsule_gym.task.Metrics`, `late_speed` in cm/s, the mean from `late_from` on, and
         `steps`, the agent steps taken; each of shape (n,).
     """
     count = len(parameters)
