@@ -10,7 +10,8 @@ import pytest
 from capsule_gym import CapsuleVectorEnv, Controller, Policy, load_policy
 from capsule_gym.kernels import LANES, Row
 from capsule_gym.rollout import rollout
-from capsule_gym.simulation import METRICS, Simulation
+from capsule_gym.simulation import Simulation
+from capsule_gym.task import METRICS
 from tests.capsule_gym.test_policy import make_policy
 
 
