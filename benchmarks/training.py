@@ -29,8 +29,8 @@ from agents.evaluation.episodes import Episode, difference, evaluate, summarise,
 from agents.evaluation.sets import EvaluationSet, load_set
 from agents.evaluation.tables import MEASURES
 from agents.training.loop import begin, train
-from agents.training.presets import PPOConfig
-from agents.training.runs import MODEL, load_policy
+from agents.training.presets import MODEL, PPOConfig
+from agents.training.runs import load_policy
 from baselines.tables import markdown_table, text_table
 from benchmarks.timing import available_cores
 from benchmarks.training_cost import BROAD, UNTUNED, axes, sweep, sweep_rows

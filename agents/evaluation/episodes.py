@@ -10,22 +10,18 @@ from typing import Any, Protocol
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from agents.evaluation.sets import HORIZON, EvaluationSet
+from agents.evaluation.sets import EvaluationSet
 from agents.evaluation.statistics import Estimate, estimate, paired_difference
 from agents.evaluation.tables import SHARE
 from baselines.gaits.archive import best_known_speed, in_grid
 from capsule_gym import CapsuleVectorEnv, __version__
-from capsule_gym.task import CONTROL_DT, TORQUE_LIMIT
+from capsule_gym.task import CONTROL_DT, HORIZON, TORQUE_LIMIT
 
 Act = Callable[[np.ndarray], np.ndarray]
 Episode = dict[str, Any]
 
 # What makes an episode of a set, whatever a policy was trained with.
-EPISODE_SETTINGS: dict[str, Any] = {
-    "autoreset_mode": AutoresetMode.DISABLED,
-    "randomization": "none",
-    "initial_noise": 0.0,
-}
+EPISODE_SETTINGS: dict[str, Any] = {"randomization": "none", "initial_noise": 0.0}
 # What an episode says beside its metrics.
 LABELS = ("M", "mu", "seed", "changes", "training_seed")
 PACKAGES = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
@@ -77,7 +73,8 @@ def evaluate(policy: Policy, evaluation_set: EvaluationSet, *, horizon: float = 
     seeds = [plant.seed for plant in plants]
     settings: dict[str, Any] = {**policy.env_kwargs, **EPISODE_SETTINGS}
     steps = round(horizon / settings.get("control_dt", CONTROL_DT))
-    env = CapsuleVectorEnv(**{**settings, "num_envs": len(plants), "max_episode_steps": steps})
+    batch = {"num_envs": len(plants), "max_episode_steps": steps, "autoreset_mode": AutoresetMode.DISABLED}
+    env = CapsuleVectorEnv(**{**settings, **batch})
     try:
         observations, _ = env.reset(
             seed=seeds,

@@ -22,15 +22,13 @@ from stable_baselines3.common.utils import LinearSchedule, set_random_seed
 from stable_baselines3.common.vec_env import VecNormalize
 from tqdm import tqdm
 
+from agents.evaluation.candidates import BASELINE
 from agents.evaluation.episodes import evaluate, scores, versions
 from agents.evaluation.sets import EvaluationSet, PlantSpec
 from agents.evaluation.statistics import interquartile_mean
-from agents.training.presets import Config, PPOConfig, SACConfig
+from agents.training.presets import CONFIG, MODEL, NORMALISATION, Config, PPOConfig, SACConfig
 from agents.training.runs import (
     ALGORITHMS,
-    CONFIG,
-    MODEL,
-    NORMALISATION,
     PROGRESS,
     REPLAY_BUFFER,
     Normalisation,
@@ -47,7 +45,6 @@ from capsule_gym import Capsule, Randomization
 from capsule_gym.files import to_json, write_atomically
 from capsule_gym.simulation import Stream, random_stream
 
-BASELINE = "adaptive"
 # Far from the seeds 0, 1, .. that training runs and evaluation sets use: model selection sees draws of its own.
 SELECTION_SEED = 1_000_000
 # Episodes that the progress bar's mean speed is over.

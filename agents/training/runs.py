@@ -28,11 +28,11 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
+from agents.training.presets import CONFIG, MODEL, NORMALISATION
 from agents.training.sac import LeanSAC
 from capsule_gym.files import replacing, to_json, write_atomically
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": LeanSAC}
-MODEL, NORMALISATION, CONFIG = "model.zip", "normalisation.json", "config.json"
 REPLAY_BUFFER, PROGRESS = "replay_buffer.pkl", "progress.json"
 
 
