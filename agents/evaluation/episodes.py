@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from agents.evaluation.sets import EvaluationSet
+from agents.evaluation.sets import EvaluationSet, PlantSpec
 from agents.evaluation.statistics import Estimate, estimate, paired_difference
 from agents.evaluation.tables import SHARE
 from baselines.gaits.archive import best_known_speed, in_grid
@@ -69,10 +69,25 @@ def evaluate(policy: Policy, evaluation_set: EvaluationSet, *, horizon: float = 
         `capsule_gym.simulation.METRICS`; where `has_best_known` says so also `share_of_best_known`, the mean speed
         over the best-known one of the episode's plant.
     """
-    plants = evaluation_set.plants
-    seeds = [plant.seed for plant in plants]
     settings: dict[str, Any] = {**policy.env_kwargs, **EPISODE_SETTINGS}
-    steps = round(horizon / settings.get("control_dt", CONTROL_DT))
+    metrics = _run(policy, settings, evaluation_set.plants, round(horizon / settings.get("control_dt", CONTROL_DT)))
+    shared = has_best_known(evaluation_set) and settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
+    episodes = []
+    for plant, values in zip(evaluation_set.plants, metrics, strict=True):
+        if shared:
+            values[SHARE.metric] = values["mean_speed"] / best_known_speed(plant.M, plant.mu)
+        label = plant.to_dict()
+        if not plant.changes:
+            del label["changes"]
+        episodes.append({**label, **values})
+    return episodes
+
+
+def _run(
+    policy: Policy, settings: Mapping[str, Any], plants: Sequence[PlantSpec], steps: int
+) -> list[dict[str, float]]:
+    """The metrics of one episode per plant, all run side by side."""
+    seeds = [plant.seed for plant in plants]
     batch = {"num_envs": len(plants), "max_episode_steps": steps, "autoreset_mode": AutoresetMode.DISABLED}
     env = CapsuleVectorEnv(**{**settings, **batch})
     try:
@@ -94,16 +109,7 @@ def evaluate(policy: Policy, evaluation_set: EvaluationSet, *, horizon: float = 
                 break
     finally:
         env.close()
-    shared = has_best_known(evaluation_set) and settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
-    episodes = []
-    for plant, values in zip(plants, metrics, strict=True):
-        if shared:
-            values[SHARE.metric] = values["mean_speed"] / best_known_speed(plant.M, plant.mu)
-        label = plant.to_dict()
-        if not plant.changes:
-            del label["changes"]
-        episodes.append({**label, **values})
-    return episodes
+    return metrics
 
 
 def has_best_known(evaluation_set: EvaluationSet) -> bool:
