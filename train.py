@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Sequence
@@ -10,12 +9,29 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-import tyro
+from agents.training.stopping import INTERRUPTED, Leaving
 
-from agents.training.presets import CONFIG, MODEL, PRESETS, Algorithm, Config, PPOConfig, Task
-from capsule_gym.command_line import parse, parse_some, refuse
+LEAVING = Leaving()
+if __name__ == "__main__":
+    # Before what takes seconds to import.
+    LEAVING.install()
 
-PROG = "python train.py"
+import tyro  # noqa: E402
+
+from agents.training.errors import RunError  # noqa: E402
+from agents.training.presets import (  # noqa: E402
+    BEST,
+    MODEL,
+    PRESETS,
+    Algorithm,
+    Config,
+    PPOConfig,
+    Task,
+    read_config,
+)
+from capsule_gym.command_line import parse, parse_some, refuse  # noqa: E402
+
+PROG = "train.py"
 RUNS = Path("runs")
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 
@@ -62,7 +78,10 @@ def read_options(arguments: Sequence[str] | None = None) -> Options:
     if choice.resume is None:
         preset = PRESETS[choice.task, choice.algo]
         return parse(Options, PROG, arguments, default=Options(choice.task, choice.algo, hyperparameters=preset))
-    before = _read_config(choice.resume)
+    try:
+        before = read_config(choice.resume)
+    except RunError as error:
+        refuse(PROG, str(error))
     default = Options(before.task, before.algo, choice.resume, hyperparameters=before)
     options = parse(Options, PROG, arguments, default=default)
     _refuse_changes(default, options)
@@ -82,15 +101,6 @@ def _refuse_changes(before: Options, options: Options) -> None:
             refuse(PROG, f"{option} must stay {was} with --resume, got {given}; only --total-steps may be changed")
 
 
-def _read_config(run: Path) -> Config:
-    """The configuration of an earlier run."""
-    path = run / CONFIG
-    if not path.is_file():
-        refuse(PROG, f"--resume must name the folder of a run, got {str(run)!r}, which has no {CONFIG}")
-    content = json.loads(path.read_text(encoding="utf-8"))
-    return type(PRESETS[content["task"], content["algo"]])(**content["hyperparameters"])
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     options = read_options(arguments)
@@ -99,24 +109,40 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from agents import comparison
     from agents.training import loop as training
 
-    if options.resume is not None:
-        run = options.resume
-        print(f"Going on with {run} (seed {config.seed}) towards {config.total_steps:,} steps.")
-    else:
-        stamp = time.strftime("%Y%m%d-%H%M%S")
-        run = options.run or RUNS / f"{config.task}-{config.algo}-seed{config.seed}-{stamp}"
-        try:
-            training.begin(run, config)
-        except FileExistsError:
-            refuse(PROG, f"--run must name a new folder, got {str(run)!r}; --resume {run} goes on with it")
-        print(f"Training {config.algo.upper()} on the {config.task} task, seed {config.seed}, in {run}.")
-    if not training.train(run, config):
+    try:
+        if options.resume is not None:
+            run = options.resume
+            print(f"Going on with {run} (seed {config.seed}) towards {config.total_steps:,} steps.")
+        else:
+            stamp = time.strftime("%Y%m%d-%H%M%S")
+            run = options.run or RUNS / f"{config.task}-{config.algo}-seed{config.seed}-{stamp}"
+            begin(run, config)
+            print(f"Training {config.algo.upper()} on the {config.task} task, seed {config.seed}, in {run}.")
+        LEAVING.message = f"Stopped. To go on: python train.py --resume {run}"
+        finished = training.train(run, config)
+    except (RunError, OSError) as error:
+        print(f"{PROG}: error: {error}", file=sys.stderr)
+        return 2
+    if not finished:
         print(f"\nStopped; saved. To go on: python train.py --resume {run}")
-        return 130
-    print(f"Trained; the best model on its own draws is {run / 'best' / MODEL}.")
+        return INTERRUPTED
+    print(f"Trained; the best model on its own draws is {run / BEST / MODEL}.")
     if not options.no_comparison:
+        LEAVING.message = "Stopped. The run is complete; its comparison is not."
         comparison.compare(run)
     return 0
+
+
+def begin(run: Path, config: Config) -> None:
+    """Makes the folder of a new run; whatever it refuses is an error of the command line."""
+    from agents.training import loop as training
+
+    try:
+        training.begin(run, config)
+    except FileExistsError:
+        raise RunError(f"--run must name a new folder, got {str(run)!r}; --resume {run} goes on with it") from None
+    except (TypeError, ValueError) as error:
+        raise RunError(str(error)) from error
 
 
 if __name__ == "__main__":

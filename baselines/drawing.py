@@ -88,7 +88,9 @@ def new_figure(height: float) -> Any:
 
 def add_note(figure: Any, text: str) -> None:
     """Sets a note under the figure: what was found beside what is published."""
-    figure.supxlabel(textwrap.fill(text, NOTE_COLUMNS), x=0.012, ha="left", fontsize=7.5, color=INK)
+    figure.supxlabel(
+        textwrap.fill(text, NOTE_COLUMNS, break_on_hyphens=False), x=0.012, ha="left", fontsize=7.5, color=INK
+    )
 
 
 def mark_published(axes: Any, value: float, text: str, pen: Pen, *, x: float = 0.99, below: bool = False) -> None:

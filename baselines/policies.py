@@ -58,7 +58,9 @@ SCRIPTED = {
         ),
         _with_law("adaptive", "adaptive", "the paper's profile (9), adaptive law (39), regularised"),
         _with_law(
-            "adaptive-as-published", "adaptive_as_published", "the paper's profile (9), adaptive law (39) as printed"
+            "adaptive-as-published",
+            "adaptive_as_published",
+            "the paper's profile (9), adaptive law (39), corrected, unregularised",
         ),
         _with_law("compliant", "compliant", "the paper's profile (9), adaptive law (39) with low gains"),
         _with_law("epc", "epc", "the EPC profile, feedback linearisation (35)"),

@@ -3,24 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 
 from tabulate import tabulate
 
 Rows = Sequence[Sequence[str]]
 
 
-def text_table(rows: Rows, *, left: int | None = None) -> str:
+def text_table(rows: Rows, *, left: int | None = None, last_left: bool = True) -> str:
     """Aligned columns for the terminal.
 
     Args:
         rows: a cell may hold line breaks.
-        left: the first so many columns and the last stand left, the others right; None puts all of them left.
+        left: the first so many columns stand left, the others right; None puts all of them left.
+        last_left: whether the last column stands left as well: remarks, not numbers.
+
+    >>> print(text_table([["policy", "cm/s", ""], ["adaptive", "1.39", "reference"], ["epc", "11.62", ""]], left=1))
+    policy      cm/s
+    --------  ------  ---------
+    adaptive    1.39  reference
+    epc        11.62
     """
     last = len(rows[0]) - 1
-    aligned = ["left" if left is None or column < left or column == last else "right" for column in range(last + 1)]
-    return tabulate(rows, headers="firstrow", tablefmt="simple", disable_numparse=True, colalign=aligned)
+    aligned = [
+        "left" if left is None or column < left or (last_left and column == last) else "right"
+        for column in range(last + 1)
+    ]
+    table = tabulate(rows, headers="firstrow", tablefmt="simple", disable_numparse=True, colalign=aligned)
+    return "\n".join(line.rstrip() for line in table.splitlines())
 
 
 def markdown_table(rows: Rows) -> str:
-    """A Markdown table."""
+    """A Markdown table.
+
+    >>> print(markdown_table([["policy", "cm/s"], ["adaptive", "1.39"]]))
+    | policy   | cm/s   |
+    |----------|--------|
+    | adaptive | 1.39   |
+    """
     return tabulate(rows, headers="firstrow", tablefmt="github", disable_numparse=True)
+
+
+def printed_below(value: float, digits: int) -> str:
+    """A lower bound with so many decimals: what is printed is a bound as well.
+
+    >>> printed_below(0.8477, 2)
+    '0.84'
+    """
+    return str(Decimal(value).quantize(Decimal(1).scaleb(-digits), ROUND_FLOOR))
+
+
+def printed_above(value: float, digits: int) -> str:
+    """An upper bound with so many decimals: what is printed is a bound as well."""
+    return str(Decimal(value).quantize(Decimal(1).scaleb(-digits), ROUND_CEILING))

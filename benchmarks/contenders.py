@@ -16,11 +16,11 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from benchmarks import mujoco_capsule
+from benchmarks.frictions import FRICTIONLOSS, FRICTIONS, Friction, series_name
 from benchmarks.timing import Contender, Stepper
 from capsule_gym import ENV_ID, task
+from capsule_gym.options import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT
 from capsule_gym.parameters import Capsule
-from capsule_gym.simulation import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT
 
 SEED = 0
 # Mostly resets would be measured under random torques up to the limit, and the paper's are rarely above this share.
@@ -110,10 +110,10 @@ def step_envpool(env_id: str, num_envs: int, threads: int) -> Stepper:
     return Stepper(step, env.close)
 
 
-def step_mujoco(
-    friction: mujoco_capsule.Friction, integrator: str, physics_dt: float, num_envs: int, threads: int
-) -> Stepper:
+def step_mujoco(friction: Friction, integrator: str, physics_dt: float, num_envs: int, threads: int) -> Stepper:
     """The capsule in MuJoCo, under the same random torques as ours; nothing but the physics is computed."""
+    from benchmarks import mujoco_capsule
+
     model = mujoco_capsule.build_model(Capsule(), friction, integrator, physics_dt)
     batch = mujoco_capsule.Batch(model, num_envs, threads, START, substeps(physics_dt))
     limit = ACTION_SCALE * task.TORQUE_LIMIT
@@ -126,17 +126,10 @@ def step_mujoco(
     return Stepper(step, batch.close)
 
 
-def mujoco_label(friction: mujoco_capsule.Friction, integrator: str, physics_dt: float) -> str:
-    """The label of a MuJoCo batch."""
-    return f"MuJoCo {friction.name}, {integrator}, {1e3 * physics_dt:g} ms"
-
-
-def mujoco_contender(
-    friction: mujoco_capsule.Friction, integrator: str, physics_dt: float, threads: int = 1
-) -> Contender:
+def mujoco_contender(friction: Friction, integrator: str, physics_dt: float, threads: int = 1) -> Contender:
     """A batch of the capsule in MuJoCo."""
     return Contender(
-        mujoco_label(friction, integrator, physics_dt),
+        f"{series_name(friction, integrator)}, {1e3 * physics_dt:g} ms",
         partial(step_mujoco, friction, integrator, physics_dt, PEER_BATCH, threads),
         PEER_BATCH,
         substeps(physics_dt),
@@ -150,7 +143,7 @@ def our_batch(label: str, num_envs: int, physics_dt: float, threads: int = 1, **
     make: Callable[[], Stepper] = partial(
         step_batch, ENV_ID, num_envs, physics_dt=physics_dt, threads=threads, max_episode_steps=sys.maxsize, **kwargs
     )
-    peer = mujoco_contender(mujoco_capsule.FRICTIONLOSS, STEPPED_INTEGRATOR, physics_dt, threads)
+    peer = mujoco_contender(FRICTIONLOSS, STEPPED_INTEGRATOR, physics_dt, threads)
     return Contender(label, make, num_envs, substeps(physics_dt), threads, peer.name if num_envs > 1 else SINGLE_PEER)
 
 
@@ -191,7 +184,7 @@ def peers() -> list[Contender]:
     for threads in THREADS:
         make = partial(step_envpool, "Pendulum-v1", PEER_BATCH, threads)
         found.append(Contender("EnvPool Pendulum-v1", make, PEER_BATCH, threads=threads, packages=("envpool",)))
-    for friction in mujoco_capsule.FRICTIONS:
+    for friction in FRICTIONS:
         for physics_dt in (DIRECT_PHYSICS_DT, LAW_PHYSICS_DT):
             found += [mujoco_contender(friction, STEPPED_INTEGRATOR, physics_dt, threads) for threads in THREADS]
     return found

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks import accuracy, mujoco_capsule
+from benchmarks import accuracy
 from benchmarks.contenders import (
     ACTION_SCALE,
     DIRECT_BATCH,
@@ -23,10 +23,12 @@ from benchmarks.contenders import (
     mujoco_contender,
     our_batch,
 )
-from benchmarks.timing import Contender, Progress, Rate, available_cores, measure
+from benchmarks.frictions import FRICTIONS, INTEGRATORS, Friction, series_name
+from benchmarks.machine import available_cores
+from benchmarks.timing import Contender, Progress, Rate, measure
 from capsule_gym import task
+from capsule_gym.options import DIRECT_PHYSICS_DT
 from capsule_gym.parameters import Capsule
-from capsule_gym.simulation import DIRECT_PHYSICS_DT
 
 MUJOCO_STEPS_MS = (0.5, 1.0, 2.0, 5.0)
 # Where a smaller step still helps MuJoCo: the default contacts stay at the error of their softness.
@@ -73,16 +75,11 @@ class _Job:
     series: str
     contender: Contender
     physics_dt: float
-    friction: mujoco_capsule.Friction | None = None
+    friction: Friction | None = None
     integrator: str = ""
 
 
 OURS = "capsule_gym"
-
-
-def series_name(friction: mujoco_capsule.Friction, integrator: str) -> str:
-    """The name of a MuJoCo series."""
-    return f"MuJoCo {friction.name}, {integrator}"
 
 
 def _jobs(with_mujoco: bool, quick: bool) -> list[_Job]:
@@ -92,9 +89,9 @@ def _jobs(with_mujoco: bool, quick: bool) -> list[_Job]:
         dt = 1e-3 * milliseconds
         contender = our_batch(f"{OURS}, {milliseconds:g} ms", PEER_BATCH, dt, scale=ACTION_SCALE)
         jobs.append(_Job(OURS, contender, dt))
-    for friction in mujoco_capsule.FRICTIONS if with_mujoco else ():
+    for friction in FRICTIONS if with_mujoco else ():
         fine = (FINE_STEP_MS,) if friction.stiff and not quick else ()
-        for integrator in mujoco_capsule.INTEGRATORS:
+        for integrator in INTEGRATORS:
             for milliseconds in (*fine, *MUJOCO_STEPS_MS):
                 dt = 1e-3 * milliseconds
                 contender = mujoco_contender(friction, integrator, dt)
@@ -103,7 +100,7 @@ def _jobs(with_mujoco: bool, quick: bool) -> list[_Job]:
 
 
 def mujoco_error(
-    case: Case, expected: list[accuracy.Expected], friction: mujoco_capsule.Friction, integrator: str, timestep: float
+    case: Case, expected: list[accuracy.Expected], friction: Friction, integrator: str, timestep: float
 ) -> float:
     """The largest error in any state over the trajectories of a case.
 
@@ -114,6 +111,8 @@ def mujoco_error(
         integrator: MuJoCo's.
         timestep: s.
     """
+    from benchmarks import mujoco_capsule
+
     model = mujoco_capsule.build_model(Capsule(mu=case.mu), friction, integrator, timestep)
     torques = np.array([trajectory.torques for trajectory in expected])
     states = mujoco_capsule.simulate(model, torques, accuracy.START, accuracy.HOLD, available_cores())
@@ -201,7 +200,7 @@ def claims(rates: Mapping[str, Rate], points: Iterable[Point]) -> list[Claim]:
     found = []
     for threads in THREADS:
         own = our_batch(DIRECT_BATCH, PEER_BATCH, DIRECT_PHYSICS_DT, threads).name
-        for friction in mujoco_capsule.FRICTIONS:
+        for friction in FRICTIONS:
             peer = mujoco_contender(friction, STEPPED_INTEGRATOR, DIRECT_PHYSICS_DT, threads).name
             series = series_name(friction, STEPPED_INTEGRATOR)
             if own in rates and peer in rates and series in errors:

@@ -1,66 +1,30 @@
 """The same capsule in MuJoCo: model, batch and open-loop simulation. Needs the extra `bench`.
 
-Frictionless and with MuJoCo's RK4 it follows `capsule_gym` to 1e-8 over ten seconds (tests/test_benchmarks.py): the
-plant is the same, and only friction differs. MuJoCo's constraints are soft, so its friction creeps below the limit.
+Frictionless and with MuJoCo's RK4 it follows `capsule_gym` to 1e-8 over two seconds
+(tests/benchmarks/test_benchmarks.py): the plant is the same, and only friction differs. MuJoCo's constraints are
+soft, so its friction creeps below the limit.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from string import Template
 from typing import Any
 
+import mujoco
 import numpy as np
+from mujoco import rollout
 
+from benchmarks.frictions import Friction
 from capsule_gym.parameters import Capsule
 
-try:
-    import mujoco
-    from mujoco import rollout
-except ImportError:  # whoever calls asks for the extra first
-    mujoco = rollout = None
-
 XML = Path(__file__).with_name("capsule.xml")
-INTEGRATORS = ("implicitfast", "RK4")
 # MuJoCo's own limits of stiffness: the largest impedance, and the time constant in steps below which it clips.
 STIFF_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 STIFF_STEPS = 2.0
 NOSLIP_ITERATIONS = 10
 SETTLING = 1.0
-
-
-@dataclass(frozen=True)
-class Friction:
-    """One of MuJoCo's ways to model the floor.
-
-    Attributes:
-        name: for tables.
-        contact: a sphere on a plane, elliptic cone, whose normal force acts; else the constant mu (M + m) g on the
-            joint x (`frictionloss`).
-        stiff: constraints as stiff as MuJoCo allows at the step; else its default solver parameters.
-        noslip: with MuJoCo's no-slip solver after the main one.
-    """
-
-    name: str
-    contact: bool
-    stiff: bool = False
-    noslip: bool = False
-
-
-FRICTIONLOSS = Friction("frictionloss", contact=False)
-CONTACT = Friction("contact", contact=True)
-STIFF_CONTACT = Friction("contact, stiff", contact=True, stiff=True)
-FRICTIONS = (FRICTIONLOSS, CONTACT, STIFF_CONTACT)
-# These hold a resting platform better, at the same error in motion: no friction of a joint knows the normal force.
-HOLDING_FRICTIONS = (
-    FRICTIONLOSS,
-    Friction("frictionloss, stiff", contact=False, stiff=True),
-    Friction("frictionloss, noslip", contact=False, noslip=True),
-    CONTACT,
-    STIFF_CONTACT,
-)
 
 
 def build_model(capsule: Capsule, friction: Friction, integrator: str, timestep: float) -> Any:
@@ -69,7 +33,7 @@ def build_model(capsule: Capsule, friction: Friction, integrator: str, timestep:
     Args:
         capsule: the plant; static and kinetic friction are the same in MuJoCo, forwards and backwards.
         friction: how the floor is modelled.
-        integrator: one of `INTEGRATORS`.
+        integrator: one of `frictions.INTEGRATORS`.
         timestep: s.
     """
     constants = {name: getattr(capsule, name) for name in ("M", "m", "l", "g", "k", "c", "mu")}

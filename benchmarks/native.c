@@ -224,7 +224,7 @@ static int follow(double *b, int j, Robot r, const Settings *s, double elapsed) 
         if (remaining <= 0.0) break;
     }
     b[ROW_theta + j] = theta, b[ROW_theta_dot + j] = theta_dot, b[ROW_x + j] = x, b[ROW_x_dot + j] = x_dot;
-    b[ROW_step_energy + j] += fabs(u) * turned;
+    b[ROW_energy + j] += fabs(u) * turned;
     b[ROW_normal_force + j] = smaller(b[ROW_normal_force + j], smallest);
     b[ROW_largest_theta + j] = larger(b[ROW_largest_theta + j], fabs(theta));
     b[ROW_largest_theta_dot + j] = larger(b[ROW_largest_theta_dot + j], fabs(theta_dot));
@@ -273,7 +273,7 @@ static inline __attribute__((always_inline)) void glide(double *restrict b, int 
         b[ROW_x_dot + j] = commit ? next.x_dot : x_dot;
         const double moved = commit ? next.x - x : 0.0;
         const double turned = commit ? swept(theta_dot, next.theta_dot, next.theta - theta, h) : 0.0;
-        b[ROW_step_energy + j] += fabs(u) * turned;
+        b[ROW_energy + j] += fabs(u) * turned;
         b[ROW_forward + j] += larger(0.0, moved);
         b[ROW_backward + j] += larger(0.0, -moved);
         if (may_stick) b[ROW_stuck + j] += commit & (slip == 0.0) ? h : 0.0;
@@ -298,7 +298,7 @@ void advance(double *restrict world, int64_t stride, int64_t first, int64_t last
             b[ROW_action + j] = clip(b[ROW_action + j], 1.0);
             b[ROW_mass_ratio + j] = r.m / (b[ROW_M + j] + r.m);
             b[ROW_before_x + j] = b[ROW_x + j];
-            b[ROW_step_energy + j] = active ? 0.0 : b[ROW_step_energy + j];
+            b[ROW_energy + j] = active ? 0.0 : b[ROW_energy + j];
             b[ROW_normal_force + j] = active ? INFINITY : b[ROW_normal_force + j];
             const double torque = clip(s->residual_limit * b[ROW_action + j], s->torque_limit);
             b[ROW_torque + j] = active ? torque : b[ROW_torque + j];
@@ -322,7 +322,7 @@ void advance(double *restrict world, int64_t stride, int64_t first, int64_t last
         for (int j = 0; j < n; j++) {
             const int active = b[ROW_active + j] != 0.0;
             const double share = active ? 1.0 : 0.0, weight = (b[ROW_M + j] + r.m) * r.g;
-            const double moved = b[ROW_x + j] - b[ROW_before_x + j], energy = b[ROW_step_energy + j], u = b[ROW_torque + j];
+            const double moved = b[ROW_x + j] - b[ROW_before_x + j], energy = b[ROW_energy + j], u = b[ROW_torque + j];
             const double progress = 100.0 * moved, cost = -s->energy_weight * energy;
             const double penalty = b[ROW_termination + j] != 0.0 ? -s->termination_penalty : 0.0;
             b[ROW_reward + j] = active ? progress + cost + penalty : 0.0;
@@ -332,7 +332,7 @@ void advance(double *restrict world, int64_t stride, int64_t first, int64_t last
             b[ROW_steps + j] += share;
             b[ROW_duration + j] += share * b[ROW_elapsed + j];
             b[ROW_torque_squared + j] += share * b[ROW_elapsed + j] * u * u;
-            b[ROW_energy + j] += share * energy;
+            b[ROW_episode_energy + j] += share * energy;
             b[ROW_weight_distance + j] += share * weight * moved;
             const double smallest = smaller(b[ROW_smallest_normal_ratio + j], b[ROW_normal_force + j] / weight);
             b[ROW_smallest_normal_ratio + j] = active ? smallest : b[ROW_smallest_normal_ratio + j];

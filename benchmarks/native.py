@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 
 from capsule_gym import task
-from capsule_gym.kernels import LANES, Row
+from capsule_gym.kernels import AT, LANES
 from capsule_gym.simulation import Simulation
 
 SOURCE = Path(__file__).with_name("native.c")
@@ -67,7 +67,7 @@ class Native:
         if settings.with_reference or settings.with_parameters or plant.pivot_torque_on_contact:
             raise ValueError("the C kernel knows the direct-torque task with Newton's normal force only")
         self.simulation = simulation
-        rows = [f"-DROW_{row.name}={int(row) * LANES}" for row in Row]
+        rows = [f"-DROW_{name}={start}" for name, start in AT._asdict().items()]
         with tempfile.TemporaryDirectory() as folder:
             library = Path(folder) / "native.so"
             command = ["gcc", *flags, *rows, f"-DLANES={LANES}", "-shared", "-fPIC", str(SOURCE), "-o", str(library)]

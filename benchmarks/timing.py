@@ -1,4 +1,4 @@
-"""Rates of contenders that take turns, with the machine that they were measured on.
+"""Rates of contenders that take turns.
 
 Absolute numbers do not carry from machine to machine; the ratios of one run do. Contenders take turns, so that
 whatever else the machine does meets them all, and the median of the turns counts.
@@ -7,18 +7,12 @@ whatever else the machine does meets them all, and the median of the turns count
 from __future__ import annotations
 
 import importlib
-import os
-import platform
 import statistics
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
-from typing import Any
 
-PACKAGES = ("capsule-gym", "numba", "numpy", "gymnasium", "mujoco", "envpool")
 CALIBRATION_SECONDS = 0.05
 
 
@@ -110,11 +104,6 @@ class Progress:
         print(line, file=sys.stderr, flush=True)
 
 
-def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def _is_importable(package: str) -> bool:
     try:
         importlib.import_module(package)
@@ -185,39 +174,3 @@ def measure(contenders: Sequence[Contender], turns: int, seconds: float, stage: 
         for _, stepper, _ in steppers:
             stepper.close()
     return {contender.name: Rate.of(rates[contender.name], stepper.reset_seconds) for contender, stepper, _ in steppers}
-
-
-def machine() -> dict[str, Any]:
-    """What the numbers were measured on."""
-    versions = {}
-    for package in PACKAGES:
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return {
-        "cpu": _cpu_name(),
-        "cores": os.cpu_count(),
-        "cores_available": available_cores(),
-        "load_at_start": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
-        "system": platform.system(),
-        "python": platform.python_version(),
-        "versions": versions,
-    }
-
-
-def describe(found: dict[str, Any]) -> str:
-    """`machine()` in one line."""
-    versions = ", ".join(f"{package} {number}" for package, number in found["versions"].items())
-    cores = f"{found['cores_available']} of {found['cores']} cores"
-    return f"{found['cpu']}, {cores}, {found['system']}, Python {found['python']}, {versions}"
-
-
-def _cpu_name() -> str:
-    """The model's name where the system tells it, else the architecture."""
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        for line in info.read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()

@@ -1,19 +1,41 @@
-"""Where the time of a training goes."""
+"""Where the time of a training goes: `python -m benchmarks.training_profile`.
+
+The contenders take turns, so that whatever else the machine does meets them all.
+"""
 
 from __future__ import annotations
 
+import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Sequence
-from typing import Any, cast
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, cast
 
-import stable_baselines3.sac.sac as sb3_sac
-import torch
-from stable_baselines3 import PPO, SAC
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import VecNormalize
+from baselines.tables import markdown_table, text_table
+from benchmarks.machine import machine
+from benchmarks.output import section
+from benchmarks.trainers import BROAD, PACKAGES, Trainer, TurnOptions, ppo, sac
+from capsule_gym.command_line import parse
 
-from benchmarks.training_cost import BROAD, Contender, learn, ppo, sac, take_turns, vector_step
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.vec_env import VecNormalize
+
+COMMAND = "python -m benchmarks.training_profile"
+PROFILED = (
+    ppo("PPO, preset"),
+    ppo("PPO, broad", **BROAD),
+    sac("SB3's SAC", lean=False, fused=False),
+    sac("LeanSAC, fused Adam (preset)"),
+)
+
+ENVIRONMENT, NORMALISE, COLLECT = "collect: environment", "collect: normalisation", "collect: policy and bookkeeping"
+STORE, SAMPLE = "collect: store in replay buffer", "update: draw from replay buffer"
+FORWARD, BACKWARD, ADAM = "update: networks", "update: backward", "update: Adam"
+TARGETS, REST = "update: target networks", "update: losses and the rest"
+# In the order of the table.
+PARTS = (ENVIRONMENT, NORMALISE, COLLECT, STORE, SAMPLE, FORWARD, BACKWARD, ADAM, TARGETS, REST)
 
 
 class Clocks:
@@ -49,14 +71,14 @@ class Clocks:
             self._undo.pop()()
 
 
-COLLECT, ENVIRONMENT, NORMALISE = "collect: policy and bookkeeping", "collect: environment", "collect: normalisation"
-FORWARD, BACKWARD, ADAM, REST = "update: networks", "update: backward", "update: Adam", "update: losses and the rest"
-STORE, SAMPLE, TARGETS = "collect: store in replay buffer", "update: draw from replay buffer", "update: target networks"
-
-
 def watch(model: BaseAlgorithm, clocks: Clocks) -> None:
     """Puts clocks on the parts of a training."""
-    env = cast(VecNormalize, model.get_vec_normalize_env())
+    # torch takes seconds to import, which --help need not wait for.
+    import stable_baselines3.sac.sac as sb3_sac
+    import torch
+    from stable_baselines3 import PPO, SAC
+
+    env = cast("VecNormalize", model.get_vec_normalize_env())
     clocks.watch(model, "collect_rollouts", COLLECT)
     clocks.watch(env, "step_wait", NORMALISE)
     clocks.watch(env.venv, "step_wait", ENVIRONMENT)
@@ -82,22 +104,35 @@ def watch(model: BaseAlgorithm, clocks: Clocks) -> None:
         clocks.watch(optimizer, "zero_grad", ADAM)
 
 
-def profile(rivals: Sequence[Contender], turns: int, seconds: float) -> dict[str, dict[str, float]]:
-    """Microseconds per environment step that each part of a training takes."""
+@dataclass(frozen=True, kw_only=True)
+class Options(TurnOptions):
+    """What the time of a training goes to: microseconds per environment step of each of its parts.
+
+    Nothing else should run meanwhile. Ctrl-C ends it early and keeps what there is.
+
+    Examples:
+      python -m benchmarks.training_profile --markdown docs/train_fast_profile.md
+    """
+
+
+def profile(trainers: Sequence[Trainer], turns: int, seconds: float) -> dict[str, dict[str, float]]:
+    """Microseconds per environment step that each part of a training takes; arguments as for `take_turns`."""
+    from benchmarks.training_turns import learn, take_turns, unit
+
     totals: dict[str, Clocks] = defaultdict(Clocks)
     steps: dict[str, int] = defaultdict(int)
 
-    def turn(rival: Contender, model: BaseAlgorithm, count: int) -> str:
-        clocks = totals[rival.name]
+    def turn(trainer: Trainer, model: BaseAlgorithm, count: int) -> str:
+        clocks = totals[trainer.name]
         watch(model, clocks)
         try:
             learn(model, count)
         finally:
             clocks.stop()
-        steps[rival.name] += count * vector_step(model)
-        return rival.name
+        steps[trainer.name] += count * unit(model)
+        return trainer.name
 
-    take_turns(rivals, turns, seconds, "profile", turn)
+    take_turns(trainers, turns, seconds, "profile", turn)
     return {
         name: {part: 1e6 * value / steps[name] for part, value in clocks.seconds.items()}
         for name, clocks in totals.items()
@@ -105,26 +140,36 @@ def profile(rivals: Sequence[Contender], turns: int, seconds: float) -> dict[str
     }
 
 
-def profile_rows(results: dict[str, dict[str, float]]) -> list[list[str]]:
+def rows(results: Mapping[str, Mapping[str, float]]) -> list[list[str]]:
     """The profile as a table."""
-    order = (ENVIRONMENT, NORMALISE, COLLECT, STORE, SAMPLE, FORWARD, BACKWARD, ADAM, TARGETS, REST)
     sums = {name: sum(parts.values()) for name, parts in results.items()}
-    rows = [["us per environment step", *results]]
-    for part in order:
+    table = [["us per environment step", *results]]
+    for part in PARTS:
         if any(part in parts for parts in results.values()):
             cells = [
                 f"{parts[part]:.1f} ({100.0 * parts[part] / sums[name]:.0f} %)" if part in parts else ""
                 for name, parts in results.items()
             ]
-            rows.append([part, *cells])
-    return [*rows, ["sum", *(f"{value:.1f}" for value in sums.values())]]
+            table.append([part, *cells])
+    return [*table, ["sum", *(f"{value:.1f}" for value in sums.values())]]
 
 
-def profiled() -> list[Contender]:
-    """What --profile measures."""
-    return [
-        ppo("PPO, preset"),
-        ppo("PPO, broad", **BROAD),
-        sac("SB3's SAC", SAC, fused=False),
-        sac("LeanSAC, fused Adam (preset)"),
-    ]
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    options = parse(Options, COMMAND, arguments)
+    found = machine(*PACKAGES)
+    parts = profile(PROFILED, options.turns, options.seconds)
+    table = rows(parts)
+    print(f"\n{text_table(table)}")
+    numbers = {
+        "machine": found,
+        "turns": options.turns,
+        "seconds": options.seconds,
+        "microseconds_per_env_step": parts,
+    }
+    options.write(COMMAND, numbers, section("profile", [markdown_table(table), "", options.note(found)]))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,4 +1,4 @@
-"""What each trick of the kernel gains: `python -m benchmarks.tricks [--turns 15] [--markdown FILE] [--json FILE]`.
+"""What each trick of the kernel gains: `python -m benchmarks.tricks`.
 
 The kernel runs as it is, and with one trick undone at a time. numba takes globals for constants, so a trick is undone
 by binding a global anew before anything is compiled, each in a process of its own. The processes take turns: the ratios
@@ -7,30 +7,50 @@ of one run mean something, the absolute numbers little. Direct torque, one core,
 
 from __future__ import annotations
 
-import argparse
 import inspect
 import math
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from baselines.tables import markdown_table, text_table
 from benchmarks.contenders import ACTION_SCALE, DRAWS, SEED
-from benchmarks.timing import Contender, Rate, Stepper, describe, machine, measure
+from benchmarks.machine import describe, machine
+from benchmarks.output import Output, check_at_least_one
+from benchmarks.timing import Contender, Rate, Stepper, measure
 from capsule_gym import dynamics, kernels, simulation, task, trigonometry
+from capsule_gym.command_line import Count, parse
 from capsule_gym.compilation import inlined
-from capsule_gym.files import to_json, write_atomically
+from capsule_gym.options import DIRECT_PHYSICS_DT
 
+COMMAND = "python -m benchmarks.tricks"
 TURNS = 15
 TURN_SECONDS = 0.1
 BATCHES = (1024, 16384)
-COMMENT = "<!-- Written by python -m benchmarks.tricks: do not edit. -->"
+# What a child runs; its argument is the trick's name in `UNDO`.
+CHILD = "import sys; from benchmarks import tricks; tricks.serve(sys.argv[1])"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(Output):
+    """What each trick of the kernel gains: its rate as it is, and with one trick undone at a time.
+
+    Examples:
+      python -m benchmarks.tricks --markdown docs/speed_tricks.md
+    """
+
+    turns: Count = TURNS
+    """Turns of every contender."""
+
+    def check(self) -> None:
+        """Refuses what cannot be measured or written."""
+        super().check()
+        check_at_least_one("--turns", self.turns)
 
 
 @inlined
@@ -110,8 +130,9 @@ def serve(name: str) -> None:
 @lru_cache
 def child(name: str) -> subprocess.Popen[str]:
     """A process that serves with a trick undone."""
-    command = [sys.executable, "-m", "benchmarks.tricks", "--undo", name]
-    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        [sys.executable, "-c", CHILD, name], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
 
 
 def stepper(name: str, num_envs: int) -> Stepper:
@@ -152,31 +173,18 @@ def rows(rates: Mapping[tuple[str, int], Rate]) -> list[list[str]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.tricks", description=(__doc__ or "").split(":")[0])
-    parser.add_argument("--turns", type=int, default=TURNS, metavar="N", help="turns of each (default: %(default)s)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers to this file")
-    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the table to this file")
-    parser.add_argument("--undo", choices=UNDO, help=argparse.SUPPRESS)
-    options = parser.parse_args(arguments)
-    if options.undo is not None:
-        serve(options.undo)
-        return 0
-    if options.turns < 1:
-        parser.error(f"--turns must be at least 1, got {options.turns}")
+    options = parse(Options, COMMAND, arguments)
     found, everything = machine(), contenders()
     measured = measure(list(everything.values()), options.turns, TURN_SECONDS, "tricks")
     rates = {key: measured[contender.name] for key, contender in everything.items()}
     note = (
         f"The kernel alone on one core, direct torque uniform within ±{ACTION_SCALE * task.TORQUE_LIMIT:g} N m, "
-        f"{1e3 * simulation.DIRECT_PHYSICS_DT:g} ms; medians of {options.turns} turns. {describe(found)}."
+        f"{1e3 * DIRECT_PHYSICS_DT:g} ms; medians of {options.turns} turns. {describe(found)}."
     )
     print(text_table(rows(rates)), note, sep="\n\n")
-    if options.json is not None:
-        entries = [{"undone": name, "environments": n, **asdict(rate)} for (name, n), rate in rates.items()]
-        content: dict[str, Any] = {"machine": found, "turns": options.turns, "rates": entries}
-        write_atomically(options.json, to_json(content))
-    if options.markdown is not None:
-        write_atomically(options.markdown, "\n".join([COMMENT, "", markdown_table(rows(rates)), "", note, ""]))
+    entries = [{"undone": name, "environments": n, **asdict(rate)} for (name, n), rate in rates.items()]
+    numbers: dict[str, Any] = {"machine": found, "turns": options.turns, "rates": entries}
+    options.write(COMMAND, numbers, [markdown_table(rows(rates)), "", note])
     return 0
 
 

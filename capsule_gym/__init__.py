@@ -8,10 +8,21 @@ from gymnasium.envs.registration import register, registry
 from capsule_gym.controller import Controller
 from capsule_gym.env import CapsuleEnv
 from capsule_gym.parameters import Capsule, Randomization
+from capsule_gym.policy import Policy, load_policy, policy_names
 from capsule_gym.task import EPISODE_STEPS
 from capsule_gym.vector_env import CapsuleVectorEnv
 
-__all__ = ["Capsule", "CapsuleEnv", "CapsuleVectorEnv", "Controller", "Randomization", "__version__"]
+__all__ = [
+    "Capsule",
+    "CapsuleEnv",
+    "CapsuleVectorEnv",
+    "Controller",
+    "Policy",
+    "Randomization",
+    "__version__",
+    "load_policy",
+    "policy_names",
+]
 
 __version__ = "0.1.0"
 

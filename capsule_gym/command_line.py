@@ -22,7 +22,7 @@ try:
 except ImportError as error:
     raise ImportError('this command needs tyro: pip install "capsule-gym[paper]"') from error
 
-__all__ = ["Count", "Positional", "check_output", "parse", "parse_some", "refuse"]
+__all__ = ["Count", "Positional", "check_output", "described", "parse", "parse_some", "refuse"]
 
 T = TypeVar("T")
 
@@ -49,6 +49,11 @@ Count = Annotated[
     ),
 ]
 """An integer >= 0, also in the form 8e6."""
+
+
+def described(text: str) -> Any:
+    """The help of a field as an annotation, for texts that hold values: `Annotated[int, ..]` with it as the second."""
+    return tyro.conf.arg(help=text)
 
 
 def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, default: T | None = None) -> T:

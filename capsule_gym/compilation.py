@@ -9,8 +9,13 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import inspect
+import pickle
+import re
 import sys
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from types import CellType, CodeType, FunctionType, ModuleType
 from typing import Any
 
@@ -18,14 +23,22 @@ import numba
 import numpy as np
 from numba import types
 from numba.core import event
+from numba.core.caching import FunctionCache
 from numba.core.registry import CPUDispatcher
+from numba.core.serialize import dumps
 from numba.extending import _Intrinsic, intrinsic, register_jitable
+
+from capsule_gym.files import write_bytes_atomically
 
 # A division by zero gives infinity. Python's exception would be a branch in every division, which no loop over
 # environments survives; strict floating point otherwise, so that all loops give the same bits.
 OPTIONS: dict[str, Any] = {"error_model": "numpy"}
 # Nobody calls the compiled form of a helper from Python or C: half of the time to compile it.
 _NO_WRAPPERS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+DIGEST_SIZE = hashlib.sha256().digest_size
+# What a fingerprint does not look into.
+_LIBRARIES = ("math", "numpy", "numba", "typing", "builtins")
 
 # For plain functions that compiled code may call, too; `inlined` ones leave no call behind, without which no loop over
 # environments is vectorised.
@@ -72,26 +85,33 @@ def fingerprint(function: Callable[..., Any]) -> str:
             digest.update(repr(sorted(value.targetoptions.items())).encode())
         value = value._defn if isinstance(value, _Intrinsic) else getattr(value, "py_func", value)
         if isinstance(value, FunctionType):
-            if id(value) in seen:
+            if id(value) in seen or value.__module__.startswith(_LIBRARIES):
                 return
             seen.add(id(value))
             add_code(value.__code__, value.__globals__)
             digest.update(repr(value.__defaults__).encode())
+            # numba learns from the argument where a named tuple holds which field: the code does not say it.
+            for word in re.findall(r"\w+", repr(value.__annotations__)):
+                kind = value.__globals__.get(word)
+                if isinstance(kind, type) and hasattr(kind, "_fields"):
+                    add(word, kind, ())
             for free, cell in zip(value.__code__.co_freevars, value.__closure__ or (), strict=True):
                 add(free, cell.cell_contents, ())
         elif isinstance(value, ModuleType):
-            if not value.__name__.startswith(("math", "numpy", "numba", "typing", "builtins")):
+            if not value.__name__.startswith(_LIBRARIES):
                 for attribute in names:
                     if hasattr(value, attribute):
                         add(attribute, getattr(value, attribute), ())
         elif isinstance(value, (tuple, list)):
             digest.update(f"{type(value).__qualname__} of {len(value)}".encode())
+            digest.update(repr(getattr(value, "_fields", ())).encode())
             for entry in value:
                 add("", entry, ())
         elif isinstance(value, np.ndarray):
             digest.update(repr((value.dtype, value.shape)).encode() + np.ascontiguousarray(value).tobytes())
         elif isinstance(value, type):
-            digest.update(repr((value.__qualname__, getattr(value, "_fields", ()))).encode())
+            fields = inspect.get_annotations(value) if hasattr(value, "_fields") else None
+            digest.update(repr((value.__qualname__, fields)).encode())
         else:
             digest.update(repr(value).encode())
 
@@ -136,7 +156,45 @@ def inner(function: Any) -> Any:
 
 def kernel(function: Callable[..., Any], digest: str, bindings: dict[str, Any]) -> Any:
     """The function with those globals, compiled at its first call or loaded from the disk cache of its sources."""
-    return numba.njit(rebound(function, f"{function.__name__}_{digest}", bindings), cache=True, nogil=True, **OPTIONS)
+    dispatcher = numba.njit(rebound(function, f"{function.__name__}_{digest}", bindings), nogil=True, **OPTIONS)
+    # numba finds no folder where neither NUMBA_CACHE_DIR, nor the package, nor the user's cache can be written to.
+    with suppress(RuntimeError):
+        dispatcher._cache = Cache(dispatcher.py_func)
+    return dispatcher
+
+
+class Cache(FunctionCache):
+    """numba's disk cache, for files that nobody else may have left as they were.
+
+    numba believes what it finds: an index that was cut off ends the program with an unpickling error, and machine code
+    in which a bit has changed is run. It also names the file of the code in the index only, so that two processes for
+    different processors can give theirs the same name. Here each entry is a file of its own, whose name holds the hash
+    of all that the code depends on, and which begins with the hash of its content. What does not fit is compiled again;
+    where nothing can be written nothing is kept.
+    """
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The compiled function of a signature, or None."""
+        target_context.refresh()
+        with suppress(OSError):
+            content = self._file(sig, target_context.codegen()).read_bytes()
+            digest, payload = content[:DIGEST_SIZE], content[DIGEST_SIZE:]
+            if hashlib.sha256(payload).digest() == digest:
+                return self._impl.rebuild(target_context, pickle.loads(payload))
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keeps a compiled function."""
+        if self._impl.check_cachable(data):
+            payload = dumps(self._impl.reduce(data))
+            with suppress(OSError):
+                write_bytes_atomically(self._file(sig, data.codegen), hashlib.sha256(payload).digest() + payload)
+
+    def _file(self, sig: Any, codegen: Any) -> Path:
+        """Where the code of a signature lies for this processor and this version of numba and of the sources."""
+        key = (self._index_key(sig, codegen), self._impl.locator.get_source_stamp(), numba.__version__)
+        digest = hashlib.sha256(repr(key).encode()).hexdigest()[:16]
+        return Path(self.cache_path) / f"{self._impl.filename_base}.{digest}.nbc"
 
 
 def compile_cached(function: Callable[..., Any]) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import math
 from collections.abc import Callable
@@ -118,7 +119,9 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
             ) from None
         found = getattr(module, attribute, None)
         if found is None:
-            raise ValueError(f"controller={controller!r}: the module {module_name!r} has no {attribute!r}")
+            near = difflib.get_close_matches(attribute, [name for name in vars(module) if name[0] != "_"], 1)
+            meant = f"; did you mean {module_name + ':' + near[0]!r}?" if near else ""
+            raise ValueError(f"controller={controller!r}: the module {module_name!r} has no {attribute!r}{meant}")
     if callable(found):
         found = found()
     if found is not None and not isinstance(found, Controller):

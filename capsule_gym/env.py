@@ -13,13 +13,25 @@ from gymnasium.utils import EzPickle
 
 from capsule_gym import task
 from capsule_gym.controller import Controller
-from capsule_gym.kernels import Row
+from capsule_gym.kernels import Quantities, Row
+from capsule_gym.options import RENDER_MODES, Options
 from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.rendering import Renderer
 from capsule_gym.simulation import Simulation
 
 RESET_OPTIONS = ("M", "mu", "state", "changes")
-REWARD_TERMS = ("reward_progress", "reward_energy", "reward_termination")
+REWARD_TERMS = Quantities._fields[Row.reward_progress : Row.reward]
+# What an info shows, by name, as the source of a function of the first rows of `Row`: written out, a dict takes half the
+# time of dict(zip(..)), and that is a tenth of a step.
+_SHOWN = {
+    "state": f"rows[:{Row.M}]",
+    "stick": f"rows[{Row.x_dot}] == 0.0",
+    **{name: f"rows[{row}]" for name, row in Row._asdict().items() if Row.M <= row < Row.reward},
+}
+show: Callable[[np.ndarray], dict[str, Any]] = eval(
+    f"lambda rows: {{{', '.join(f'{name!r}: {source}' for name, source in _SHOWN.items())}}}"
+)
+_CODES = {float(code): np.int64(code) for code in task.Termination}
 THE_ONE = np.zeros(1, np.int64)
 
 
@@ -94,15 +106,15 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
     2. Termination "contact": the normal force falls to zero, the capsule leaves the floor.
     3. Truncation: after 1650 steps (33 s, the paper's five cycles of 6.6 s).
 
-    `info["termination"]` names a termination, and `info["metrics"]` then holds the metrics of the episode. Truncation
-    is done by gymnasium's wrapper, which the environment does not see: `env.unwrapped.episode_metrics()` gives the same
-    numbers at any time. A batch truncates by itself and has them in its infos.
+    `env.unwrapped.episode_metrics()` gives the metrics of the episode, at its end and at any time before. Truncation is
+    done by gymnasium's wrapper, which the environment does not see.
 
     ## Info
 
-    `state` (float64: theta, theta_dot, x, x_dot), `M`, `mu`, `stick`, `torque` (the last torque applied, N m),
-    `law_torque` (what the law asks for next, N m), `normal_force` (the smallest in the step, N), `energy` (of the step,
-    J), the reward terms, and where it terminates `termination` and `metrics`.
+    The same keys and dtypes at every reset and step, as numbers and arrays of numpy: `state` (theta, theta_dot, x,
+    x_dot), `stick`, `M`, `mu`, `torque` (the last torque applied, N m), `law_torque` (what the law asks for next, N m),
+    `normal_force` (the smallest in the step, N), `energy` (of the step, J), the reward terms, and `termination`
+    (`capsule_gym.task.Termination`: 0 while the episode goes on, 1 "pendulum", 2 "contact").
 
     ## Arguments
 
@@ -116,17 +128,17 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
     | argument | default | meaning |
     |---|---|---|
     | `controller` | `None` | control law inside the step: an import string "module:attribute", a `Controller`, or a function that returns one |
-    | `torque_limit` | `1.5` | largest motor torque, N m |
     | `residual_limit` | `torque_limit` | torque of the action 1, N m |
-    | `randomization` | `"paper"` | "none"; "paper": M in [0.45, 0.55] kg, mu in [0.009, 0.011]; "wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3]; or a `Randomization` |
+    | `torque_limit` | `1.5` | largest motor torque, N m |
+    | `randomization` | `"paper"` | where M and mu of an episode come from: "none": the capsule's own M and mu; "paper": M in [0.45, 0.55] kg, mu in [0.009, 0.011]; "wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3]; or a `Randomization` |
     | `capsule` | `Capsule()` | the plant's constants |
     | `observe_parameters` | `False` | whether the observation ends with M and mu |
     | `energy_weight` | `0.1` | centimetres that a joule costs |
     | `termination_penalty` | `10` | centimetres that a failure costs |
-    | `initial_noise` | `0` | half width of the noise on the initial angle, rad |
+    | `initial_noise` | `0` | half width of the uniform noise on the initial angle, rad |
     | `control_dt` | `0.02` | agent step, s |
     | `physics_dt` | 2 ms, with a controller 1 ms | step of the fourth-order integrator, s |
-    | `render_mode` | `None` | "human" or "rgb_array" |
+    | `render_mode` | `None` | "human" or, also of a batch, "rgb_array" |
 
     Raises:
         TypeError: if an argument is of the wrong type.
@@ -138,47 +150,33 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
     """
 
     # Gymnasium declares it as the instance's, and wrappers change it: each instance gets a copy.
-    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012
 
     def __init__(
         self,
         *,
-        controller: str | Controller | Callable[[], Controller] | None = None,
-        residual_limit: float | None = None,
-        torque_limit: float = task.TORQUE_LIMIT,
-        randomization: str | Randomization = "paper",
-        capsule: Capsule | None = None,
-        observe_parameters: bool = False,
-        energy_weight: float = task.ENERGY_WEIGHT,
-        termination_penalty: float = task.TERMINATION_PENALTY,
-        initial_noise: float = 0.0,
-        control_dt: float = task.CONTROL_DT,
-        physics_dt: float | None = None,
-        render_mode: str | None = None,
+        controller: str | Controller | Callable[[], Controller] | None = Options.controller,
+        residual_limit: float | None = Options.residual_limit,
+        torque_limit: float = Options.torque_limit,
+        randomization: str | Randomization = Options.randomization,
+        capsule: Capsule | None = Options.capsule,
+        observe_parameters: bool = Options.observe_parameters,
+        energy_weight: float = Options.energy_weight,
+        termination_penalty: float = Options.termination_penalty,
+        initial_noise: float = Options.initial_noise,
+        control_dt: float = Options.control_dt,
+        physics_dt: float | None = Options.physics_dt,
+        render_mode: str | None = Options.render_mode,
     ) -> None:
-        settings: dict[str, Any] = {
-            "controller": controller,
-            "residual_limit": residual_limit,
-            "torque_limit": torque_limit,
-            "randomization": randomization,
-            "capsule": capsule,
-            "observe_parameters": observe_parameters,
-            "energy_weight": energy_weight,
-            "termination_penalty": termination_penalty,
-            "initial_noise": initial_noise,
-            "control_dt": control_dt,
-            "physics_dt": physics_dt,
-        }
-        EzPickle.__init__(self, **settings, render_mode=render_mode)
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f"render_mode must be None or one of {self.metadata['render_modes']}, got {render_mode!r}")
-        self.simulation = Simulation(1, **settings)
+        options = Options.among(locals())
+        EzPickle.__init__(self, **{name: value for name, value in vars(options).items() if name != "threads"})
+        self.simulation = Simulation(1, options)
         self.render_mode = render_mode
-        self.metadata = {**type(self).metadata, "render_fps": round(1.0 / self.simulation.control_dt)}
+        self.metadata = {**type(self).metadata, "render_fps": round(1.0 / options.control_dt)}
         self.action_space, self.observation_space = make_spaces(self.simulation)
         # Views of the only environment, made once: finding them takes a good part of a step.
         lane = self.simulation.world[0, :, 0]
-        self._shown, self._state = lane[: Row.steps], lane[: Row.M]
+        self._shown = lane[: Row.steps]
         self._observation = self.simulation.observations[0]
         self._advance = self.simulation.step_one
         self._renderer: Renderer | None = None
@@ -216,9 +214,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         self._running = True
         if self.render_mode == "human":
             self.render()
-        info, _, _ = self._info()
-        for name in REWARD_TERMS:
-            del info[name]
+        info = show(self._shown.copy())
+        info["termination"] = _CODES[0.0]
         return self._observation.copy(), info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
@@ -241,14 +238,15 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         if array.shape != (1,) or not math.isfinite(value := array.item()):
             raise ValueError(f"action must be one finite number of shape (1,) in [-1, 1], got {action!r}")
         self._advance(value)
-        info, reward, ended = self._info()
-        if ended:
-            info["termination"] = task.Termination(int(ended)).name
-            info["metrics"] = self.episode_metrics()
-            self._running = False
+        shown = self._shown.copy()
+        info = show(shown)
+        ended = shown.item(Row.termination)
+        info["termination"] = _CODES[ended]
+        terminated = ended != 0.0
+        self._running = not terminated
         if self.render_mode == "human":
             self.render()
-        return self._observation.copy(), reward, ended != 0.0, False, info
+        return self._observation.copy(), shown.item(Row.reward), terminated, False, info
 
     def episode_metrics(self, horizon: int = task.EPISODE_STEPS) -> dict[str, float]:
         """The metrics of the episode so far; `Simulation.metrics` says what each means.
@@ -269,7 +267,10 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
             return None
         if self._renderer is None:
             self._renderer = Renderer(
-                self.simulation.capsule, self.render_mode, self.metadata["render_fps"], self.simulation.torque_limit
+                self.simulation.capsule,
+                self.render_mode,
+                self.metadata["render_fps"],
+                self.simulation.settings.torque_limit,
             )
         return draw(self._renderer, self.simulation, 0)
 
@@ -279,31 +280,12 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
             self._renderer.close()
             self._renderer = None
 
-    def _info(self) -> tuple[dict[str, Any], float, float]:
-        """The info of a step, the reward, and why the episode has ended (0.0: it has not)."""
-        (
-            _, _, _, x_dot, M, mu, _, law_torque, torque, normal_force, energy, reward, progress, cost, penalty, ended
-        ) = self._shown.tolist()  # fmt: skip
-        info = {
-            "state": self._state.copy(),
-            "M": M,
-            "mu": mu,
-            "stick": x_dot == 0.0,
-            "torque": torque,
-            "law_torque": law_torque,
-            "normal_force": normal_force,
-            "energy": energy,
-            "reward_progress": progress,
-            "reward_energy": cost,
-            "reward_termination": penalty,
-        }
-        return info, reward, ended
-
 
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:
     """The action and the observation space of one environment."""
+    settings = simulation.settings
     low, high = task.observation_bounds(
-        simulation.settings.with_reference, simulation.observe_parameters, simulation.capsule, simulation.torque_limit
+        settings.with_reference, settings.with_parameters, simulation.capsule, settings.torque_limit
     )
     return spaces.Box(-1.0, 1.0, (1,), np.float32), spaces.Box(low, high, dtype=np.float32)
 

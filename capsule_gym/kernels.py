@@ -15,9 +15,9 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable
-from enum import IntEnum, auto
 from functools import lru_cache
-from typing import Any, NamedTuple
+from itertools import repeat
+from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 from numba import types
@@ -44,69 +44,68 @@ from capsule_gym.parameters import Plant
 LANES = 64
 
 
-class Row(IntEnum):
-    """The quantities of one environment in `world`; the ones from `energy` to `largest_theta_dot` are the episode's."""
+class Quantities(NamedTuple):
+    """A whole number for each quantity of one environment in `world`, in their order there."""
 
-    theta = 0
-    theta_dot = auto()
-    x = auto()
-    x_dot = auto()
-    M = auto()
-    mu = auto()
-    # Row of the reference table that the law has seen last.
-    clock = auto()
-    law_torque = auto()
-    torque = auto()
-    normal_force = auto()
-    step_energy = auto()
-    reward = auto()
-    reward_progress = auto()
-    reward_energy = auto()
-    reward_termination = auto()
-    termination = auto()
-    steps = auto()
-    start_x = auto()
-    duration = auto()
-    energy = auto()
+    # What `info` shows, under these names.
+    theta: int
+    theta_dot: int
+    x: int
+    x_dot: int
+    M: int
+    mu: int
+    torque: int
+    law_torque: int
+    normal_force: int
+    energy: int
+    reward_progress: int
+    reward_energy: int
+    reward_termination: int
+    # How the agent step has ended.
+    reward: int
+    termination: int
+    steps: int
+    # The episode's, down to `largest_theta_dot`.
+    start_x: int
+    duration: int
+    episode_energy: int
     # Distance weighted with (M + m) g, J: the denominator of the cost of transport, also where M changes on the way.
-    weight_distance = auto()
-    torque_squared = auto()
-    peak_torque = auto()
-    forward = auto()
-    backward = auto()
-    stuck = auto()
-    smallest_normal_ratio = auto()
-    largest_theta = auto()
-    largest_theta_dot = auto()
+    weight_distance: int
+    torque_squared: int
+    peak_torque: int
+    forward: int
+    backward: int
+    stuck: int
+    smallest_normal_ratio: int
+    largest_theta: int
+    largest_theta_dot: int
+    # Row of the reference table that the law has seen last.
+    clock: int
     # What the caller wants: the action, and 1.0 where the environment takes part in the step.
-    action = auto()
-    active = auto()
+    action: int
+    active: int
     # Of the running step: m / (M + m), x at its start, the phase of the contact, whether something happens in the
     # present substep, how far the environment has stopped, and the time that its present torque has acted.
-    mass_ratio = auto()
-    before_x = auto()
-    slip = auto()
-    eventful = auto()
+    mass_ratio: int
+    before_x: int
+    slip: int
+    eventful: int
     # What `dynamics.runge_kutta` returned for the present substep.
-    next_theta = auto()
-    next_theta_dot = auto()
-    next_x = auto()
-    next_x_dot = auto()
-    x_ddot = auto()
-    first_normal_force = auto()
-    least_normal_force = auto()
-    halt = auto()
-    elapsed = auto()
+    next_theta: int
+    next_theta_dot: int
+    next_x: int
+    next_x_dot: int
+    x_ddot: int
+    first_normal_force: int
+    least_normal_force: int
+    halt: int
+    elapsed: int
 
 
-# Where each row begins in a block. numba compiles plain integers and floats, no enum members, as constants.
-(
-    THETA, THETA_DOT, X, X_DOT, MASS, MU, CLOCK, LAW_TORQUE, TORQUE, NORMAL_FORCE, STEP_ENERGY,
-    REWARD, REWARD_PROGRESS, REWARD_ENERGY, REWARD_TERMINATION, TERMINATION, STEPS, START_X, DURATION, ENERGY,
-    WEIGHT_DISTANCE, TORQUE_SQUARED, PEAK_TORQUE, FORWARD, BACKWARD, STUCK, SMALLEST_NORMAL_RATIO, LARGEST_THETA,
-    LARGEST_THETA_DOT, ACTION, ACTIVE, MASS_RATIO, BEFORE_X, SLIP, EVENTFUL, NEXT_THETA, NEXT_THETA_DOT,
-    NEXT_X, NEXT_X_DOT, X_DDOT, FIRST_NORMAL_FORCE, LEAST_NORMAL_FORCE, HALT, ELAPSED,
-) = (int(row) * LANES for row in Row)  # fmt: skip
+# Each quantity's row of a block, and where that begins in the block's memory. numba takes plain integers in a tuple for
+# constants, the members of an enumeration not.
+Row = Quantities(*range(len(Quantities._fields)))
+AT = Quantities(*(LANES * row for row in Row))
 ROWS = len(Row)
 # Where the law's memory begins; its line of the reference follows.
 MEMORY = ROWS * LANES
@@ -136,17 +135,9 @@ def pack(plant: Plant, settings: Settings, reference: np.ndarray) -> np.ndarray:
     return np.concatenate([[*plant, *settings], reference.ravel()])
 
 
-@jitable
-def unpack(fixed: np.ndarray, pivot_torque_on_contact: float) -> tuple[Plant, Settings]:
-    """Plant and settings out of what `pack` has packed, but for the constant that the compiler is to know."""
-    c = fixed
-    plant = Plant(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], pivot_torque_on_contact, c[10])
-    steps, law_steps = np.int64(c[14]), np.int64(c[15])
-    return plant, Settings(c[11], c[12], c[13], steps, law_steps, c[16], c[17], c[18] != 0.0, c[19] != 0.0)
-
-
-# Where the controller's table begins.
-CONSTANTS = len(Plant._fields) + len(Settings._fields)
+# Where `pack` begins with the settings, and with the controller's table.
+SETTINGS = len(Plant._fields)
+CONSTANTS = SETTINGS + len(Settings._fields)
 
 
 def no_law(
@@ -189,6 +180,39 @@ def store(typing_context: Any, array: Any, start: Any, stride: Any, values: Any)
     return types.void(array, types.intp, stride, types.UniTuple(types.float64, len(values))), generate
 
 
+@intrinsic
+def record(typing_context: Any, array: Any, start: Any, kind: Any) -> Any:
+    """The named tuple of class `kind` whose fields are the entries of a float64 array from `start` on; unchecked.
+
+    The class says the order of the fields and their types: float, int or bool.
+    """
+    hints = get_type_hints(kind.instance_class)
+    compiled = {float: types.float64, int: types.int64, bool: types.boolean}
+    fields = [compiled[hints[name]] for name in kind.instance_class._fields]
+    if len(set(fields)) == 1:
+        result = types.NamedUniTuple(fields[0], len(fields), kind.instance_class)
+    else:
+        result = types.NamedTuple(fields, kind.instance_class)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        offsets = (builder.add(arguments[1], context.get_constant(types.intp, n)) for n in range(len(fields)))
+        entries = [builder.load(builder.gep(data, [offset])) for offset in offsets]
+        values = map(context.cast, repeat(builder), entries, repeat(types.float64), fields)
+        return context.make_tuple(builder, result, list(values))
+
+    return result(array, types.intp, kind), generate
+
+
+@jitable
+def unpack(fixed: np.ndarray, pivot_torque_on_contact: float) -> tuple[Plant, Settings]:
+    """Plant and settings out of what `pack` has packed, but for the constant that the compiler is to know."""
+    plant = record(fixed, 0, Plant)
+    return Plant(plant.M, plant.mu, plant.mass_ratio, pivot_torque_on_contact, *plant[4:]), record(
+        fixed, SETTINGS, Settings
+    )
+
+
 # A table for a task without a law.
 NO_REFERENCE = np.zeros((1, 2))
 
@@ -202,19 +226,7 @@ PIVOT_TORQUE_ON_CONTACT = 0.0
 @inlined
 def plant_of(block: np.ndarray, j: int, plant: Plant) -> Plant:
     """The plant of one environment."""
-    return Plant(
-        block[MASS + j],
-        plant.m,
-        plant.l,
-        plant.g,
-        plant.k,
-        plant.c,
-        block[MU + j],
-        plant.static_ratio,
-        plant.backward_ratio,
-        plant.pivot_torque_on_contact,
-        block[MASS_RATIO + j],
-    )
+    return Plant(block[AT.M + j], block[AT.mu + j], block[AT.mass_ratio + j], *plant[3:])
 
 
 @inlined
@@ -223,13 +235,13 @@ def prepare(block: np.ndarray, n: int, plant: Plant) -> int:
     use_widest_vectors()
     count = 0
     for j in range(n):
-        active = block[ACTIVE + j] != 0.0
-        block[HALT + j] = UNDER_WAY if active else HALTED
-        block[ACTION + j] = task.clip(block[ACTION + j], 1.0)
-        block[MASS_RATIO + j] = plant.m / (block[MASS + j] + plant.m)
-        block[BEFORE_X + j] = block[X + j]
-        block[STEP_ENERGY + j] = 0.0 if active else block[STEP_ENERGY + j]
-        block[NORMAL_FORCE + j] = math.inf if active else block[NORMAL_FORCE + j]
+        active = block[AT.active + j] != 0.0
+        block[AT.halt + j] = UNDER_WAY if active else HALTED
+        block[AT.action + j] = task.clip(block[AT.action + j], 1.0)
+        block[AT.mass_ratio + j] = plant.m / (block[AT.M + j] + plant.m)
+        block[AT.before_x + j] = block[AT.x + j]
+        block[AT.energy + j] = 0.0 if active else block[AT.energy + j]
+        block[AT.normal_force + j] = math.inf if active else block[AT.normal_force + j]
         count += active
     return count
 
@@ -241,25 +253,25 @@ def engage(block: np.ndarray, n: int, plant: Plant, settings: Settings) -> int:
     period = settings.physics_steps * settings.physics_dt
     resting = 0
     for j in range(n):
-        going = block[HALT + j] == UNDER_WAY
-        residual = settings.residual_limit * block[ACTION + j]
-        torque = task.clip(block[LAW_TORQUE + j] + residual, settings.torque_limit)
-        torque = torque if going else block[TORQUE + j]
-        x_dot = block[X_DOT + j]
-        block[TORQUE + j] = torque
-        block[PEAK_TORQUE + j] = max(block[PEAK_TORQUE + j], abs(torque))
-        block[ELAPSED + j] = period
-        block[SLIP + j] = -1.0 if x_dot < 0.0 else 1.0
+        going = block[AT.halt + j] == UNDER_WAY
+        residual = settings.residual_limit * block[AT.action + j]
+        torque = task.clip(block[AT.law_torque + j] + residual, settings.torque_limit)
+        torque = torque if going else block[AT.torque + j]
+        x_dot = block[AT.x_dot + j]
+        block[AT.torque + j] = torque
+        block[AT.peak_torque + j] = max(block[AT.peak_torque + j], abs(torque))
+        block[AT.elapsed + j] = period
+        block[AT.slip + j] = -1.0 if x_dot < 0.0 else 1.0
         resting += going and x_dot == 0.0
     if resting == 0:
         return 0
     sticking = 0
     for j in range(n):
         p = plant_of(block, j, plant)
-        theta, theta_dot, x_dot = block[THETA + j], block[THETA_DOT + j], block[X_DOT + j]
-        slip = dynamics.contact_phase(theta, theta_dot, x_dot, block[TORQUE + j], p)
-        slip = slip if block[HALT + j] == UNDER_WAY else 1.0
-        block[SLIP + j] = slip
+        theta, theta_dot, x_dot = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x_dot + j]
+        slip = dynamics.contact_phase(theta, theta_dot, x_dot, block[AT.torque + j], p)
+        slip = slip if block[AT.halt + j] == UNDER_WAY else 1.0
+        block[AT.slip + j] = slip
         sticking += slip == 0.0
     return sticking
 
@@ -270,75 +282,75 @@ def glide(block: np.ndarray, n: int, plant: Plant, h: float, may_stick: bool) ->
     use_widest_vectors()
     for j in range(n):
         p = plant_of(block, j, plant)
-        theta, theta_dot, x, x_dot = block[THETA + j], block[THETA_DOT + j], block[X + j], block[X_DOT + j]
-        slip, torque = block[SLIP + j], block[TORQUE + j]
+        theta, theta_dot, x, x_dot = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x + j], block[AT.x_dot + j]
+        slip, torque = block[AT.slip + j], block[AT.torque + j]
         theta_1, theta_dot_1, x_1, x_dot_1, x_ddot, normal, smallest, lasts = dynamics.glide(
             theta, theta_dot, x, x_dot, slip, torque, p, h, may_stick
         )
-        block[NEXT_THETA + j], block[NEXT_THETA_DOT + j] = theta_1, theta_dot_1
-        block[NEXT_X + j], block[NEXT_X_DOT + j] = x_1, x_dot_1
-        block[X_DDOT + j], block[FIRST_NORMAL_FORCE + j] = x_ddot, normal
-        block[LEAST_NORMAL_FORCE + j] = smallest
-        going = block[HALT + j] == UNDER_WAY
+        block[AT.next_theta + j], block[AT.next_theta_dot + j] = theta_1, theta_dot_1
+        block[AT.next_x + j], block[AT.next_x_dot + j] = x_1, x_dot_1
+        block[AT.x_ddot + j], block[AT.first_normal_force + j] = x_ddot, normal
+        block[AT.least_normal_force + j] = smallest
+        going = block[AT.halt + j] == UNDER_WAY
         smooth = lasts and task.termination(theta_1, normal) == 0
-        block[EVENTFUL + j] = 1.0 if going and not smooth else 0.0
+        block[AT.eventful + j] = 1.0 if going and not smooth else 0.0
         commit = going and smooth
-        block[THETA + j] = theta_1 if commit else theta
-        block[THETA_DOT + j] = theta_dot_1 if commit else theta_dot
-        block[X + j] = x_1 if commit else x
-        block[X_DOT + j] = x_dot_1 if commit else x_dot
+        block[AT.theta + j] = theta_1 if commit else theta
+        block[AT.theta_dot + j] = theta_dot_1 if commit else theta_dot
+        block[AT.x + j] = x_1 if commit else x
+        block[AT.x_dot + j] = x_dot_1 if commit else x_dot
         moved = x_1 - x if commit else 0.0
         turned = dynamics.swept(theta_dot, theta_dot_1, theta_1 - theta, h) if commit else 0.0
-        block[STEP_ENERGY + j] += abs(torque) * turned
-        block[FORWARD + j] += max(0.0, moved)
-        block[BACKWARD + j] += max(0.0, -moved)
+        block[AT.energy + j] += abs(torque) * turned
+        block[AT.forward + j] += max(0.0, moved)
+        block[AT.backward + j] += max(0.0, -moved)
         if may_stick:
-            block[STUCK + j] += h if commit and slip == 0.0 else 0.0
-        block[NORMAL_FORCE + j] = min(block[NORMAL_FORCE + j], normal if commit else math.inf)
-        block[LARGEST_THETA + j] = max(block[LARGEST_THETA + j], abs(theta_1) if commit else 0.0)
-        block[LARGEST_THETA_DOT + j] = max(block[LARGEST_THETA_DOT + j], abs(theta_dot_1) if commit else 0.0)
+            block[AT.stuck + j] += h if commit and slip == 0.0 else 0.0
+        block[AT.normal_force + j] = min(block[AT.normal_force + j], normal if commit else math.inf)
+        block[AT.largest_theta + j] = max(block[AT.largest_theta + j], abs(theta_1) if commit else 0.0)
+        block[AT.largest_theta_dot + j] = max(block[AT.largest_theta_dot + j], abs(theta_dot_1) if commit else 0.0)
 
 
 @jitable
 def follow(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) -> int:
     """Takes one environment through a substep in which something happens; returns by how many more stick afterwards."""
     p = plant_of(block, j, plant)
-    torque = block[TORQUE + j]
-    theta, theta_dot, x, x_dot = block[THETA + j], block[THETA_DOT + j], block[X + j], block[X_DOT + j]
-    slip = block[SLIP + j]
-    if block[LEAST_NORMAL_FORCE + j] >= 0.0:
+    torque = block[AT.torque + j]
+    theta, theta_dot, x, x_dot = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x + j], block[AT.x_dot + j]
+    slip = block[AT.slip + j]
+    if block[AT.least_normal_force + j] >= 0.0:
         whole = dynamics.finish(
-            block[NEXT_THETA + j],
-            block[NEXT_THETA_DOT + j],
-            block[NEXT_X + j],
-            block[NEXT_X_DOT + j],
+            block[AT.next_theta + j],
+            block[AT.next_theta_dot + j],
+            block[AT.next_x + j],
+            block[AT.next_x_dot + j],
             slip,
             torque,
             p,
             h,
-            block[X_DDOT + j],
-            block[FIRST_NORMAL_FORCE + j],
+            block[AT.x_ddot + j],
+            block[AT.first_normal_force + j],
         )
     else:
         whole = dynamics.piece(theta, theta_dot, x, x_dot, slip, torque, p, h)
     motion = dynamics.follow(theta, theta_dot, x, x_dot, slip, torque, p, whole)
-    block[THETA + j], block[THETA_DOT + j] = motion.theta, motion.theta_dot
-    block[X + j], block[X_DOT + j] = motion.x, motion.x_dot
-    block[STEP_ENERGY + j] += abs(torque) * motion.swept
-    block[FORWARD + j] += motion.forward
-    block[BACKWARD + j] += motion.backward
-    block[STUCK + j] += motion.stuck
-    block[NORMAL_FORCE + j] = min(block[NORMAL_FORCE + j], motion.normal_force)
-    block[LARGEST_THETA + j] = max(block[LARGEST_THETA + j], abs(motion.theta))
-    block[LARGEST_THETA_DOT + j] = max(block[LARGEST_THETA_DOT + j], abs(motion.theta_dot))
+    block[AT.theta + j], block[AT.theta_dot + j] = motion.theta, motion.theta_dot
+    block[AT.x + j], block[AT.x_dot + j] = motion.x, motion.x_dot
+    block[AT.energy + j] += abs(torque) * motion.swept
+    block[AT.forward + j] += motion.forward
+    block[AT.backward + j] += motion.backward
+    block[AT.stuck + j] += motion.stuck
+    block[AT.normal_force + j] = min(block[AT.normal_force + j], motion.normal_force)
+    block[AT.largest_theta + j] = max(block[AT.largest_theta + j], abs(motion.theta))
+    block[AT.largest_theta_dot + j] = max(block[AT.largest_theta_dot + j], abs(motion.theta_dot))
     ended = task.termination(motion.theta, motion.normal_force)
     next_slip = dynamics.contact_phase(motion.theta, motion.theta_dot, motion.x_dot, torque, p)
     if ended != 0:
-        block[TERMINATION + j] = ended
-        block[HALT + j] = ENDING
-        block[ELAPSED + j] = elapsed
+        block[AT.termination + j] = ended
+        block[AT.halt + j] = ENDING
+        block[AT.elapsed + j] = elapsed
         next_slip = 1.0
-    block[SLIP + j] = next_slip
+    block[AT.slip + j] = next_slip
     return (1 if next_slip == 0.0 else 0) - (1 if slip == 0.0 else 0)
 
 
@@ -347,36 +359,38 @@ def consult(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, settings: 
     """Asks the law for its torque at the present state, `tick` rows further in its reference of `cycle` rows."""
     use_widest_vectors()
     for j in range(n):
-        clock = block[CLOCK + j] + (tick if block[HALT + j] != HALTED else 0.0)
-        block[CLOCK + j] = clock if clock < cycle else 0.0
+        clock = block[AT.clock + j] + (tick if block[AT.halt + j] != HALTED else 0.0)
+        block[AT.clock + j] = clock if clock < cycle else 0.0
     # Environments that began together read the same line of the reference; where they read different ones, no compiler
     # vectorises the loop, which is therefore one of its own.
-    first, apart = block[CLOCK], 0
+    first, apart = block[AT.clock], 0
     for j in range(n):
-        apart += block[CLOCK + j] != first
+        apart += block[AT.clock + j] != first
     if apart == 0:
         line = load(fixed, CONSTANTS + np.int64(first) * REFERENCE_SIZE, 1, REFERENCE_SIZE)
         for j in range(n):
             store(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, line)
     else:
         for j in range(n):
-            line = load(fixed, CONSTANTS + np.int64(block[CLOCK + j]) * REFERENCE_SIZE, 1, REFERENCE_SIZE)
+            line = load(fixed, CONSTANTS + np.int64(block[AT.clock + j]) * REFERENCE_SIZE, 1, REFERENCE_SIZE)
             store(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, line)
     for j in range(n):
         row = load(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, REFERENCE_SIZE)
         memory = load(block, MEMORY + j, LANES, MEMORY_SIZE)
-        torque, renewed = law(block[THETA + j], block[THETA_DOT + j], block[X + j], block[X_DOT + j], memory, row)
-        halt = block[HALT + j]
+        torque, renewed = law(
+            block[AT.theta + j], block[AT.theta_dot + j], block[AT.x + j], block[AT.x_dot + j], memory, row
+        )
+        halt = block[AT.halt + j]
         asked = halt != HALTED
         # Infinity must not pass for a torque that was clipped: infinity minus itself is NaN.
         clipped = task.clip(torque, settings.torque_limit) + (torque - torque)
-        block[LAW_TORQUE + j] = clipped if asked else block[LAW_TORQUE + j]
+        block[AT.law_torque + j] = clipped if asked else block[AT.law_torque + j]
         store(block, MEMORY + j, LANES, renewed if asked else memory)
-        elapsed = block[ELAPSED + j] if asked else 0.0
-        torque = block[TORQUE + j]
-        block[DURATION + j] += tick * elapsed
-        block[TORQUE_SQUARED + j] += tick * elapsed * torque * torque
-        block[HALT + j] = UNDER_WAY if halt == UNDER_WAY else HALTED
+        elapsed = block[AT.elapsed + j] if asked else 0.0
+        torque = block[AT.torque + j]
+        block[AT.duration + j] += tick * elapsed
+        block[AT.torque_squared + j] += tick * elapsed * torque * torque
+        block[AT.halt + j] = UNDER_WAY if halt == UNDER_WAY else HALTED
 
 
 @inlined
@@ -384,42 +398,42 @@ def settle(block: np.ndarray, n: int, plant: Plant, settings: Settings) -> None:
     """Ends an agent step: rewards and the sums of the episode."""
     use_widest_vectors()
     for j in range(n):
-        active = block[ACTIVE + j] != 0.0
+        active = block[AT.active + j] != 0.0
         share = 1.0 if active else 0.0
-        weight = (block[MASS + j] + plant.m) * plant.g
-        moved = block[X + j] - block[BEFORE_X + j]
-        energy = block[STEP_ENERGY + j]
+        weight = (block[AT.M + j] + plant.m) * plant.g
+        moved = block[AT.x + j] - block[AT.before_x + j]
+        energy = block[AT.energy + j]
         terms = task.reward_terms(
-            moved, energy, block[TERMINATION + j] != 0.0, settings.energy_weight, settings.termination_penalty
+            moved, energy, block[AT.termination + j] != 0.0, settings.energy_weight, settings.termination_penalty
         )
         progress, energy_cost, penalty = terms
-        block[REWARD + j] = progress + energy_cost + penalty if active else 0.0
-        block[REWARD_PROGRESS + j] = progress if active else block[REWARD_PROGRESS + j]
-        block[REWARD_ENERGY + j] = energy_cost if active else block[REWARD_ENERGY + j]
-        block[REWARD_TERMINATION + j] = penalty if active else block[REWARD_TERMINATION + j]
-        block[STEPS + j] += share
-        block[ENERGY + j] += share * energy
-        block[WEIGHT_DISTANCE + j] += share * weight * moved
-        smallest = min(block[SMALLEST_NORMAL_RATIO + j], block[NORMAL_FORCE + j] / weight)
-        block[SMALLEST_NORMAL_RATIO + j] = smallest if active else block[SMALLEST_NORMAL_RATIO + j]
+        block[AT.reward + j] = progress + energy_cost + penalty if active else 0.0
+        block[AT.reward_progress + j] = progress if active else block[AT.reward_progress + j]
+        block[AT.reward_energy + j] = energy_cost if active else block[AT.reward_energy + j]
+        block[AT.reward_termination + j] = penalty if active else block[AT.reward_termination + j]
+        block[AT.steps + j] += share
+        block[AT.episode_energy + j] += share * energy
+        block[AT.weight_distance + j] += share * weight * moved
+        smallest = min(block[AT.smallest_normal_ratio + j], block[AT.normal_force + j] / weight)
+        block[AT.smallest_normal_ratio + j] = smallest if active else block[AT.smallest_normal_ratio + j]
 
 
 @inlined
 def observe(block: np.ndarray, n: int, begin: bool, settings: Settings, cycle: int, observations: np.ndarray) -> None:
     """Writes the observations of a block's environments that take part."""
     for j in range(n):
-        if block[ACTIVE + j] != 0.0:
+        if block[AT.active + j] != 0.0:
             task.write_observation(
                 observations[j],
-                (block[THETA + j], block[THETA_DOT + j], block[X_DOT + j]),
-                0.0 if begin else block[ACTION + j],
+                (block[AT.theta + j], block[AT.theta_dot + j], block[AT.x_dot + j]),
+                0.0 if begin else block[AT.action + j],
                 (
                     block[MEMORY + MEMORY_SIZE * LANES + j],
                     block[MEMORY + (MEMORY_SIZE + 1) * LANES + j],
-                    block[CLOCK + j] / cycle,
+                    block[AT.clock + j] / cycle,
                 ),
-                block[LAW_TORQUE + j],
-                (block[MASS + j], block[MU + j]),
+                block[AT.law_torque + j],
+                (block[AT.M + j], block[AT.mu + j]),
                 settings.with_reference,
                 settings.with_parameters,
             )
@@ -465,14 +479,14 @@ def advance(
                     else:
                         glide(block, n, plant, h, False)
                     for j in range(n):
-                        if block[EVENTFUL + j] != 0.0:
+                        if block[AT.eventful + j] != 0.0:
                             sticking += follow(block, j, plant, h, (substep + 1) * h)
             consult(block, n, fixed, cycle, settings, 0.0 if begin else 1.0)
         if not begin:
             settle(block, n, plant, settings)
         observe(block, n, begin, settings, cycle, observations[b * LANES :])
         for j in range(n):
-            if not math.isfinite(block[THETA_DOT + j] + block[LAW_TORQUE + j] + block[REWARD + j]):
+            if not math.isfinite(block[AT.theta_dot + j] + block[AT.law_torque + j] + block[AT.reward + j]):
                 broken = b * LANES + j
     return broken
 

@@ -14,20 +14,21 @@ NormalForce = Literal["newton", "paper"]
 class Plant(NamedTuple):
     """The constants of one plant as the compiled functions read them: SI units, float64, no validation.
 
-    The last one, m / (M + m), follows from the others: it saves the integrator its divisions.
+    The first three differ between the environments of a batch. mass_ratio, m / (M + m), follows from others: it saves
+    the integrator its divisions.
     """
 
     M: float
+    mu: float
+    mass_ratio: float
+    pivot_torque_on_contact: float
     m: float
     l: float
     g: float
     k: float
     c: float
-    mu: float
     static_ratio: float
     backward_ratio: float
-    pivot_torque_on_contact: float
-    mass_ratio: float
 
 
 def check_number(
@@ -49,10 +50,27 @@ def check_number(
     """
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise TypeError(f"{name} must be {accepted}, got {value!r} of type {type(value).__name__}")
-    number = float(value)
+    try:
+        number = float(value)
+    except OverflowError:  # an integer beyond the largest float
+        number = math.inf
     if not math.isfinite(number) or number < low or number > high or (open_low and number == low):
         raise ValueError(f"{name} must be {accepted}, got {value!r}")
     return number
+
+
+def check_count(name: str, value: Any) -> int:
+    """Returns `value` as a positive int.
+
+    Raises:
+        TypeError: if it is no integer.
+        ValueError: if it is below 1.
+    """
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
+        raise TypeError(f"{name} must be an integer >= 1, got {value!r}")
+    if value < 1:
+        raise ValueError(f"{name} must be an integer >= 1, got {value!r}")
+    return int(value)
 
 
 def check_contact_is_regular(M: float, m: float, mu: float) -> None:
@@ -99,6 +117,13 @@ class Capsule:
     Raises:
         TypeError: if a field is of the wrong type.
         ValueError: if a field is out of range, or the plant admits Painleve's paradox.
+
+    >>> Capsule(mu=0.1).plant().mu
+    0.1
+    >>> Capsule(l=-1.0)
+    Traceback (most recent call last):
+    ...
+    ValueError: Capsule.l must be a finite number > 0, got -1.0
     """
 
     M: float = 0.5
@@ -145,19 +170,12 @@ class Capsule:
             mu: friction coefficient; this capsule's own where None.
         """
         capsule = replace(self, M=self.M if M is None else M, mu=self.mu if mu is None else mu)
-        return Plant(
-            M=float(capsule.M),
-            m=float(capsule.m),
-            l=float(capsule.l),
-            g=float(capsule.g),
-            k=float(capsule.k),
-            c=float(capsule.c),
-            mu=float(capsule.mu),
-            static_ratio=float(capsule.static_ratio),
-            backward_ratio=float(capsule.backward_ratio),
-            pivot_torque_on_contact=float(capsule.normal_force == "paper"),
-            mass_ratio=float(capsule.m / (capsule.M + capsule.m)),
-        )
+        derived = {
+            "mass_ratio": float(capsule.m / (capsule.M + capsule.m)),
+            "pivot_torque_on_contact": float(capsule.normal_force == "paper"),
+        }
+        own = {name: float(getattr(capsule, name)) for name in Plant._fields if name not in derived}
+        return Plant(**own, **derived)
 
 
 NOMINAL = Capsule()
@@ -190,6 +208,11 @@ class Randomization:
     Raises:
         TypeError: if a range is no pair of numbers.
         ValueError: if a range is not finite, not positive or not ordered.
+
+    >>> heavy = Randomization(M=(0.8, 1.0), mu=(0.01, 0.1), log_mu=True)
+    >>> M, mu = heavy.draw(np.random.default_rng(0), Capsule())
+    >>> 0.8 <= M < 1.0 and 0.01 <= mu < 0.1
+    True
     """
 
     M: tuple[float, float] | None = None
@@ -256,6 +279,14 @@ class Randomization:
             powers = [low * (high / low) ** share for share in uniform[:, 1].tolist()] if self.log_mu else None
             mu = low + (high - low) * uniform[:, 1] if powers is None else np.array(powers)
         return M, mu
+
+    def __str__(self) -> str:
+        if self.M is None and self.mu is None:
+            return "the capsule's own M and mu"
+        M = "the capsule's own M" if self.M is None else f"M in [{self.M[0]:g}, {self.M[1]:g}] kg"
+        scale = "log-uniform " if self.log_mu else ""
+        mu = "the capsule's own mu" if self.mu is None else f"mu {scale}in [{self.mu[0]:g}, {self.mu[1]:g}]"
+        return f"{M}, {mu}"
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types, for configuration files."""

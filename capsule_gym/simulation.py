@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from enum import IntEnum
@@ -15,10 +16,8 @@ import numpy as np
 from capsule_gym import kernels, task
 from capsule_gym.controller import Controller, find_controller
 from capsule_gym.kernels import LANES, Row
-from capsule_gym.parameters import Capsule, Randomization, check_number
-
-DIRECT_PHYSICS_DT = 2e-3
-LAW_PHYSICS_DT = 1e-3
+from capsule_gym.options import DEFAULTS, DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, Options
+from capsule_gym.parameters import NOMINAL, Randomization, check_count, check_number
 
 METRICS = (
     "mean_speed",
@@ -89,128 +88,109 @@ def divide(name: str, whole: float, part_name: str, part: float) -> int:
     return count
 
 
+def make_settings(options: Options, controller: Controller | None) -> kernels.Settings:
+    """What the kernels need to know of the options, with what is None worked out.
+
+    Args:
+        options: the environment's.
+        controller: the law inside the step, which `options` names.
+
+    Raises:
+        ValueError: if the steps of the integrator, the law and the agent do not divide each other.
+    """
+    torque_limit, residual_limit = options.torque_limit, options.residual_limit
+    physics_dt = options.physics_dt
+    if physics_dt is None:
+        physics_dt = LAW_PHYSICS_DT if controller else DIRECT_PHYSICS_DT
+    law_dt = controller.dt if controller else options.control_dt
+    return kernels.Settings(
+        torque_limit=torque_limit,
+        residual_limit=torque_limit if residual_limit is None else residual_limit,
+        physics_dt=physics_dt,
+        physics_steps=divide("the law's step" if controller else "control_dt", law_dt, "physics_dt", physics_dt),
+        law_steps=divide("control_dt", options.control_dt, "the controller's dt", law_dt),
+        energy_weight=options.energy_weight,
+        termination_penalty=options.termination_penalty,
+        with_reference=controller is not None,
+        with_parameters=options.observe_parameters,
+    )
+
+
 class Simulation:
     """The state of N environments and its evolution; everything is float64 and in SI units.
 
     Args:
         num_envs: number of environments.
-        capsule: the plant's constants; None for the defaults.
-        controller: a law inside the step, as `find_controller` takes it.
-        randomization: where M and mu of an episode come from.
-        torque_limit: largest motor torque, N m.
-        residual_limit: torque of the action 1, N m; None is `torque_limit`.
-        control_dt: agent step, s.
-        physics_dt: step of the integrator, s; None is 2 ms without a law and 1 ms with one.
-        energy_weight: cost of a joule in the reward, in centimetres.
-        termination_penalty: cost of a failure, in centimetres.
-        observe_parameters: whether the observation ends with M and mu.
-        initial_noise: half width in rad of the uniform noise on the initial angle.
-        threads: threads that share a batch; None is 1.
+        options: what they are told.
 
     Attributes:
+        capsule: the plant's constants.
+        controller: the law inside the step, or None.
+        settings: the options as the kernel reads them.
         world: shape (blocks, rows, LANES): environment i is lane i % LANES of block i // LANES; the rows are those of
             `Row`, the law's memory and its line of the reference. `row` and `columns` read it by environments.
         observations: shape (num_envs, entries), float32, of the present state.
 
     Raises:
-        TypeError: if an argument is of the wrong type.
-        ValueError: if an argument is out of range.
+        TypeError: if an option is of the wrong type.
+        ValueError: if an option is out of range.
     """
 
-    def __init__(
-        self,
-        num_envs: int,
-        *,
-        capsule: Capsule | None = None,
-        controller: str | Controller | Callable[[], Controller] | None = None,
-        randomization: str | Randomization = "paper",
-        torque_limit: float = task.TORQUE_LIMIT,
-        residual_limit: float | None = None,
-        control_dt: float = task.CONTROL_DT,
-        physics_dt: float | None = None,
-        energy_weight: float = task.ENERGY_WEIGHT,
-        termination_penalty: float = task.TERMINATION_PENALTY,
-        observe_parameters: bool = False,
-        initial_noise: float = 0.0,
-        threads: int | None = None,
-    ) -> None:
-        if capsule is not None and not isinstance(capsule, Capsule):
-            raise TypeError(f"capsule must be a Capsule or None, got {capsule!r}")
+    def __init__(self, num_envs: int, options: Options = DEFAULTS) -> None:
         self.num_envs = check_count("num_envs", num_envs)
-        self.capsule = capsule or Capsule()
-        self.controller = find_controller(controller)
-        self.randomization = Randomization.named(randomization)
+        self.options = options
+        self.capsule = options.capsule or NOMINAL
+        self.randomization = Randomization.named(options.randomization)
         self.randomization.check(self.capsule)
-        positive = "a finite number > 0"
-        self.torque_limit = check_number("torque_limit", torque_limit, f"{positive} (N m)", 0.0, open_low=True)
-        if residual_limit is None:
-            residual_limit = self.torque_limit
-        self.residual_limit = check_number("residual_limit", residual_limit, "a finite number >= 0 (N m)", 0.0)
-        self.control_dt = check_number("control_dt", control_dt, f"{positive} (s)", 0.0, open_low=True)
-        if physics_dt is None:
-            physics_dt = LAW_PHYSICS_DT if self.controller else DIRECT_PHYSICS_DT
-        self.physics_dt = check_number("physics_dt", physics_dt, f"{positive} (s)", 0.0, open_low=True)
-        if not isinstance(observe_parameters, (bool, np.bool_)):
-            raise TypeError(f"observe_parameters must be True or False, got {observe_parameters!r}")
-        self.observe_parameters = bool(observe_parameters)
-        self.initial_noise = check_number("initial_noise", initial_noise, "a number of rad in [0, 0.5]", 0.0, 0.5)
-        self.threads = 1 if threads is None else check_count("threads", threads)
-
-        law_dt = self.controller.dt if self.controller else self.control_dt
-        self.settings = kernels.Settings(
-            torque_limit=self.torque_limit,
-            residual_limit=self.residual_limit,
-            physics_dt=self.physics_dt,
-            physics_steps=divide(
-                "the law's step" if self.controller else "control_dt", law_dt, "physics_dt", self.physics_dt
-            ),
-            law_steps=divide("control_dt", self.control_dt, "the controller's dt", law_dt),
-            energy_weight=check_number("energy_weight", energy_weight, "a finite number >= 0", 0.0),
-            termination_penalty=check_number("termination_penalty", termination_penalty, "a finite number >= 0", 0.0),
-            with_reference=self.controller is not None,
-            with_parameters=self.observe_parameters,
-        )
-        law = self.controller.law if self.controller else kernels.no_law
+        self.controller = find_controller(options.controller)
+        self.settings = make_settings(options, self.controller)
         self.reference = self.controller.reference if self.controller else kernels.NO_REFERENCE
         self.memory = self.controller.memory if self.controller else (0.0,)
-        plant = self.capsule.plant()
-        self._kernel = kernels.build(
-            law,
-            len(self.memory),
-            self.reference.shape[1],
-            plant.pivot_torque_on_contact,
-            f"the control law {self.controller.name!r}" if self.controller else "no control law",
-        )
 
-        self.observation_names = task.observation_names(self.settings.with_reference, self.observe_parameters)
         blocks = -(-self.num_envs // LANES)
         rows = kernels.ROWS + len(self.memory) + self.reference.shape[1]
         self.world = np.zeros((blocks, rows, LANES))
-        self._blocks = self.world.reshape(blocks, -1)
+        names = task.observation_names(self.settings.with_reference, self.settings.with_parameters)
+        self.observations = np.zeros((self.num_envs, len(names)), np.float32)
         # Set through a memoryview, which takes half the time of an array.
         self._action: Any = memoryview(self.world[0, Row.action])
-        self.observations = np.zeros((self.num_envs, len(self.observation_names)), np.float32)
-        # The kernel's only compiled form: numba's search for the right one is 0.3 us of the 4 that a step takes, and so
-        # are the arguments, where they are looked up each time.
-        compiled: Callable[..., int] = next(iter(self._kernel.overloads.values())).entry_point
-        fixed = (kernels.pack(plant, self.settings, self.reference), self.observations)
-        self._advance: Callable[[int, int, bool], int] = lambda first, last, begin: compiled(
-            self._blocks, first, last, begin, *fixed
-        )
-        self._advance_one = partial(compiled, self._blocks, 0, 1, False, *fixed)
+        self._bind_kernel()
+
         self._seeds = [0] * self.num_envs
         self._episodes = np.zeros(self.num_envs, np.int64)
         self._streams = RandomStreams()
-        # Whole blocks: two threads never write to one.
-        count = min(self.threads, blocks)
-        edges = [min(self.num_envs, LANES * (blocks * n // count)) for n in range(count + 1)]
-        self._ranges = list(pairwise(edges))
         self._changes: dict[int, list[tuple[float, float, float]]] = {}
         # When the next of an environment's changes is due, s.
         self._due = np.full(self.num_envs, math.inf)
         # Whether `Row.active` is 1 everywhere.
         self._everyone = False
+        # Whole blocks: two threads never write to one.
+        count = min(options.threads, blocks)
+        edges = [min(self.num_envs, LANES * (blocks * n // count)) for n in range(count + 1)]
+        self._ranges = list(pairwise(edges))
         self._pool: ThreadPoolExecutor | None = None
+        # The process whose threads they are.
+        self._owner = 0
+
+    def _bind_kernel(self) -> None:
+        """Compiles the kernel, or loads it, and binds the arguments that stay the same from step to step."""
+        plant = self.capsule.plant()
+        self._kernel = kernels.build(
+            self.controller.law if self.controller else kernels.no_law,
+            len(self.memory),
+            self.reference.shape[1],
+            plant.pivot_torque_on_contact,
+            f"the control law {self.controller.name!r}" if self.controller else "no control law",
+        )
+        blocks = self.world.reshape(len(self.world), -1)
+        # The kernel's only compiled form: numba's search for the right one is 0.3 us of the 4 that a step takes, and so
+        # are the arguments, where they are looked up each time.
+        compiled: Callable[..., int] = next(iter(self._kernel.overloads.values())).entry_point
+        fixed = (kernels.pack(plant, self.settings, self.reference), self.observations)
+        self._advance: Callable[[int, int, bool], int] = lambda first, last, begin: compiled(
+            blocks, first, last, begin, *fixed
+        )
+        self._advance_one = partial(compiled, blocks, 0, 1, False, *fixed)
 
     def row(self, row: int) -> np.ndarray:
         """A copy of one quantity of every environment, shape (num_envs,)."""
@@ -270,9 +250,9 @@ class Simulation:
                 self._check_plant(*plant)
             columns[Row.M], columns[Row.mu] = masses, frictions
         columns[Row.theta] = task.START_THETA
-        if self.initial_noise > 0.0:
+        if self.options.initial_noise > 0.0:
             noise = [self._streams.at(*episode, Stream.initial_state).uniform(-1.0, 1.0) for episode in episodes]
-            columns[Row.theta] += self.initial_noise * np.array(noise)
+            columns[Row.theta] += self.options.initial_noise * np.array(noise)
         if state is not None:
             columns[: Row.M] = self._check_state(state, len(rows)).T
         columns[Row.start_x] = columns[Row.x]
@@ -330,7 +310,9 @@ class Simulation:
         """Runs the kernel on all environments; returns one whose numbers are no longer finite, or -1."""
         if len(self._ranges) == 1:
             return self._advance(0, self.num_envs, begin)
-        if self._pool is None:
+        # A forked process inherits the pool, but none of its threads.
+        if self._pool is None or self._owner != os.getpid():
+            self._owner = os.getpid()
             self._pool = ThreadPoolExecutor(len(self._ranges) - 1, thread_name_prefix="capsule")
         # The calling thread does its share: one less to be woken up.
         others = [self._pool.submit(self._advance, first, last, begin) for first, last in self._ranges[1:]]
@@ -363,12 +345,12 @@ class Simulation:
             or 1.
         """
         world = self.columns(rows)
-        duration, energy = world[Row.duration], world[Row.energy]
+        duration, energy = world[Row.duration], world[Row.episode_energy]
         failed = world[Row.termination] != 0
         distance = world[Row.x] - world[Row.start_x]
         # Before the first step every integral is 0, and so is every ratio.
         elapsed = np.where(duration > 0.0, duration, 1.0)
-        whole = np.where(failed, horizon * self.control_dt, elapsed) if horizon else elapsed
+        whole = np.where(failed, horizon * self.options.control_dt, elapsed) if horizon else elapsed
         moved = world[Row.weight_distance]
         transport = np.divide(energy, moved, out=np.full(len(rows), math.inf), where=moved > 0.0)
         forward, backward = world[Row.forward], world[Row.backward]
@@ -393,14 +375,14 @@ class Simulation:
 
     def close(self) -> None:
         """Ends the threads."""
-        if self._pool is not None:
+        if self._pool is not None and self._owner == os.getpid():
             self._pool.shutdown()
-            self._pool = None
+        self._pool = None
 
     def _check_plant(self, M: float, mu: float) -> None:
         """Refuses M and mu that are invalid, or outside the bounds of the observation that shows them."""
         self.capsule.check_plant(M, mu)
-        if self.observe_parameters:
+        if self.settings.with_parameters:
             check_number(
                 "M", M, f"at most {task.M_BOUND:g} x Capsule.M where observed", 0.0, task.M_BOUND * self.capsule.M
             )
@@ -432,7 +414,7 @@ class Simulation:
 
     def _apply_changes(self) -> None:
         """Lets M and mu jump where the time has come: at the first agent step that starts at or after t."""
-        now = self.row(Row.steps) * self.control_dt + 1e-9
+        now = self.row(Row.steps) * self.options.control_dt + 1e-9
         for i in np.flatnonzero(self._due <= now).tolist():
             schedule = self._changes[i]
             lane = self.world[i // LANES, :, i % LANES]
@@ -441,17 +423,3 @@ class Simulation:
             self._due[i] = schedule[0][0] if schedule else math.inf
             if not schedule:
                 del self._changes[i]
-
-
-def check_count(name: str, value: Any) -> int:
-    """Returns `value` as a positive int.
-
-    Raises:
-        TypeError: if it is no integer.
-        ValueError: if it is below 1.
-    """
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"{name} must be an integer >= 1, got {value!r}")
-    if value < 1:
-        raise ValueError(f"{name} must be an integer >= 1, got {value!r}")
-    return int(value)

@@ -1,4 +1,4 @@
-"""Sine and cosine that the compiler can evaluate for several environments at once.
+"""Sine and cosine that the compiler can evaluate for several environments at once, and what follows from them.
 
 The library's sin and cos are calls, and a loop that calls cannot be vectorised: with them the batch takes three times
 as long. These are straight-line arithmetic, the same for one environment and for a batch, bit for bit.
@@ -11,12 +11,14 @@ fuse at all runs at five sixths of the speed. `python -m benchmarks.tricks` meas
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
+import numpy as np
 from numba import njit, types
 from numba.extending import intrinsic
 
-from capsule_gym.compilation import inlined
+from capsule_gym.compilation import compile_cached, inlined
 
 
 @intrinsic
@@ -68,3 +70,42 @@ def sincos(angle: float) -> tuple[float, float]:
     sine, double = fma(y * z, s, y), fma(twice * z, s, twice)
     cosine = fma(zz, c, fma(-0.5, z, 1.0))
     return double * cosine, fma(-double, sine, 1.0)
+
+
+def sines_and_cosines(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`sincos` of every angle of a float64 array, in two arrays of its shape: the same bits as one by one."""
+    values = np.ascontiguousarray(angles, np.float64)
+    sines, cosines = np.empty_like(values), np.empty_like(values)
+    _compiled()(values.reshape(-1), sines.reshape(-1), cosines.reshape(-1))
+    return sines.reshape(np.shape(angles)), cosines.reshape(np.shape(angles))
+
+
+def arccos(cosine: float) -> float:
+    """The angle in [0, pi] rad of that cosine, within 7e-16 of the exact value.
+
+    Newton's iteration on `sincos`: half the angle has the cosine and the sine below, and what a step misses is a third
+    of the cube of what the last one missed.
+
+    Raises:
+        ValueError: if the cosine does not lie in [-1, 1].
+    """
+    if not -1.0 <= cosine <= 1.0:
+        raise ValueError(f"cosine must lie in [-1, 1], got {cosine!r}")
+    c, s = math.sqrt(0.5 + 0.5 * cosine), math.sqrt(0.5 - 0.5 * cosine)
+    half = 0.25 * math.pi
+    for _ in range(5):
+        sine, cos = sincos(half)
+        half += (s * cos - c * sine) / (c * cos + s * sine)
+    return 2.0 * half
+
+
+def _evaluate(angles: np.ndarray, sines: np.ndarray, cosines: np.ndarray) -> None:
+    """Writes `sincos` of every angle."""
+    for i in range(angles.size):
+        sines[i], cosines[i] = sincos(angles[i])
+
+
+@lru_cache(maxsize=1)
+def _compiled() -> Any:
+    """The function above, compiled."""
+    return compile_cached(_evaluate)

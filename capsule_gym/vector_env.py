@@ -12,11 +12,12 @@ from gymnasium.vector.utils import batch_space
 
 from capsule_gym import task
 from capsule_gym.controller import Controller
-from capsule_gym.env import RESET_OPTIONS, REWARD_TERMS, check_options, draw, make_spaces
+from capsule_gym.env import RESET_OPTIONS, REWARD_TERMS, check_options, draw, make_spaces, show
 from capsule_gym.kernels import Row
-from capsule_gym.parameters import Capsule, Randomization
+from capsule_gym.options import Options
+from capsule_gym.parameters import Capsule, Randomization, check_count
 from capsule_gym.rendering import Renderer
-from capsule_gym.simulation import Simulation, check_count
+from capsule_gym.simulation import Simulation
 
 
 class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -29,26 +30,29 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     Truncation is the batch's own, after `max_episode_steps`. The autoreset mode is gymnasium's: with NEXT_STEP the
     step after the end ignores the action and returns the first observation of the next episode with reward 0; with
     SAME_STEP the observation is that first one already and the last one is in `info["final_obs"]`, its info in
-    `info["final_info"]`; with DISABLED an ended environment stands still until
+    `info["final_info"]`, to which the episode's metrics are added; with DISABLED an ended environment stands still until
     `reset(options={"reset_mask": mask})` names it.
 
     Args:
         num_envs: number of environments.
         max_episode_steps: agent steps until truncation.
         autoreset_mode: an `AutoresetMode` or its name, "NEXT_STEP", "SAME_STEP" or "DISABLED".
-        threads: threads that share the batch, from 64 environments each; the results do not depend on it.
-        controller: this and the next as for `CapsuleEnv`.
+        controller: control law inside the step: an import string "module:attribute", a `Controller`, or a function that
+            returns one.
         residual_limit: torque of the action 1, N m.
         torque_limit: largest motor torque, N m.
-        randomization: where M and mu of an episode come from.
+        randomization: where M and mu of an episode come from: "none": the capsule's own M and mu; "paper": M in [0.45,
+            0.55] kg, mu in [0.009, 0.011]; "wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3]; or a
+            `Randomization`.
         capsule: the plant's constants.
         observe_parameters: whether the observation ends with M and mu.
         energy_weight: centimetres that a joule costs.
         termination_penalty: centimetres that a failure costs.
-        initial_noise: half width of the noise on the initial angle, rad.
+        initial_noise: half width of the uniform noise on the initial angle, rad.
         control_dt: agent step, s.
-        physics_dt: step of the integrator, s.
-        render_mode: None or "rgb_array": `render()` then returns one frame per environment.
+        physics_dt: step of the fourth-order integrator, s.
+        threads: threads that share a batch, from 64 environments each; the results do not depend on it.
+        render_mode: "human" or, also of a batch, "rgb_array".
 
     Raises:
         TypeError: if an argument is of the wrong type.
@@ -68,44 +72,31 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         *,
         max_episode_steps: int = task.EPISODE_STEPS,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        threads: int | None = None,
-        controller: str | Controller | Callable[[], Controller] | None = None,
-        residual_limit: float | None = None,
-        torque_limit: float = task.TORQUE_LIMIT,
-        randomization: str | Randomization = "paper",
-        capsule: Capsule | None = None,
-        observe_parameters: bool = False,
-        energy_weight: float = task.ENERGY_WEIGHT,
-        termination_penalty: float = task.TERMINATION_PENALTY,
-        initial_noise: float = 0.0,
-        control_dt: float = task.CONTROL_DT,
-        physics_dt: float | None = None,
-        render_mode: str | None = None,
+        controller: str | Controller | Callable[[], Controller] | None = Options.controller,
+        residual_limit: float | None = Options.residual_limit,
+        torque_limit: float = Options.torque_limit,
+        randomization: str | Randomization = Options.randomization,
+        capsule: Capsule | None = Options.capsule,
+        observe_parameters: bool = Options.observe_parameters,
+        energy_weight: float = Options.energy_weight,
+        termination_penalty: float = Options.termination_penalty,
+        initial_noise: float = Options.initial_noise,
+        control_dt: float = Options.control_dt,
+        physics_dt: float | None = Options.physics_dt,
+        threads: int = Options.threads,
+        render_mode: str | None = Options.render_mode,
     ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f"render_mode must be None or one of {self.metadata['render_modes']}, got {render_mode!r}")
+        options = Options.among(locals())
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(f"render_mode of a batch must be None or 'rgb_array', got {render_mode!r}")
         self.autoreset_mode = _find_mode(autoreset_mode)
         self.max_episode_steps = check_count("max_episode_steps", max_episode_steps)
-        self.simulation = Simulation(
-            num_envs,
-            capsule=capsule,
-            controller=controller,
-            randomization=randomization,
-            torque_limit=torque_limit,
-            residual_limit=residual_limit,
-            control_dt=control_dt,
-            physics_dt=physics_dt,
-            energy_weight=energy_weight,
-            termination_penalty=termination_penalty,
-            observe_parameters=observe_parameters,
-            initial_noise=initial_noise,
-            threads=threads,
-        )
+        self.simulation = Simulation(num_envs, options)
         self.num_envs = self.simulation.num_envs
         self.render_mode = render_mode
         self.metadata = {
             **type(self).metadata,
-            "render_fps": round(1.0 / self.simulation.control_dt),
+            "render_fps": round(1.0 / options.control_dt),
             "autoreset_mode": self.autoreset_mode,
         }
         self.single_action_space, self.single_observation_space = make_spaces(self.simulation)
@@ -147,7 +138,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         )
         self._ended[rows] = False
         self._started = True
-        return self.simulation.observations.copy(), _masked(_snapshot(self.simulation.rows(0, Row.start_x)), mask)
+        return self.simulation.observations.copy(), _masked(_infos(self.simulation.rows(0, Row.start_x)), mask)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One agent step of every environment.
@@ -186,11 +177,11 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             terminated &= active
             truncated &= active
         ended = terminated | truncated
-        info = _masked(_snapshot(shown), self._everywhere)
-        terms = {name: shown[Row[name]] for name in REWARD_TERMS}
-        info |= _masked(terms, self._everywhere if active is None else active)
-        if ended.any():
-            self._report_end(info, ended, terminated)
+        info = _masked(_infos(shown), self._everywhere)
+        if active is not None and self.autoreset_mode is AutoresetMode.DISABLED:
+            info |= {f"_{name}": active for name in REWARD_TERMS}
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
+            self._begin_next(info, ended)
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
             self._ended = ended
         elif self.autoreset_mode is AutoresetMode.DISABLED:
@@ -211,8 +202,9 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             return None
         if not self._renderers:
             simulation = self.simulation
+            torque_limit = simulation.settings.torque_limit
             self._renderers = [
-                Renderer(simulation.capsule, self.render_mode, self.metadata["render_fps"], simulation.torque_limit)
+                Renderer(simulation.capsule, self.render_mode, self.metadata["render_fps"], torque_limit)
                 for _ in range(self.num_envs)
             ]
         frames = (draw(renderer, self.simulation, i) for i, renderer in enumerate(self._renderers))
@@ -225,32 +217,22 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             renderer.close()
         self._renderers = []
 
-    def _report_end(self, info: dict[str, Any], ended: np.ndarray, terminated: np.ndarray) -> None:
-        """Adds to the info how episodes ended; with SAME_STEP also begins the next ones."""
+    def _begin_next(self, info: dict[str, Any], ended: np.ndarray) -> None:
+        """Begins the next episodes, and moves to the info's `final_..` how the last ones have ended."""
         simulation = self.simulation
         rows = np.flatnonzero(ended)
         metrics = {}
         for name, values in simulation.metrics(rows, self.max_episode_steps).items():
             metrics[name] = np.zeros(self.num_envs)
             metrics[name][rows] = values
-        final: dict[str, Any] = {"metrics": metrics}
-        if terminated.any():
-            names = np.full(self.num_envs, None, dtype=object)
-            causes = simulation.row(Row.termination)
-            for i in np.flatnonzero(terminated):
-                names[i] = task.Termination(int(causes[i])).name
-            final |= _masked({"termination": names}, terminated)
-        if self.autoreset_mode is not AutoresetMode.SAME_STEP:
-            info |= _masked(final, ended)
-            return
+        shared = {name: value for name, value in info.items() if not name.startswith("_")}
         info["final_obs"] = np.full(self.num_envs, None, dtype=object)
         for i in rows:
             info["final_obs"][i] = simulation.observations[i].copy()
-        shared = {name: value for name, value in info.items() if not name.startswith("_") and name != "final_obs"}
-        info["final_info"] = _masked({**shared, **final}, ended)
+        info["final_info"] = _masked({**shared, "metrics": metrics}, ended)
         info["_final_obs"] = info["_final_info"] = ended
         simulation.reset(rows)
-        info |= _snapshot(simulation.rows(0, Row.start_x))
+        info |= _infos(simulation.rows(0, Row.start_x))
 
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
         """Hands the seeds out: environment i of seed s gets s + i."""
@@ -332,18 +314,12 @@ def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:
     raise ValueError(f"autoreset_mode must be an AutoresetMode or one of {names}, got {mode!r}")
 
 
-def _snapshot(shown: np.ndarray) -> dict[str, Any]:
-    """The part of the infos that reset and step share, from the first rows of the simulation."""
-    return {
-        "state": shown[:4].T,
-        "M": shown[Row.M],
-        "mu": shown[Row.mu],
-        "stick": shown[Row.x_dot] == 0.0,
-        "torque": shown[Row.torque],
-        "law_torque": shown[Row.law_torque],
-        "normal_force": shown[Row.normal_force],
-        "energy": shown[Row.step_energy],
-    }
+def _infos(rows: np.ndarray) -> dict[str, Any]:
+    """The infos that the first rows of `Row` hold, without their masks."""
+    info = show(rows)
+    info["state"] = info["state"].T
+    info["termination"] = rows[Row.termination].astype(np.int64)
+    return info
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:

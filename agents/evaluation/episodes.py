@@ -73,7 +73,8 @@ def evaluate(policy: Policy, evaluation_set: EvaluationSet, *, horizon: float = 
     metrics = _run(policy, settings, evaluation_set.plants, round(horizon / settings.get("control_dt", CONTROL_DT)))
     shared = has_best_known(evaluation_set) and settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
     episodes = []
-    for plant, values in zip(evaluation_set.plants, metrics, strict=True):
+    for i, plant in enumerate(evaluation_set.plants):
+        values = {name: float(column[i]) for name, column in metrics.items()}
         if shared:
             values[SHARE.metric] = values["mean_speed"] / best_known_speed(plant.M, plant.mu)
         label = plant.to_dict()
@@ -83,10 +84,8 @@ def evaluate(policy: Policy, evaluation_set: EvaluationSet, *, horizon: float = 
     return episodes
 
 
-def _run(
-    policy: Policy, settings: Mapping[str, Any], plants: Sequence[PlantSpec], steps: int
-) -> list[dict[str, float]]:
-    """The metrics of one episode per plant, all run side by side."""
+def _run(policy: Policy, settings: Mapping[str, Any], plants: Sequence[PlantSpec], steps: int) -> dict[str, np.ndarray]:
+    """The metrics of one episode per plant, all run side by side; each of shape (plants,)."""
     seeds = [plant.seed for plant in plants]
     batch = {"num_envs": len(plants), "max_episode_steps": steps, "autoreset_mode": AutoresetMode.DISABLED}
     env = CapsuleVectorEnv(**{**settings, **batch})
@@ -100,13 +99,12 @@ def _run(
             },
         )
         act = policy.start(seeds)
-        metrics: list[dict[str, float]] = [{} for _ in plants]
         for _ in range(steps):
-            observations, _, terminated, truncated, info = env.step(act(observations))
-            for i in np.flatnonzero(info.get("_metrics", ())):
-                metrics[i] = {name: float(values[i]) for name, values in info["metrics"].items()}
+            observations, _, terminated, truncated, _ = env.step(act(observations))
             if (terminated | truncated).all():
                 break
+        # Who has ended stands still.
+        metrics = env.episode_metrics()
     finally:
         env.close()
     return metrics

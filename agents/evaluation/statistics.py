@@ -60,6 +60,9 @@ def interquartile_mean(scores: ArrayLike) -> np.ndarray:
 
     Args:
         scores: shape (.., n) with n >= 1.
+
+    >>> interquartile_mean([0.0, 1.0, 2.0, 900.0]).item()
+    1.5
     """
     ordered = np.sort(np.asarray(scores, dtype=np.float64), axis=-1)
     count = ordered.shape[-1]

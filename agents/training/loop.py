@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import csv
+import dataclasses
 import json
+import os
+import shutil
 import sys
 import time
-from collections import deque
-from dataclasses import dataclass, field
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,7 @@ import torch
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import Logger, make_output_format
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.utils import LinearSchedule, set_random_seed
+from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecNormalize
 from tqdm import tqdm
 
@@ -26,23 +25,19 @@ from agents.evaluation.candidates import BASELINE
 from agents.evaluation.episodes import evaluate, scores, versions
 from agents.evaluation.sets import EvaluationSet, PlantSpec
 from agents.evaluation.statistics import interquartile_mean
-from agents.training.presets import CONFIG, MODEL, NORMALISATION, Config, PPOConfig, SACConfig
-from agents.training.runs import (
-    ALGORITHMS,
-    PROGRESS,
-    REPLAY_BUFFER,
-    Normalisation,
-    TrainedPolicy,
-    git_revision,
-    latest_checkpoint,
-    save_checkpoint,
-    save_model,
-)
+from agents.training import checkpoint
+from agents.training.checkpoint import Progress
+from agents.training.errors import RunError
+from agents.training.lock import locked
+from agents.training.logs import EVALUATED, EVALUATIONS, Table, make_logger
+from agents.training.presets import BEST, CONFIG, Config, PPOConfig, SACConfig, read_config
+from agents.training.runs import Normalisation, TrainedPolicy, git_revision, save_model
 from agents.training.sac import LeanSAC
+from agents.training.stopping import Stop
 from agents.training.vec_env import CapsuleSB3VecEnv
 from baselines.policies import SCRIPTED
 from capsule_gym import Capsule, Randomization
-from capsule_gym.files import to_json, write_atomically
+from capsule_gym.files import naming, to_json, write_atomically
 from capsule_gym.simulation import Stream, random_stream
 
 # Far from the seeds 0, 1, .. that training runs and evaluation sets use: model selection sees draws of its own.
@@ -110,13 +105,8 @@ def make_model(config: Config, env: VecNormalize, sac: type[SAC] = LeanSAC, fuse
     )
 
 
-@dataclass
-class Progress:
-    """What a run has come to; saved with every checkpoint."""
-
-    elapsed: float = 0.0
-    best_speed: float | None = None
-    resumed_at: list[int] = field(default_factory=list)
+class Stopped(Exception):  # noqa: N818
+    """The run is to end between two updates, because its user wants it to."""
 
 
 class Monitor(BaseCallback):
@@ -126,25 +116,24 @@ class Monitor(BaseCallback):
         run: the run's folder.
         config: the run's configuration.
         progress: where it stands.
-        baseline_speed: mean speed of the paper's controller on the run's own draws, cm/s.
-        draws: those draws.
+        latest: the checkpoint that it goes on from, None for none.
+        stop: whether it is to end.
     """
 
-    def __init__(
-        self, run: Path, config: Config, progress: Progress, baseline_speed: float, draws: EvaluationSet
-    ) -> None:
+    def __init__(self, run: Path, config: Config, progress: Progress, latest: Path | None, stop: Stop) -> None:
         super().__init__()
         self.run = run
         self.config = config
         self.progress = progress
-        self.baseline_speed = baseline_speed
-        self.draws = draws
-        self.speeds: deque[float] = deque(maxlen=RECENT)
-        self.failed: deque[float] = deque(maxlen=RECENT)
-        self.evaluated_at = 0
+        self.latest = latest
+        self.stop = stop
+        self.draws = own_draws(config)
+        baseline = evaluate(SCRIPTED[BASELINE], self.draws)
+        self.baseline_speed = float(interquartile_mean(scores(baseline, "mean_speed"))[0])
+        self.evaluations = Table(run / EVALUATIONS, EVALUATED, progress.evaluated_at)
+        self.bar: tqdm[Any] = tqdm(disable=True)
 
     def _on_training_start(self) -> None:
-        self.evaluated_at = self.num_timesteps
         self.began = time.monotonic() - self.progress.elapsed
         self.bar = tqdm(
             total=self.config.total_steps,
@@ -159,20 +148,24 @@ class Monitor(BaseCallback):
     def _on_step(self) -> bool:
         for info in self.locals["infos"]:
             if "metrics" in info:
-                self.speeds.append(info["metrics"]["mean_speed"])
-                self.failed.append(info["metrics"]["failed"])
+                self.progress.speeds.append(info["metrics"]["mean_speed"])
+                self.progress.failed.append(info["metrics"]["failed"])
         self.bar.update(self.num_timesteps - self.bar.n)
         return True
 
     def _on_rollout_start(self) -> None:
         # Between updates, so that a checkpoint holds a consistent model.
-        if self.num_timesteps - self.evaluated_at >= self.config.evaluate_every:
+        if self.num_timesteps - self.progress.evaluated_at >= self.config.evaluate_every:
             self.evaluate()
+        if self.stop.requested:
+            raise Stopped
 
     def _on_rollout_end(self) -> None:
-        if not self.speeds:
+        for values in (self.progress.speeds, self.progress.failed):
+            del values[:-RECENT]
+        if not self.progress.speeds:
             return
-        speed, failed = float(np.mean(self.speeds)), float(np.mean(self.failed))
+        speed, failed = float(np.mean(self.progress.speeds)), float(np.mean(self.progress.failed))
         self.logger.record("episodes/mean_speed", speed)
         self.logger.record("episodes/over_baseline", speed / self.baseline_speed)
         self.logger.record("episodes/failed", failed)
@@ -182,7 +175,6 @@ class Monitor(BaseCallback):
 
     def _on_training_end(self) -> None:
         self.evaluate()
-        self.bar.close()
 
     def evaluate(self) -> None:
         """Evaluates the deterministic policy, writes a line, a checkpoint, and the best model where it is one."""
@@ -190,34 +182,35 @@ class Monitor(BaseCallback):
         episodes = evaluate(policy, self.draws)
         speed = float(interquartile_mean(scores(episodes, "mean_speed"))[0])
         failed = float(scores(episodes, "failed").mean())
-        self.evaluated_at = self.num_timesteps
+        self.progress.evaluated_at = self.num_timesteps
         self.logger.record("evaluation/mean_speed", speed)
         self.logger.record("evaluation/failed", failed)
-        self.progress.elapsed = time.monotonic() - self.began
-        path = self.run / "evaluations.csv"
-        fresh = not path.exists()
-        with path.open("a", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            if fresh:
-                writer.writerow(["steps", "seconds", "mean_speed_cm_s", "failed", "baseline_mean_speed_cm_s"])
-            writer.writerow(
-                [
-                    self.num_timesteps,
-                    f"{self.progress.elapsed:.1f}",
-                    f"{speed:.4f}",
-                    failed,
-                    f"{self.baseline_speed:.4f}",
-                ]
-            )
+        self.evaluations.add(
+            {
+                EVALUATED: self.num_timesteps,
+                "seconds": f"{time.monotonic() - self.began:.1f}",
+                "mean_speed_cm_s": f"{speed:.4f}",
+                "failed": failed,
+                "baseline_mean_speed_cm_s": f"{self.baseline_speed:.4f}",
+            }
+        )
         if self.progress.best_speed is None or speed > self.progress.best_speed:
             self.progress.best_speed = speed
-            save_model(self.run / "best", self.model, policy.normalisation)
+            save_model(self.run / BEST, self.model, policy.normalisation)
         self.checkpoint()
 
     def checkpoint(self) -> None:
-        """Writes what --resume needs."""
+        """Writes what --resume needs, unless it is there already."""
+        if self.latest is not None and self.latest.name == checkpoint.name_of(self.num_timesteps):
+            return
         self.progress.elapsed = time.monotonic() - self.began
-        save_checkpoint(self.run, self.model, self.policy().normalisation, vars(self.progress))
+        self.evaluations.synchronise()
+        self.latest = checkpoint.write(
+            self.run,
+            self.num_timesteps,
+            lambda folder: checkpoint.fill(folder, self.model, self.progress),
+            before=self.latest,
+        )
 
     def policy(self) -> TrainedPolicy:
         """The policy as it is now."""
@@ -227,12 +220,17 @@ class Monitor(BaseCallback):
 
 
 def begin(run: Path, config: Config) -> None:
-    """Makes the folder of a new run.
+    """Makes the folder of a new run, once the environments and the agent are known to accept its configuration.
 
     Raises:
         FileExistsError: if it exists.
+        OSError: if it cannot be made.
+        TypeError: if a field of the configuration is of the wrong type.
+        ValueError: if a field of the configuration is out of range.
     """
-    run.mkdir(parents=True)
+    if run.exists():
+        raise FileExistsError(f"{run} exists already")
+    try_out(config)
     content = {
         "algo": config.algo,
         "task": config.task,
@@ -242,56 +240,104 @@ def begin(run: Path, config: Config) -> None:
         "versions": versions(),
         "revision": git_revision(Path(__file__).parent),
     }
-    write_atomically(run / CONFIG, to_json(content))
+    run.parent.mkdir(parents=True, exist_ok=True)
+    # Whole or absent: a folder without its configuration could be neither begun nor gone on with.
+    partial = run.with_name(f".{run.name}.{os.getpid()}.partial")
+    partial.mkdir()
+    try:
+        write_atomically(partial / CONFIG, to_json(content))
+        partial.rename(run)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def try_out(config: Config) -> None:
+    """Makes the environments and the agent of a configuration, for what they refuse."""
+    config.check()
+    # What they warn of comes when they are made to stay.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        env = make_env(config, config.seed)
+        try:
+            make_model(config, env)
+        except Exception as error:
+            reason = str(error).partition("\n")[0]
+            raise RunError(f"these hyperparameters give no agent: {type(error).__name__}: {reason}") from error
+        finally:
+            env.close()
 
 
 def train(run: Path, config: Config) -> bool:
-    """Trains, or goes on training, until config.total_steps or Ctrl-C.
+    """Trains, or goes on training from the last whole checkpoint, until config.total_steps, Ctrl-C or SIGTERM.
+
+    Gone on with, a run is the same run: it ends with the same policy, bit for bit, as one that was not stopped.
 
     Args:
         run: the run's folder, as `begin` made it.
-        config: its configuration.
+        config: its configuration, in which total_steps alone may be another now.
 
     Returns:
-        Whether it came to the end. After Ctrl-C the folder holds a checkpoint of that moment.
+        Whether it came to the end. Where it did not, the folder holds a checkpoint of that moment.
+
+    Raises:
+        RunError: if another process trains it, or a file of the folder is broken.
+        OSError: if the folder cannot be written to; what it held is still there.
     """
     torch.set_num_threads(config.torch_threads)
-    set_random_seed(config.seed)
-    checkpoint = latest_checkpoint(run)
-    progress = Progress()
-    # A resumed run must not meet the first episodes of its seed again.
-    env_seed = config.seed * 1000
-    if checkpoint is not None:
-        progress = Progress(**json.loads((checkpoint / PROGRESS).read_text(encoding="utf-8")))
-        env_seed += 100_000 * (1 + len(progress.resumed_at))
-    env = make_env(config, env_seed)
-    if checkpoint is None:
-        model = make_model(config, env)
-    else:
-        Normalisation.read(checkpoint / NORMALISATION).apply_to(env)
-        model = ALGORITHMS[config.algo].load(checkpoint / MODEL, env=env, device="cpu")
-        if isinstance(model, OffPolicyAlgorithm):
-            model.load_replay_buffer(checkpoint / REPLAY_BUFFER)
-        set_random_seed(config.seed + model.num_timesteps)
-        progress.resumed_at.append(model.num_timesteps)
-    suffix = f"-from-{model.num_timesteps}" if checkpoint is not None else ""
-    folder = str(run / "logs")
-    model.set_logger(Logger(folder, [make_output_format(kind, folder, suffix) for kind in ("csv", "tensorboard")]))
-
-    draws = own_draws(config)
-    baseline = evaluate(SCRIPTED[BASELINE], draws)
-    monitor = Monitor(run, config, progress, float(interquartile_mean(scores(baseline, "mean_speed"))[0]), draws)
-    try:
+    with naming(run), locked(run):
+        note_changes(run, config)
+        checkpoint.clean_up(run)
+        latest = checkpoint.newest_whole(run)
+        checkpoint.restore_best(latest, run)
+        env = make_env(config, config.seed)
+        if latest is None:
+            model, progress = make_model(config, env), Progress(config.total_steps)
+        else:
+            model, set_streams = checkpoint.restore(latest, config.algo, env)
+            progress = Progress.read(latest)
+            progress.resumed_at.append(model.num_timesteps)
+        stop = Stop()
+        monitor = Monitor(run, config, progress, latest, stop)
+        model.set_logger(make_logger(run, model.num_timesteps))
         remaining = config.total_steps - model.num_timesteps
-        if remaining > 0:
-            model.learn(remaining, callback=monitor, reset_num_timesteps=checkpoint is None)
-    except KeyboardInterrupt:
-        monitor.bar.close()
-        monitor.checkpoint()
-        save_model(run, model, monitor.policy().normalisation)
-        return False
-    finally:
-        model.logger.close()
-        env.close()
-    save_model(run, model, Normalisation.of(env))
-    return True
+        try:
+            if latest is not None:
+                set_streams()
+            if remaining > 0:
+                with stop:
+                    model.learn(remaining, callback=monitor, reset_num_timesteps=latest is None)
+        except Stopped:
+            monitor.checkpoint()
+        finally:
+            monitor.bar.close()
+            model.logger.close()
+            env.close()
+        save_model(run, model, Normalisation.of(env))
+        return not stop.requested
+
+
+def note_changes(run: Path, config: Config) -> None:
+    """Says how a run that goes on differs from the one that was begun, and writes a new end down.
+
+    Raises:
+        RunError: if config.json cannot be read, or is another run's.
+    """
+    path = run / CONFIG
+    begun = read_config(run)
+    if dataclasses.replace(begun, total_steps=config.total_steps) != config:
+        raise RunError(f"{path} must hold the configuration that is trained, of which total_steps alone may change")
+    content = json.loads(path.read_text(encoding="utf-8"))
+    changed = [
+        f"{name} {content['versions'].get(name)} is now {number}"
+        for name, number in versions().items()
+        if content["versions"].get(name) != number
+    ]
+    if changed:
+        print(f"warning: not the same run to the last bit, since {', '.join(changed)}", file=sys.stderr)
+    if begun.total_steps != config.total_steps:
+        print(
+            f"The learning rate was to fall until {begun.total_steps:,} steps and now does until "
+            f"{config.total_steps:,}: this is another run than one with that end from its beginning."
+        )
+        content["hyperparameters"]["total_steps"] = config.total_steps
+        write_atomically(path, to_json(content))

@@ -6,19 +6,32 @@ The fields are the command line of train.py, the text under each is its help. No
 from __future__ import annotations
 
 import dataclasses
+import json
+import math
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Fixed, Suppress
 
-from capsule_gym.command_line import Count
-from capsule_gym.task import ENERGY_WEIGHT, TORQUE_LIMIT
+from agents.training.errors import RunError
+from capsule_gym.command_line import Count, described
+from capsule_gym.options import DOCS, Options
+from capsule_gym.parameters import check_number
 
-# The files of a run that decide its policy.
-CONFIG, MODEL, NORMALISATION = "config.json", "model.zip", "normalisation.json"
+# Of numpy's generators, which SB3 seeds.
+LARGEST_SEED = 2**32 - 1
+# The files of a run that decide its policy, and the folder of the best evaluation.
+CONFIG, MODEL, NORMALISATION, BEST = "config.json", "model.zip", "normalisation.json", "best"
 
 Task = Literal["residual", "direct"]
 Algorithm = Literal["ppo", "sac"]
+
+
+def _option(name: str, more: str = "") -> Any:
+    """The help of an option of the environment."""
+    return described(f"{DOCS[name][0].upper()}{DOCS[name][1:]}{more}.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,18 +50,15 @@ class Config:
     """Environments that are stepped together."""
     controller: str | None = "baselines:adaptive"
     """Control law under a residual torque, as module:attribute."""
-    residual_limit: float = 2.0 * TORQUE_LIMIT
-    """Torque of the action 1, N m; twice the torque limit is full authority."""
-    torque_limit: float = TORQUE_LIMIT
-    """Largest motor torque, N m."""
+    residual_limit: Annotated[float, _option("residual_limit", "; twice the torque limit is full authority")] = (
+        2.0 * Options.torque_limit
+    )
+    torque_limit: Annotated[float, _option("torque_limit")] = Options.torque_limit
     randomization: Literal["none", "paper", "wide"] = "paper"
     """Where M and mu of an episode come from."""
-    observe_parameters: bool = False
-    """Let the agent see M and mu."""
-    energy_weight: float = ENERGY_WEIGHT
-    """Centimetres of reward that a joule costs."""
-    termination_penalty: float = 30.0
-    """Centimetres of reward that a failed episode costs."""
+    observe_parameters: Annotated[bool, _option("observe_parameters")] = Options.observe_parameters
+    energy_weight: Annotated[float, _option("energy_weight")] = Options.energy_weight
+    termination_penalty: Annotated[float, _option("termination_penalty")] = 30.0
     learning_rate: float = 1e-3
     """Step size of Adam at the start."""
     final_learning_rate: float = 1e-4
@@ -65,27 +75,53 @@ class Config:
     """Episodes in each of them, with draws of their own."""
     torch_threads: Count = 1
     """Threads of torch."""
-    env_threads: Count = 1
+    env_threads: Count = Options.threads
     """Threads of the environment."""
 
     def env_kwargs(self) -> dict[str, Any]:
         """The arguments of the environment that this run trains in."""
-        names = (
-            "residual_limit",
-            "torque_limit",
-            "randomization",
-            "observe_parameters",
-            "energy_weight",
-            "termination_penalty",
-        )
-        kwargs = {name: getattr(self, name) for name in names}
-        if self.task == "direct":
-            return {**kwargs, "controller": None, "residual_limit": self.torque_limit}
-        return {**kwargs, "controller": self.controller}
+        kwargs = {name: getattr(self, name) for name in DOCS if hasattr(self, name)}
+        return kwargs | {"controller": None, "residual_limit": self.torque_limit} if self.task == "direct" else kwargs
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""
         return dataclasses.asdict(self)
+
+    def check(self) -> None:
+        """Refuses hyperparameters that no run can have; what the environment takes is the environment's to check.
+
+        Raises:
+            TypeError: if a field is of the wrong type.
+            ValueError: if a field is out of range.
+        """
+        self._check_counts(
+            "total_steps",
+            "num_envs",
+            "hidden",
+            "evaluate_every",
+            "evaluation_episodes",
+            "torch_threads",
+            "env_threads",
+        )
+        self._check_counts("batch_size", least=2)
+        self._check_counts("seed", least=0, most=LARGEST_SEED)
+        self._check_range("learning_rate", "a finite number > 0", 0.0, open_low=True)
+        self._check_range("final_learning_rate", "a finite number >= 0", 0.0)
+        self._check_range("gamma", "a number in [0, 1]", 0.0, 1.0)
+
+    def _check_counts(self, *names: str, least: int = 1, most: int = sys.maxsize) -> None:
+        """Refuses fields that are no integers in that range."""
+        for name in names:
+            value = getattr(self, name)
+            accepted = f"an integer >= {least}" + (f" and <= {most}" if most < sys.maxsize else "")
+            if isinstance(value, bool) or not isinstance(value, int):
+                raise TypeError(f"{name} must be {accepted}, got {value!r}")
+            if not least <= value <= most:
+                raise ValueError(f"{name} must be {accepted}, got {value!r}")
+
+    def _check_range(self, name: str, accepted: str, low: float, high: float = math.inf, **open_end: bool) -> None:
+        """Refuses a field that is no finite number in that range."""
+        check_number(name, getattr(self, name), accepted, low, high, **open_end)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,6 +140,16 @@ class PPOConfig(Config):
     """Weight of the entropy bonus."""
     log_std_init: float = -0.5
     """Logarithm of the initial standard deviation of the action."""
+
+    def check(self) -> None:
+        """As for all; and a rollout must hold the two samples that advantages are normalised over."""
+        super().check()
+        self._check_counts("n_steps", "n_epochs")
+        if self.n_steps * self.num_envs < 2:
+            raise ValueError(f"n_steps must be >= 2 where num_envs is 1, got {self.n_steps!r}")
+        self._check_range("gae_lambda", "a number in [0, 1]", 0.0, 1.0)
+        self._check_range("ent_coef", "a finite number >= 0", 0.0)
+        self._check_range("log_std_init", "a number in [-20, 2]", -20.0, 2.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,6 +177,14 @@ class SACConfig(Config):
     tau: float = 0.01
     """Rate at which the target networks follow."""
 
+    def check(self) -> None:
+        """As for all; and the replay buffer must hold a step of all environments."""
+        super().check()
+        self._check_counts("gradient_steps")
+        self._check_counts("learning_starts", least=0)
+        self._check_counts("buffer_size", least=self.num_envs)
+        self._check_range("tau", "a number in (0, 1]", 0.0, 1.0, open_low=True)
+
 
 PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("residual", "ppo"): PPOConfig(),
@@ -138,3 +192,30 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("residual", "sac"): SACConfig(),
     ("direct", "sac"): SACConfig(task="direct", controller=None),
 }
+
+
+def read_config(run: Path) -> Config:
+    """The configuration of an earlier run.
+
+    Args:
+        run: its folder.
+
+    Raises:
+        RunError: if there is none, or it is broken.
+    """
+    path = run / CONFIG
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise RunError(f"--resume must name the folder of a run, got {str(run)!r}, which has no {CONFIG}") from None
+    except (OSError, ValueError) as error:
+        raise RunError(f"{path} cannot be read: {error}") from error
+    try:
+        preset = PRESETS[content["task"], content["algo"]]
+        config = type(preset)(**content["hyperparameters"])
+        config.check()
+    except KeyError as error:
+        raise RunError(f"{path} is no configuration of a run: it lacks or does not know {error}") from error
+    except (TypeError, ValueError) as error:
+        raise RunError(f"{path} is no configuration of a run: {error}") from error
+    return config

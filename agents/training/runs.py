@@ -4,18 +4,18 @@
     model.zip            the last model
     normalisation.json   the observation's running mean and variance that belong to it
     best/                the same two files for the best evaluation so far
-    checkpoint-STEPS/    everything that --resume needs
+    checkpoint-STEPS/    everything that --resume needs, as `agents.training.checkpoint` says; the last two
     evaluations.csv      the evaluations while training
     logs/                progress.csv and TensorBoard events
+    lock                 the process that trains it
 
 Stable-Baselines3 archives (model.zip) contain pickles, which can run any code when loaded: load only what you trust.
 """
 
 from __future__ import annotations
 
+import io
 import json
-import os
-import shutil
 import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,15 +25,13 @@ from typing import Any
 import numpy as np
 from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.training.presets import CONFIG, MODEL, NORMALISATION
+from agents.training.presets import BEST, CONFIG, MODEL, NORMALISATION
 from agents.training.sac import LeanSAC
-from capsule_gym.files import replacing, to_json, write_atomically
+from capsule_gym.files import to_json, write_atomically, write_bytes_atomically
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": LeanSAC}
-REPLAY_BUFFER, PROGRESS = "replay_buffer.pkl", "progress.json"
 
 
 @dataclass(frozen=True)
@@ -72,11 +70,6 @@ class Normalisation:
         fields = {**vars(self), "mean": self.mean.tolist(), "var": self.var.tolist()}
         write_atomically(path, to_json(fields))
 
-    def apply_to(self, env: VecNormalize) -> None:
-        """Lets a new environment go on with these statistics."""
-        rms: Any = env.obs_rms
-        rms.mean, rms.var, rms.count = self.mean.copy(), self.var.copy(), self.count
-
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """Normalised observations, float32."""
         scaled = (observations - self.mean) / np.sqrt(self.var + self.epsilon)
@@ -114,50 +107,30 @@ def load_policy(path: Path) -> TrainedPolicy:
         ValueError: if something is missing.
     """
     path = Path(path)
-    archive = path
+    file = path
     if path.is_dir():
-        archive = next((p for p in (path / "best" / MODEL, path / MODEL) if p.is_file()), path / MODEL)
-    folder = next((p for p in (archive.parent, archive.parent.parent) if (p / CONFIG).is_file()), archive.parent)
-    for needed in (archive, archive.with_name(NORMALISATION), folder / CONFIG):
+        file = next((p for p in (path / BEST / MODEL, path / MODEL) if p.is_file()), path / MODEL)
+    folder = next((p for p in (file.parent, file.parent.parent) if (p / CONFIG).is_file()), file.parent)
+    for needed in (file, file.with_name(NORMALISATION), folder / CONFIG):
         if not needed.is_file():
             raise ValueError(f"{path} is no trained policy: {needed} is missing")
     config = json.loads((folder / CONFIG).read_text(encoding="utf-8"))
-    model = ALGORITHMS[config["algo"]].load(archive, device="cpu")
-    return TrainedPolicy(folder.name, config["env"], model, Normalisation.read(archive.with_name(NORMALISATION)))
+    model = ALGORITHMS[config["algo"]].load(file, device="cpu")
+    return TrainedPolicy(folder.name, config["env"], model, Normalisation.read(file.with_name(NORMALISATION)))
+
+
+def archive(model: BaseAlgorithm) -> bytes:
+    """SB3's archive of a model; made in memory, since on a full disk its writer fails with an error of its own."""
+    content = io.BytesIO()
+    model.save(content)
+    return content.getvalue()
 
 
 def save_model(folder: Path, model: BaseAlgorithm, normalisation: Normalisation) -> None:
     """Writes model and normalisation into a folder, each whole or not at all."""
     folder.mkdir(parents=True, exist_ok=True)
-    with replacing(folder / MODEL) as temporary:
-        model.save(temporary)
+    write_bytes_atomically(folder / MODEL, archive(model))
     normalisation.write(folder / NORMALISATION)
-
-
-def save_checkpoint(run: Path, model: BaseAlgorithm, normalisation: Normalisation, progress: dict[str, Any]) -> None:
-    """Writes what --resume needs. The folder appears under its name only when it is complete; older ones go then."""
-    older = _checkpoints(run)
-    final = run / f"checkpoint-{model.num_timesteps:012d}"
-    partial = final.with_suffix(".partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    save_model(partial, model, normalisation)
-    if isinstance(model, OffPolicyAlgorithm):
-        model.save_replay_buffer(partial / REPLAY_BUFFER)
-    write_atomically(partial / PROGRESS, to_json(progress))
-    shutil.rmtree(final, ignore_errors=True)
-    os.replace(partial, final)
-    for folder in older:
-        if folder != final:
-            shutil.rmtree(folder, ignore_errors=True)
-
-
-def latest_checkpoint(run: Path) -> Path | None:
-    """The newest complete checkpoint of a run."""
-    return max(_checkpoints(run), default=None)
-
-
-def _checkpoints(run: Path) -> list[Path]:
-    return [path for path in run.glob("checkpoint-*") if path.suffix != ".partial"]
 
 
 def git_revision(folder: Path) -> str:

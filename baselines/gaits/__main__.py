@@ -1,8 +1,4 @@
-"""Searches the best-known gaits and writes them to `gait_data/`.
-
-    python -m baselines.gaits --minutes 25   searches on, from what is known
-    python -m baselines.gaits --oracle       makes the oracle's map again, from what is known
-    python -m baselines.gaits --check        simulates every entry again and writes nothing
+"""Searches the best-known gaits and writes them to `data/`: `python -m baselines.gaits`.
 
 The search goes in rounds. A round takes one family of gaits and one purpose, and runs a CMA-ES for every plant of the
 grid side by side, all candidates of all plants in one batch: `explore` starts from the best of random gaits, `refine`
@@ -18,11 +14,11 @@ search can be interrupted at any time; called again it goes on with the next rou
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
@@ -30,8 +26,10 @@ from baselines.gaits.archive import FOLDER, Archive, load_archive
 from baselines.gaits.families import FAMILIES
 from baselines.gaits.rounds import LARGEST_SENSITIVITY, PURPOSES, Search
 from baselines.gaits.simulation import choose, recheck
+from capsule_gym.command_line import Count, parse, refuse
 from capsule_gym.files import write_atomically
 
+PROG = "python -m baselines.gaits"
 # Rounding differs between machines and a gait may amplify it, by as much as the search lets a thousandth do.
 CHECK_TOLERANCE = LARGEST_SENSITIVITY
 
@@ -52,68 +50,94 @@ def check(archive: Archive, threads: int) -> list[str]:
     return stale
 
 
-def _positive(text: str) -> float:
-    value = float(text)
-    if not value > 0.0:
-        raise argparse.ArgumentTypeError(f"must be a number > 0, got {text}")
-    return value
+@dataclass(frozen=True)
+class Options:
+    """Searches the best-known gaits. Goes on from what is known; Ctrl-C keeps what has been found.
+
+    Examples:
+      python -m baselines.gaits --minutes 25    search on, from what is known
+      python -m baselines.gaits --oracle        make the oracle's map again, from what is known
+      python -m baselines.gaits --check         simulate every entry again and write nothing
+      python -m baselines.gaits --families harmonics --purposes refine finish
+    """
+
+    check: bool = False
+    """Simulate every entry again, write nothing; the exit status says whether all are met."""
+    oracle: bool = False
+    """Only make the oracle's map again."""
+    minutes: float = 25.0
+    """How long to search."""
+    rounds: Count = 0
+    """Rounds at most; 0 for as many as the time allows."""
+    families: tuple[str, ...] = tuple(FAMILIES)
+    """Families of gaits that take turns."""
+    purposes: tuple[str, ...] = tuple(PURPOSES)
+    """Purposes of the rounds that take turns."""
+    seed: int = 0
+    """Of the search."""
+    threads: int = os.cpu_count() or 1
+    """For the batch."""
+    folder: Path = FOLDER
+    """Of gaits.json and oracle.json."""
+
+
+def _refuse_wrong(options: Options) -> None:
+    """Ends the command where an option cannot be meant."""
+    if not options.minutes > 0.0:
+        refuse(PROG, f"--minutes must be a number > 0, got {options.minutes:g}")
+    if options.threads < 1:
+        refuse(PROG, f"--threads must be at least 1, got {options.threads}")
+    for name, given, known in (
+        ("--families", options.families, tuple(FAMILIES)),
+        ("--purposes", options.purposes, tuple(PURPOSES)),
+    ):
+        if not given or not set(given) <= set(known):
+            refuse(PROG, f"{name} must be some of {', '.join(known)}, got {' '.join(given) or 'none'}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m baselines.gaits",
-        description="Searches the best-known gaits. Goes on from what is known; Ctrl-C keeps what has been found.",
-    )
-    parser.add_argument("--check", action="store_true", help="simulate every entry again, write nothing")
-    parser.add_argument("--oracle", action="store_true", help="only make the oracle's map again")
-    parser.add_argument("--minutes", type=_positive, default=25.0, help="how long to search (default: 25)")
-    parser.add_argument("--rounds", type=_positive, default=math.inf, help="rounds at most (default: as time allows)")
-    parser.add_argument(
-        "--families", nargs="+", choices=list(FAMILIES), default=list(FAMILIES), help="that take turns (default: all)"
-    )
-    parser.add_argument(
-        "--purposes", nargs="+", choices=list(PURPOSES), default=list(PURPOSES), help="that take turns (default: all)"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of the search (default: 0)")
-    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1, help="for the batch (default: all cores)")
-    parser.add_argument("--folder", type=Path, default=FOLDER, help="of gaits.json and oracle.json")
-    options = parser.parse_args(arguments)
+    options = parse(Options, PROG, arguments)
+    _refuse_wrong(options)
     archive = load_archive(options.folder)
     if options.check:
         stale = check(archive, options.threads)
         print(*stale, sep="\n")
         print(f"{len(archive.everything())} gaits simulated again: {len(stale)} numbers differ")
         return int(bool(stale))
-    if not options.oracle:
-        search = Search(
-            archive,
-            families=options.families,
-            purposes=options.purposes,
-            seed=options.seed,
-            threads=options.threads,
-            report=lambda line: print(line, flush=True),
-            command=f"python -m baselines.gaits --seed {options.seed} --families {' '.join(options.families)} "
-            f"--purposes {' '.join(options.purposes)}",
-        )
-        interrupted = search.run(
-            minutes=options.minutes,
-            rounds=options.rounds,
-            save=lambda found: write_atomically(options.folder / "gaits.json", found.to_json()),
-        )
-        print(
-            f"searched for {perf_counter() - search.began:.0f} s; in all {archive.rounds} rounds, "
-            f"{archive.evaluations} candidates and {archive.seconds:.0f} s"
-        )
-        if interrupted:
-            print("the oracle's map is as it was; call again to go on, or with --oracle to make the map")
-            return 130
+    if not options.oracle and _search(options, archive):
+        print("the oracle's map is as it was; call again to go on, or with --oracle to make the map")
+        return 130
     if not archive.library():
         print(f"{options.folder} holds no gait to make the oracle's map of")
         return 1
     print("making the oracle's map (a minute or two)", flush=True)
     write_atomically(options.folder / "oracle.json", choose(archive.library(), threads=options.threads).to_json())
     return 0
+
+
+def _search(options: Options, archive: Archive) -> bool:
+    """Searches on; returns whether it was Ctrl-C that ended it."""
+    search = Search(
+        archive,
+        families=options.families,
+        purposes=options.purposes,
+        seed=options.seed,
+        threads=options.threads,
+        report=lambda line: print(line, flush=True),
+        command=f"{PROG} --seed {options.seed} --families {' '.join(options.families)} "
+        f"--purposes {' '.join(options.purposes)}",
+    )
+    interrupted = search.run(
+        minutes=options.minutes,
+        rounds=options.rounds or math.inf,
+        save=lambda found: write_atomically(options.folder / "gaits.json", found.to_json()),
+    )
+    print(
+        f"searched for {perf_counter() - search.began:.0f} s; in all {archive.rounds} rounds, "
+        f"{archive.evaluations} candidates and {archive.seconds:.0f} s"
+    )
+    return interrupted
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 """Best-known gaits: the yardstick of the direct-torque task.
 
-For every plant of a grid in M and mu, and every family of `gait_families`, `data/gaits.json` holds the fastest
-gait that `python -m baselines.gaits` has found: torque limit 1.5 N m, |theta| < pi/2, N > 0, from rest over 33 s,
-with an agent step of 10 ms. A gait counts only if it is robust: with M, mu and the first angle moved by 1 part in 1000
-its speed must move by less than 1 %. A gait that beats an entry replaces it; nothing else does.
+For every plant of a grid in M and mu, and every family of `baselines.gaits.families`, `data/gaits.json` holds the
+fastest gait that `python -m baselines.gaits` has found: torque limit 1.5 N m, |theta| < pi/2, N > 0, from rest over
+33 s, with an agent step of 10 ms. A gait counts only if it is robust: with M, mu and the first angle moved by 1 part in
+1000 its speed must move by less than 1 %. A gait that beats an entry replaces it; nothing else does.
 
 The fastest gaits run close to the limits, and fail on plants a few percent off. The file therefore also holds tolerant
 gaits, the best in the worst case with M 10 % and mu about 20 % off. `gait-nominal` is the tolerant gait of the nominal
@@ -66,6 +66,11 @@ class Gait:
     command: str
     worst_speed: float | None = None
 
+    @property
+    def tolerance(self) -> float:
+        """What tolerant gaits are ordered by: `worst_speed` in cm/s, minus infinity where it was not looked at."""
+        return -math.inf if self.worst_speed is None else self.worst_speed
+
     @classmethod
     def from_dict(cls, fields: dict[str, Any]) -> Gait:
         """The gait from its JSON object."""
@@ -114,7 +119,7 @@ class Archive:
     def offer_tolerant(self, gait: Gait) -> bool:
         """Takes a gait where its worst speed beats that of the tolerant one known; returns whether it did."""
         same = [g for g in self.tolerant if (g.M, g.mu, g.family) == (gait.M, gait.mu, gait.family)]
-        if _worst(gait) <= max([0.0, *(_worst(g) for g in same)]):
+        if gait.tolerance <= max([0.0, *(g.tolerance for g in same)]):
             return False
         others = [g for g in self.tolerant if g not in same]
         self.tolerant = sorted([*others, gait], key=lambda g: (g.family, g.M, g.mu))
@@ -153,11 +158,8 @@ class Archive:
         )
 
 
-def _worst(gait: Gait) -> float:
-    return -math.inf if gait.worst_speed is None else gait.worst_speed
-
-
 def _dominates(one: Gait, other: Gait) -> bool:
+    """Whether one gait is no slower and no dearer than another."""
     return one.mean_speed >= other.mean_speed and one.cost_of_transport <= other.cost_of_transport
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.gaits.archive import FOLDER, Gait, _worst, known_gaits
+from baselines.gaits.archive import FOLDER, Gait, known_gaits
 from baselines.gaits.families import FAMILIES, GAIT_DT, actions
 from capsule_gym.parameters import Capsule
 
@@ -57,7 +57,8 @@ class Performance:
 def start_nominal(seeds: Sequence[int]) -> Act:
     """The tolerant gait of the nominal plant, on every plant; the fastest one fails where M is 5 % off."""
     nominal = Capsule()
-    gait = max((g for g in known_gaits().tolerant if (g.M, g.mu) == (nominal.M, nominal.mu)), key=_worst)
+    tolerant = [gait for gait in known_gaits().tolerant if (gait.M, gait.mu) == (nominal.M, nominal.mu)]
+    gait = max(tolerant, key=lambda gait: gait.tolerance)
     return Performance([gait] * len(seeds)).act
 
 

@@ -91,7 +91,7 @@ class Profile:
         return angle, velocity, acceleration
 
     @property
-    def swing(self) -> float:
+    def peak_to_peak(self) -> float:
         """Largest minus smallest angle of the cycle, rad."""
         angle, _, _ = self.evaluate(np.linspace(0.0, self.period, 20001)[:-1])
         return float(angle.max() - angle.min())
@@ -171,6 +171,12 @@ def six_phases(times: Sequence[float], V1: float, P2: float, name: str = "EPC") 
     return Profile(name, (*progressive, *_restoring(d[3:], _swept(progressive))))
 
 
-# Table 1 gives the times. V1 and P2 are calibrated to the published peak velocity and swing of 68.75 and 85.85 degrees.
-PROPOSED = seven_phases((0.133, 0.195, 0.27, 0.9, 1.7, 5.8, 6.6), V1=7.8, P2=2.122)
-EPC = six_phases((0.1, 0.33, 0.9, 1.4, 5.8, 6.6), V1=11.0, P2=1.451)
+# Table 1: t1 to t7, and t1 to t6 of EPC, s.
+TABLE_1 = (0.133, 0.195, 0.27, 0.9, 1.7, 5.8, 6.6)
+TABLE_1_EPC = (0.1, 0.33, 0.9, 1.4, 5.8, 6.6)
+# rad/s. V1 is the published peak velocity; P2 is not published, and calibrated to the published largest angle.
+V1, P2 = 7.8, 2.122
+V1_EPC, P2_EPC = 11.0, 1.451
+
+PROPOSED = seven_phases(TABLE_1, V1, P2)
+EPC = six_phases(TABLE_1_EPC, V1_EPC, P2_EPC)

@@ -12,10 +12,10 @@ from baselines.laws.profiles import Profile
 from capsule_gym import dynamics
 from capsule_gym.compilation import compile_cached
 from capsule_gym.controller import LAW_DT
-from capsule_gym.parameters import Plant
+from capsule_gym.parameters import Plant, check_number
 
-# The nominal platform is integrated in this many steps per step of the law; the error is then below 1e-8 m.
-FINE = 50
+# The nominal platform is integrated in steps of about this length, s; the error is then below 1e-8 m.
+FINE_DT = 2e-5
 
 COLUMNS = ("theta_d", "theta_d_dot", "theta_d_ddot", "x_d", "x_d_dot", "x_d_ddot", "cycle_start")
 
@@ -97,28 +97,32 @@ def _platform_motion() -> Any:
 
 
 @lru_cache(maxsize=16)
-def reference_table(profile: Profile, nominal: Plant) -> np.ndarray:
+def reference_table(profile: Profile, nominal: Plant, dt: float = LAW_DT) -> np.ndarray:
     """One cycle at the law's rate.
 
     Args:
-        profile: what the pendulum is to follow; its period must be a multiple of 1 ms.
+        profile: what the pendulum is to follow; its period must be a multiple of the law's.
         nominal: the plant that the controller believes in.
+        dt: period of the law, s.
 
     Returns:
         Shape (steps, 7), float64, columns COLUMNS; read-only.
 
     Raises:
-        ValueError: if the period is no multiple of the law's step.
+        TypeError: if dt is no number.
+        ValueError: if dt is not positive, or the profile's period is no multiple of it.
     """
-    steps = round(profile.period / LAW_DT)
-    if abs(steps * LAW_DT - profile.period) > 1e-9:
-        raise ValueError(f"the profile's period must be a multiple of {LAW_DT} s, got {profile.period!r} s")
-    h = LAW_DT / FINE
+    dt = check_number("dt", dt, "a finite number > 0 (s)", 0.0, open_low=True)
+    steps = round(profile.period / dt)
+    if abs(steps * dt - profile.period) > 1e-9:
+        raise ValueError(f"the profile's period must be a multiple of dt = {dt!r} s, got {profile.period!r} s")
+    fine = max(1, round(dt / FINE_DT))
+    h = dt / fine
     # Sampled at the middle of the fine steps, where the jumps of theta_d'' at the edges of the phases do not lie.
-    angle, velocity, acceleration = profile.evaluate((np.arange(steps * FINE) + 0.5) * h)
-    platform = _platform_motion()(angle, velocity, acceleration, h, nominal)[:, ::FINE]
+    angle, velocity, acceleration = profile.evaluate((np.arange(steps * fine) + 0.5) * h)
+    platform = _platform_motion()(angle, velocity, acceleration, h, nominal)[:, ::fine]
     table = np.zeros((steps, len(COLUMNS)))
-    table[:, :3] = np.stack(profile.evaluate(np.arange(steps) * LAW_DT), axis=1)
+    table[:, :3] = np.stack(profile.evaluate(np.arange(steps) * dt), axis=1)
     table[:, 3:6] = platform.T
     table[0, 6] = 1.0
     table.setflags(write=False)

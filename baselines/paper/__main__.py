@@ -1,4 +1,4 @@
-"""The paper's Section 5 beside ours: python -m baselines.paper [--figures DIR] [--json FILE].
+"""The paper's numbers beside ours: `python -m baselines.paper [--figures DIR] [--json FILE]`.
 
 Every published number with what is found, whether it was calibrated or predicted, and for each that differs the reason,
 proved where it can be.
@@ -6,16 +6,47 @@ proved where it can be.
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
 
-from baselines.paper.report import make_report
-from capsule_gym.files import write_atomically
+from capsule_gym.command_line import check_output, parse
+from capsule_gym.files import to_json, write_atomically
+
+PROG = "python -m baselines.paper"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Prints the paper's numbers beside ours, with the reason where they differ; draws its figures.
+
+    Half a minute: Section 5, two proofs on the published torques, what Table 1 follows from, Principles and Lemmas, the
+    optimum of the paper's profiles, the adaptive law over its ranges, and what the speeds depend on.
+
+    Examples:
+      python -m baselines.paper                           all tables
+      python -m baselines.paper --figures docs/figures    and all figures, as SVG and PNG
+      python -m baselines.paper --json paper.json         and all numbers, for programs
+    """
+
+    figures: Path | None = None
+    """Also draw the figures into this folder, made if it does not exist (needs matplotlib)."""
+    json: Path | None = None
+    """Also write all numbers to this file."""
+    overwrite: bool = False
+    """Let --json replace an existing file."""
+
+    def check(self) -> None:
+        """Refuses what could not be written, before the work and not after it."""
+        check_output("--json", self.json, overwrite=self.overwrite)
+        if self.figures is not None:
+            if self.figures.exists() and not self.figures.is_dir():
+                raise ValueError(f"--figures must name a folder, got {str(self.figures)!r}")
+            if find_spec("matplotlib") is None:
+                raise ValueError("--figures needs matplotlib: pip install 'capsule-gym[paper]'")
 
 
 def _tell(name: str) -> None:
@@ -26,34 +57,18 @@ def _tell(name: str) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m baselines.paper",
-        description="The paper's numbers beside ours, with the reason where they differ, and its figures.",
-    )
-    parser.add_argument("--figures", type=Path, metavar="DIR", help="also draw the figures (needs matplotlib)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write all numbers to this file")
-    parser.add_argument("--overwrite", action="store_true", help="let --json replace an existing file")
-    options = parser.parse_args(arguments)
-    # Before the work, so that nothing is computed in vain.
-    if options.json is not None:
-        if options.json.exists() and not options.overwrite:
-            parser.error(f"--json must name a new file unless --overwrite is given, got {str(options.json)!r}")
-        if options.json.is_dir() or not options.json.parent.is_dir():
-            parser.error(f"--json must name a file in a folder that exists, got {str(options.json)!r}")
-    if options.figures is not None:
-        if options.figures.exists() and not options.figures.is_dir():
-            parser.error(f"--figures must name a folder, got {str(options.figures)!r}")
-        if find_spec("matplotlib") is None:
-            parser.error("--figures needs matplotlib: pip install 'capsule-gym[paper]'")
+    options = parse(Options, PROG, arguments)
+    # After the command line is known to be right: the help needs none of it.
+    from baselines.paper.report import make_report
 
     begin = perf_counter()
     report = make_report(_tell)
     # Written before anything is printed: a closed pipe must not cost the result.
     if options.json is not None:
-        write_atomically(options.json, json.dumps(report.to_dict(), indent=1, allow_nan=False) + "\n")
+        write_atomically(options.json, to_json(report.to_dict()))
     figures = []
     if options.figures is not None:
-        from baselines.paper.figures.profiles import draw_all
+        from baselines.paper.figures.gallery import draw_all
 
         figures = draw_all(options.figures, _tell)
     _tell("")

@@ -1,35 +1,36 @@
 """What the adaptive law (37) to (39) does inside a recorded run: its terms, its estimates, the Lyapunov function (40).
 
 The law keeps only its memory; everything else is recomputed here from the states and the memory of a `Trace`, for the
-whole run at once.
+whole run at once and by the functions of which the law is made.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
-from baselines.laws.adaptive import (
-    BETA,
-    BETA_AS_PUBLISHED,
-    N_EXPONENT,
-    SATURATION_WIDTH,
-    eta_of,
-    initial_memory,
-    nominal_estimates,
-)
-from baselines.laws.gains import GAMMA_1, GAMMA_2, K_1, K_2, K_3, LAMBDA_THETA, LAMBDA_X
+from baselines.laws.adaptive import constants_of, eta_of, initial_memory, nominal_estimates
+from baselines.laws.adaptive_terms import MEMORY, Constants, adaptive_terms
+from baselines.laws.gains import PUBLISHED, REGULARISED, UNREGULARISED, Choices
+from baselines.laws.profiles import PROPOSED
+from baselines.laws.reference import COLUMNS, reference_table
 from baselines.paper.traces import Trace
-from capsule_gym.parameters import Capsule, Plant
+from capsule_gym.compilation import compile_cached
+from capsule_gym.controller import LAW_DT
+from capsule_gym.kernels import load
+from capsule_gym.parameters import NOMINAL, Plant
 
 # A change of V below this is rounding.
 RESOLUTION = 1e-12
+CELLS, ENTRIES = len(MEMORY), len(COLUMNS)
 
 
 @dataclass(frozen=True)
-class Terms:
+class RecordedTerms:
     """The adaptive law's own quantities at every call of a run, shape (n,) where nothing else is said.
 
     Attributes:
@@ -41,7 +42,7 @@ class Terms:
         estimates_theta: before the call, shape (n, 5).
         estimates_x: before the call, shape (n, 4).
         eta: before the call.
-        work: delta_x Y_x alpha^_x, W: the term whose sign decides whether V falls.
+        power: delta_x Y_x alpha^_x, W: the term whose sign decides whether V falls.
     """
 
     error_x: np.ndarray
@@ -52,43 +53,61 @@ class Terms:
     estimates_theta: np.ndarray
     estimates_x: np.ndarray
     eta: np.ndarray
-    work: np.ndarray
+    power: np.ndarray
 
 
-def law_terms(run: Trace, *, as_published: bool, nominal: Plant | None = None) -> Terms:
+def recompute(
+    states: np.ndarray, memories: np.ndarray, references: np.ndarray, constants: Constants, found: np.ndarray
+) -> None:
+    """`adaptive_terms` at every call of a run.
+
+    Args:
+        states: theta, theta', x and x' in a row, shape (4 n,).
+        memories: likewise, shape (CELLS n,).
+        references: likewise, shape (ENTRIES n,).
+        constants: of the law.
+        found: error_x, delta_theta, delta_x, T_c, T_n and power, shape (n, 6); written.
+    """
+    for i in range(len(found)):
+        theta, theta_dot, x, x_dot = load(states, 4 * i, 1, 4)
+        memory, reference = load(memories, CELLS * i, 1, CELLS), load(references, ENTRIES * i, 1, ENTRIES)
+        terms = adaptive_terms(theta, theta_dot, x, x_dot, memory, reference, constants)
+        found[i, 0], found[i, 1], found[i, 2] = terms.e_x, terms.delta_theta, terms.delta_x
+        found[i, 3], found[i, 4], found[i, 5] = terms.T_c, terms.T_n, terms.power
+
+
+@lru_cache(maxsize=1)
+def _recompute() -> Any:
+    """The function above, compiled."""
+    return compile_cached(recompute)
+
+
+def form(*, regularised: bool) -> Choices:
+    """What `adaptive()` chooses, or `adaptive_as_published()`."""
+    return REGULARISED if regularised else UNREGULARISED
+
+
+def law_terms(run: Trace, *, regularised: bool) -> RecordedTerms:
     """Recomputes the adaptive law with the published gains along a run.
 
     Args:
         run: of `adaptive()` or `adaptive_as_published()`.
-        as_published: which of the two.
-        nominal: the plant that the law starts from.
+        regularised: which of the two.
     """
-    p = nominal or Capsule().plant()
+    plant, choices = NOMINAL.plant(), form(regularised=regularised)
+    constants = constants_of(PUBLISHED, choices, plant, reference_table(PROPOSED, plant), LAW_DT)
     # The memory of a sample is what its call left; the call itself used the one before, but its own anchor.
-    before = np.vstack([initial_memory(p, 0.0), run.memory[:-1]])
-    h, g, eta = before[:, :5], before[:, 5:9], eta_of(before)
-    theta_d, theta_d_dot, theta_d_ddot, x_d, x_d_dot, x_d_ddot, _ = run.reference.T
-    e, e_dot = run.theta - theta_d, run.theta_dot - theta_d_dot
-    e_x, e_x_dot = run.x - (run.memory[:, 10] + x_d), run.x_dot - x_d_dot
-    rho_theta, rho_theta_dot = theta_d_dot - LAMBDA_THETA * e, theta_d_ddot - LAMBDA_THETA * e_dot  # Eq. (37a)
-    rho_x_dot = x_d_ddot - LAMBDA_X * e_x_dot
-    delta_theta, delta_x = e_dot + LAMBDA_THETA * e, e_x_dot + LAMBDA_X * e_x  # Eq. (37b)
-    sin, cos = np.sin(run.theta), np.cos(run.theta)
-    normal = (p.M + p.m) * p.g - p.m * p.l * (theta_d_ddot * sin + run.theta_dot**2 * cos)
-    normal -= p.pivot_torque_on_contact * (p.k * run.theta + p.c * run.theta_dot) * sin
-    contact = np.maximum(0.0, normal) * np.sign(run.x_dot)
-    Y_theta = np.stack([rho_theta_dot, -cos * rho_x_dot, run.theta, run.theta_dot, -sin], axis=1)  # Eq. (38)
-    Y_x = np.stack([-cos * rho_theta_dot, rho_x_dot, contact, sin * run.theta_dot * rho_theta], axis=1)
-    work = delta_x * (Y_x * g).sum(axis=1)
-    T_c = (Y_theta * h).sum(axis=1) - K_1 * delta_theta  # Eq. (39b)
-    sgn = np.sign(delta_theta) if as_published else np.clip(delta_theta / SATURATION_WIDTH, -1.0, 1.0)
-    share = delta_theta / (delta_theta**2 + (BETA_AS_PUBLISHED if as_published else BETA))
-    T_n = -sgn * np.abs(delta_x) * (np.abs(eta) + K_2)
-    T_n -= share * ((eta + 1.0) * K_3 * delta_x**2 + (eta - 1.0) * np.abs(work))  # Eq. (39c)
-    return Terms(e_x, delta_theta, delta_x, T_c, T_n, h, g, eta, work)
+    before = np.vstack([initial_memory(constants, choices.eta_0), run.memory[:-1]])
+    before[:, MEMORY.index("x_anchor")] = run.memory[:, MEMORY.index("x_anchor")]
+    states = np.stack([run.theta, run.theta_dot, run.x, run.x_dot], axis=1)
+    found = np.empty((len(states), 6))
+    _recompute()(states.ravel(), before.ravel(), run.reference.ravel(), constants, found)
+    error_x, delta_theta, delta_x, T_c, T_n, power = found.T
+    eta = eta_of(before, choices.n)
+    return RecordedTerms(error_x, delta_theta, delta_x, T_c, T_n, before[:, :5], before[:, 5:9], eta, power)
 
 
-def lyapunov(terms: Terms, theta: np.ndarray, plant: Plant) -> np.ndarray:
+def lyapunov(terms: RecordedTerms, theta: np.ndarray, plant: Plant) -> np.ndarray:
     """The Lyapunov function V of Eq. (40) with the true plant's parameters.
 
     Args:
@@ -102,12 +121,12 @@ def lyapunov(terms: Terms, theta: np.ndarray, plant: Plant) -> np.ndarray:
     kinetic -= ml * np.cos(theta) * terms.delta_theta * terms.delta_x
     wrong_theta = ((terms.estimates_theta - alpha[:5]) ** 2).sum(axis=1)
     wrong_x = ((terms.estimates_x - alpha[5:]) ** 2).sum(axis=1)
-    n = N_EXPONENT
+    n = REGULARISED.n
     auxiliary = (2.0 * n + 1.0) / (2.0 * n) * terms.eta ** (2.0 * n / (2.0 * n + 1.0))
-    return kinetic + 0.5 * wrong_theta / GAMMA_1 + 0.5 * wrong_x / GAMMA_2 + auxiliary  # Eq. (40)
+    return kinetic + 0.5 * wrong_theta / PUBLISHED.Gamma_1 + 0.5 * wrong_x / PUBLISHED.Gamma_2 + auxiliary  # Eq. (40)
 
 
-def derivative(terms: Terms, beta: float, *, norm: bool = True) -> np.ndarray:
+def derivative(terms: RecordedTerms, beta: float, *, norm: bool = True) -> np.ndarray:
     """V' of Eq. (41) before its last two steps, with sgn as printed: what the law makes of (38) while it slips.
 
     With s = delta_theta^2 / (delta_theta^2 + beta), w = delta_x Y_x alpha^_x and W = |w|, the terms of (39) leave
@@ -125,10 +144,10 @@ def derivative(terms: Terms, beta: float, *, norm: bool = True) -> np.ndarray:
     """
     d, dx = terms.delta_theta, terms.delta_x
     share = d**2 / (d**2 + beta)
-    size = np.abs(terms.work)
-    auxiliary = size if norm else size - terms.eta * (size - terms.work)
-    falling = -K_1 * d**2 - np.abs(d * dx) * (terms.eta + K_2) - share * K_3 * dx**2
-    return falling + share * auxiliary - terms.work
+    size = np.abs(terms.power)
+    auxiliary = size if norm else size - terms.eta * (size - terms.power)
+    falling = -PUBLISHED.K1 * d**2 - np.abs(d * dx) * (terms.eta + PUBLISHED.K2) - share * PUBLISHED.K3 * dx**2
+    return falling + share * auxiliary - terms.power
 
 
 @dataclass(frozen=True)
@@ -200,22 +219,22 @@ class Descent:
     positive: float
 
 
-def descent(run: Trace, plant: Plant, *, as_published: bool) -> Descent:
+def descent(run: Trace, plant: Plant, *, regularised: bool) -> Descent:
     """The course of the Lyapunov function along a run of the adaptive law.
 
     Args:
         run: the run.
         plant: its true plant.
-        as_published: which of the two laws ran.
+        regularised: which form of the law ran.
     """
-    terms = law_terms(run, as_published=as_published)
+    terms = law_terms(run, regularised=regularised)
     V = lyapunov(terms, run.theta, plant)
     change = np.diff(V)
     rises = np.where(change > RESOLUTION, change, 0.0)
-    anchored = run.reference[1:, 6] > 0.0
+    anchored = run.reference[1:, COLUMNS.index("cycle_start")] > 0.0
     stuck = (run.x_dot[:-1] == 0.0) & ~anchored
     slipping = ~anchored & ~stuck
-    negative = terms.work[:-1] < 0.0
+    negative = terms.power[:-1] < 0.0
     causes = {
         "x_d starts anew": anchored,
         "stick: (38) takes f for mu N sign(x')": stuck,
@@ -223,7 +242,7 @@ def descent(run: Trace, plant: Plant, *, as_published: bool) -> Descent:
         "slip, delta_x Y_x alpha^_x >= 0": slipping & ~negative,
     }
     total = float(rises.sum())
-    slope = derivative(terms, BETA_AS_PUBLISHED if as_published else BETA)[:-1][slipping]
+    slope = derivative(terms, form(regularised=regularised).beta)[:-1][slipping]
     return Descent(
         start=float(V[0]),
         end=float(V[-1]),

@@ -1,7 +1,8 @@
 """Principles 1 to 4 of the paper, Eqs. (5) to (8), and Lemmas 1 and 2, as margins over a cycle of a profile.
 
 A margin is the limit minus the load: positive where the demand is met. The cycle is sampled phase by phase, both ends
-included, so that the acceleration's jumps at the edges count from either side.
+included, so that the acceleration's jumps at the edges count from either side. Every function takes a profile, or
+samples of any motion.
 
 The contact comes in two forms. "newton" is the floor's true normal force and the true force of the pendulum on the
 platform. "paper" is (7) and (8) as printed: they add the torque of spring and damper, k theta + c theta', to forces.
@@ -11,7 +12,6 @@ That torque acts between pendulum and platform and never on the floor, and its d
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -30,7 +30,7 @@ RESTORING_PHASES = 4
 
 @dataclass(frozen=True)
 class Cycle:
-    """A profile sampled phase by phase.
+    """A motion in samples, in a profile's case phase by phase.
 
     Attributes:
         t: s; the end of a phase and the start of the next are two samples at one time.
@@ -71,23 +71,10 @@ class Margin:
         return self.limit - self.load
 
     @property
-    def by_phase(self) -> np.ndarray:
-        """The smallest margin in each phase."""
-        return _over_phases(self.margin, self.cycle.phase, np.min)
-
-    @property
     def factor_by_phase(self) -> np.ndarray:
         """The largest load over limit in each phase: above 1 the demand is violated by that factor."""
-        return _over_phases(self.load / self.limit, self.cycle.phase, np.max)
-
-    def smallest(self, last_phases: int | None = None) -> float:
-        """The smallest margin of the cycle, or of its last phases."""
-        return float(self.by_phase[-(last_phases or 0) :].min())
-
-
-def _over_phases(values: np.ndarray, phase: np.ndarray, reduce: Callable[[np.ndarray], float]) -> np.ndarray:
-    """One number per phase."""
-    return np.array([reduce(values[phase == n]) for n in range(int(phase[-1]) + 1)])
+        phase, ratio = self.cycle.phase, self.load / self.limit
+        return np.array([ratio[phase == n].max() for n in range(int(phase[-1]) + 1)])
 
 
 def sample(profile: Profile, samples: int = SAMPLES_PER_PHASE) -> Cycle:
@@ -109,23 +96,23 @@ def sample(profile: Profile, samples: int = SAMPLES_PER_PHASE) -> Cycle:
     return Cycle(*(np.concatenate(column) for column in columns))
 
 
-def principle_1(profile: Profile, theta_0: float) -> Margin:
+def principle_1(motion: Profile | Cycle, theta_0: float) -> Margin:
     """Eq. (5): the angle stays within theta_0.
 
     Args:
-        profile: the profile.
+        motion: the profile, or its samples.
         theta_0: the prescribed angle, rad.
     """
     theta_0 = check_number("theta_0", theta_0, "a finite number > 0 (rad)", 0.0, open_low=True)
-    cycle = sample(profile)
+    cycle = _cycle(motion)
     return _bounded("Principle 1 (5)", "rad", cycle, np.abs(cycle.theta), theta_0)
 
 
-def principle_2(profile: Profile, v_theta: float, a_theta: float) -> tuple[Margin, Margin]:
+def principle_2(motion: Profile | Cycle, v_theta: float, a_theta: float) -> tuple[Margin, Margin]:
     """Eq. (6): velocity and acceleration of the pendulum stay within their bounds.
 
     Args:
-        profile: the profile.
+        motion: the profile, or its samples.
         v_theta: rad/s.
         a_theta: rad/s^2.
 
@@ -134,39 +121,39 @@ def principle_2(profile: Profile, v_theta: float, a_theta: float) -> tuple[Margi
     """
     v_theta = check_number("v_theta", v_theta, "a finite number > 0 (rad/s)", 0.0, open_low=True)
     a_theta = check_number("a_theta", a_theta, "a finite number > 0 (rad/s^2)", 0.0, open_low=True)
-    cycle = sample(profile)
+    cycle = _cycle(motion)
     return (
         _bounded("Principle 2 (6), velocity", "rad/s", cycle, np.abs(cycle.theta_dot), v_theta),
         _bounded("Principle 2 (6), acceleration", "rad/s^2", cycle, np.abs(cycle.theta_ddot), a_theta),
     )
 
 
-def principle_3(profile: Profile, p: Plant, normal_force: NormalForce = "newton") -> Margin:
+def principle_3(motion: Profile | Cycle, p: Plant, normal_force: NormalForce = "newton") -> Margin:
     """Eq. (7): the floor carries the platform throughout. Load: the pendulum's lift; limit: the weight.
 
     Args:
-        profile: the profile.
+        motion: the profile, or its samples.
         p: the plant.
         normal_force: Newton's, or (7) as printed, with the pivot's torque.
     """
-    cycle = sample(profile)
+    cycle = _cycle(motion)
     bracket, centripetal = _parts(cycle, p, normal_force)
     load = centripetal * np.cos(cycle.theta) + bracket * np.sin(cycle.theta)
     return _bounded(f"Principle 3 (7), {normal_force}", "N", cycle, load, (p.M + p.m) * p.g)
 
 
-def principle_4(profile: Profile, p: Plant, normal_force: NormalForce = "newton") -> Margin:
+def principle_4(motion: Profile | Cycle, p: Plant, normal_force: NormalForce = "newton") -> Margin:
     """Eq. (8): a platform at rest stays at rest. Load: the pendulum's force; limit: static friction.
 
     The margin covers the whole cycle. The principle asks for it after the progressive motion, that is in the last
     `RESTORING_PHASES`; in the phases before, a violation is what moves the capsule.
 
     Args:
-        profile: the profile.
+        motion: the profile, or its samples.
         p: the plant.
         normal_force: Newton's with the true driving force, or both sides of (8) as printed, with the pivot's torque.
     """
-    cycle = sample(profile)
+    cycle = _cycle(motion)
     bracket, centripetal = _parts(cycle, p, normal_force)
     sin, cos = np.sin(cycle.theta), np.cos(cycle.theta)
     force = bracket * cos - centripetal * sin
@@ -175,7 +162,9 @@ def principle_4(profile: Profile, p: Plant, normal_force: NormalForce = "newton"
     return Margin(f"Principle 4 (8), {normal_force}", "N", cycle, np.abs(force), limit)
 
 
-def lemma_1(profile: Profile, p: Plant, normal_force: NormalForce = "newton", form: LemmaForm = "printed") -> Margin:
+def lemma_1(
+    motion: Profile | Cycle, p: Plant, normal_force: NormalForce = "newton", form: LemmaForm = "printed"
+) -> Margin:
     """Lemma 1, Eq. (10), offered by the paper as sufficient for Principle 3. It is not.
 
     With a = m l theta'' + k theta + c theta' and b = m l theta'^2, (12) asks for sqrt(a^2 + b^2) < (M + m) g. That is
@@ -185,13 +174,13 @@ def lemma_1(profile: Profile, p: Plant, normal_force: NormalForce = "newton", fo
     it necessary for (7) itself: at theta = 0, where a drops out of (7), a large a violates (10) alone.
 
     Args:
-        profile: the profile.
+        motion: the profile, or its samples.
         p: the plant.
         normal_force: whether a holds the pivot's torque ("paper", as printed) or not.
         form: "printed" for (10), "sufficient" for (12).
     """
     _check_form(form)
-    cycle = sample(profile)
+    cycle = _cycle(motion)
     bracket, centripetal = _parts(cycle, p, normal_force)
     weight = (p.M + p.m) * p.g
     if form == "sufficient":
@@ -200,7 +189,9 @@ def lemma_1(profile: Profile, p: Plant, normal_force: NormalForce = "newton", fo
     return _bounded("Lemma 1 (10)", "N rad/s^2", cycle, load, weight**2 / (2.0 * p.m * p.l))  # Eq. (10)
 
 
-def lemma_2(profile: Profile, p: Plant, normal_force: NormalForce = "newton", form: LemmaForm = "printed") -> Margin:
+def lemma_2(
+    motion: Profile | Cycle, p: Plant, normal_force: NormalForce = "newton", form: LemmaForm = "printed"
+) -> Margin:
     """Lemma 2, Eq. (15), offered by the paper as sufficient for Principle 4.
 
     As printed it bounds a sum without absolute values, so a strong deceleration passes it while the platform is pushed
@@ -209,13 +200,13 @@ def lemma_2(profile: Profile, p: Plant, normal_force: NormalForce = "newton", fo
     sqrt(mu^2 + 1) is sufficient for (8), by Cauchy and Schwarz, on either side.
 
     Args:
-        profile: the profile.
+        motion: the profile, or its samples.
         p: the plant; its static friction is taken as isotropic, at the smaller of the two coefficients.
         normal_force: whether the torque of spring and damper enters ("paper", as printed) or not.
         form: "printed" for (15), "sufficient" for the mended one.
     """
     _check_form(form)
-    cycle = sample(profile)
+    cycle = _cycle(motion)
     pivot = _pivot(cycle, p, normal_force)
     mu = p.mu * p.static_ratio * min(1.0, p.backward_ratio)
     limit = (p.M + p.m) * p.g / (p.m * p.l) * mu / math.sqrt(mu * mu + 1.0)
@@ -224,6 +215,11 @@ def lemma_2(profile: Profile, p: Plant, normal_force: NormalForce = "newton", fo
         return _bounded("Lemma 2 (15), sufficient", "rad/s^2", cycle, load, limit)
     load = cycle.theta_ddot + cycle.theta_dot**2 + pivot  # Eq. (15)
     return _bounded("Lemma 2 (15)", "rad/s^2", cycle, load, limit)
+
+
+def _cycle(motion: Profile | Cycle) -> Cycle:
+    """The samples of a motion."""
+    return motion if isinstance(motion, Cycle) else sample(motion)
 
 
 def _bounded(name: str, unit: str, cycle: Cycle, load: np.ndarray, limit: float) -> Margin:

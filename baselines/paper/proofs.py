@@ -2,7 +2,8 @@
 
 Neither knows the reference, the gains or the law: they hold for every motor torque that stays within the limit. Both
 are certified: what is sampled is widened by a bound on what happens between the samples. They cover either direction
-of slip, stick, and both options for the normal force.
+of slip, stick, and both options for the normal force. What they bound is the torque against the rate; the mean speed
+they leave open.
 """
 
 from __future__ import annotations
@@ -10,30 +11,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
+from typing import get_args
 
 import numpy as np
-from numba.extending import register_jitable
 
+from baselines.envelope import Envelope, upper_envelope
 from baselines.paper import published
 from capsule_gym import dynamics
-from capsule_gym.compilation import compile_cached
-from capsule_gym.parameters import Capsule, Plant
+from capsule_gym.parameters import Capsule, NormalForce, Plant
 from capsule_gym.task import START_THETA
 
 SAMPLES = 20_001
-# So many that the widening below costs the bound less than 0.01 rad/s.
-ENVELOPE_STEPS = 400_000
-# Of the envelope itself; its error is then below 1e-3 rad/s.
-COARSE_STEPS = 20_000
-BISECTIONS = 25
+BISECTIONS = 22
 # N m; reaches every published velocity.
 STRONGEST = 4.0
 # ms; a swing that takes longer has come to rest.
 LONGEST_SWING = 2000
-# No torque of a few N m makes the pendulum faster, rad/s.
-FASTEST = 40.0
 
 
 @dataclass(frozen=True)
@@ -67,7 +60,7 @@ class PeakTorque:
 
 
 @dataclass(frozen=True)
-class Envelope:
+class LargestRate:
     """Proof 2 for one published pair of velocity and torque.
 
     Attributes:
@@ -77,8 +70,8 @@ class Envelope:
         bound: certified upper bound on theta' under that torque, from rest anywhere in +-swing, rad/s.
         from_start: the same from rest at -60 degrees, rad/s.
         estimate: the peak of that envelope itself, without the margin of certification, rad/s.
-        torque_needed: the torque whose envelope from -60 degrees reaches the published velocity: none below does, N m.
-        torque_enough: the constant torque that reaches it from -60 degrees, by simulation, N m.
+        torque_needed: certified lower bound on the torque that reaches the published velocity from -60 degrees, N m.
+        torque_enough: a constant torque that reaches it from there, by simulation, N m.
         undamped: what `from_start` would be for c = 0, rad/s.
     """
 
@@ -157,12 +150,10 @@ def torque_at_peak(
     Returns:
         The bound in N m, the angle in rad where it is attained, and the mode in words.
     """
-    capsule = capsule or Capsule()
     theta = np.linspace(low, high, SAMPLES)
     margin = 0.5 * (theta[1] - theta[0])
     best = (math.inf, 0.0, "")
-    for option in ("newton", "paper"):
-        p = replace(capsule, normal_force=option).plant()
+    for option, p in zip(get_args(NormalForce), _either_contact(capsule or Capsule()), strict=True):
         slope = _slope_of_torque(max(abs(low), abs(high)), velocity, p)
         for slip in slips:
             torque = torque_without_acceleration(theta, velocity, slip, p) - slope * margin
@@ -172,133 +163,40 @@ def torque_at_peak(
     return best
 
 
-@register_jitable
-def largest_acceleration(
-    theta: float, theta_dot: float, u: float, newton: Plant, paper: Plant, frictionless: Plant
-) -> float:
-    """The largest theta'' in rad/s^2 of any contact mode and option for the normal force, and without contact."""
-    largest = dynamics.accelerations(theta, theta_dot, 0.0, u, newton)[0]
-    largest = max(largest, dynamics.accelerations(theta, theta_dot, 1.0, u, frictionless)[0])
-    for slip in (1.0, -1.0):
-        largest = max(largest, dynamics.accelerations(theta, theta_dot, slip, u, newton)[0])
-        largest = max(largest, dynamics.accelerations(theta, theta_dot, slip, u, paper)[0])
-    return largest
-
-
-def integrate_envelope(
-    low: float,
-    high: float,
-    steps: int,
-    u: float,
-    along_theta: float,
-    along_square: float,
-    newton: Plant,
-    paper: Plant,
-    frictionless: Plant,
-) -> np.ndarray:
-    """theta'^2 of the envelope on steps + 1 angles from low to high: Euler steps that never fall.
-
-    Args:
-        low: first angle, rad; the pendulum rests there.
-        high: last angle, rad.
-        steps: number of steps.
-        u: the torque limit, N m.
-        along_theta: bound on |d theta'' / d theta|, 1/s^2 per rad; 0 for the envelope itself instead of a bound on it.
-        along_square: bound on the increase of theta'' per theta'^2, 1/rad.
-        newton: the plant with Newton's normal force.
-        paper: with the paper's.
-        frictionless: without friction.
-    """
-    h = (high - low) / steps
-    squares = np.zeros(steps + 1)
-    for n in range(steps):
-        acceleration = largest_acceleration(low + n * h, math.sqrt(squares[n]), u, newton, paper, frictionless)
-        # The slope sigma of the step solves sigma = 2 (a + A h + B sigma h), which bounds 2 theta'' on all of it.
-        sigma = 2.0 * (acceleration + along_theta * h) / (1.0 - 2.0 * along_square * h)
-        squares[n + 1] = squares[n] + h * max(0.0, sigma)
-    return squares
-
-
-@lru_cache(maxsize=1)
-def _compiled_envelope() -> Any:
-    """The function above, compiled."""
-    return compile_cached(integrate_envelope)
-
-
-def upper_envelope(
+def swing_envelope(
     limit: float, low: float, high: float, capsule: Capsule | None = None, *, certified: bool = True
-) -> tuple[np.ndarray, np.ndarray]:
-    """Proof 2: the fastest that any torque within +-limit can make the pendulum pass an angle.
+) -> Envelope:
+    """Proof 2: the envelope of a swing from rest, whichever option for the normal force holds.
 
-    Theorem. Let |u| <= limit, let the motion start at rest in [low, high] and stay there. Then theta' <= E(theta),
-    where E solves E dE/dtheta = max over the contact modes of theta''(theta, E, u = limit), E(low) = 0, E never
-    falling.
-
-    Argument. Every stretch with theta' > 0 begins at rest at some angle in [low, high], where E >= 0 = theta'. On it
-    w = theta'^2 is a function of the angle with dw/dtheta = 2 theta'' <= 2 F(theta, sqrt(w)), F the maximum over the
-    modes at the largest torque, since theta'' grows with u in each of them. E^2 satisfies the same relation with >=,
-    F grows with w at a bounded rate at most (the damper only lowers it), and so the comparison theorem for scalar
-    equations gives w <= E^2.
-    A platform that has lost contact moves without friction; that mode is among those searched.
-
-    Each Euler step is widened by bounds on the derivatives of F over the whole step, so that the polygon lies above
-    every solution: it is a proof up to rounding, not an approximation.
+    The theorem and its argument stand at `baselines.envelope.upper_envelope`.
 
     Args:
-        limit: N m.
+        limit: of the torque, N m.
         low: smallest angle of the swing, rad.
         high: largest, rad.
         capsule: the plant; its option for the normal force does not matter.
-        certified: whether to widen the steps; without it the polygon approximates E itself.
-
-    Returns:
-        Angles in rad and E in rad/s there.
+        certified: whether it is to be a bound; without it, it approximates the envelope itself.
     """
-    capsule = capsule or Capsule()
-    newton, paper = (replace(capsule, normal_force=option).plant() for option in ("newton", "paper"))
-    along_theta, along_square = _slopes_of_acceleration(limit, max(abs(low), abs(high)), FASTEST, newton)
-    steps = ENVELOPE_STEPS
-    if not certified:
-        along_theta, along_square, steps = 0.0, 0.0, COARSE_STEPS
-    squares = _compiled_envelope()(
-        low, high, steps, limit, along_theta, along_square, newton, paper, newton._replace(mu=0.0)
-    )
-    if squares[-1] > FASTEST**2:
-        raise ValueError(f"limit must be small enough for speeds below {FASTEST:g} rad/s, got {limit!r} N m")
-    return np.linspace(low, high, steps + 1), np.sqrt(squares)
+    return upper_envelope(limit, low, high, *_either_contact(capsule or Capsule()), certified=certified)
 
 
-def _slopes_of_acceleration(limit: float, largest_theta: float, fastest: float, p: Plant) -> tuple[float, float]:
-    """Bounds on |d theta''/d theta| (1/s^2 per rad) and on the increase of theta'' per theta'^2 (1/rad).
+def _either_contact(capsule: Capsule) -> list[Plant]:
+    """A capsule with either option for the normal force."""
+    return [replace(capsule, normal_force=option).plant() for option in get_args(NormalForce)]
 
-    theta'' = n / d with d = m l^2 (M + m) - (m l)^2 cos (cos +- mu sin), the pivot's torque bounded by its parts. The
-    damper makes theta'' fall with theta' in every mode, so only the centrifugal terms count for the second bound.
+
+def torque_needed(velocity: float, low: float, high: float, capsule: Capsule | None = None) -> float:
+    """A torque in N m with which no motion from rest at `low` reaches a velocity (rad/s) before `high`, nor with less.
+
+    The largest that bisection finds whose certified envelope stays below the velocity: a motion with less torque keeps
+    within this limit as well.
     """
-    ml, total = p.m * p.l, p.M + p.m
-    smallest = ml * p.l * total - ml * ml * (1.0 + p.mu)
-    pivot = p.k * largest_theta + p.c * fastest
-    centrifugal = ml * fastest**2
-    friction = p.mu * (total * p.g + centrifugal + pivot)
-    numerator = total * (limit + ml * p.g + pivot) + ml * (centrifugal + friction)
-    along = total * (ml * p.g + p.k) + ml * (2.0 * centrifugal + friction + p.mu * (centrifugal + pivot + p.k))
-    along_theta = along / smallest + numerator * ml * ml * (1.0 + p.mu) / smallest**2
-    return along_theta, ml * ml * (0.5 + p.mu) / smallest
+    weak, _ = _threshold(lambda torque: swing_envelope(torque, low, high, capsule).fastest >= velocity)
+    return weak
 
 
-def fastest_swing(
-    limit: float, low: float, high: float, capsule: Capsule | None = None, *, certified: bool = True
-) -> float:
-    """The peak of `upper_envelope` in rad/s."""
-    return float(upper_envelope(limit, low, high, capsule, certified=certified)[1][-1])
-
-
-def torque_to_reach(velocity: float, low: float, high: float, capsule: Capsule | None = None) -> float:
-    """The smallest torque limit in N m whose envelope from rest at `low` reaches a velocity (rad/s) before `high`."""
-    return _least(lambda torque: fastest_swing(torque, low, high, capsule, certified=False) >= velocity)
-
-
-def constant_torque_to_reach(velocity: float, low: float, high: float, capsule: Capsule | None = None) -> float:
-    """The constant torque in N m that takes the capsule from rest at `low` to a velocity (rad/s) before `high`."""
+def torque_enough(velocity: float, low: float, high: float, capsule: Capsule | None = None) -> float:
+    """A constant torque in N m that takes the capsule from rest at `low` to a velocity (rad/s) before `high`."""
     p = (capsule or Capsule()).plant()
 
     def reaches(torque: float) -> bool:
@@ -310,16 +208,17 @@ def constant_torque_to_reach(velocity: float, low: float, high: float, capsule: 
                 break
         return theta_dot >= velocity
 
-    return _least(reaches)
+    _, strong = _threshold(reaches)
+    return strong
 
 
-def _least(enough: Callable[[float], bool]) -> float:
-    """The smallest torque in N m that is enough, by bisection."""
+def _threshold(reaches: Callable[[float], bool]) -> tuple[float, float]:
+    """The torques in N m, by bisection, between which a velocity comes into reach: the first fails, the second does."""
     weak, strong = 0.0, STRONGEST
     for _ in range(BISECTIONS):
         middle = 0.5 * (weak + strong)
-        weak, strong = (weak, middle) if enough(middle) else (middle, strong)
-    return strong
+        weak, strong = (weak, middle) if reaches(middle) else (middle, strong)
+    return weak, strong
 
 
 def peak_torques() -> list[PeakTorque]:
@@ -334,7 +233,7 @@ def peak_torques() -> list[PeakTorque]:
     return found
 
 
-def envelopes() -> list[Envelope]:
+def largest_rates() -> list[LargestRate]:
     """Proof 2 for the proposed profile and for EPC."""
     found = []
     for name, numbers in (("proposed", published.PROPOSED), ("EPC", published.EPC)):
@@ -342,16 +241,16 @@ def envelopes() -> list[Envelope]:
         largest = math.radians(numbers["swing"].value)
         swing = (START_THETA, largest)
         found.append(
-            Envelope(
+            LargestRate(
                 name,
                 limit,
                 velocity,
-                bound=fastest_swing(limit, -largest, largest),
-                from_start=fastest_swing(limit, *swing),
-                estimate=fastest_swing(limit, *swing, certified=False),
-                torque_needed=torque_to_reach(velocity, *swing),
-                torque_enough=constant_torque_to_reach(velocity, *swing),
-                undamped=fastest_swing(limit, *swing, Capsule(c=0.0)),
+                bound=swing_envelope(limit, -largest, largest).fastest,
+                from_start=swing_envelope(limit, *swing).fastest,
+                estimate=swing_envelope(limit, *swing, certified=False).fastest,
+                torque_needed=torque_needed(velocity, *swing),
+                torque_enough=torque_enough(velocity, *swing),
+                undamped=swing_envelope(limit, *swing, Capsule(c=0.0)).fastest,
             )
         )
     return found

@@ -14,19 +14,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.laws.profiles import PROPOSED, seven_phases
+from baselines.laws.profiles import P2, PROPOSED, TABLE_1, V1, seven_phases
+from baselines.paper.published import NATURAL_FREQUENCY
 from capsule_gym.parameters import Capsule, Plant
 
 NOMINAL = Capsule().plant()
 THETA_0 = math.pi / 3.0
-OMEGA_N = 5.7184  # rad/s, sqrt(g / l), as Sect. 5 gives it
+OMEGA_N = NATURAL_FREQUENCY.value
 
-TABLE_1 = (0.133, 0.195, 0.27, 0.9, 1.7, 5.8, 6.6)
 # Half a unit of the last digit of each time in Table 1, s.
 ROUNDING = (0.0005, 0.0005, 0.005, 0.05, 0.05, 0.05, 0.05)
-# Calibrated to the published peak velocity and swing, rad/s: the paper gives neither.
-V1 = 7.8
-P2 = 2.122
 
 # (30) and (31) together are (23) and t6 - t4 = t7 - t5; with P3 from (23), only the latter is tested.
 CIRCULAR = "P3 of (23), so only t6 - t4 = t7 - t5 is tested"
@@ -254,6 +251,7 @@ def what_follows() -> tuple[Consequence, ...]:
         ("(25)", "t2", "s", lambda t: (eq_25_t2(_quarter(t), t[2], falling=True), t[1]), "on the falling branch"),
         ("(26)", "omega", "rad/s", lambda t: (eq_26_omega(t[2]), _quarter(t)), "against pi / (2 t1) of phase I"),
         ("(26)", "omega", "rad/s", lambda t: (eq_26_omega(t[2]), OMEGA_N), "against the natural frequency"),
+        ("(27)", "t4", "s", lambda t: (eq_27_t4(t3=t[2]), t[3]), f"at P2 = {P2} rad/s"),
         ("(27)", "P2", "rad/s", lambda t: (eq_27_p2(t), P2), "solved for P2, against the published swing"),
         ("(28)", "t5", "s", lambda t: (eq_28_t5(_implied_p3(t)), t[4]), "P3 of (23)"),
         ("(29)", "P3", "rad/s", lambda t: (eq_29_p3(eq_27_p2(t), t), _implied_p3(t)), "against (23)"),

@@ -1,11 +1,12 @@
 """How far the paper's two profiles carry the platform on other plants, contacts and integration steps.
 
 The pendulum follows its profile exactly here, so a run is the platform's motion under known forces:
-`python -m baselines.paper.sensitivity` prints the numbers, `baselines.paper.figures.profiles` draws them.
+`python -m baselines.paper.sensitivity` prints the numbers, `baselines.paper.figures.studies` draws them.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,12 +16,13 @@ import numpy as np
 
 from baselines.laws.feedback_linearisation import feedback_linearising_law
 from baselines.laws.gains import K_P, K_V
-from baselines.laws.profiles import EPC, PROPOSED, Profile
+from baselines.laws.profiles import Profile
 from baselines.laws.reference import COLUMNS, slide
-from baselines.paper import published
 from baselines.paper.traces import CYCLES, UNLIMITED
 from capsule_gym import Capsule, Controller, dynamics
+from capsule_gym.command_line import parse
 from capsule_gym.compilation import compile_cached
+from capsule_gym.options import Options as EnvOptions
 from capsule_gym.parameters import NOMINAL, NormalForce, Plant, check_number
 from capsule_gym.simulation import Simulation
 
@@ -31,6 +33,8 @@ NORMAL_FORCES: tuple[NormalForce, ...] = ("newton", "paper")
 MAP_STEP = 1e-4
 STEPS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2)
 AGENT_STEP = 0.02
+# Below this both profiles rest but for their first push, and a ratio says nothing; cm/s.
+ALL_BUT_AT_REST = 0.01
 
 
 def contact_loads(
@@ -218,8 +222,7 @@ def step_study(profile: Profile, steps: Sequence[float] = STEPS, law_step: float
         table = np.zeros((len(times), len(COLUMNS)))
         table[:, :3] = np.stack(profile.evaluate(times), axis=1)
         controller = Controller("feedback-linearising", feedback_linearising_law(plant, K_P, K_V), table, dt=held)
-        simulation = Simulation(
-            1,
+        options = EnvOptions(
             controller=controller,
             randomization="none",
             torque_limit=UNLIMITED,
@@ -227,6 +230,7 @@ def step_study(profile: Profile, steps: Sequence[float] = STEPS, law_step: float
             control_dt=AGENT_STEP,
             physics_dt=step,
         )
+        simulation = Simulation(1, options)
         everyone = np.zeros(1, np.int64)
         simulation.reset(everyone, M=[plant.M], mu=[plant.mu])
         for _ in range(round(CYCLES * profile.period / AGENT_STEP)):
@@ -287,46 +291,23 @@ def least_mass_in_contact(speeds: SpeedMap) -> float:
     return float(np.interp(0.0, speeds.smallest_normal_ratio, speeds.M))
 
 
-def report() -> str:
-    """Every number of the study as text."""
-    M, mu = grid()
-    proposed, epc = speed_map(PROPOSED, M, mu), speed_map(EPC, M, mu)
-    # Where both have come to rest there is nothing to compare.
-    moving = epc.speed > 0.01
-    ratio = proposed.speed[moving] / epc.speed[moving]
-    turns = turning_points(proposed, epc)
-    lines = [
-        f"Mean speed over M = {M[0]:g} to {M[-1]:g} kg and mu = {mu[0]:g} to {mu[-1]:g}, exact tracking, five cycles",
-        f"  proposed / EPC                    {ratio.min():.3f} to {ratio.max():.3f}",
-        f"  the faster profile changes at     {len(turns) or 'no'} points of the map",
-    ]
-    for speeds, stated in (
-        (proposed, published.PROPOSED["mean_speed"].value),
-        (epc, published.EPC["mean_speed"].value),
-    ):
-        fits = friction_for(speeds, NOMINAL.M, stated)
-        lines.append(f"  {speeds.profile:<9} gives the published {stated} cm/s at mu = {fits:.3f} (M = 0.5 kg)")
-        if speeds.smallest_normal_ratio.min() <= 0.0:
-            lines.append(f"  {speeds.profile:<9} loses contact below M = {least_mass_in_contact(speeds):.3f} kg")
-    lines += [
-        "",
-        "Normal force of (7) against Newton's, M = 0.5 kg",
-        "  profile         mu   newton    paper  difference",
-    ]
-    for profile in (PROPOSED, EPC):
-        effect = contact_effect(profile, (0.003, 0.01, 0.03, 0.1, 0.2))
-        for friction, newton, paper in zip(effect.mu, effect.newton, effect.paper, strict=True):
-            change = 100.0 * (paper / newton - 1.0)
-            lines.append(f"  {profile.name:<9} {friction:8.3f} {newton:8.3f} {paper:8.3f} cm/s {change:+6.2f} %")
-    lines += ["", f"Error against the step of {1e3 * STEPS[0]:g} ms: law and physics at that step | law held for 10 ms"]
-    lines.append("  profile    step    speed, cm/s  torque, N m |  speed, cm/s  torque, N m")
-    for profile in (PROPOSED, EPC):
-        columns = [*step_study(profile).errors(), *step_study(profile, law_step=STEPS[-1]).errors()]
-        for step, *errors in zip(STEPS[1:], *columns, strict=True):
-            a, b, c, d = errors
-            lines.append(f"  {profile.name:<9} {1e3 * step:4g} ms {a:13.1e} {b:12.1e} | {c:12.1e} {d:12.1e}")
-    return "\n".join(lines)
+@dataclass(frozen=True)
+class Options:
+    """Prints how far both profiles carry the platform on other plants, contacts and integration steps; some seconds.
+
+    Examples:
+      python -m baselines.paper.sensitivity    the speed map in numbers, the normal force of (7), the steps
+    """
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    parse(Options, "python -m baselines.paper.sensitivity", arguments)
+    from baselines.paper.text.sensitivity import study_text
+
+    print(study_text())
+    return 0
 
 
 if __name__ == "__main__":
-    print(report())
+    sys.exit(main())

@@ -10,6 +10,8 @@ import numpy as np
 from capsule_gym import Capsule, Controller
 from capsule_gym.controller import LAW_DT
 from capsule_gym.kernels import ROWS, Row
+from capsule_gym.options import Options
+from capsule_gym.parameters import NOMINAL
 from capsule_gym.simulation import Simulation
 
 # Beyond any torque of the paper: its Figures 5 and 8 show no limit.
@@ -51,27 +53,45 @@ class Trace:
     metrics: dict[str, float]
     completed: bool
 
+    @property
+    def error(self) -> np.ndarray:
+        """theta - theta_d, rad."""
+        return self.theta - self.theta_d
+
+    @property
+    def rate_error(self) -> np.ndarray:
+        """theta' - theta_d', rad/s."""
+        return self.theta_dot - self.theta_d_dot
+
+    @property
+    def error_rms(self) -> float:
+        """Root of the mean square of theta - theta_d, rad."""
+        return float(np.sqrt(np.mean(self.error**2)))
+
 
 def trace(
     controller: Controller,
     *,
-    M: float = 0.5,
-    mu: float = 0.01,
+    M: float = NOMINAL.M,
+    mu: float = NOMINAL.mu,
     cycles: int = CYCLES,
     torque_limit: float = UNLIMITED,
     capsule: Capsule | None = None,
-    physics_dt: float = 1e-3,
+    physics_dt: float = LAW_DT,
 ) -> Trace:
     """Runs a controller from rest at -pi/3 and records every millisecond.
 
     Args:
-        controller: the law with its reference; its `dt` must be 1 ms.
+        controller: the law with its reference, at the samples' 1 kHz.
         M: mass of the platform, kg.
         mu: friction coefficient.
         cycles: cycles of the reference.
         torque_limit: N m.
         capsule: the other constants, and the option for the normal force.
         physics_dt: step of the integrator, s; divides 1 ms.
+
+    Raises:
+        ValueError: if the law runs at another rate.
     """
     return traces(
         controller, [(M, mu)], cycles=cycles, torque_limit=torque_limit, capsule=capsule, physics_dt=physics_dt
@@ -80,12 +100,13 @@ def trace(
 
 def traces(controller: Controller, plants: list[tuple[float, float]], **settings: Any) -> list[Trace]:
     """The same for several plants (M, mu) at once; the settings are those of `trace`."""
+    if controller.dt != LAW_DT:
+        raise ValueError(f"controller must run every {LAW_DT} s, got dt={controller.dt!r} s")
     cycles = settings.pop("cycles", CYCLES)
     settings.setdefault("torque_limit", UNLIMITED)
     settings.setdefault("physics_dt", LAW_DT)
-    simulation = Simulation(
-        len(plants), controller=controller, randomization="none", residual_limit=0.0, control_dt=LAW_DT, **settings
-    )
+    options = Options(controller=controller, randomization="none", residual_limit=0.0, control_dt=LAW_DT, **settings)
+    simulation = Simulation(len(plants), options)
     everywhere = np.arange(len(plants))
     simulation.reset(everywhere, M=[M for M, _ in plants], mu=[mu for _, mu in plants])
     steps = cycles * len(simulation.reference)

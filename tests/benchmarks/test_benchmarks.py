@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import accuracy, contenders, cost, creep, mujoco_capsule, native, throughput
+from benchmarks import accuracy, contenders, cost, creep, driver, native, speed_tables, throughput
+from benchmarks.frictions import CONTACT, FRICTIONLOSS, HOLDING_FRICTIONS, Friction, series_name
+from benchmarks.output import written_by
 from benchmarks.timing import Contender, Rate, Stepper, measure, present
 from capsule_gym.kernels import Row
+from capsule_gym.options import Options
 from capsule_gym.parameters import Capsule
 from capsule_gym.simulation import Simulation
-from tests import driver
 
 ABSENT = "a_package_that_nobody_has"
 
@@ -69,7 +71,7 @@ def test_every_ratio_is_to_a_contender_of_another_name() -> None:
 
 def test_the_table_has_a_ratio_only_where_the_peer_was_measured() -> None:
     rivals = [contender("fast", "slow", substeps=10), contender("slow"), contender("lonely", "gone")]
-    rows = throughput.rate_rows(rivals, {"fast": rate(3000.0), "slow": rate(1500.0), "lonely": rate(1.0)})
+    rows = speed_tables.rate_rows(rivals, {"fast": rate(3000.0), "slow": rate(1500.0), "lonely": rate(1.0)})
     header, *body = rows
     cells = {row[0]: dict(zip(header, row, strict=True)) for row in body}
     assert cells["fast"]["ratio"] == "2" and cells["fast"]["to"] == "slow"
@@ -107,13 +109,11 @@ def test_a_run_writes_tables_numbers_and_chart(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     batch = contender(contenders.DIRECT_BATCH, contenders.SINGLE_PEER, environments=contenders.PEER_BATCH)
-    peer = contenders.mujoco_contender(
-        mujoco_capsule.CONTACT, contenders.STEPPED_INTEGRATOR, throughput.DIRECT_PHYSICS_DT
-    )
+    peer = contenders.mujoco_contender(CONTACT, contenders.STEPPED_INTEGRATOR, throughput.DIRECT_PHYSICS_DT)
     peer = contender(peer.label, environments=peer.environments)
     gone = contender("a peer", packages=(ABSENT,))
     rates = {batch.name: rate(5e6, reset_seconds=0.1), peer.name: rate(1e4)}
-    series = cost.series_name(mujoco_capsule.CONTACT, contenders.STEPPED_INTEGRATOR)
+    series = series_name(CONTACT, contenders.STEPPED_INTEGRATOR)
     points = [cost.Point(cost.OURS, 2e-3, 10.0, 0.1, (1e-8, 2e-8)), cost.Point(series, 2e-3, 5e3, 0.1, (1e-2, 2e-2))]
     creeps = {"capsule_gym": [creep.Creep(load, 0.0, 0.0) for load in creep.LOADS]}
     monkeypatch.setattr(contenders, "ours", lambda large: [batch])
@@ -126,7 +126,7 @@ def test_a_run_writes_tables_numbers_and_chart(
 
     output = capsys.readouterr().out
     lines = page.read_text(encoding="utf-8").splitlines()
-    assert lines[0] == throughput.COMMENT
+    assert lines[0] == written_by(throughput.COMMAND)
     for text in (output, "\n".join(lines)):
         assert "5,000,000" in text and "1.0e-02 / 2.0e-02" in text and ABSENT in text and "yes" in text
     content = json.loads(numbers.read_text(encoding="utf-8"))
@@ -163,7 +163,8 @@ def own_trajectory(torques: np.ndarray, mu: float) -> np.ndarray:
     return np.array(states)
 
 
-def mujoco_trajectory(friction: mujoco_capsule.Friction, torques: np.ndarray, mu: float) -> np.ndarray:
+def mujoco_trajectory(friction: Friction, torques: np.ndarray, mu: float) -> np.ndarray:
+    mujoco_capsule = pytest.importorskip("benchmarks.mujoco_capsule", exc_type=ImportError)
     model = mujoco_capsule.build_model(Capsule(mu=mu), friction, "RK4", 1e-3)
     return mujoco_capsule.simulate(model, torques[None], accuracy.START, accuracy.HOLD)[0]
 
@@ -174,14 +175,12 @@ def torques() -> np.ndarray:
 
 
 def test_mujoco_has_the_same_plant(torques: np.ndarray) -> None:
-    pytest.importorskip("mujoco")
-    states = mujoco_trajectory(mujoco_capsule.FRICTIONLOSS, torques, 0.0)
+    states = mujoco_trajectory(FRICTIONLOSS, torques, 0.0)
     np.testing.assert_allclose(states, own_trajectory(torques, 0.0), rtol=0.0, atol=1e-8)
 
 
-@pytest.mark.parametrize("friction", mujoco_capsule.HOLDING_FRICTIONS, ids=lambda friction: friction.name)
-def test_mujoco_has_about_the_same_friction(friction: mujoco_capsule.Friction, torques: np.ndarray) -> None:
-    pytest.importorskip("mujoco")
+@pytest.mark.parametrize("friction", HOLDING_FRICTIONS, ids=lambda friction: friction.name)
+def test_mujoco_has_about_the_same_friction(friction: Friction, torques: np.ndarray) -> None:
     states = mujoco_trajectory(friction, torques, 0.1)
     with_friction, without = (np.abs(states - own_trajectory(torques, mu)).max() for mu in (0.1, 0.0))
     assert with_friction < 0.03
@@ -190,7 +189,7 @@ def test_mujoco_has_about_the_same_friction(friction: mujoco_capsule.Friction, t
 
 def test_mujoco_steps_a_batch_and_begins_again_where_the_ball_meets_the_platform() -> None:
     pytest.importorskip("mujoco")
-    stepper = contenders.step_mujoco(mujoco_capsule.CONTACT, "implicitfast", 2e-3, 4, 2)
+    stepper = contenders.step_mujoco(CONTACT, "implicitfast", 2e-3, 4, 2)
     stepper.step(3)
     stepper.close()
 
@@ -202,7 +201,7 @@ def test_mujoco_steps_a_batch_and_begins_again_where_the_ball_meets_the_platform
 def test_the_kernel_in_c_does_the_same_work():
     # Twenty steps of hard torques with events and ended episodes; then rounding is no longer all that differs.
     n = 100
-    simulations = [Simulation(n, randomization="wide") for _ in range(2)]
+    simulations = [Simulation(n, Options(randomization="wide")) for _ in range(2)]
     for simulation in simulations:
         for i in range(n):
             simulation.seed(i, i)
@@ -226,4 +225,4 @@ def test_the_kernel_in_c_does_the_same_work():
 
 def test_the_kernel_in_c_refuses_what_it_does_not_know():
     with pytest.raises(ValueError, match="direct-torque task"):
-        native.Native(Simulation(1, observe_parameters=True), native.STRICT)
+        native.Native(Simulation(1, Options(observe_parameters=True)), native.STRICT)

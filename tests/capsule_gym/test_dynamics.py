@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from benchmarks import driver, reference
 from capsule_gym import dynamics
 from capsule_gym.parameters import Capsule, Plant
-from tests import driver, reference
 
 START = (-math.pi / 3, 0.0, 0.0, 0.0)
 HOLD = 0.02

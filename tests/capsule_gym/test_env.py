@@ -18,6 +18,7 @@ import baselines
 from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization
 from capsule_gym.kernels import ROWS
 from capsule_gym.simulation import METRICS
+from capsule_gym.task import Termination
 
 ENV_ID = "CapsuleStickSlip-v0"
 VARIANTS = [
@@ -125,6 +126,29 @@ def test_reward_terms_sum_to_the_reward_and_mean_what_they_say():
     assert ended > 0
 
 
+def layout(info: dict) -> dict:
+    """The keys of an info with the type, dtype and shape of each value; of a batch's also what lies inside."""
+    return {
+        key: layout(value) if isinstance(value, dict) else (type(value), value.dtype, value.shape)
+        for key, value in info.items()
+    }
+
+
+@pytest.mark.parametrize("kwargs", VARIANTS)
+def test_info_has_the_same_keys_and_dtypes_at_reset_step_and_termination(kwargs):
+    env = CapsuleEnv(**kwargs)
+    expected = layout(env.reset(seed=0)[1])
+    assert all(np.issubdtype(dtype, np.number) or dtype == np.bool_ for _, dtype, _ in expected.values())
+    assert expected["state"][1:] == (np.float64, (4,))
+    assert expected["termination"][1:] == (np.int64, ())
+    for state, ends in (([0.0] * 4, Termination.none), ([1.55, 10.0, 0.0, 0.0], Termination.pendulum)):
+        assert layout(env.reset(options={"state": state})[1]) == expected
+        _, _, terminated, _, info = env.step(np.zeros(1, np.float32))
+        assert layout(info) == expected
+        assert info["termination"] == ends
+        assert terminated == (ends != Termination.none)
+
+
 def test_energy_is_the_integral_of_power_not_its_sample():
     coarse, fine = (CapsuleEnv(control_dt=dt, physics_dt=1e-3, randomization="none") for dt in (0.02, 0.001))
     coarse.reset(seed=0)
@@ -145,12 +169,12 @@ def test_termination_pendulum_and_contact_are_named():
     env = gym.make(ENV_ID, randomization="none")
     env.reset(seed=0, options={"state": [1.5, 3.0, 0.0, 0.0]})
     _, _, terminated, truncated, info = env.step(np.array([1.0], np.float32))
-    assert terminated and not truncated and info["termination"] == "pendulum"
+    assert terminated and not truncated and info["termination"] == Termination.pendulum
     assert abs(info["state"][0]) >= np.pi / 2
-    assert info["metrics"]["failed"] == 1.0
+    assert env.unwrapped.episode_metrics()["failed"] == 1.0
     env.reset(seed=0, options={"state": [0.0, 18.0, 0.0, 0.0]})
     _, _, terminated, _, info = env.step(np.array([0.0], np.float32))
-    assert terminated and info["termination"] == "contact"
+    assert terminated and info["termination"] == Termination.contact
     assert info["normal_force"] == 0.0
     with pytest.raises(gym.error.ResetNeeded):
         env.unwrapped.step(np.array([0.0], np.float32))
@@ -284,7 +308,7 @@ def test_spec_survives_json_and_pickle():
     env = gym.make(ENV_ID, controller="baselines:adaptive", residual_limit=2.0)
     spec = type(env.spec).from_json(env.spec.to_json())
     again = gym.make(spec)
-    assert again.unwrapped.simulation.residual_limit == 2.0
+    assert again.unwrapped.simulation.settings.residual_limit == 2.0
     assert json.loads(env.spec.to_json())["kwargs"]["controller"] == "baselines:adaptive"
     copy = pickle.loads(pickle.dumps(env))
     a, b = rollout(env, 1, 60), rollout(copy, 1, 60)

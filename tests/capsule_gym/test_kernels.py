@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import FunctionType, ModuleType
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -76,7 +77,10 @@ def functions_of(module: ModuleType) -> dict[str, FunctionType]:
 
 
 # What runs in Python alone, and the physics' own way through a whole step, of which the kernel takes the parts.
-NOT_COMPILED = {"pack", "build", "_own_fingerprint", "observation_names", "observation_bounds", "step"}
+NOT_COMPILED = {
+    "pack", "build", "_own_fingerprint", "observation_names", "observation_bounds", "step",
+    "arccos", "sines_and_cosines", "_evaluate", "_compiled",
+}  # fmt: skip
 COMPILED = [
     pytest.param(function, id=f"{module.__name__.rpartition('.')[2]}.{name}")
     for module in (trigonometry, dynamics, task, kernels)
@@ -99,7 +103,7 @@ def test_an_edit_of_any_compiled_function_changes_the_kernels_fingerprint(functi
         (trigonometry, [name for name, value in vars(trigonometry).items() if isinstance(value, float)]),
         (dynamics, [name for name, value in vars(dynamics).items() if isinstance(value, (int, float))]),
         (task, ["THETA_LIMIT", "THETA_DOT_BOUND", "X_DOT_BOUND"]),
-        (kernels, ["LANES", "THETA", "ELAPSED", "MEMORY", "HALTED", "MEMORY_SIZE", "PIVOT_TORQUE_ON_CONTACT"]),
+        (kernels, ["LANES", "MEMORY", "CONSTANTS", "SETTINGS", "HALTED", "MEMORY_SIZE", "PIVOT_TORQUE_ON_CONTACT"]),
     ],
     ids=["trigonometry", "dynamics", "task", "kernels"],
 )
@@ -111,6 +115,31 @@ def test_an_edit_of_any_compiled_constant_changes_the_kernels_fingerprint(module
             patch.setattr(module, name, getattr(module, name) * 1.0000001 + 1e-300)
             assert fingerprint(kernels.advance) != before, name
     assert fingerprint(kernels.advance) == before
+
+
+@pytest.mark.parametrize("field", kernels.AT._fields)
+def test_an_edit_of_where_a_row_begins_changes_the_kernels_fingerprint(field, monkeypatch):
+    before = fingerprint(kernels.advance)
+    monkeypatch.setattr(kernels, "AT", kernels.AT._replace(**{field: 1 + getattr(kernels.AT, field)}))
+    assert fingerprint(kernels.advance) != before
+
+
+@pytest.mark.parametrize(
+    ("function", "name", "module"),
+    [(kernels.advance, "AT", kernels), (dynamics.step, "Plant", dynamics), (kernels.advance, "Settings", kernels)],
+)
+def test_another_order_of_the_fields_of_a_named_tuple_changes_the_fingerprint(function, name, module, monkeypatch):
+    # The code says the fields' names alone, and the values may stand where they stood: so do those of `AT`.
+    before, found = fingerprint(function), getattr(module, name)
+    kind = found if isinstance(found, type) else type(found)
+    hints = list(kind.__annotations__.items())
+    for fields in ([hints[1], hints[0], *hints[2:]], [(hints[0][0], complex), *hints[1:]]):
+        other = NamedTuple(kind.__name__, fields)
+        monkeypatch.setattr(module, name, other if isinstance(found, type) else other(*found))
+        same = not isinstance(found, type) and fields[0][0] == hints[0][0]
+        assert (fingerprint(function) == before) == same
+    monkeypatch.undo()
+    assert fingerprint(function) == before
 
 
 def test_kernels_of_the_same_law_are_built_once():
@@ -142,22 +171,20 @@ def test_laws_of_one_factory_never_share_a_symbol():
 
 def test_plant_and_settings_survive_packing():
     settings = Settings(1.5, 3.0, 1e-3, 7, 20, 0.1, 10.0, True, False)
-    plant, again = unpack(pack(PLANT, settings, np.zeros((3, 2))), PLANT.pivot_torque_on_contact)
+    fixed = pack(PLANT, settings, np.zeros((3, 2)))
+    plant, again = numba.njit(unpack)(fixed, PLANT.pivot_torque_on_contact)
     assert plant == PLANT
     assert again == settings
     assert all(isinstance(value, (int, np.integer)) for value in (again.physics_steps, again.law_steps))
 
 
-def test_rows_have_their_plain_names():
+def test_rows_lie_in_order():
     assert kernels.ROWS == len(Row)
-    for plain, row in (
-        ("THETA", Row.theta),
-        ("MASS", Row.M),
-        ("CLOCK", Row.clock),
-        ("LARGEST_THETA_DOT", Row.largest_theta_dot),
-    ):
-        assert getattr(kernels, plain) == row * LANES
     assert list(Row) == list(range(len(Row)))
+    assert {name: row * LANES for name, row in Row._asdict().items()} == kernels.AT._asdict()
+    # The two blocks of rows that others read as a whole.
+    assert Row._fields[Row.theta : Row.M] == ("theta", "theta_dot", "x", "x_dot")
+    assert Row._fields[Row.reward_progress : Row.reward] == ("reward_progress", "reward_energy", "reward_termination")
 
 
 @pytest.mark.parametrize(("value", "limit", "expected"), [(3.0, 1.0, 1.0), (-3.0, 1.0, -1.0), (0.5, 1.0, 0.5)])

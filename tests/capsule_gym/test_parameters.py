@@ -16,7 +16,9 @@ NUMBERS = (*POSITIVE, *NON_NEGATIVE, "static_ratio")
 
 
 def test_the_defaults_are_the_papers():
-    assert Capsule().plant() == Plant(0.5, 0.138, 0.3, 9.81, 0.36, 0.0923, 0.01, 1.0, 1.0, 0.0, 0.138 / 0.638)
+    own = {"M": 0.5, "m": 0.138, "l": 0.3, "g": 9.81, "k": 0.36, "c": 0.0923, "mu": 0.01}
+    ratios = {"static_ratio": 1.0, "backward_ratio": 1.0, "mass_ratio": 0.138 / 0.638}
+    assert Capsule().plant() == Plant(**own, **ratios, pivot_torque_on_contact=0.0)
 
 
 @pytest.mark.parametrize("field", NUMBERS)
@@ -182,6 +184,13 @@ def test_every_corner_of_the_ranges_is_checked_for_painleves_paradox():
         Randomization(mu=(0.0, 2.0)).check(Capsule(M=0.05))
     for randomization in RANDOMIZATIONS.values():
         randomization.check(Capsule())
+
+
+def test_the_ranges_in_words():
+    assert str(Randomization()) == "the capsule's own M and mu"
+    assert str(RANDOMIZATIONS["paper"]) == "M in [0.45, 0.55] kg, mu in [0.009, 0.011]"
+    assert str(RANDOMIZATIONS["wide"]) == "M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3]"
+    assert str(Randomization(mu=(0.0, 0.5))) == "the capsule's own M, mu in [0, 0.5]"
 
 
 def test_names():

@@ -115,6 +115,6 @@ def test_the_benchmark_of_the_tricks_undoes_each_of_them():
             seen.append(fingerprint(kernels.advance))
         assert seen[0] == seen[1], "as it is"
         assert len(set(seen)) == 5, seen
-        assert simulation.LANES == kernels.LANES == kernels.THETA_DOT == 1
+        assert simulation.LANES == kernels.LANES == kernels.AT.theta_dot == 1
     """
     subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[2], check=True)

@@ -10,7 +10,7 @@ import pytest
 from numba import njit
 
 from capsule_gym import trigonometry
-from capsule_gym.trigonometry import fma, sincos
+from capsule_gym.trigonometry import arccos, fma, sincos, sines_and_cosines
 
 mpmath = pytest.importorskip("mpmath", exc_type=ImportError)
 
@@ -84,6 +84,32 @@ def test_compiled_and_interpreted_sincos_are_equal_bit_for_bit():
     for angle in [*angles(7, HALF_TURN, 2000), *angles(8, 1e4, 2000), *quarters(20), 0.0, -0.0, 5e-324, 1e15]:
         interpreted, compiled = sincos(angle), compiled_sincos(angle)
         assert np.array(interpreted).tobytes() == np.array(compiled).tobytes()
+
+
+def test_arrays_give_the_bits_of_single_angles():
+    values = np.array([*angles(10, 1e3, 600), *quarters(20)[:400]]).reshape(4, 250)
+    singles = np.array([sincos(angle) for angle in values.ravel().tolist()]).T
+    for array, single in zip(sines_and_cosines(values), singles, strict=True):
+        assert array.shape == values.shape
+        assert array.tobytes() == single.tobytes()
+    assert sines_and_cosines(values.T[1::2])[0].tolist() == sines_and_cosines(values)[0].T[1::2].tolist()
+    assert [part.shape for part in sines_and_cosines(np.float64(0.5))] == [(), ()]
+
+
+def test_arccos_inverts_the_cosine():
+    rng = np.random.default_rng(11)
+    near_one = 10.0 ** rng.uniform(-17.0, 0.0, 500)
+    cosines = [*rng.uniform(-1.0, 1.0, 2000), *(1.0 - near_one), *(near_one - 1.0), -1.0, 1.0, 0.0, -0.8581085261434456]
+    with mpmath.workdps(40):
+        errors = [abs(float(arccos(c) - mpmath.acos(mpmath.mpf(c)))) for c in map(float, cosines)]
+    assert 0.9 * 7e-16 < max(errors) <= 7e-16
+    assert arccos(1.0) == 0.0
+
+
+@pytest.mark.parametrize("cosine", [1.0000001, -2.0, math.nan, math.inf])
+def test_what_is_no_cosine_is_refused(cosine):
+    with pytest.raises(ValueError, match=r"cosine must lie in \[-1, 1\], got"):
+        arccos(cosine)
 
 
 def polynomial(function) -> list[float]:

@@ -11,7 +11,10 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.kernels import ROWS, Row
+from capsule_gym.options import Options
 from capsule_gym.simulation import METRICS, Simulation
+from capsule_gym.task import Termination
+from tests.capsule_gym.test_env import layout
 
 ENV_ID = "CapsuleStickSlip-v0"
 VARIANTS = [
@@ -20,12 +23,42 @@ VARIANTS = [
 ]
 
 
+class WithMetrics(gym.Wrapper):
+    """Adds an episode's metrics to its last info."""
+
+    def step(self, action):
+        *result, terminated, truncated, info = super().step(action)
+        if terminated or truncated:
+            info["metrics"] = self.unwrapped.episode_metrics()
+        return *result, terminated, truncated, info
+
+
 def singles(n: int, horizon: int, mode: AutoresetMode, **kwargs) -> SyncVectorEnv:
     """Gymnasium's own vectorisation of single environments: the reference for every convention."""
-    return SyncVectorEnv(
-        [lambda: gym.make(ENV_ID, max_episode_steps=horizon, disable_env_checker=True, **kwargs)] * n,
-        autoreset_mode=mode,
-    )
+
+    def make() -> gym.Env:
+        return WithMetrics(gym.make(ENV_ID, max_episode_steps=horizon, disable_env_checker=True, **kwargs))
+
+    return SyncVectorEnv([make] * n, autoreset_mode=mode)
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+@pytest.mark.parametrize("kwargs", VARIANTS)
+def test_info_has_the_same_keys_and_dtypes_at_reset_step_and_autoreset(mode, kwargs):
+    env = CapsuleVectorEnv(3, max_episode_steps=20, autoreset_mode=mode, **kwargs)
+    expected = layout(env.reset(seed=0)[1])
+    ends = 0
+    for _ in range(90):
+        info = env.step(np.ones((3, 1), np.float32))[4]
+        if "final_info" in info:
+            ends += 1
+            final = info.pop("final_info")
+            assert set(layout(final.pop("metrics"))) == {key for name in METRICS for key in (name, f"_{name}")}
+            assert final.pop("_metrics").dtype == np.bool_
+            assert layout(final) == expected
+            del info["final_obs"], info["_final_obs"], info["_final_info"]
+        assert layout(info) == expected
+    assert (ends > 0) == (mode is AutoresetMode.SAME_STEP)
 
 
 def assert_same_metrics(ours, theirs, i):
@@ -51,12 +84,12 @@ def test_batch_equals_single_environments_across_resets(mode, kwargs, n, threads
         for ours, theirs in zip(a[:4], b[:4], strict=True):
             assert np.asarray(ours).tobytes() == np.asarray(theirs).tobytes()
         assert a[4]["state"].tobytes() == b[4]["state"].tobytes()
-        for key in ("M", "mu", "torque", "normal_force", "law_torque", "stick"):
-            assert np.array_equal(a[4][key], b[4][key]), key
-        for key in ("reward_progress", "reward_energy", "reward_termination"):
-            if key in b[4]:
-                mask = b[4][f"_{key}"]
-                assert np.array_equal(a[4][key][mask], b[4][key][mask])
+        assert set(a[4]) == set(b[4]) - {"metrics", "_metrics"}
+        for key in set(a[4]) - {"final_obs", "final_info"}:
+            # Gymnasium's own makes objects of numpy's truth values.
+            theirs = b[4][key].astype(np.bool_) if key == "stick" else b[4][key]
+            assert a[4][key].dtype == theirs.dtype, key
+            assert a[4][key].tobytes() == theirs.tobytes(), key
         ended = a[2] | a[3]
         resets += ended
         if mode is AutoresetMode.SAME_STEP and ended.any():
@@ -66,12 +99,12 @@ def test_batch_equals_single_environments_across_resets(mode, kwargs, n, threads
                 assert a[4]["final_obs"][i].tobytes() == b[4]["final_obs"][i].tobytes()
                 assert ours["state"][i].tobytes() == theirs["state"][i].tobytes()
                 assert ours["reward_progress"][i] == theirs["reward_progress"][i]
-                if a[2][i]:
-                    assert ours["termination"][i] == theirs["termination"][i]
-                    assert_same_metrics(ours["metrics"], theirs["metrics"], i)
-        for i in np.flatnonzero(a[2]) if mode is AutoresetMode.NEXT_STEP else ():
-            assert a[4]["termination"][i] == b[4]["termination"][i]
-            assert_same_metrics(a[4]["metrics"], b[4]["metrics"], i)
+                assert ours["termination"][i] == theirs["termination"][i]
+                assert_same_metrics(ours["metrics"], theirs["metrics"], i)
+        elif ended.any():
+            metrics = batch.episode_metrics()
+            for i in np.flatnonzero(ended):
+                assert_same_metrics(metrics, b[4]["metrics"], i)
     assert resets.min() >= 3
     reference.close()
     batch.close()
@@ -96,7 +129,7 @@ LARGEST_BATCH = 200
 SCRATCH = {"action", "active", "mass_ratio", "before_x", "slip", "elapsed", "halt", "eventful"} | {
     *("next_theta", "next_theta_dot", "next_x", "next_x_dot", "x_ddot", "first_normal_force", "least_normal_force")
 }
-EPISODE_ROWS = [row for row in Row if row.name not in SCRATCH]
+EPISODE_ROWS = [row for name, row in Row._asdict().items() if name not in SCRATCH]
 
 
 class Alone(NamedTuple):
@@ -127,7 +160,7 @@ def alone(request) -> Alone:
     running = np.zeros(actions.shape, bool)
     columns, observations, metrics = [], [], []
     for i in range(LARGEST_BATCH):
-        simulation = Simulation(1, **kwargs)
+        simulation = Simulation(1, Options(**kwargs))
         simulation.seed(0, i)
         simulation.reset(np.array([0]))
         trace, seen = [], []
@@ -160,15 +193,15 @@ def test_the_lanes_meet_everything_that_can_happen(alone):
     assert 3 <= np.count_nonzero(failed) <= 40
     assert len(set(running.sum(axis=0))) >= 4
     # Phases change within steps of the integrator, and episodes end within steps of the agent.
-    simulation = Simulation(1, **alone.kwargs)
-    assert count_off_grid(columns[-1, Row.stuck], simulation.physics_dt) > 30
-    assert count_off_grid(columns[-1, Row.duration, failed], simulation.control_dt) > 0
+    simulation = Simulation(1, Options(**alone.kwargs))
+    assert count_off_grid(columns[-1, Row.stuck], simulation.settings.physics_dt) > 30
+    assert count_off_grid(columns[-1, Row.duration, failed], simulation.options.control_dt) > 0
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
 @pytest.mark.parametrize("n", [1, 63, 64, 65, LARGEST_BATCH])
 def test_every_quantity_is_that_of_the_environment_alone(alone, n, threads):
-    simulation = Simulation(n, threads=threads, **alone.kwargs)
+    simulation = Simulation(n, Options(threads=threads, **alone.kwargs))
     for i in range(n):
         simulation.seed(i, i)
     simulation.reset(np.arange(n))
@@ -230,14 +263,14 @@ def test_next_step_ignores_the_action_after_the_end():
     for n in range(5):
         _, _, terminated, truncated, info = env.step(np.zeros((2, 1), np.float32))
         assert truncated.all() == (n == 4)
-    assert info["_metrics"].all()
     masses = info["M"]
     observation, rewards, terminated, truncated, info = env.step(np.ones((2, 1), np.float32))
     assert (rewards == 0.0).all()
     assert not (terminated | truncated).any()
     np.testing.assert_allclose(observation, np.float32([[-np.pi / 3, 0, 0, 1, 0]] * 2))
     assert (info["M"] != masses).all()
-    assert not info["_reward_progress"].any()
+    for name in ("reward_progress", "reward_energy", "reward_termination"):
+        assert info[f"_{name}"].all() and not info[name].any()
 
 
 def test_disabled_autoreset_stands_still_until_the_mask_names_it():
@@ -246,13 +279,17 @@ def test_disabled_autoreset_stands_still_until_the_mask_names_it():
     env.reset(seed=0, options={"state": states})
     _, _, terminated, _, info = env.step(np.zeros((3, 1), np.float32))
     assert terminated.tolist() == [False, True, False]
-    assert info["termination"][1] == "pendulum"
+    assert info["termination"].tolist() == [Termination.none, Termination.pendulum, Termination.none]
+    metrics = env.episode_metrics()
     frozen = info["state"][1].copy()
     _, rewards, terminated, _, info = env.step(np.ones((3, 1), np.float32))
     assert terminated.tolist() == [False, True, False]
     assert rewards[1] == 0.0
+    assert info["_reward_progress"].tolist() == [True, False, True]
     assert np.array_equal(info["state"][1], frozen)
-    assert "metrics" not in info
+    assert {name: values[1] for name, values in env.episode_metrics().items()} == {
+        name: values[1] for name, values in metrics.items()
+    }
     before = info["state"][[0, 2]].copy()
     mask = np.array([False, True, False])
     _, info = env.reset(options={"reset_mask": mask})

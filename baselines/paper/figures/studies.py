@@ -9,6 +9,7 @@ import numpy as np
 
 from baselines.drawing import (
     INK,
+    MUTED,
     PENS,
     PUBLISHED_DASHES,
     PURPLE,
@@ -21,8 +22,10 @@ from baselines.drawing import (
 from baselines.laws.profiles import EPC, PROPOSED, Profile
 from baselines.paper import published
 from baselines.paper.principles import RESTORING_PHASES, Margin, principle_3, principle_4
-from baselines.paper.proofs import fastest_swing, upper_envelope
+from baselines.paper.printed_profile import ROMAN
+from baselines.paper.proofs import swing_envelope
 from baselines.paper.sensitivity import (
+    ALL_BUT_AT_REST,
     STEPS,
     SpeedMap,
     contact_effect,
@@ -33,13 +36,14 @@ from baselines.paper.sensitivity import (
     step_study,
     turning_points,
 )
+from baselines.tables import printed_above
 from capsule_gym.parameters import NOMINAL, NormalForce
 
 STATED = {"proposed": published.PROPOSED, "EPC": published.EPC}
-ROMAN = ("I", "II", "III", "IV", "V", "VI", "VII")
-EVERY = 20
-# Below this both profiles rest but for their first push, and a ratio says nothing; cm/s.
-SLOWEST_COMPARED = 0.01
+# Every so many samples of a margin, and of an envelope, are drawn.
+EVERY, THIN = 20, 200
+# Of the phase planes, rad/s.
+TOP_RATE = 13.5
 SPEED_LEVELS = (0.0, 0.5, 1.0, 1.5, 2.0)
 # Where the map's lines carry their number: (mu, M), away from the nominal plant.
 LABELS = {
@@ -50,36 +54,38 @@ LABELS = {
 
 def draw_phase_plane() -> Any:
     """The fastest that the published torques can swing the pendulum, beside the published profiles."""
-    figure = new_figure(3.6)
+    figure = new_figure(3.7)
     panels = figure.subplots(1, 2, sharey=True)
     peaks, anywhere, stated = [], [], []
     for axes, profile in zip(panels, (PROPOSED, EPC), strict=True):
         pen, numbers = PENS[profile.name], STATED[profile.name]
         torque, peak = numbers["peak_torque"].value, numbers["peak_velocity"].value
         swing = math.radians(numbers["swing"].value)
-        theta, fastest = upper_envelope(torque, profile.start, swing, certified=False)
-        theta, fastest = theta[::EVERY], fastest[::EVERY]
-        degrees = np.degrees(theta)
-        axes.fill_between(degrees, fastest, 15.0, color="#eef1f5", linewidth=0.0)
-        axes.plot(degrees, fastest, color=INK, lw=1.6, label=f"upper envelope for |u| ≤ {torque:g} N m")
-        # The drawn line is the envelope itself, the numbers are certified bounds on it.
-        peaks.append(fastest_swing(torque, profile.start, swing))
-        anywhere.append(fastest_swing(torque, -swing, swing))
+        envelope = swing_envelope(torque, profile.start, swing)
+        degrees, fastest = np.degrees(envelope.theta[::THIN]), envelope.theta_dot[::THIN]
+        axes.fill_between(degrees, fastest, TOP_RATE, color="#eef1f5", linewidth=0.0)
+        axes.plot(degrees, fastest, color=INK, lw=1.6, label="upper envelope for the published torque")
+        peaks.append(printed_above(envelope.fastest, 3))
+        anywhere.append(printed_above(swing_envelope(torque, -swing, swing).fastest, 3))
         stated.append(peak)
         angle, rate, _ = profile.evaluate(np.linspace(0.0, profile.period, 4001))
         axes.plot(np.degrees(angle), rate, **pen.line(label=f"{profile.name} profile"))
         mark_published(axes, peak, f"published largest rate: {peak:g} rad/s", pen)
         axes.annotate(
-            "out of reach", (52.0, 9.6), ha="center", va="center", fontsize=8.0, color="#5b6573", style="italic"
+            "out of reach", (0.0, 12.3), ha="center", va="center", fontsize=8.0, color="#5b6573", style="italic"
         )
-        axes.set(title=profile.name, xlabel="angle θ (deg)", xlim=(-62.0, 90.0), ylim=(-1.0, 15.0))
-        axes.legend(loc="upper right")
-    panels[0].set(title="Phase plane: proposed", ylabel="rate θ' (rad/s)")
+        axes.set(xlabel="angle θ (deg)", xlim=(-62.0, 90.0), ylim=(-1.0, TOP_RATE))
+        axes.set_title(f"{profile.name}: |u| ≤ {torque:g} N m")
+    panels[0].set_ylabel("rate θ' (rad/s)")
+    handles, labels = panels[0].get_legend_handles_labels()
+    rival, name = panels[1].get_legend_handles_labels()
+    figure.legend([*handles, rival[1]], [*labels, name[1]], loc="outside upper left", ncols=3)
     add_note(
         figure,
         "With the published torques the pendulum, from rest at the profiles' start, stays below "
-        f"{listed(peaks, 2, 'rad/s')}, in any contact and under any law; from rest anywhere within the swing to either "
-        f"side below {listed(anywhere, 2, 'rad/s')}. Published are {listed(stated, 1, 'rad/s')}.",
+        f"{' and '.join(peaks)} rad/s, in any contact and under any law; from rest anywhere within the swing to either "
+        f"side below {' and '.join(anywhere)} rad/s (certified, rounded up). Published are "
+        f"{listed(stated, 1, 'rad/s')}.",
     )
     return figure
 
@@ -152,7 +158,7 @@ def draw_speed_map() -> Any:
     for axes, speeds in zip(panels, maps, strict=False):
         _draw_map(figure, axes, speeds)
     ratio = np.full_like(maps[0].speed, np.nan)
-    np.divide(maps[0].speed, maps[1].speed, out=ratio, where=maps[1].speed > SLOWEST_COMPARED)
+    np.divide(maps[0].speed, maps[1].speed, out=ratio, where=maps[1].speed > ALL_BUT_AT_REST)
     levels = np.arange(-0.4, 0.91, 0.1)
     drawn = panels[2].contourf(mu, M, ratio, levels=levels, cmap="cividis")
     lines = panels[2].contour(mu, M, ratio, levels=(0.0, 0.5, 0.8), colors=("white", "white", INK), linewidths=0.8)
@@ -188,13 +194,22 @@ def draw_speed_map() -> Any:
     return figure
 
 
+def _set_off(labels: Any) -> None:
+    """Gives labels on a map a dark edge, so that hatching and lines do not run into them."""
+    from matplotlib.patheffects import withStroke
+
+    for label in labels:
+        label.set_path_effects([withStroke(linewidth=1.6, foreground="#4a4f5a")])
+        label.set_zorder(5.0)
+
+
 def _draw_map(figure: Any, axes: Any, speeds: SpeedMap) -> None:
     """One profile's speeds with the published one as a dashed line, hatched where contact is lost."""
     drawn = axes.contourf(speeds.mu, speeds.M, speeds.speed, levels=np.arange(-0.25, 2.76, 0.25), cmap="cividis")
     # A profile that never slides back has a wide floor of exactly 0, and no line at it.
-    levels = SPEED_LEVELS if speeds.speed.min() < -SLOWEST_COMPARED else SPEED_LEVELS[1:]
+    levels = SPEED_LEVELS if speeds.speed.min() < -ALL_BUT_AT_REST else SPEED_LEVELS[1:]
     lines = axes.contour(speeds.mu, speeds.M, speeds.speed, levels=levels, colors="white", linewidths=0.7)
-    axes.clabel(lines, fmt="%g", fontsize=6.5, manual=LABELS[speeds.profile])
+    _set_off(axes.clabel(lines, fmt="%g", fontsize=6.5, manual=LABELS[speeds.profile]))
     value = STATED[speeds.profile]["mean_speed"].value
     axes.contour(speeds.mu, speeds.M, speeds.speed, levels=(value,), colors=INK, linestyles="dashed", linewidths=1.2)
     if speeds.smallest_normal_ratio.min() <= 0.0:
@@ -210,7 +225,7 @@ def _draw_map(figure: Any, axes: Any, speeds: SpeedMap) -> None:
 
 def draw_contact_and_step() -> Any:
     """The paper's normal force against Newton's, and what the integration step changes."""
-    figure = new_figure(4.8)
+    figure = new_figure(5.0)
     (speed, speed_error), (change, torque_error) = figure.subplots(2, 2, sharex="col")
     mu = np.geomspace(0.003, 1.0, 61)
     for profile in (PROPOSED, EPC):
@@ -219,30 +234,33 @@ def draw_contact_and_step() -> Any:
         speed.plot(mu, effect.newton, **pen.line(label=profile.name))
         speed.plot(mu, effect.paper, color=INK, lw=0.6)
         change.plot(mu, effect.paper - effect.newton, **pen.line())
-        for law_step, marker, label in ((None, "o", "held for the step"), (STEPS[-1], "s", "held for 10 ms")):
+        for law_step, marker in ((None, "o"), (STEPS[-1], "s")):
             study = step_study(profile, law_step=law_step)
             face = pen.colour if law_step is None else "white"
             for axes, errors in zip((speed_error, torque_error), study.errors(), strict=True):
                 axes.plot(
                     1e3 * study.steps[1:],
                     errors,
-                    **pen.line(marker=marker, ms=4.0, mfc=face, label=f"{profile.name}, torque {label}"),
+                    **pen.line(marker=marker, ms=4.0, mfc=face),
                 )
-    speed.plot([], [], color=INK, lw=0.6, label="with (7)")
     speed.set(title="Normal force", xscale="log", ylabel="mean speed (cm/s)", ylim=(-0.15, 1.9))
     speed.axvline(NOMINAL.mu, color=INK, linestyle=PUBLISHED_DASHES, linewidth=1.0)
     change.axvline(NOMINAL.mu, color=INK, linestyle=PUBLISHED_DASHES, linewidth=1.0)
     change.set(xlabel="friction coefficient μ (M = 0.5 kg)", ylabel="(7) minus Newton (cm/s)")
-    speed.legend(loc="lower left", bbox_to_anchor=(0.27, 0.02))
     speed_error.set(title="Integration step", xscale="log", yscale="log", ylabel="error of the speed (cm/s)")
     torque_error.set(xscale="log", yscale="log", ylabel="error of the largest torque (N m)")
     torque_error.set(xlabel="integration step (ms); error against 0.1 ms")
     torque_error.set_xticks([0.2, 0.5, 1, 2, 5, 10], ["0.2", "0.5", "1", "2", "5", "10"])
     torque_error.minorticks_off()
-    for axes in (speed_error, torque_error):
-        low, high = axes.get_ylim()
-        axes.set_ylim(low, high * (1e4 if axes is speed_error else 1.0))
-    speed_error.legend(loc="upper left", fontsize=6.5)
+    handles, labels = speed.get_legend_handles_labels()
+    extra: tuple[tuple[str, dict[str, Any]], ...] = (
+        ("with the normal force of (7)", {"color": INK, "lw": 0.6}),
+        ("torque held for the step", {"color": MUTED, "marker": "o", "ms": 4.0}),
+        (f"for {1e3 * STEPS[-1]:g} ms", {"color": MUTED, "marker": "s", "ms": 4.0, "mfc": "white"}),
+    )
+    handles += [speed.plot([], [], **line)[0] for _, line in extra]
+    labels += [label for label, _ in extra]
+    figure.legend(handles, labels, loc="outside upper left", ncols=len(labels), columnspacing=1.4)
     nominal = [contact_effect(profile, (NOMINAL.mu,)) for profile in (PROPOSED, EPC)]
     shares = [100.0 * float(effect.paper[0] / effect.newton[0] - 1.0) for effect in nominal]
     add_note(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
 
 from baselines.paper.published import Number
+from baselines.tables import Rows, text_table
 
 WIDTH = 118
 
@@ -15,17 +15,9 @@ def title(text: str) -> list[str]:
     return ["", text, "=" * len(text)]
 
 
-def table(rows: Sequence[Sequence[str]], *, left: int = 1) -> list[str]:
-    """Aligned columns, the first row as the header; the first `left` columns and the last stand left."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = []
-    for row in rows:
-        cells = [
-            cell.ljust(width) if i < left or i == len(row) - 1 else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        lines.append("  ".join(cells).rstrip())
-    return [lines[0], "-" * (sum(widths) + 2 * (len(widths) - 1)), *lines[1:]]
+def table(rows: Rows, *, left: int = 1, last_left: bool = True) -> list[str]:
+    """The lines of `text_table`."""
+    return text_table(rows, left=left, last_left=last_left).splitlines()
 
 
 def paragraph(text: str, indent: str = "", first: str | None = None) -> list[str]:

@@ -26,9 +26,9 @@ def test_episodes_are_those_of_single_environments():
         observation, _ = env.reset(seed=[plant.seed], options=options)
         act = policy.start([plant.seed])
         for _ in range(100):
-            observation, _, _, truncated, info = env.step(act(observation))
+            observation, _, _, truncated, _ = env.step(act(observation))
         assert truncated.all()
-        for name, values in info["metrics"].items():
+        for name, values in env.episode_metrics().items():
             assert episode[name] == values[0], name
     # The jump to a heavier platform on a rougher floor is felt.
     assert episodes[2]["mean_speed"] != episodes[0]["mean_speed"]

@@ -103,8 +103,10 @@ def test_command_line(quick, monkeypatch, tmp_path, capsys):
     assert gait_search.main([*common, "--families", "bang-bang"]) == 130
     assert archive.load_archive(tmp_path).rounds == 2
     assert not (tmp_path / "oracle.json").exists()
-    with pytest.raises(SystemExit):
-        gait_search.main(["--minutes", "0"])
+    for option, value in (("--minutes", "0"), ("--threads", "0"), ("--families", "hop"), ("--purposes", "win")):
+        with pytest.raises(SystemExit):
+            gait_search.main([option, value])
+        assert f"{option} must be" in capsys.readouterr().err
 
 
 def interrupt(*args):

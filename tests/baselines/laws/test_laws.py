@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
 import baselines
-from baselines.laws.adaptive import MEMORY, adaptive, describe_memory, nominal_estimates
+from baselines.laws.adaptive import adaptive, compliant, eta_of, nominal_estimates
+from baselines.laws.adaptive_terms import MEMORY
 from baselines.laws.feedback_linearisation import feedback_linearising
+from baselines.laws.gains import COMPLIANT, K_P, K_V, PUBLISHED, REGULARISED, UNREGULARISED
 from baselines.laws.profiles import EPC, PROPOSED, seven_phases, six_phases
 from baselines.laws.reference import COLUMNS, reference_table
 from baselines.policies import SCRIPTED
@@ -51,8 +54,8 @@ def test_profile_derivatives_are_those_of_the_angle(profile):
 
 def test_profiles_have_the_published_swing_and_peak():
     # Calibrated with three to four digits, so the last one given may be off by one.
-    assert math.degrees(PROPOSED.swing) - 60.0 == pytest.approx(68.75, abs=0.01)
-    assert math.degrees(EPC.swing) - 60.0 == pytest.approx(85.85, abs=0.01)
+    assert math.degrees(PROPOSED.peak_to_peak) - 60.0 == pytest.approx(68.75, abs=0.01)
+    assert math.degrees(EPC.peak_to_peak) - 60.0 == pytest.approx(85.85, abs=0.01)
     assert PROPOSED.evaluate(np.array([0.15]))[1][0] == 7.8
     assert EPC.evaluate(np.array([0.1]))[1][0] == pytest.approx(11.0)
     assert PROPOSED.restoring_speed == pytest.approx(0.459, abs=5e-4)
@@ -67,6 +70,13 @@ def test_profiles_have_the_published_swing_and_peak():
         (lambda: seven_phases((0.1, 0.2, 0.3, 0.9, 1.7, 5.8, 6.6), 2.0, 2.1), "P2 must lie"),
         (lambda: six_phases((0.1, 0.33, 0.9, 1.4, 5.8, math.nan), 11.0, 1.4), "times must be"),
         (lambda: adaptive(K1=-1.0), "K1 must be"),
+        (lambda: adaptive(beta=0.0), "beta must be"),
+        (lambda: adaptive(beta=math.nan), "beta must be"),
+        (lambda: adaptive(n=0), "n must be"),
+        (lambda: adaptive(eta_0=0.0), "eta_0 must be"),
+        (lambda: adaptive(eta_0=10.1), "eta_0 must be a number > 0 and <= 10, got 10.1"),
+        (lambda: adaptive(dt=0.0), "dt must be"),
+        (lambda: adaptive(dt=7e-4), "multiple"),
         (lambda: feedback_linearising(K_p=math.nan), "K_p must be"),
         (lambda: adaptive(seven_phases((0.1, 0.2, 0.3, 0.9, 1.7, 5.8, 6.60005), 7.8, 2.1)), "multiple"),
     ],
@@ -165,12 +175,81 @@ def test_estimates_stay_within_their_range():
     nominal = dict(zip(MEMORY, nominal_estimates(NOMINAL.plant()), strict=False))
     for _ in range(600):
         _, _, terminated, _, _ = env.step(rng.uniform(-1, 1, 1).astype(np.float32))
-        memory = describe_memory(env.simulation.world[0, ROWS : ROWS + len(MEMORY), 0].tolist())
+        cells = env.simulation.world[0, ROWS : ROWS + len(MEMORY), 0]
+        memory = dict(zip(MEMORY, cells.tolist(), strict=True))
         for name, value in nominal.items():
             assert 0.499 * value <= memory[name] <= 1.501 * value
-        assert 0.0 <= memory["eta"] <= 10.0 * (1.0 + 1e-15)
+        assert 0.0 <= eta_of(cells) <= 10.0 * (1.0 + 1e-15)
         if terminated:
             env.reset()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: adaptive(n=1.5), "n must be an integer"),
+        (lambda: adaptive(beta="1"), "beta must be"),
+        (lambda: adaptive(eta_0=True), "eta_0 must be"),
+        (lambda: adaptive(dt=None), "dt must be"),
+        (lambda: adaptive(regularised=1), "regularised must be True or False, got 1"),
+    ],
+)
+def test_arguments_of_a_wrong_type_are_named(make, message):
+    with pytest.raises(TypeError, match=message):
+        make()
+
+
+@pytest.mark.parametrize("regularised", [True, False])
+def test_eta_starts_where_it_is_told_to(regularised):
+    for n, eta_0 in ((1, 0.1), (2, 0.3), (3, 5.0)):
+        controller = adaptive(regularised=regularised, n=n, eta_0=eta_0)
+        assert eta_of(np.array(controller.memory), n) == pytest.approx(eta_0)
+    assert eta_of(np.array(adaptive(regularised=regularised).memory)) == 1.0
+
+
+def test_choices_enter_where_the_paper_has_them():
+    # Off the reference by the same amount: a larger beta weakens the last two terms of (39c), a larger eta the first.
+    def torque(**choices):
+        controller = adaptive(regularised=False, **choices)
+        row = tuple(controller.reference[250].tolist())
+        return controller.law(row[0] + 0.05, row[1], row[3] + 0.02, row[4], controller.memory, row)[0]
+
+    feedback = {beta: torque(beta=beta) for beta in (0.01, 1.0, 100.0)}
+    assert feedback[0.01] < feedback[1.0] < feedback[100.0]
+    assert torque(eta_0=3.0) < torque(eta_0=1.0)
+    # With eta = 1 its power does not matter at the first call.
+    assert torque(n=3) == torque(n=1)
+
+
+def test_law_integrates_with_its_own_period():
+    slow, fast = adaptive(), adaptive(dt=2e-4)
+    assert (slow.dt, fast.dt) == (1e-3, 2e-4)
+    assert len(fast.reference) == 5 * len(slow.reference)
+    row = tuple(slow.reference[150].tolist())
+    state = (row[0] + 0.01, row[1] - 0.2, row[3] + 0.01, row[4])
+    moved = [np.subtract(law.law(*state, law.memory, row)[1], law.memory)[:10] for law in (slow, fast)]
+    np.testing.assert_allclose(moved[0], 5.0 * moved[1], rtol=1e-6, atol=1e-15)
+    assert (moved[1][:9] != 0.0).all()
+
+
+def test_reference_is_the_same_motion_at_every_rate():
+    plant = NOMINAL.plant()
+    coarse, fine = reference_table(PROPOSED, plant), reference_table(PROPOSED, plant, 2e-4)[::5]
+    # theta_d'' jumps at the edges of the phases, where a rounding of the time decides.
+    columns = [i for i, name in enumerate(COLUMNS) if not name.endswith("ddot")]
+    np.testing.assert_allclose(coarse[:, columns], fine[:, columns], atol=1e-9)
+
+
+def test_compliant_law_gives_way():
+    stiff, soft = adaptive(), compliant()
+    row = tuple(stiff.reference[150].tolist())
+
+    def stiffness(controller):
+        on, off = (controller.law(row[0] + e, row[1], row[3], row[4], controller.memory, row)[0] for e in (0.0, 1e-6))
+        return (on - off) / 1e-6
+
+    # The feed-forward moves with theta in both alike; what is left is K1 Lambda_theta.
+    assert stiffness(stiff) - stiffness(soft) == pytest.approx(15.6 - 0.2, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", ["feedback-linearising", "adaptive", "compliant", "epc", "adaptive-as-published"])
@@ -187,10 +266,10 @@ def run(policy, M, mu, **kwargs):
     act = policy.start(range(len(M)))
     error = 0.0
     for _ in range(1650):
-        observations, _, _, _, info = env.step(act(observations))
+        observations = env.step(act(observations))[0]
         if env.simulation.controller:
             error = max(error, float(np.abs(observations[:, 0] - observations[:, 5]).max()))
-    return info["metrics"], error
+    return env.episode_metrics(), error
 
 
 def test_adaptive_law_tracks_over_the_whole_range_of_the_paper():
@@ -216,3 +295,16 @@ def test_zero_and_random_policies():
     act = SCRIPTED["random"].start([3, 4])
     again = SCRIPTED["random"].start([4])
     assert act(np.zeros((2, 5)))[1] == again(np.zeros((1, 5)))[0]
+
+
+def test_page_prints_the_constants_of_the_laws():
+    page = (Path(__file__).resolve().parents[3] / "docs" / "controllers.md").read_text(encoding="utf-8")
+    cells = [[cell.strip() for cell in line.split("|")[1:4]] for line in page.splitlines() if line.startswith("| `")]
+
+    def shown(value):
+        return str(value) if isinstance(value, bool) else f"{value:g}"
+
+    for pair in ((PUBLISHED, COMPLIANT), (REGULARISED, UNREGULARISED)):
+        for name, *values in zip(pair[0]._fields, *pair, strict=True):
+            assert [f"`{name}`", *map(shown, values)] in cells
+    assert f"`K_p` = {K_P:g} 1/s²" in page and f"`K_v` = {K_V:g} 1/s" in page

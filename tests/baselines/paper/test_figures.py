@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import re
 import sys
 
 import numpy as np
 import pytest
 
 from baselines import drawing
+from baselines.laws.profiles import PROPOSED
 from baselines.paper import published
-from baselines.paper.figures.adaptive import draw_adaptive_tracking, run_adaptive, sliding_variable
-from baselines.paper.figures.profiles import NAMES, PROFILE_FIGURES, STUDIES, draw_all, run_profiles
+from baselines.paper.figures.adaptive import draw_adaptive_error, draw_adaptive_tracking, run_adaptive, sliding_variable
+from baselines.paper.figures.gallery import NAMES, SCHEMATICS, STUDIES, draw_all
+from baselines.paper.figures.profiles import PROFILE_FIGURES, run_profiles
 from baselines.paper.figures.studies import draw_principles
+from baselines.paper.proofs import largest_rates
 
 pytest.importorskip("matplotlib")
 IMAGE = pytest.importorskip("PIL.Image")
@@ -46,8 +50,19 @@ def test_every_figure_comes_as_vector_and_as_picture(drawn):
         assert len(content) < 400_000
 
 
-def test_figures_three_to_nine_are_there():
-    assert [name.split("_")[0] for name in sorted(NAMES) if name.startswith("fig")] == [f"fig{n}" for n in range(3, 10)]
+def test_figures_one_to_nine_are_there():
+    assert [name.split("_")[0] for name in sorted(NAMES) if name.startswith("fig")] == [f"fig{n}" for n in range(1, 10)]
+
+
+def test_schematics_name_what_the_paper_names():
+    with drawing.style():
+        capsule, phases = (text_of(draw()) for draw in SCHEMATICS.values())
+    for word in ("platform, M", "ball, m", "spring k and damper c", " l ", " x ", "θ", " u ", "m g", "N", "f, "):
+        assert word in capsule
+    for number in (*PROPOSED.times, PROPOSED.restoring_speed):
+        assert f"{number:.3g}" in phases
+    assert all(f"t{sign}" in phases for sign in "₀₁₂₃₄₅₆₇")
+    assert all(f" {numeral} " in f" {phases} " for numeral in ("I", "II", "III", "IV", "V", "VI", "VII"))
 
 
 def test_pictures_are_not_empty(drawn):
@@ -89,6 +104,7 @@ def text_of(figure):
 def test_notes_set_found_beside_published(runs):
     with drawing.style():
         texts = {name: text_of(draw(runs)) for name, draw in PROFILE_FIGURES.items()}
+    assert sum("curves are not available as data" in text for text in texts.values()) == 3
     for name, key in (
         ("fig3_tracking", "peak_velocity"),
         ("fig4_displacement", "mean_speed"),
@@ -103,10 +119,22 @@ def test_notes_set_found_beside_published(runs):
 def test_both_forms_of_the_adaptive_law_are_what_they_are_called():
     adaptive_runs = run_adaptive()
     assert all(run.completed for run in adaptive_runs.regularised)
-    # Nominal, light and heavy: the printed law lifts the light platform off the floor in its first push.
-    assert [run.completed for run in adaptive_runs.as_published] == [True, False, True]
+    # Nominal, light and heavy: unregularised, the law lifts the light platform off the floor in its first push.
+    assert [run.completed for run in adaptive_runs.corrected] == [True, False, True]
     with drawing.style():
-        assert "1 of 3 runs loses contact with the floor, at 0.10 s" in text_of(draw_adaptive_tracking(adaptive_runs))
+        tracking, errors = draw_adaptive_tracking(adaptive_runs), draw_adaptive_error(adaptive_runs)
+    for figure in (tracking, errors):
+        text = text_of(figure)
+        assert "1 of 3 runs loses contact with the floor, at 0.10 s" in text
+        assert "corrected, unregularised" in text and "curves are not available as data" in text
+    # Five cycles, and the first swing in an inset.
+    for axes in tracking.axes:
+        assert axes.get_xlim()[1] == pytest.approx(33.0) and len(axes.child_axes) == 1
+        assert axes.child_axes[0].get_xlim() == (0.0, 0.9)
+    assert [axes.get_ylabel().split()[0] for axes in errors.axes if axes.get_ylabel()] == ["angle", "rate"]
+    drawn = {line.get_label(): line.get_ydata() for line in errors.axes[2].lines}
+    nominal = adaptive_runs.regularised[0]
+    np.testing.assert_allclose(drawn["M = 0.5 kg, μ = 0.01"], 1e3 * (nominal.theta_dot - nominal.theta_d_dot))
 
 
 def test_labels_name_their_units(runs):
@@ -152,3 +180,13 @@ def test_missing_matplotlib_says_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(ImportError, match=r'pip install "capsule-gym\[paper\]"'):
         draw_all(tmp_path)
+
+
+def test_bounds_in_the_phase_plane_are_rounded_up():
+    proposed, epc = largest_rates()
+    with drawing.style():
+        text = text_of(STUDIES["phase_plane"]())
+    found = re.search(r"below ([\d.]+) and ([\d.]+) rad/s, in any contact.* below ([\d.]+) and ([\d.]+) rad/s", text)
+    bounds = (proposed.from_start, epc.from_start, proposed.bound, epc.bound)
+    for printed, bound in zip(found.groups(), bounds, strict=True):
+        assert bound <= float(printed) < bound + 0.001

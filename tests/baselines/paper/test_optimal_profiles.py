@@ -14,13 +14,16 @@ from baselines.laws.profiles import PROPOSED
 from baselines.laws.reference import reference_table
 from baselines.paper import optimal_profiles
 from baselines.paper.exact_tracking import STANDSTILLS, Assessment, Demands, assess, published_bounds
-from baselines.paper.optimal_profiles import Problem, exchange, format_row, load, main, problems, search
+from baselines.paper.optimal_profiles import format_row, format_spread, load, main
 from baselines.paper.principles import principle_1, principle_2, principle_3, principle_4
+from baselines.paper.profile_problems import TORQUE_LIMITS, Problem, problems
+from baselines.paper.profile_search import Spread, exchange, search, search_again, spread_problems
 from capsule_gym import CapsuleEnv
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import START_THETA
 
-SOLUTIONS = load()
+FOUND = load()
+SOLUTIONS = FOUND.solutions
 
 
 def solution(torque_limit, **variant):
@@ -148,19 +151,19 @@ def test_optimum_beats_the_published_profile_where_that_is_allowed(plants):
 
 
 def test_dropping_a_demand_never_costs_speed_and_adding_one_never_gains():
-    for limit in optimal_profiles.TORQUE_LIMITS:
+    for limit in TORQUE_LIMITS:
         whole = solution(limit).mean_speed
         for n in (1, 2, 3, 4):
             assert solution(limit, dropped=n).mean_speed >= whole
         assert solution(limit, free_start=True).mean_speed >= whole
         for variant in ({"plants": "ranges"}, {"standstill": "strict-return"}, {"standstill": "restoring"}):
             assert solution(limit, **variant).mean_speed <= whole
-    speeds = [solution(limit).mean_speed for limit in optimal_profiles.TORQUE_LIMITS]
+    speeds = [solution(limit).mean_speed for limit in TORQUE_LIMITS]
     assert speeds == sorted(speeds)
 
 
 def test_principle_4_is_what_binds():
-    for limit in optimal_profiles.TORQUE_LIMITS:
+    for limit in TORQUE_LIMITS:
         optimum = solution(limit)
         assert optimum.shares["principle_4_force"] > 0.95
         assert optimum.shares["principle_3"] < 0.5
@@ -226,6 +229,10 @@ def test_exchange_adopts_what_another_search_has_found():
 def test_command_solves_resumes_and_checks(tmp_path, monkeypatch, capsys):
     pytest.importorskip("scipy")
     monkeypatch.setattr(optimal_profiles, "problems", lambda: [Problem(1.5), Problem(1.5, dropped=3)])
+    monkeypatch.setattr(optimal_profiles, "spread_problems", lambda: [Problem(1.5)])
+    again = Spread(Problem(1.5), (4, 5), (0.01, None))
+    repeated = []
+    monkeypatch.setattr(optimal_profiles, "search_again", lambda *args, **kwargs: repeated.append(args) or again)
     path = tmp_path / "found.json"
     calls = []
 
@@ -238,11 +245,17 @@ def test_command_solves_resumes_and_checks(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(optimal_profiles, "search", interrupted)
     command = ["--json", str(path), "--generations", "1"]
     assert main(command) == 130
-    assert [each.problem for each in load(path)] == [Problem(1.5)]
+    assert [each.problem for each in load(path).solutions] == [Problem(1.5)]
+    assert not repeated
     calls.clear()
     assert main(command) == 0
     assert calls == [Problem(1.5, dropped=3)]
-    assert [each.problem for each in load(path)] == [Problem(1.5), Problem(1.5, dropped=3)]
+    assert [each.problem for each in load(path).solutions] == [Problem(1.5), Problem(1.5, dropped=3)]
+    assert load(path).spreads == (again,)
+    # What is there is not made again.
+    written = path.read_text()
+    assert main(command) == 0
+    assert path.read_text() == written and len(repeated) == 1
     assert main(["--json", str(path), "--check"]) == 0
     with pytest.raises(SystemExit):
         main(["--json", str(path), "--generations", "2"])
@@ -251,6 +264,28 @@ def test_command_solves_resumes_and_checks(tmp_path, monkeypatch, capsys):
     document["solutions"][0]["mean_speed"] *= 1.01
     path.write_text(json.dumps(document))
     assert main(["--json", str(path), "--check"]) == 1
+
+
+def test_further_searches_stand_beside_their_problems():
+    assert [spread.problem for spread in FOUND.spreads] == spread_problems()
+    for spread in FOUND.spreads:
+        assert len(spread.speeds) == len(spread.seeds) >= 5
+        # None of these seeds went into the solutions.
+        assert min(spread.seeds) > 3
+        slowest, fastest = FOUND.against(spread)
+        stored = solution(spread.problem.torque_limit, standstill=spread.problem.standstill).mean_speed
+        assert min(spread.feasible) == pytest.approx(stored * (1.0 + slowest))
+        # A lower bound of the optimum, and not far below what luck finds.
+        assert slowest <= fastest < 0.02
+
+
+def test_a_search_again_is_a_search_alone():
+    pytest.importorskip("scipy")
+    spread = search_again(Problem(1.5), (3, 4), generations=1)
+    alone = [search(Problem(1.5), seed=seed, generations=1, restarts=1) for seed in (3, 4)]
+    assert spread == Spread(Problem(1.5), (3, 4), tuple(each.mean_speed for each in alone))
+    nothing = replace(spread, speeds=(None, None))
+    assert "none of 2 found a profile" in format_spread(FOUND, nothing)
 
 
 def test_bounds_are_those_of_the_published_profile():

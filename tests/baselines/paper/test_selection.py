@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from baselines.laws.profiles import PROPOSED, seven_phases
+from baselines.laws.profiles import PROPOSED, TABLE_1, seven_phases
 from baselines.paper import selection
-from baselines.paper.selection import TABLE_1, boundary_condition, what_follows
+from baselines.paper.selection import boundary_condition, what_follows
 
 
 def test_bound_of_lemma_2():
@@ -41,7 +41,7 @@ def test_equation_23_closes_the_cycle_that_reaches_theta_0():
     condition = boundary_condition()
     profile = seven_phases(TABLE_1, condition.V1, selection.P2)
     assert selection.eq_23_p3(selection.P2) == pytest.approx(profile.restoring_speed, rel=1e-9)
-    assert condition.largest_angle == pytest.approx(profile.swing - math.pi / 3, abs=1e-6)
+    assert condition.largest_angle == pytest.approx(profile.peak_to_peak - math.pi / 3, abs=1e-6)
     assert selection.eq_23_p3(selection.P2) > PROPOSED.restoring_speed
 
 
@@ -66,6 +66,7 @@ EXPECTED = [
     ("(25)", 0.323, 0.195, False),
     ("(26)", 11.64, 11.81, True),
     ("(26)", 11.64, 5.72, False),
+    ("(27)", 0.895, 0.9, True),
     ("(27)", 2.113, 2.122, True),
     ("(28)", 5.63, 1.7, False),
     ("(29)", 2.68, 0.563, False),

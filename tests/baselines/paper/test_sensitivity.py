@@ -17,13 +17,14 @@ from baselines.paper.sensitivity import (
     friction_for,
     grid,
     least_mass_in_contact,
-    report,
+    main,
     speed_map,
     step_study,
     turning_points,
 )
 from capsule_gym import Capsule, Controller
 from capsule_gym.compilation import compile_cached
+from capsule_gym.options import Options
 from capsule_gym.simulation import Simulation
 
 CYCLES = 5
@@ -59,16 +60,16 @@ def simulated_speed(profile, M, mu, dt):
     )
     torque = torque.reshape(-1, fine).mean(axis=1)
     reference = np.stack([*profile.evaluate(np.arange(CYCLES * steps) * dt)[:2], torque], axis=1)
-    simulation = Simulation(
-        1,
+    options = Options(
         controller=Controller("feed-forward", feed_forward, reference, dt=dt),
         randomization="none",
         torque_limit=50.0,
         residual_limit=0.0,
         physics_dt=dt,
     )
+    simulation = Simulation(1, options)
     simulation.reset(np.zeros(1, np.int64), M=[M], mu=[mu])
-    for _ in range(round(CYCLES * profile.period / simulation.control_dt)):
+    for _ in range(round(CYCLES * profile.period / options.control_dt)):
         simulation.step(np.zeros((1, 1), np.float32), np.ones(1, np.bool_))
     metrics = simulation.metrics(np.zeros(1, np.int64))
     assert metrics["failed"][0] == 0.0
@@ -221,7 +222,8 @@ def test_grid_spans_the_stated_ranges():
     np.testing.assert_allclose((mu[0], mu[-1]), MU_RANGE)
 
 
-def test_report_says_where_the_order_turns():
-    text = report()
-    assert "changes at     no points" in text
-    assert "EPC       loses contact below M = 0.40" in text
+def test_command_says_where_the_order_turns(capsys):
+    assert main([]) == 0
+    text = capsys.readouterr().out
+    assert "the faster profile changes at no points" in text
+    assert "EPC loses contact below M = 0.40" in text

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from benchmarks import reference
 from capsule_gym import dynamics
 from capsule_gym.parameters import Plant
-from tests import reference
 
 step = njit(dynamics.step)
 rates = njit(reference.rates)

@@ -1,0 +1,421 @@
+"""Trained policies: one small file each, which loads without torch and without unpickling, and acts the same anywhere.
+
+A file is in the safetensors format:
+
+| tensor | dtype | shape |
+|---|---|---|
+| `layers.0.weight`, `layers.1.weight`, .. | float32, as trained | (outputs, inputs) |
+| `layers.0.bias`, `layers.1.bias`, .. | float32 | (outputs,) |
+| `observation.mean`, `observation.variance` | float64 | (entries,) |
+
+| metadata | meaning |
+|---|---|
+| `format`, `format_version` | "capsule_gym policy", "1" |
+| `algorithm` | what trained it: "ppo", "sac" |
+| `activation` | after the hidden layers: "tanh" or "relu" |
+| `squashing` | of the last output to [-1, 1]: "clip" or "tanh" |
+| `clip`, `epsilon` | an observation o becomes (o - mean) / sqrt(variance + epsilon), kept within +-clip |
+| `env_kwargs` | JSON: the arguments of the environment that it was trained in |
+| `training_seed`, `revision` | the seed of the training run, and the git revision that it ran at |
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import json
+import os
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from capsule_gym import task
+from capsule_gym.files import write_bytes_atomically
+from capsule_gym.network import Layer, decision, pack
+from capsule_gym.parameters import Capsule, Randomization, check_number
+from capsule_gym.simulation import Simulation
+
+Act = Callable[[np.ndarray], np.ndarray]
+
+POLICY = "policy.safetensors"
+FORMAT, FORMAT_VERSION = "capsule_gym policy", "1"
+ACTIVATIONS, SQUASHINGS = ("tanh", "relu"), ("clip", "tanh")
+# No float32 weights give a sum beyond float64 in so many layers of so many units, and no finite observation a NaN.
+MOST_LAYERS, MOST_UNITS, LARGEST_CLIP = 6, 1024, 1e6
+# Nothing larger is read: more than the layers above can fill, many times what a policy takes.
+LARGEST_FILE, LARGEST_METADATA = 32 * 2**20, 2**16
+# The arguments of the environment that change what a policy meets.
+ENV_ARGUMENTS = tuple(name for name in inspect.signature(Simulation).parameters if name not in ("num_envs", "threads"))
+# An import string runs code; that of this package's own laws is known.
+OWN_CONTROLLER = re.compile(r"baselines:[A-Za-z][A-Za-z0-9_]*")
+SEED_FOLDER = re.compile(r"seed-([0-9]{1,18})")
+# A wheel carries the committed policies in the package; in a checkout they lie with the training commands.
+FOLDERS = (Path(__file__).with_name("checkpoints"), Path(__file__).parents[1] / "agents" / "checkpoints")
+
+
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """A trained network that acts deterministically: `policy(observation)` is the action.
+
+    The arithmetic is strict float64 in a fixed order: the action for an observation is the same bits alone, in any
+    batch, and on any instruction set.
+
+    Attributes:
+        name: for messages and tables.
+        algorithm: what trained it, as "ppo".
+        layers: weights (outputs, inputs) and biases (outputs,) of each layer, float32; the last has one output.
+        activation: after the hidden layers, "tanh" or "relu".
+        squashing: of the last output to [-1, 1], "clip" or "tanh".
+        mean: of the observations in training, shape (entries,), float64.
+        variance: likewise.
+        clip: largest size of a normalised observation.
+        epsilon: added to the variance.
+        env_kwargs: the arguments of the environment that it was trained in, for
+            `gym.make("CapsuleStickSlip-v0", **policy.env_kwargs)`.
+        training_seed: the seed of its training run.
+        revision: the git revision of the code that trained it.
+
+    Raises:
+        TypeError: if a field is of the wrong type.
+        ValueError: if a field is out of range, or the shapes do not fit each other or the environment's observation.
+    """
+
+    name: str
+    algorithm: str
+    layers: tuple[Layer, ...]
+    activation: str
+    squashing: str
+    mean: np.ndarray
+    variance: np.ndarray
+    clip: float
+    epsilon: float
+    env_kwargs: dict[str, Any]
+    training_seed: int
+    revision: str
+    _network: np.ndarray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for name, value, accepted in (
+            ("activation", self.activation, ACTIVATIONS),
+            ("squashing", self.squashing, SQUASHINGS),
+        ):
+            if value not in accepted:
+                raise ValueError(f"{name} must be one of {accepted}, got {value!r}")
+        for name, text in (("algorithm", self.algorithm), ("revision", self.revision)):
+            if not isinstance(text, str) or not text:
+                raise TypeError(f"{name} must be a string that is not empty, got {text!r}")
+        if isinstance(self.training_seed, bool) or not isinstance(self.training_seed, int) or self.training_seed < 0:
+            raise ValueError(f"training_seed must be an integer >= 0, got {self.training_seed!r}")
+        check_number("clip", self.clip, f"a number in (0, {LARGEST_CLIP:g}]", 0.0, LARGEST_CLIP, open_low=True)
+        check_number("epsilon", self.epsilon, "a finite number >= 0", 0.0)
+        entries = _entries(self.env_kwargs)
+        widths = _widths([(weights.shape, bias.shape) for weights, bias in self.layers])
+        if widths[0] != entries:
+            raise ValueError(
+                f"layers.0.weight must have as many columns as the observation that env_kwargs give has entries, "
+                f"{entries}, got {widths[0]}"
+            )
+        for n, layer in enumerate(self.layers):
+            for kind, array in zip(("weight", "bias"), layer, strict=True):
+                _check_array(f"layers.{n}.{kind}", array, np.float32)
+        for name, array in (("observation.mean", self.mean), ("observation.variance", self.variance)):
+            _check_array(name, array, np.float64, (entries,))
+        if (self.variance < 0.0).any() or (self.variance + self.epsilon < 1e-300).any():
+            raise ValueError(f"observation.variance must be >= 0, and with epsilon > 0, got {self.variance}")
+        scale = 1.0 / np.sqrt(self.variance + self.epsilon)
+        switches = {"relu": self.activation == "relu", "tanh_squashing": self.squashing == "tanh"}
+        object.__setattr__(self, "_network", pack(self.layers, self.mean, scale, self.clip, **switches))
+
+    @property
+    def entries(self) -> int:
+        """How many entries an observation has."""
+        return len(self.mean)
+
+    @property
+    def description(self) -> str:
+        """What it is, in a line."""
+        controller = self.env_kwargs.get("controller")
+        action = "the whole torque"
+        if controller is not None:
+            limit = self.env_kwargs.get("residual_limit") or self.env_kwargs.get("torque_limit", task.TORQUE_LIMIT)
+            action = f"a residual torque of up to {limit:g} N m on `{controller}`"
+        randomization = self.env_kwargs.get("randomization", "paper")
+        return f"{self.algorithm.upper()}, {action}, trained with randomization {randomization}"
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        """The action for one observation or for many.
+
+        Args:
+            observation: shape (entries,) or (n, entries), finite; taken as float32.
+
+        Returns:
+            Shape (1,) or (n, 1), float32, in [-1, 1].
+
+        Raises:
+            ValueError: if the observation has another shape or is not finite.
+        """
+        try:
+            array = np.require(observation, np.float32, ["C", "A"])
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ValueError(f"observation must be an array of finite numbers, got {observation!r}: {error}") from None
+        if array.ndim not in (1, 2) or array.shape[-1] != self.entries or not np.isfinite(array).all():
+            raise ValueError(
+                f"observation must be finite and of shape ({self.entries},) or (n, {self.entries}), got {observation!r}"
+            )
+        rows = array.reshape(-1, self.entries)
+        actions = np.empty((len(rows), 1), np.float32)
+        decision()(self._network, rows, actions)
+        return actions if array.ndim == 2 else actions[0]
+
+    def start(self, seeds: Sequence[int]) -> Act:
+        """Begins a batch of episodes, as scripted policies do.
+
+        Args:
+            seeds: one per episode; the policy draws no random numbers and needs none.
+
+        Returns:
+            The function from observations (n, entries) to actions (n, 1), float32: the policy itself.
+        """
+        return self
+
+    def save(self, path: str | Path) -> None:
+        """Writes the file, whole or not at all; the same policy gives the same bytes."""
+        tensors = {"observation.mean": self.mean, "observation.variance": self.variance}
+        for n, (weights, bias) in enumerate(self.layers):
+            tensors |= {f"layers.{n}.weight": weights, f"layers.{n}.bias": bias}
+        plain = {
+            name: asdict(value) if isinstance(value, (Capsule, Randomization)) else value
+            for name, value in self.env_kwargs.items()
+        }
+        metadata = {
+            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
+            "algorithm": self.algorithm,
+            "activation": self.activation,
+            "squashing": self.squashing,
+            "clip": repr(float(self.clip)),
+            "epsilon": repr(float(self.epsilon)),
+            "env_kwargs": json.dumps(plain, sort_keys=True, allow_nan=False),
+            "training_seed": str(self.training_seed),
+            "revision": self.revision,
+        }
+        write_bytes_atomically(Path(path), _in_order(save(tensors, metadata)))
+
+
+def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool = False) -> Policy:
+    """Loads a trained policy. Nothing is unpickled, and no code of the file's is run.
+
+    Args:
+        name_or_path: one of `policy_names()`, as "residual-ppo", which means the training run with the lowest seed; or
+            one run of it, as "residual-ppo/seed-2"; or the path of a policy file, or of a training run's folder, whose
+            best policy counts where there is one.
+        trust_controller: accept a policy that names a control law outside this package. The environment imports such a
+            law by its name, which runs its code: say so only of code that you trust.
+
+    Returns:
+        The policy; it acts in `gym.make("CapsuleStickSlip-v0", **policy.env_kwargs)`.
+
+    Raises:
+        TypeError: if `name_or_path` is neither a string nor a path.
+        ValueError: if there is no such policy, its file is broken, or it names a law that is not trusted.
+    """
+    if not isinstance(name_or_path, (str, os.PathLike)):
+        raise TypeError(f"name_or_path must be a policy's name or a path, got {name_or_path!r}")
+    path = _committed().get(name_or_path) if isinstance(name_or_path, str) else None
+    if path is not None:
+        return _read(str(name_or_path), path, trust_controller)
+    path = Path(name_or_path)
+    if path.is_dir():
+        found = next((file for file in (path / "best" / POLICY, path / POLICY) if file.is_file()), None)
+        if found is None:
+            raise ValueError(f"{path} is no folder of a training run: it holds neither best/{POLICY} nor {POLICY}")
+        path = found
+    if path.is_file():
+        folder = path.absolute().parent
+        return _read(folder.parent.name if folder.name == "best" else folder.name, path, trust_controller)
+    near = difflib.get_close_matches(str(name_or_path), _committed(), n=1)
+    raise ValueError(
+        f"name_or_path must be one of {', '.join(policy_names())}, one run of it as NAME/seed-0, or the path of a "
+        f"policy file or of a run's folder, got {str(name_or_path)!r}"
+        + "".join(f"; did you mean {name!r}?" for name in near)
+    )
+
+
+def policy_names(*, seeds: bool = False) -> list[str]:
+    """The names of the policies that come with the package.
+
+    Args:
+        seeds: name every training run, as "residual-ppo/seed-2", in place of the policies that they are runs of.
+    """
+    return [name for name in _committed() if ("/" in name) is seeds]
+
+
+@lru_cache(maxsize=1)
+def _committed() -> dict[str, Path]:
+    """The files of the policies that come with the package: every run's, and under the plain name the first run's."""
+    folder = next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[0])
+    runs = [
+        (file.parents[1].name, SEED_FOLDER.fullmatch(file.parent.name), file) for file in folder.glob(f"*/*/{POLICY}")
+    ]
+    found: dict[str, Path] = {}
+    for name, seed, file in sorted((name, int(match[1]), file) for name, match, file in runs if match):
+        found.setdefault(name, file)
+        found[f"{name}/seed-{seed}"] = file
+    return found
+
+
+def _entries(env_kwargs: Any) -> int:
+    """How many entries the observation has that an environment with these arguments gives."""
+    if not isinstance(env_kwargs, dict):
+        raise TypeError(f"env_kwargs must be a dict, got {env_kwargs!r}")
+    unknown = sorted(set(env_kwargs) - set(ENV_ARGUMENTS))
+    if unknown:
+        raise ValueError(f"env_kwargs must have keys out of {ENV_ARGUMENTS}, got {unknown}")
+    controller, observe_parameters = env_kwargs.get("controller"), env_kwargs.get("observe_parameters", False)
+    if controller is not None and not isinstance(controller, str):
+        raise TypeError(f"env_kwargs['controller'] must be None or an import string, got {controller!r}")
+    if not isinstance(observe_parameters, bool):
+        raise TypeError(f"env_kwargs['observe_parameters'] must be True or False, got {observe_parameters!r}")
+    return len(task.observation_names(controller is not None, observe_parameters))
+
+
+def _widths(shapes: Sequence[tuple[Sequence[int], Sequence[int]]]) -> list[int]:
+    """The number of units before, between and after layers of these shapes, which must fit each other."""
+    if not 1 <= len(shapes) <= MOST_LAYERS:
+        raise ValueError(f"a network must have 1 to {MOST_LAYERS} layers, got {len(shapes)}")
+    widths: list[int] = []
+    for n, (matrix, bias) in enumerate(shapes):
+        accepted = "(outputs, inputs) and (outputs,), the inputs being the outputs of the layer before"
+        if len(matrix) != 2 or tuple(bias) != (matrix[0],) or (widths and widths[-1] != matrix[1]):
+            raise ValueError(
+                f"layers.{n}.weight and layers.{n}.bias must have shapes {accepted}, got {tuple(matrix)}, {tuple(bias)}"
+            )
+        widths += [*([] if widths else [matrix[1]]), matrix[0]]
+    if widths[-1] != 1 or not all(1 <= width <= MOST_UNITS for width in widths):
+        raise ValueError(f"layers must have 1 to {MOST_UNITS} units and the last one unit, got {widths}")
+    return widths
+
+
+def _check_array(name: str, array: np.ndarray, dtype: type, shape: tuple[int, ...] | None = None) -> None:
+    """Refuses arrays of another dtype or shape, and numbers that are not finite."""
+    if array.dtype != dtype or (shape is not None and array.shape != shape):
+        accepted = np.dtype(dtype).name + (f" of shape {shape}" if shape is not None else "")
+        raise ValueError(f"{name} must be {accepted}, got {array.dtype.name} of shape {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite, got NaN or infinity")
+
+
+def _in_order(content: bytes) -> bytes:
+    """A safetensors file with its metadata sorted: the library's order is random, and would be the file's hash too."""
+    size = int.from_bytes(content[:8], "little")
+    header = json.loads(content[8 : 8 + size])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text + content[8 + size :]
+
+
+def _read(name: str, path: Path, trust_controller: bool) -> Policy:
+    """The policy in a file; whatever is wrong with it is a ValueError that names the file."""
+    size = path.stat().st_size
+    if size > LARGEST_FILE:
+        raise ValueError(f"{path} is no policy: it must have at most {LARGEST_FILE} bytes, got {size}")
+    try:
+        policy = _parse(name, path)
+    except (SafetensorError, ValueError, TypeError, RecursionError, OverflowError) as error:
+        raise ValueError(f"{path} is no policy: {error}") from error
+    controller = policy.env_kwargs.get("controller")
+    if not (trust_controller or controller is None or OWN_CONTROLLER.fullmatch(controller)):
+        raise ValueError(
+            f"{path} names the control law {controller!r}, which does not come with this package; an environment made "
+            "with it runs that code: load_policy(.., trust_controller=True) if you trust it"
+        )
+    return policy
+
+
+def _parse(name: str, path: Path) -> Policy:
+    """The policy in a file that is not too large."""
+    with safe_open(path, framework="numpy") as file:
+        metadata: dict[str, str] = file.metadata() or {}
+        if metadata.get("format") != FORMAT:
+            raise ValueError(f"its metadata must say format {FORMAT!r}, got {metadata.get('format')!r}")
+        if metadata.get("format_version") != FORMAT_VERSION:
+            raise ValueError(
+                f"its format_version must be {FORMAT_VERSION!r}, the one that this version of capsule_gym knows, got "
+                f"{metadata.get('format_version')!r}"
+            )
+        if sum(map(len, metadata.values())) > LARGEST_METADATA:
+            raise ValueError(f"its metadata must have at most {LARGEST_METADATA} characters")
+        # Everything is checked by what the header says, before a tensor is read.
+        names = set(file.keys())
+        count = sum(tensor.endswith(".weight") for tensor in names)
+        layers = [(f"layers.{n}.weight", f"layers.{n}.bias") for n in range(min(count, MOST_LAYERS + 1))]
+        expected = {"observation.mean", "observation.variance"}.union(*layers)
+        if names != expected:
+            raise ValueError(f"it must hold the tensors {sorted(expected)}, got {sorted(names)[:20]}")
+        parts = {tensor: file.get_slice(tensor) for tensor in names}
+        for tensor, part in parts.items():
+            dtype = "F32" if tensor.startswith("layers.") else "F64"
+            if part.get_dtype() != dtype:
+                raise ValueError(f"{tensor} must be {dtype}, got {part.get_dtype()}")
+        _widths([(parts[weights].get_shape(), parts[bias].get_shape()) for weights, bias in layers])
+        arrays = {tensor: file.get_tensor(tensor) for tensor in names}
+    return Policy(
+        name=name,
+        algorithm=_text(metadata, "algorithm"),
+        layers=tuple((arrays[weights], arrays[bias]) for weights, bias in layers),
+        activation=_text(metadata, "activation"),
+        squashing=_text(metadata, "squashing"),
+        mean=arrays["observation.mean"],
+        variance=arrays["observation.variance"],
+        clip=_number(metadata, "clip"),
+        epsilon=_number(metadata, "epsilon"),
+        env_kwargs=_env_kwargs(_text(metadata, "env_kwargs")),
+        training_seed=_seed(_text(metadata, "training_seed")),
+        revision=_text(metadata, "revision"),
+    )
+
+
+def _text(metadata: dict[str, str], key: str) -> str:
+    """An entry of the metadata."""
+    if key not in metadata:
+        raise ValueError(f"its metadata must hold {key!r}, got {sorted(metadata)}")
+    return metadata[key]
+
+
+def _number(metadata: dict[str, str], key: str) -> float:
+    """An entry of the metadata that is a number."""
+    text = _text(metadata, key)
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{key} must be a number, got {text[:50]!r}") from None
+
+
+def _seed(text: str) -> int:
+    """A training seed."""
+    if not re.fullmatch(r"[0-9]{1,40}", text):
+        raise ValueError(f"training_seed must be an integer >= 0, got {text[:50]!r}")
+    return int(text)
+
+
+def _env_kwargs(text: str) -> dict[str, Any]:
+    """The environment's arguments out of their JSON: capsules and ranges become what they were."""
+
+    def refuse(constant: str) -> None:
+        raise ValueError(f"env_kwargs must hold finite numbers, got {constant}")
+
+    content = json.loads(text, parse_constant=refuse)
+    if not isinstance(content, dict):
+        raise ValueError(f"env_kwargs must be an object, got {text[:50]!r}")
+    for name, kind in (("capsule", Capsule), ("randomization", Randomization)):
+        if isinstance(content.get(name), dict):
+            content[name] = kind(**content[name])
+    return content

@@ -1,0 +1,50 @@
+"""Whether two runs are one run: networks, optimisers, normalisation, evaluations and log, bit for bit."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import torch
+from stable_baselines3.common.save_util import load_from_zip_file
+
+# Columns that say how long something took, or count from the last resumption.
+CLOCKS = ("seconds", "time/fps", "time/time_elapsed", "time/iterations")
+
+
+def parameters(archive: Path) -> dict[str, Any]:
+    """Networks and optimisers of an archive, without unpickling."""
+    _, states, variables = load_from_zip_file(archive, load_data=False, device="cpu")
+    return {"states": states, "variables": variables}
+
+
+def same(a: Any, b: Any) -> bool:
+    """Whether two nests of containers hold the same bits."""
+    if isinstance(a, torch.Tensor):
+        return torch.equal(a, b)
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, (list, tuple)):
+        return len(a) == len(b) and all(map(same, a, b))
+    return bool(a == b)
+
+
+def rows(path: Path, without: tuple[str, ...] = ()) -> list[dict[str, str]]:
+    """The lines of a CSV file."""
+    with path.open(newline="") as file:
+        return [{name: value for name, value in row.items() if name not in without} for row in csv.DictReader(file)]
+
+
+def differences(run: Path, other: Path) -> list[str]:
+    """The files in which two finished runs differ."""
+    found = []
+    for folder in (Path(), Path("best")):
+        if not same(parameters(run / folder / "model.zip"), parameters(other / folder / "model.zip")):
+            found.append(str(folder / "model.zip"))
+        if (run / folder / "normalisation.json").read_text() != (other / folder / "normalisation.json").read_text():
+            found.append(str(folder / "normalisation.json"))
+    for table in ("evaluations.csv", "logs/progress.csv"):
+        if rows(run / table, CLOCKS) != rows(other / table, CLOCKS):
+            found.append(table)
+    return found

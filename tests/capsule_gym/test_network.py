@@ -1,0 +1,201 @@
+"""The compiled network: what it computes, that a row is the same in any batch, and the same on any instruction set."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from capsule_gym import network
+from capsule_gym.compilation import fingerprint
+from capsule_gym.kernels import LANES
+from capsule_gym.network import FEW, TILE, decide, decision, filled, pack
+
+ROOT = Path(__file__).parents[2]
+
+
+def make_layers(widths: tuple[int, ...], seed: int = 0) -> list[network.Layer]:
+    rng = np.random.default_rng(seed)
+    return [
+        (
+            rng.normal(0.0, 1.0 / np.sqrt(inputs), (outputs, inputs)).astype(np.float32),
+            rng.normal(0.0, 0.3, outputs).astype(np.float32),
+        )
+        for inputs, outputs in pairwise(widths)
+    ]
+
+
+def expected(layers, observations, mean, scale, clip, relu, tanh_squashing) -> np.ndarray:
+    """The same network by numpy, in the order that numpy likes."""
+    values = np.clip((observations.astype(np.float64) - mean) * scale, -clip, clip)
+    for n, (weights, bias) in enumerate(layers):
+        values = values @ weights.astype(np.float64).T + bias
+        if n < len(layers) - 1:
+            values = np.maximum(values, 0.0) if relu else np.tanh(values)
+    return np.tanh(values) if tanh_squashing else np.clip(values, -1.0, 1.0)
+
+
+def run(packed: np.ndarray, observations: np.ndarray) -> np.ndarray:
+    actions = np.full((len(observations), 1), np.nan, np.float32)
+    decision()(packed, observations, actions)
+    return actions
+
+
+@pytest.mark.parametrize("relu", [False, True], ids=["tanh", "relu"])
+@pytest.mark.parametrize("tanh_squashing", [False, True], ids=["clipped", "squashed"])
+@pytest.mark.parametrize("widths", [(5, 64, 64, 1), (10, 64, 64, 1), (12, 1), (3, 7, 1), (5, 1, 130, 3, 1)], ids=str)
+def test_it_computes_what_numpy_does(widths, relu, tanh_squashing):
+    rng = np.random.default_rng(1)
+    layers, mean, scale = make_layers(widths), rng.normal(size=widths[0]), rng.uniform(0.2, 3.0, widths[0])
+    packed = pack(layers, mean, scale, 2.5, relu=relu, tanh_squashing=tanh_squashing)
+    observations = rng.normal(0.0, 2.0, (2 * LANES + 5, widths[0])).astype(np.float32)
+    actions = run(packed, observations)
+    exact = expected(layers, observations, mean, scale, 2.5, relu, tanh_squashing)
+    # One rounding to float32 and those of float64.
+    np.testing.assert_allclose(actions, exact, rtol=6.1e-8, atol=1e-13)
+    assert np.unique(actions).size > 20
+    assert (np.abs(actions) <= 1.0).all()
+
+
+@pytest.mark.parametrize("relu", [False, True], ids=["tanh", "relu"])
+def test_a_row_is_the_same_alone_and_in_any_batch(relu):
+    layers = make_layers((10, 64, 64, 1))
+    packed = pack(layers, np.zeros(10), np.ones(10), 10.0, relu=relu, tanh_squashing=relu)
+    observations = np.random.default_rng(2).normal(size=(3 * LANES, 10)).astype(np.float32)
+    whole = run(packed, observations)
+    assert np.unique(whole).size > 2 * LANES
+    for n in (1, 2, TILE, FEW, FEW + 1, LANES - 1, LANES, LANES + 1, 2 * LANES + FEW):
+        for first in (0, 1, 37):
+            assert run(packed, observations[first : first + n]).tobytes() == whole[first : first + n].tobytes()
+
+
+def test_interpreted_and_compiled_network_agree_bit_for_bit():
+    packed = pack(make_layers((5, 12, 1)), np.zeros(5), np.ones(5), 10.0, relu=False, tanh_squashing=True)
+    observations = np.random.default_rng(3).normal(size=(2, 5)).astype(np.float32)
+    by_hand = []
+    for observation in observations.astype(np.float64):
+        values = list(observation)
+        for n, (weights, bias) in enumerate(make_layers((5, 12, 1))):
+            sums = []
+            for row, start in zip(weights.astype(np.float64), bias.astype(np.float64), strict=True):
+                total = float(start)
+                for weight, value in zip(row.tolist(), values, strict=True):
+                    total = network.fma(weight, float(value), total)
+                sums.append(network.tanh(total))
+            values = sums
+            assert len(values) == (12, 1)[n]
+        by_hand.append(values)
+    assert run(packed, observations).tobytes() == np.array(by_hand, np.float32).tobytes()
+
+
+def test_clipping_keeps_far_observations_apart_from_none():
+    layers = make_layers((2, 8, 1))
+    packed = pack(layers, np.zeros(2), np.full(2, 1e-150), 3.0, relu=False, tanh_squashing=False)
+    near, far = np.zeros((1, 2), np.float32), np.full((1, 2), 3e38, np.float32)
+    assert run(packed, near) == run(packed, far)  # so small a scale
+    packed = pack(layers, np.zeros(2), np.full(2, 1e150), 3.0, relu=False, tanh_squashing=False)
+    assert run(packed, far) == pytest.approx(expected(layers, far, 0.0, 1.0, 3.0, False, False), rel=1e-7)
+
+
+def test_one_environment_that_is_no_number_leaves_the_others_alone():
+    packed = pack(make_layers((5, 64, 64, 1)), np.zeros(5), np.ones(5), 10.0, relu=True, tanh_squashing=True)
+    observations = np.random.default_rng(4).normal(size=(LANES, 5)).astype(np.float32)
+    clean = run(packed, observations)
+    observations[7, 2] = np.nan
+    broken = run(packed, observations)
+    assert np.isnan(broken[7])
+    assert np.delete(broken, 7).tobytes() == np.delete(clean, 7).tobytes()
+
+
+@pytest.mark.parametrize(("width", "tiles"), [(1, 4), (4, 4), (5, 8), (64, 64), (65, 68)])
+def test_widths_are_filled_up_to_whole_tiles(width, tiles):
+    assert filled(width) == tiles
+
+
+def test_an_edit_of_what_it_calls_changes_its_fingerprint(monkeypatch):
+    before = fingerprint(decide)
+    for name in ("TILE", "FEW", "LINE", "HEADER", "LANES"):
+        with monkeypatch.context() as patch:
+            patch.setattr(network, name, getattr(network, name) + 1)
+            assert fingerprint(decide) != before, name
+    for function in (network.connect, network.think, network.tanh, network.fma.py_func):
+        with monkeypatch.context() as patch:
+            code = function.__code__
+            patch.setattr(function, "__code__", code.replace(co_consts=(*code.co_consts, "edited")))
+            assert fingerprint(decide) != before, function.__name__
+    assert fingerprint(decide) == before
+
+
+# Prints a hash of what every committed policy and a network of odd widths answer, alone and in batches.
+BITS_SCRIPT = """
+import hashlib
+import numpy as np
+from capsule_gym import load_policy, network, policy_names
+from tests.capsule_gym.test_network import run
+
+digest = hashlib.sha256()
+for name in policy_names(seeds=True):
+    policy = load_policy(name)
+    rng = np.random.default_rng(0)
+    # Uniform numbers are exact, others come out of a library's logarithms.
+    noise = rng.uniform(-4.0, 4.0, (100, policy.entries))
+    observations = (policy.mean + np.sqrt(policy.variance) * noise).astype(np.float32)
+    for asked in (observations, observations[0], observations[:3]):
+        digest.update(policy(asked).tobytes())
+layers = [(rng.uniform(-1, 1, (k, i)), rng.uniform(-1, 1, k)) for i, k in ((3, 7), (7, 9), (9, 1))]
+packed = network.pack(layers, np.ones(3), np.ones(3), 2.0, relu=True, tanh_squashing=True)
+digest.update(run(packed, rng.uniform(-4.0, 4.0, (70, 3)).astype(np.float32)).tobytes())
+print(digest.hexdigest())
+"""
+
+
+# Instruction sets, and what a processor must be able to do to run their code.
+TARGETS = {
+    "generic": set(),
+    "haswell": {"avx2", "fma", "bmi2"},
+    "znver3": {"avx2", "fma", "bmi2"},
+    "skylake-avx512": {"avx512dq", "avx512vl"},
+}
+# What numpy has other code for, by the names of its versions.
+NUMPY_FEATURES = "AVX2 FMA3 AVX512F AVX512_SKX X86_V3 X86_V4"
+
+
+def processor_flags() -> set[str]:
+    path = Path("/proc/cpuinfo")
+    text = path.read_text(encoding="utf-8") if path.is_file() else ""
+    return next((set(line.split()) for line in text.splitlines() if line.startswith("flags")), set())
+
+
+def bits(cache: Path, **variables: str) -> str:
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1", "NUMBA_CACHE_DIR": str(cache), **variables}
+    command = [sys.executable, "-c", BITS_SCRIPT]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+@pytest.fixture(scope="module")
+def native_bits(tmp_path_factory: pytest.TempPathFactory) -> str:
+    found = bits(tmp_path_factory.mktemp("native"))
+    assert len(found) == 64
+    return found
+
+
+def test_the_libraries_do_not_matter(native_bits, tmp_path):
+    # Neither glibc's choice of functions for the processor (its `fma` is a program then) nor numpy's.
+    libraries = {
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX2_Usable,-FMA_Usable",
+        "NPY_DISABLE_CPU_FEATURES": NUMPY_FEATURES,
+    }
+    assert bits(tmp_path, NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES="", **libraries) == native_bits
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_every_instruction_set_gives_the_same_bits(target, native_bits, tmp_path):
+    if not TARGETS[target] <= processor_flags():
+        pytest.skip(f"this processor does not run code for {target}")
+    assert bits(tmp_path, NUMBA_CPU_NAME=target, NUMBA_CPU_FEATURES="") == native_bits

@@ -1,0 +1,101 @@
+"""The options: one definition, which signatures, docstrings and command line follow, and what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import math
+import pickle
+import re
+
+import numpy as np
+import pytest
+
+from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization
+from capsule_gym.options import DOCS, Options
+from capsule_gym.simulation import Simulation
+
+FIELDS = {field.name: field for field in dataclasses.fields(Options)}
+OWN = {
+    CapsuleEnv: ([], ["threads"]),
+    CapsuleVectorEnv: (["num_envs", "max_episode_steps", "autoreset_mode"], []),
+}
+
+
+@pytest.mark.parametrize(("kind", "own", "left_out"), [(kind, *lists) for kind, lists in OWN.items()])
+def test_signatures_have_the_names_types_and_defaults_of_the_options(kind, own, left_out):
+    parameters = inspect.signature(kind).parameters
+    assert list(parameters) == own + [name for name in FIELDS if name not in left_out]
+    for name, parameter in list(parameters.items())[len(own) :]:
+        assert parameter.kind is inspect.Parameter.KEYWORD_ONLY
+        assert parameter.annotation == FIELDS[name].type
+        assert parameter.default is FIELDS[name].default or parameter.default == FIELDS[name].default
+
+
+def default_in_words(field: dataclasses.Field) -> str:
+    value = field.default
+    text = f"{value:g}" if type(value) is float else f'"{value}"' if type(value) is str else str(value)
+    return field.metadata["shown"] or f"`{text}`"
+
+
+def test_the_page_of_the_environment_lists_the_options():
+    rows = [line.strip() for line in inspect.getdoc(CapsuleEnv).splitlines()]
+    table = rows[rows.index("| argument | default | meaning |") + 2 :]
+    expected = [
+        f"| `{name}` | {default_in_words(field)} | {DOCS[name]} |"
+        for name, field in FIELDS.items()
+        if name not in OWN[CapsuleEnv][1]
+    ]
+    assert table[: len(expected) + 1] == [*expected, ""]
+
+
+def test_the_docstring_of_the_batch_lists_the_options():
+    section = inspect.getdoc(CapsuleVectorEnv).partition("\nArgs:\n")[2].partition("\nRaises:")[0]
+    entries = re.findall(r"^    (\w+): (.*(?:\n        .*)*)", section, re.MULTILINE)
+    found = {name: re.sub(r"\s+", " ", text) for name, text in entries}
+    assert list(found) == [*OWN[CapsuleVectorEnv][0], *FIELDS]
+    assert {name: found[name] for name in FIELDS} == {name: f"{text}." for name, text in DOCS.items()}
+
+
+def test_what_is_given_is_kept_as_plain_types():
+    options = Options(torque_limit=np.float32(2.0), observe_parameters=np.True_, threads=np.int64(2), control_dt=1)
+    assert (options.torque_limit, options.observe_parameters, options.threads) == (2.0, True, 2)
+    assert [type(value) for value in (options.torque_limit, options.observe_parameters)] == [float, bool]
+    assert (type(options.threads), type(options.control_dt)) == (int, float)
+    assert pickle.loads(pickle.dumps(options)) == options
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        options.torque_limit = 1.0
+
+
+def test_options_are_picked_from_other_arguments():
+    def function(self, other, torque_limit=3.0, threads=2):
+        return Options.among(locals())
+
+    assert function(None, 1.0) == Options(torque_limit=3.0, threads=2)
+
+
+NUMBERS = [name for name, field in FIELDS.items() if "float" in field.type]
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 10**400, -(10**400)])
+def test_numbers_out_of_range_are_refused_by_name_and_value(name, value):
+    with pytest.raises(ValueError, match=rf"^{name} must be a .*number.*, got ") as caught:
+        Options(**{name: value})
+    assert repr(value) in str(caught.value)
+
+
+@pytest.mark.parametrize("name", [*NUMBERS, "observe_parameters", "capsule", "randomization", "threads"])
+@pytest.mark.parametrize("value", [[1.0], 1j, b"1"])
+def test_wrong_types_are_refused_by_name(name, value):
+    with pytest.raises(TypeError, match=rf"^{name} must be "):
+        Options(**{name: value})
+
+
+def test_what_is_none_follows_from_the_others():
+    direct = Simulation(1, Options(torque_limit=2.0)).settings
+    assert (direct.residual_limit, direct.physics_dt, direct.physics_steps, direct.law_steps) == (2.0, 2e-3, 10, 1)
+    law = Simulation(1, Options(controller="baselines:adaptive")).settings
+    assert (law.residual_limit, law.physics_dt, law.physics_steps, law.law_steps) == (1.5, 1e-3, 1, 20)
+    assert Simulation(1).capsule == Capsule()
+    assert Simulation(1).randomization == Randomization.named("paper")

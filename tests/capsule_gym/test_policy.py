@@ -1,0 +1,479 @@
+"""Policy files: what is written is what loads, what they are known by, and what a hostile file does (nothing)."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import struct
+import subprocess
+import sys
+import tracemalloc
+from dataclasses import fields, replace
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from safetensors.numpy import load_file, save
+
+import capsule_gym
+from capsule_gym import Capsule, Policy, Randomization, load_policy, policy_names
+from capsule_gym import policy as policy_module
+from capsule_gym.policy import POLICY
+from tests.capsule_gym.test_network import make_layers
+
+ROOT = Path(__file__).parents[2]
+COMMITTED = policy_names(seeds=True)
+# Of all committed files together.
+SIZE_LIMIT = 2_000_000
+
+
+def make_policy(**changes: object) -> Policy:
+    rng = np.random.default_rng(5)
+    values: dict[str, object] = {
+        "name": "made",
+        "algorithm": "ppo",
+        "layers": tuple(make_layers((5, 8, 1))),
+        "activation": "tanh",
+        "squashing": "clip",
+        "mean": rng.normal(size=5),
+        "variance": rng.uniform(0.1, 2.0, 5),
+        "clip": 10.0,
+        "epsilon": 1e-8,
+        "env_kwargs": {"torque_limit": 1.25, "randomization": "wide"},
+        "training_seed": 3,
+        "revision": "0123456789ab",
+    }
+    return Policy(**{**values, **changes})  # type: ignore[arg-type]
+
+
+# What a policy on top of a control law has.
+TEN_ENTRIES = {"layers": tuple(make_layers((10, 1))), "mean": np.zeros(10), "variance": np.ones(10)}
+OBSERVATIONS = np.random.default_rng(6).normal(size=(20, 5)).astype(np.float32)
+
+
+def test_a_file_gives_back_what_was_saved(tmp_path):
+    policy = make_policy()
+    policy.save(tmp_path / POLICY)
+    loaded = load_policy(tmp_path)
+    for field in fields(Policy):
+        saved, found = getattr(policy, field.name), getattr(loaded, field.name)
+        if field.name == "layers":
+            for (weights, bias), (weights_2, bias_2) in zip(saved, found, strict=True):
+                assert (weights.tobytes(), bias.tobytes()) == (weights_2.tobytes(), bias_2.tobytes())
+        elif isinstance(saved, np.ndarray):
+            assert saved.tobytes() == found.tobytes()
+        elif field.name != "name":
+            assert saved == found, field.name
+    assert loaded(OBSERVATIONS).tobytes() == policy(OBSERVATIONS).tobytes()
+    assert loaded.name == tmp_path.name
+
+
+def test_the_same_policy_is_the_same_bytes_and_nothing_else_is_left(tmp_path):
+    script = f"""if True:
+        from tests.capsule_gym.test_policy import make_policy
+        make_policy().save({str(tmp_path / "other")!r})
+    """
+    make_policy().save(tmp_path / "one")
+    subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=True)
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "other").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "other"]
+
+
+def test_a_file_is_what_the_format_says(tmp_path):
+    policy = make_policy()
+    policy.save(tmp_path / POLICY)
+    tensors = load_file(tmp_path / POLICY)
+    assert {name: (array.dtype.name, array.shape) for name, array in tensors.items()} == {
+        "layers.0.weight": ("float32", (8, 5)),
+        "layers.0.bias": ("float32", (8,)),
+        "layers.1.weight": ("float32", (1, 8)),
+        "layers.1.bias": ("float32", (1,)),
+        "observation.mean": ("float64", (5,)),
+        "observation.variance": ("float64", (5,)),
+    }
+    content = (tmp_path / POLICY).read_bytes()
+    header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+    assert header["__metadata__"] == {
+        "format": "capsule_gym policy",
+        "format_version": "1",
+        "algorithm": "ppo",
+        "activation": "tanh",
+        "squashing": "clip",
+        "clip": "10.0",
+        "epsilon": "1e-08",
+        "env_kwargs": '{"randomization": "wide", "torque_limit": 1.25}',
+        "training_seed": "3",
+        "revision": "0123456789ab",
+    }
+
+
+def test_capsules_and_ranges_survive(tmp_path):
+    env_kwargs = {"capsule": Capsule(m=0.2), "randomization": Randomization(M=(0.4, 0.6), mu=(0.01, 0.1), log_mu=True)}
+    make_policy(env_kwargs=env_kwargs).save(tmp_path / POLICY)
+    loaded = load_policy(tmp_path)
+    assert loaded.env_kwargs == env_kwargs
+    env = gym.make(capsule_gym.ENV_ID, **loaded.env_kwargs)
+    observation, _ = env.reset(seed=0)
+    assert loaded(observation).shape == (1,)
+    env.close()
+
+
+def test_one_observation_or_many():
+    policy = make_policy()
+    actions = policy(OBSERVATIONS)
+    assert (actions.shape, actions.dtype) == ((20, 1), np.float32)
+    for observation, action in zip(OBSERVATIONS, actions, strict=True):
+        alone = policy(observation)
+        assert (alone.shape, alone.dtype, alone.tobytes()) == ((1,), np.float32, action.tobytes())
+    assert policy(OBSERVATIONS.astype(np.float64)).tobytes() == actions.tobytes()
+    assert policy(np.asfortranarray(OBSERVATIONS)).tobytes() == actions.tobytes()
+    assert policy(OBSERVATIONS[::-1])[::-1].tobytes() == actions.tobytes()
+    assert policy(OBSERVATIONS.tolist()).tobytes() == actions.tobytes()
+    assert policy(OBSERVATIONS[:0]).shape == (0, 1)
+    frozen = OBSERVATIONS.copy()
+    frozen.setflags(write=False)
+    assert policy(frozen).tobytes() == actions.tobytes()
+
+
+@pytest.mark.parametrize(
+    "observation",
+    [
+        np.zeros(4),
+        np.zeros((2, 6)),
+        np.zeros((1, 1, 5)),
+        np.float32(0.0),
+        [0, 0, 0, 0, np.nan],
+        ["a"] * 5,
+        [10**400] * 5,
+    ],
+    ids=["short", "long", "three axes", "number", "nan", "text", "huge"],
+)
+def test_what_is_no_observation_is_refused(observation):
+    with pytest.raises(ValueError, match="observation must be"):
+        make_policy()(observation)
+
+
+def test_it_fits_where_scripted_policies_do():
+    policy = make_policy()
+    act = policy.start([0, 1, 2])
+    assert act(OBSERVATIONS).tobytes() == policy(OBSERVATIONS).tobytes()
+    assert policy.description == "PPO, the whole torque, trained with randomization wide"
+    limits = {"torque_limit": 1.5, "controller": "baselines:adaptive", "residual_limit": 3.0}
+    residual = make_policy(
+        layers=tuple(make_layers((10, 1))), mean=np.zeros(10), variance=np.ones(10), env_kwargs=limits
+    )
+    assert residual.description == (
+        "PPO, a residual torque of up to 3 N m on `baselines:adaptive`, trained with randomization paper"
+    )
+
+
+def test_a_policy_pickles_to_other_processes():
+    policy = make_policy()
+    again = pickle.loads(pickle.dumps(policy))
+    assert again(OBSERVATIONS).tobytes() == policy(OBSERVATIONS).tobytes()
+
+
+# Committed policies.
+
+
+@pytest.mark.parametrize("name", COMMITTED)
+def test_every_committed_policy_loads_and_drives_its_environment(name):
+    policy = load_policy(name)
+    assert (policy.name, policy.training_seed) == (name, int(name.rpartition("-")[2]))
+    assert policy.algorithm in name
+    assert policy.revision not in ("", "unknown")
+    env = gym.make(capsule_gym.ENV_ID, **policy.env_kwargs)
+    observation, _ = env.reset(seed=0, options={"M": Capsule().M, "mu": Capsule().mu})
+    for _ in range(150):
+        observation, _, terminated, _, _ = env.step(policy(observation))
+        assert not terminated
+    # The laws below them make 1.4 cm/s.
+    assert env.unwrapped.episode_metrics()["mean_speed"] > 3.0
+    env.close()
+
+
+def test_names_are_known_and_mean_the_first_seed():
+    assert policy_names() == ["direct-ppo", "direct-ppo-wide", "direct-sac", "residual-ppo", "residual-ppo-compliant"]
+    assert {name.partition("/")[0] for name in COMMITTED} == set(policy_names())
+    for name in policy_names():
+        first, named = load_policy(name), load_policy(f"{name}/seed-0")
+        assert (first.name, first.training_seed) == (name, 0)
+        assert first._network.tobytes() == named._network.tobytes()
+    assert load_policy("residual-ppo/seed-2")._network.tobytes() != load_policy("residual-ppo")._network.tobytes()
+
+
+def test_committed_policies_take_little_room():
+    files = set(policy_module._committed().values())
+    assert len(files) == len(COMMITTED)
+    assert 0 < sum(path.stat().st_size for path in files) < SIZE_LIMIT
+
+
+def test_loading_needs_neither_torch_nor_the_training_code():
+    script = """if True:
+        import sys
+        import numpy as np
+        import capsule_gym
+        policy = capsule_gym.load_policy("direct-ppo")
+        assert policy(np.zeros(5, np.float32)).shape == (1,)
+        print(*{name.partition(".")[0] for name in sys.modules})
+    """
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert not {"torch", "stable_baselines3", "agents", "baselines"} & set(done.stdout.split())
+
+
+def test_an_unknown_name_is_answered_with_the_known_ones():
+    with pytest.raises(ValueError, match=r"direct-ppo, .*residual-ppo-compliant, .*did you mean 'residual-ppo'\?"):
+        load_policy("residual-pppo")
+    with pytest.raises(ValueError, match=r"did you mean 'direct-sac/seed-0'\?"):
+        load_policy("direct-sac/seed-9")
+    # No name leads out of the policies' own folder, or to a file in it that is no policy's.
+    for name in ("residual-ppo/../direct-ppo", "residual-ppo/seed-0/..", "residual-ppo/seed-00", ".", "", "seed-0"):
+        assert name not in policy_module._committed()
+    with pytest.raises(ValueError, match=r"got 'residual-ppo/\.\./direct-ppo'"):
+        load_policy("residual-ppo/../direct-ppo")
+    with pytest.raises(TypeError, match="name_or_path must be a policy's name or a path, got 3"):
+        load_policy(3)  # type: ignore[arg-type]
+
+
+def test_a_name_on_disk_does_not_hide_a_committed_policy(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "direct-ppo").mkdir()
+    make_policy().save(tmp_path / "direct-ppo" / POLICY)
+    assert load_policy("direct-ppo").training_seed == 0
+    assert load_policy(Path("direct-ppo")).training_seed == 3
+
+
+def test_a_run_folder_means_its_best_policy(tmp_path):
+    run = tmp_path / "my-run"
+    (run / "best").mkdir(parents=True)
+    with pytest.raises(ValueError, match=r"holds neither best/policy.safetensors nor policy.safetensors"):
+        load_policy(run)
+    make_policy(training_seed=1).save(run / POLICY)
+    assert load_policy(run).training_seed == 1
+    make_policy(training_seed=2).save(run / "best" / POLICY)
+    for path, seed in ((run, 2), (str(run), 2), (run / POLICY, 1), (run / "best", 2), (run / "best" / POLICY, 2)):
+        loaded = load_policy(path)
+        assert (loaded.name, loaded.training_seed) == ("my-run", seed)
+
+
+# Files from elsewhere.
+
+
+def test_another_law_asks_for_consent(tmp_path):
+    for controller in (
+        "os:getcwd",
+        "baselines.paper.__main__:main",
+        "baselines:_hidden",
+        "baselines:x:y",
+        "baselinesx:y",
+    ):
+        make_policy(**TEN_ENTRIES, env_kwargs={"controller": controller}).save(tmp_path / POLICY)
+        with pytest.raises(ValueError, match=r"does not come with this package.*trust_controller=True"):
+            load_policy(tmp_path)
+        assert load_policy(tmp_path, trust_controller=True).env_kwargs["controller"] == controller
+    make_policy(**TEN_ENTRIES, env_kwargs={"controller": "baselines:adaptive"}).save(tmp_path / POLICY)
+    assert load_policy(tmp_path).env_kwargs["controller"] == "baselines:adaptive"
+
+
+def saved(tmp_path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """The tensors and the metadata of a good file."""
+    make_policy().save(tmp_path / "good")
+    content = (tmp_path / "good").read_bytes()
+    header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+    return load_file(tmp_path / "good"), header["__metadata__"]
+
+
+def framed(header: bytes, data: bytes = b"") -> bytes:
+    return struct.pack("<Q", len(header)) + header + data
+
+
+HOSTILE_BYTES = {
+    "empty": b"",
+    "zip": b"PK\x03\x04" + bytes(100),
+    "pickle": pickle.dumps({"a": 1}),
+    "header of a gigabyte": struct.pack("<Q", 10**9) + b"{}",
+    "header of all memory": struct.pack("<Q", 2**63) + b"{}",
+    "no JSON": framed(b"{'a': 1}"),
+    "deep JSON": framed(b'{"a":' + b"[" * 100_000),
+    "no tensors": framed(b"{}"),
+    "huge shape": framed(b'{"a":{"dtype":"F32","shape":[1099511627776,1099511627776],"data_offsets":[0,0]}}'),
+    "more than there is": framed(b'{"a":{"dtype":"F32","shape":[1000000000],"data_offsets":[0,4000000000]}}'),
+    "overlapping tensors": framed(
+        b'{"a":{"dtype":"F32","shape":[2],"data_offsets":[0,8]},"b":{"dtype":"F32","shape":[2],"data_offsets":[0,8]}}',
+        bytes(8),
+    ),
+}
+
+
+@pytest.mark.parametrize("content", HOSTILE_BYTES.values(), ids=HOSTILE_BYTES)
+def test_what_is_no_policy_file_is_refused_by_name_without_taking_memory(content, tmp_path):
+    path = tmp_path / POLICY
+    path.write_bytes(content)
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match="is no policy: ") as caught:
+            load_policy(path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert str(path) in str(caught.value)
+    assert peak < 1_000_000
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.05, 0.5, 0.99])
+def test_a_truncated_file_is_refused(kept, tmp_path):
+    make_policy().save(tmp_path / POLICY)
+    content = (tmp_path / POLICY).read_bytes()
+    (tmp_path / POLICY).write_bytes(content[: int(kept * len(content))])
+    with pytest.raises(ValueError, match="is no policy: "):
+        load_policy(tmp_path)
+
+
+def test_what_is_too_large_is_not_read(tmp_path):
+    path = tmp_path / POLICY
+    make_policy().save(path)
+    with path.open("ab") as file:
+        file.truncate(10**12)  # sparse: it takes no room
+    with pytest.raises(ValueError, match=r"must have at most 33554432 bytes, got 1000000000000"):
+        load_policy(path)
+
+
+def float32(*shape: int, value: float = 0.1) -> np.ndarray:
+    return np.full(shape, value, np.float32)
+
+
+def more_layers(count: int) -> dict[str, np.ndarray]:
+    """What makes `count` layers out of two."""
+    added: dict[str, np.ndarray] = {}
+    for n in range(2, count):
+        added |= {f"layers.{n}.weight": float32(1, 1), f"layers.{n}.bias": float32(1)}
+    return added
+
+
+HOSTILE_TENSORS = {
+    "a weight that is NaN": ({"layers.0.weight": float32(8, 5, value=np.nan)}, "layers.0.weight must be finite"),
+    "an infinite bias": ({"layers.1.bias": float32(1, value=np.inf)}, "layers.1.bias must be finite"),
+    "an infinite mean": ({"observation.mean": np.full(5, np.inf)}, "observation.mean must be finite"),
+    "a variance below zero": ({"observation.variance": np.full(5, -1.0)}, "observation.variance must be >= 0"),
+    "weights in float64": ({"layers.0.weight": np.ones((8, 5))}, "layers.0.weight must be F32, got F64"),
+    "a mean in float32": ({"observation.mean": float32(5)}, "observation.mean must be F64, got F32"),
+    "weights in integers": ({"layers.0.weight": np.ones((8, 5), np.int32)}, "layers.0.weight must be F32, got I32"),
+    "weights in halves": ({"layers.0.weight": np.ones((8, 5), np.float16)}, "layers.0.weight must be F32, got F16"),
+    "layers that do not fit": ({"layers.1.weight": float32(1, 9)}, "layers.1.bias must have shapes"),
+    "a bias that does not fit": ({"layers.0.bias": float32(7)}, "layers.0.bias must have shapes"),
+    "a flat matrix": ({"layers.0.weight": float32(40)}, "layers.0.bias must have shapes"),
+    "two outputs": ({"layers.1.weight": float32(2, 8), "layers.1.bias": float32(2)}, "the last one unit"),
+    "no units": (
+        {"layers.0.weight": float32(0, 5), "layers.0.bias": float32(0), "layers.1.weight": float32(1, 0)},
+        "1 to 1024 units",
+    ),
+    "too many units": (
+        {"layers.0.weight": float32(2000, 5), "layers.0.bias": float32(2000), "layers.1.weight": float32(1, 2000)},
+        "1 to 1024 units",
+    ),
+    "another observation": ({"layers.0.weight": float32(8, 7)}, "as many columns as the observation"),
+    "a mean too long": ({"observation.mean": np.zeros(6)}, "observation.mean must be float64 of shape (5,)"),
+    "a tensor too many": ({"../../secret": float32(1)}, "it must hold the tensors"),
+    "a tensor missing": ({"layers.0.bias": None}, "it must hold the tensors"),
+    "a layer missing": ({"layers.0.bias": None, "layers.0.weight": None}, "it must hold the tensors"),
+    "no statistics": ({"observation.mean": None}, "it must hold the tensors"),
+    "seven layers": (more_layers(7), "1 to 6 layers, got 7"),
+    "nine layers": (more_layers(9), "it must hold the tensors"),
+}
+
+
+@pytest.mark.parametrize(("changes", "message"), HOSTILE_TENSORS.values(), ids=HOSTILE_TENSORS)
+def test_a_file_with_other_tensors_is_refused_by_name(changes, message, tmp_path):
+    tensors, metadata = saved(tmp_path)
+    tensors = {name: array for name, array in {**tensors, **changes}.items() if array is not None}
+    (tmp_path / POLICY).write_bytes(save(tensors, metadata))
+    with pytest.raises(ValueError, match="is no policy: ") as caught:
+        load_policy(tmp_path / POLICY)
+    assert message in str(caught.value)
+    assert str(tmp_path / POLICY) in str(caught.value)
+
+
+HOSTILE_METADATA = {
+    "another format": ({"format": "pt"}, "must say format 'capsule_gym policy', got 'pt'"),
+    "no format": ({"format": None}, "must say format 'capsule_gym policy', got None"),
+    "a later version": ({"format_version": "2"}, "format_version must be '1'"),
+    "no version": ({"format_version": None}, "format_version must be '1'"),
+    "no algorithm": ({"algorithm": None}, "its metadata must hold 'algorithm'"),
+    "no environment": ({"env_kwargs": None}, "its metadata must hold 'env_kwargs'"),
+    "another activation": ({"activation": "gelu"}, "activation must be one of"),
+    "another squashing": ({"squashing": "none"}, "squashing must be one of"),
+    "no clip": ({"clip": None}, "its metadata must hold 'clip'"),
+    "a clip that is NaN": ({"clip": "nan"}, "clip must be a number in (0, 1e+06]"),
+    "a clip beyond bounds": ({"clip": "1e300"}, "clip must be a number in (0, 1e+06]"),
+    "a clip in words": ({"clip": "ten"}, "clip must be a number, got 'ten'"),
+    "an epsilon below zero": ({"epsilon": "-1"}, "epsilon must be a finite number >= 0"),
+    "a seed below zero": ({"training_seed": "-1"}, "training_seed must be an integer >= 0"),
+    "a seed of a million digits": ({"training_seed": "9" * 60_000}, "training_seed must be an integer >= 0"),
+    "no JSON": ({"env_kwargs": "{"}, "is no policy: "),
+    "a list": ({"env_kwargs": "[]"}, "env_kwargs must be an object"),
+    "deep JSON": ({"env_kwargs": '{"capsule":' + "[" * 60_000}, "is no policy: "),
+    "NaN in JSON": ({"env_kwargs": '{"torque_limit": NaN}'}, "env_kwargs must hold finite numbers, got NaN"),
+    "an unknown argument": ({"env_kwargs": '{"num_envs": 1000000000}'}, "env_kwargs must have keys out of"),
+    "threads": ({"env_kwargs": '{"threads": 1000000000}'}, "env_kwargs must have keys out of"),
+    "a law that is no string": ({"env_kwargs": '{"controller": ["os", "system"]}'}, "must be None or an import string"),
+    "a law without its entries": ({"env_kwargs": '{"controller": "baselines:adaptive"}'}, "has entries, 10, got 5"),
+    "parameters without entries": ({"env_kwargs": '{"observe_parameters": true}'}, "has entries, 7, got 5"),
+    "a word for a switch": ({"env_kwargs": '{"observe_parameters": "no"}'}, "must be True or False"),
+    "an impossible capsule": ({"env_kwargs": '{"capsule": {"M": -1.0}}'}, "Capsule.M must be"),
+    "a capsule with wheels": ({"env_kwargs": '{"capsule": {"wheels": 4}}'}, "is no policy: "),
+    "a megabyte": ({"comment": "a" * 10**6}, "its metadata must have at most 65536 characters"),
+}
+
+
+@pytest.mark.parametrize(("changes", "message"), HOSTILE_METADATA.values(), ids=HOSTILE_METADATA)
+def test_a_file_with_other_metadata_is_refused_by_name(changes, message, tmp_path):
+    tensors, metadata = saved(tmp_path)
+    metadata = {key: value for key, value in {**metadata, **changes}.items() if value is not None}
+    (tmp_path / POLICY).write_bytes(save(tensors, metadata))
+    with pytest.raises(ValueError, match="is no policy: ") as caught:
+        load_policy(tmp_path / POLICY)
+    assert message in str(caught.value)
+    assert str(tmp_path / POLICY) in str(caught.value)
+
+
+def test_the_good_file_that_the_hostile_ones_are_made_of_loads(tmp_path):
+    tensors, metadata = saved(tmp_path)
+    (tmp_path / POLICY).write_bytes(save(tensors, metadata))
+    assert load_policy(tmp_path / POLICY)(OBSERVATIONS).tobytes() == make_policy()(OBSERVATIONS).tobytes()
+
+
+def test_the_largest_weights_still_give_a_number(tmp_path):
+    rng = np.random.default_rng(7)
+    largest = np.finfo(np.float32).max
+    widths = (5, 64, 64, 64, 64, 64, 1)
+    layers = tuple(
+        (np.sign(weights).astype(np.float32) * largest, bias) for weights, bias in make_layers(widths, seed=8)
+    )
+    extreme = make_policy(
+        layers=layers, activation="relu", clip=1e6, epsilon=0.0, variance=np.full(5, 1e-300), mean=np.full(5, 1e300)
+    )
+    observations = np.where(rng.random((50, 5)) < 0.5, largest, -largest)
+    assert np.isfinite(extreme(observations)).all()
+    flat = replace(extreme, variance=np.full(5, 1e300))
+    assert np.isfinite(flat(observations)).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "message"),
+    [
+        ({"env_kwargs": []}, TypeError, "env_kwargs must be a dict"),
+        ({"revision": ""}, TypeError, "revision must be a string"),
+        ({"training_seed": True}, ValueError, "training_seed must be an integer"),
+        ({"layers": ()}, ValueError, "1 to 6 layers, got 0"),
+        (
+            {"epsilon": 0.0, "variance": np.zeros(5)},
+            ValueError,
+            "observation.variance must be >= 0, and with epsilon > 0",
+        ),
+        ({"env_kwargs": {"controller": Capsule}}, TypeError, "must be None or an import string"),
+    ],
+)
+def test_a_policy_that_is_none_cannot_be_made(changes, error, message):
+    with pytest.raises(error, match=message):
+        make_policy(**changes)

@@ -1,0 +1,153 @@
+"""Whole episodes in one compiled call: the same bits as stepping the batch, whatever happens on the way."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from capsule_gym import CapsuleVectorEnv, Controller, Policy, load_policy
+from capsule_gym.kernels import LANES, Row
+from capsule_gym.rollout import rollout
+from capsule_gym.simulation import METRICS, Simulation
+from tests.capsule_gym.test_policy import make_policy
+
+
+def begun(policy: Policy, n: int, changes: list[list[dict[str, float]]] | None = None, **kwargs: Any):
+    """A batch at the start of its episodes, which end for good."""
+    settings = {**policy.env_kwargs, **kwargs}
+    env = CapsuleVectorEnv(n, autoreset_mode="DISABLED", max_episode_steps=10_000, **settings)
+    observations, _ = env.reset(seed=3, options={} if changes is None else {"changes": changes})
+    return env, observations
+
+
+def stepped(env: CapsuleVectorEnv, policy: Policy, observations: np.ndarray, steps: int) -> np.ndarray:
+    for _ in range(steps):
+        observations, _, _, _, _ = env.step(policy(observations))
+    return observations
+
+
+def assert_same(one: Simulation, other: Simulation) -> None:
+    """The same bits in all that the environments hold."""
+    assert one.observations.tobytes() == other.observations.tobytes()
+    for row in range(one.world.shape[1]):
+        assert one.row(row).tobytes() == other.row(row).tobytes(), row
+    assert one._changes == other._changes
+    assert one._due.tolist() == other._due.tolist()
+    for name, values in one.metrics(np.arange(one.num_envs), 100).items():
+        assert values.tobytes() == other.metrics(np.arange(one.num_envs), 100)[name].tobytes(), name
+
+
+def jumps(n: int) -> list[list[dict[str, float]]]:
+    """None, one, or three jumps of M and mu: between steps, on one, two at once, and one after the end."""
+    one = [{"t": 0.3, "M": 0.6, "mu": 0.1}]
+    three = [{"t": 0.505, "M": 0.4, "mu": 0.02}, {"t": 0.51, "M": 0.7, "mu": 0.05}, {"t": 1.9, "M": 0.5, "mu": 0.2}]
+    return [([], one, three, [*three, {"t": 50.0, "M": 0.5, "mu": 0.01}])[i % 4] for i in range(n)]
+
+
+@pytest.mark.parametrize("n", [1, 5, LANES, 2 * LANES + 3])
+@pytest.mark.parametrize("name", ["direct-ppo", "direct-sac", "residual-ppo"])
+@pytest.mark.parametrize("with_changes", [False, True], ids=["steady", "jumping"])
+def test_a_rollout_gives_the_bits_of_a_loop_in_python(name, n, with_changes):
+    policy = load_policy(name)
+    changes = jumps(n) if with_changes else None
+    settings = {"randomization": "wide"}
+    looped, observations = begun(policy, n, changes, **settings)
+    stepped(looped, policy, observations, 100)
+    rolled, _ = begun(policy, n, changes, **settings)
+    metrics = rollout(rolled.simulation, policy, 100)
+    assert_same(looped.simulation, rolled.simulation)
+    assert set(metrics) == set(METRICS)
+    assert (rolled.simulation.row(Row.steps) > 0.0).all()
+    if with_changes and n > 1:
+        assert len(set(rolled.simulation.row(Row.mu)[1:5])) == len(set(rolled.simulation.row(Row.M)[1:5])) > 1
+
+
+def falling() -> Policy:
+    """A policy that pushes one way until the pendulum lies down."""
+    weights, bias = np.zeros((1, 5), np.float32), np.full(1, 3.0, np.float32)
+    return make_policy(layers=((weights, bias),), env_kwargs={"torque_limit": 1.5, "randomization": "wide"})
+
+
+def test_episodes_end_where_they_end_in_python():
+    policy, n = falling(), LANES + 6
+    # Half of them come to their end early: the wide plants differ little here, the state at the start a lot.
+    states = np.zeros((n, 4))
+    states[:, 0] = np.linspace(-1.4, 1.4, n)
+    simulations = []
+    for roll in (False, True):
+        env, _ = begun(policy, n)
+        observations, _ = env.reset(options={"state": states})
+        if roll:
+            rollout(env.simulation, policy, 30)
+        else:
+            stepped(env, policy, observations, 30)
+        simulations.append(env.simulation)
+    assert_same(*simulations)
+    ended = simulations[1].row(Row.termination) != 0.0
+    assert ended.sum() > 10
+    assert len(set(simulations[1].row(Row.steps)[ended])) > 3
+
+
+def test_a_block_whose_episodes_have_all_ended_stops():
+    policy = falling()
+    env, _ = begun(policy, 3)
+    metrics = rollout(env.simulation, policy, 10_000)
+    assert metrics["failed"].all()
+    assert (env.simulation.row(Row.steps) < 100).all()
+    before = env.simulation.world.copy()
+    rollout(env.simulation, policy, 10)
+    assert env.simulation.world.tobytes() == before.tobytes()
+
+
+def test_a_rollout_goes_on_from_where_it_is_and_steps_go_on_from_there():
+    policy, n = load_policy("direct-ppo"), 70
+    looped, observations = begun(policy, n, jumps(n))
+    stepped(looped, policy, observations, 90)
+    mixed, observations = begun(policy, n, jumps(n))
+    stepped(mixed, policy, observations, 20)
+    rollout(mixed.simulation, policy, 8)
+    rollout(mixed.simulation, policy, 22)
+    assert mixed.simulation._changes
+    stepped(mixed, policy, mixed.simulation.observations.copy(), 40)
+    assert_same(looped.simulation, mixed.simulation)
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+def test_threads_share_a_rollout(threads):
+    policy, n = load_policy("residual-ppo"), 3 * LANES
+    alone, _ = begun(policy, n, jumps(n))
+    rollout(alone.simulation, policy, 60)
+    shared, _ = begun(policy, n, jumps(n), threads=threads)
+    rollout(shared.simulation, policy, 60)
+    assert_same(alone.simulation, shared.simulation)
+    shared.close()
+
+
+def test_the_horizon_of_the_metrics_is_the_rollouts():
+    policy = falling()
+    env, _ = begun(policy, 2)
+    metrics = rollout(env.simulation, policy, 500)
+    assert metrics["failed"].all()
+    distance = env.simulation.row(Row.x) - env.simulation.row(Row.start_x)
+    np.testing.assert_allclose(metrics["mean_speed"], 100.0 * distance / (500 * 0.02), rtol=1e-12)
+
+
+def test_a_policy_for_another_observation_is_refused():
+    env, _ = begun(load_policy("direct-ppo"), 2)
+    with pytest.raises(ValueError, match=r"policy must take the observations of the simulation, 5 entries .*takes 10"):
+        rollout(env.simulation, load_policy("residual-ppo"), 10)
+    with pytest.raises(ValueError, match="steps must be an integer >= 1, got 0"):
+        rollout(env.simulation, load_policy("direct-ppo"), 0)
+
+
+def test_a_law_that_returns_no_number_is_reported():
+    def law(theta, theta_dot, x, x_dot, memory, reference):
+        return (memory[0] * 1e10 if x > 1e-4 else 0.1), memory
+
+    policy = load_policy("residual-ppo")
+    controller = Controller("breaking", law, np.zeros((1, 2)), memory=(1e308,))
+    env, _ = begun(policy, 2, controller=controller)
+    with pytest.raises(ValueError, match="the control law 'breaking' returned a torque that is not finite"):
+        rollout(env.simulation, policy, 200)
