@@ -17,6 +17,7 @@ from capsule_gym.parameters import Capsule
 ENV_ID = "CapsuleStickSlip-v0"
 EPISODE_STEPS = 1650
 CONTROL_DT = 0.02
+HORIZON = EPISODE_STEPS * CONTROL_DT
 TORQUE_LIMIT = 1.5
 # In centimetres of progress: a joule, and a failure.
 ENERGY_WEIGHT = 0.1

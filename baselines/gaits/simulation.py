@@ -13,9 +13,8 @@ from baselines.gaits.archive import Gait
 from baselines.gaits.families import FAMILIES, GAIT_DT, Family, actions
 from baselines.gaits.performance import Choice
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym.task import CONTROL_DT, EPISODE_STEPS, START_THETA
+from capsule_gym.task import HORIZON, START_THETA
 
-HORIZON = EPISODE_STEPS * CONTROL_DT
 PERTURBATION = 1e-3
 # The oracle's map covers what the evaluation sets hold: M in kg, evenly spaced, and mu, evenly in its logarithm.
 MAP_M, MAP_MU = (0.25, 1.2, 20), (0.002, 0.6, 16)
