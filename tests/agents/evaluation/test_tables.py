@@ -3,7 +3,7 @@ import math
 import pytest
 
 from agents.evaluation.tables import MEASURES, SHARE, Measure
-from capsule_gym.simulation import METRICS
+from capsule_gym.task import METRICS
 
 SPEED = Measure("speed", "speed (cm/s)", 2)
 
