@@ -15,9 +15,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import baselines
-from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization
-from capsule_gym.kernels import ROWS
+from capsule_gym import Capsule, CapsuleEnv, Randomization
 from capsule_gym.task import ENV_ID, METRICS, Termination
+from tests.capsule_gym.fakes import layout, rollout
 
 VARIANTS = [
     {},
@@ -25,19 +25,6 @@ VARIANTS = [
     {"controller": "baselines:compliant", "residual_limit": 3.0, "observe_parameters": True},
     {"observe_parameters": True, "randomization": "wide", "initial_noise": 0.05},
 ]
-
-
-def rollout(env: gym.Env, seed: int, steps: int, scale: float = 0.4) -> list[np.ndarray]:
-    rng = np.random.default_rng(seed)
-    observation, info = env.reset(seed=seed)
-    course = [observation, info["state"]]
-    for _ in range(steps):
-        observation, reward, terminated, truncated, info = env.step(rng.uniform(-scale, scale, 1).astype(np.float32))
-        course += [observation, info["state"], np.array([reward])]
-        if terminated or truncated:
-            observation, info = env.reset()
-            course += [observation, info["state"]]
-    return course
 
 
 @pytest.mark.parametrize("kwargs", VARIANTS)
@@ -122,14 +109,6 @@ def test_reward_terms_sum_to_the_reward_and_mean_what_they_say():
             ended += 1
             _, before = env.reset()
     assert ended > 0
-
-
-def layout(info: dict) -> dict:
-    """The keys of an info with the type, dtype and shape of each value; of a batch's also what lies inside."""
-    return {
-        key: layout(value) if isinstance(value, dict) else (type(value), value.dtype, value.shape)
-        for key, value in info.items()
-    }
 
 
 @pytest.mark.parametrize("kwargs", VARIANTS)
@@ -340,38 +319,6 @@ def test_make_by_module_needs_no_import():
     assert done.stdout.strip() == "(5,)"
 
 
-def test_a_law_of_the_users_own():
-    def law(theta, theta_dot, x, x_dot, memory, reference):
-        (count,) = memory
-        return -0.3 * (theta - reference[0]), (count + 1.0,)
-
-    controller = Controller("spring", law, np.zeros((10, 2)), (0.0,))
-    env = CapsuleEnv(controller=controller)
-    env.reset(seed=0)
-    env.step(np.zeros(1, np.float32))
-    # Called at the start and after each of the 20 ms.
-    assert env.simulation.world[0, ROWS, 0] == 21.0
-
-
-def test_a_law_that_is_not_finite_is_named():
-    def law(theta, theta_dot, x, x_dot, memory, reference):
-        return (memory[0] / (memory[0] - 30.0)) if memory[0] != 0.0 else 0.0, (memory[0] + 1.0,)
-
-    env = CapsuleEnv(controller=Controller("breaks", law, np.zeros((1, 2))))
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match="control law 'breaks' returned a torque that is not finite"):
-        for _ in range(5):
-            env.step(np.zeros(1, np.float32))
-
-    def nan_law(theta, theta_dot, x, x_dot, memory, reference):
-        return memory[0], (memory[0] + 1e308 if memory[0] < 1e308 else np.nan,)
-
-    env = CapsuleEnv(controller=Controller("nan", nan_law, np.zeros((1, 2))))
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match="control law 'nan' returned a torque that is not finite"):
-        env.step(np.zeros(1, np.float32))
-
-
 @pytest.mark.parametrize(
     ("kwargs", "error", "message"),
     [
@@ -446,24 +393,3 @@ def test_capsule_of_the_users_own():
     observation, info = env.reset(seed=0)
     assert (info["M"], info["mu"]) == (1.0, 0.5)
     assert env.observation_space.contains(observation)
-
-
-@pytest.mark.parametrize(
-    ("law", "error"),
-    [
-        (lambda theta: 0.0, TypeError),
-        (lambda theta, theta_dot, x, x_dot, memory, reference: 0.0, TypeError),
-        (lambda theta, theta_dot, x, x_dot, memory, reference: (0.0, (1.0, 2.0)), ValueError),
-        (lambda theta, theta_dot, x, x_dot, memory, reference: (float("nan"), memory), ValueError),
-        ("law", TypeError),
-    ],
-)
-def test_laws_that_break_the_contract_are_refused(law, error):
-    with pytest.raises(error):
-        Controller("bad", law, np.zeros((1, 2)))
-
-
-@pytest.mark.parametrize("reference", [np.zeros(3), np.zeros((0, 2)), np.zeros((4, 1)), np.full((2, 2), np.nan)])
-def test_references_that_break_the_contract_are_refused(reference):
-    with pytest.raises(ValueError, match=r"Controller\.reference"):
-        Controller("bad", lambda *state: (0.0, state[4]), reference)

@@ -58,6 +58,11 @@ def test_a_wrong_import_breaks_its_contract(tmp_path: Path):
     assert " 0 kept" in lint_imports(tmp_path)
 
 
+@pytest.mark.parametrize("module", sorted((ROOT / "capsule_gym").glob("[!_]*.py")), ids=lambda path: path.stem)
+def test_every_module_of_capsule_gym_has_a_test_file_of_its_name(module: Path):
+    assert (ROOT / "tests" / "capsule_gym" / f"test_{module.name}").is_file()
+
+
 def test_import_is_light() -> None:
     code = "import sys, capsule_gym; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
     result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)

@@ -28,6 +28,9 @@ from agents.training.presets import PRESETS, Config, read_config
 from agents.training.stopping import Stop
 from tests.agents.training.sameness import differences, parameters, rows, same
 
+# What they share takes long to make: one worker has them all.
+pytestmark = pytest.mark.xdist_group("runs")
+
 SMALL = {"num_envs": 8, "batch_size": 64, "hidden": 8, "evaluation_episodes": 2, "evaluate_every": 300}
 OWN = {
     "ppo": {"n_steps": 32, "n_epochs": 2, "total_steps": 1400},
@@ -342,8 +345,9 @@ REFUSED = [
 def test_what_cannot_be_trained_makes_no_folder(tmp_path, capsys, arguments):
     run = tmp_path / "runs" / "run"
     assert command_line.main([*arguments, "--run", str(run)]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("train.py: error: ") and error.count("\n") == 1
+    # A law that is new to this machine is compiled before it can be checked, which is said.
+    error = "\n".join(line for line in capsys.readouterr().err.splitlines() if not line.startswith("capsule_gym: "))
+    assert error.startswith("train.py: error: ") and "\n" not in error
     named = arguments[2] if arguments[0] == "--algo" else arguments[0]
     assert named[2:].replace("-", "_") in error or "buffer_size" in arguments[-2].replace("-", "_")
     assert not list(tmp_path.iterdir())

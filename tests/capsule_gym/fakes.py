@@ -1,0 +1,52 @@
+"""What several tests of the environment make: laws, rollouts, the layout of an info."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+
+from capsule_gym.kernels import Row
+
+# Orders, and scratch that every step begins anew; all other rows are the episode's.
+SCRATCH = {"action", "active", "mass_ratio", "before_x", "slip", "elapsed", "halt", "eventful"} | {
+    *("next_theta", "next_theta_dot", "next_x", "next_x_dot", "x_ddot", "first_normal_force", "least_normal_force")
+}
+
+
+EPISODE_ROWS = [row for name, row in Row._asdict().items() if name not in SCRATCH]
+
+
+def helper(value):
+    return 2.0 * value
+
+
+def other_helper(value):
+    return 3.0 * value
+
+
+def make_law(gain, function=helper):
+    def law(theta, theta_dot, x, x_dot, memory, reference):
+        return gain * function(theta), memory
+
+    return law
+
+
+def rollout(env: gym.Env, seed: int, steps: int, scale: float = 0.4) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    observation, info = env.reset(seed=seed)
+    course = [observation, info["state"]]
+    for _ in range(steps):
+        observation, reward, terminated, truncated, info = env.step(rng.uniform(-scale, scale, 1).astype(np.float32))
+        course += [observation, info["state"], np.array([reward])]
+        if terminated or truncated:
+            observation, info = env.reset()
+            course += [observation, info["state"]]
+    return course
+
+
+def layout(info: dict) -> dict:
+    """The keys of an info with the type, dtype and shape of each value; of a batch's also what lies inside."""
+    return {
+        key: layout(value) if isinstance(value, dict) else (type(value), value.dtype, value.shape)
+        for key, value in info.items()
+    }

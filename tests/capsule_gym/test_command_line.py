@@ -1,0 +1,88 @@
+"""Command lines out of dataclasses: what they accept, and how they refuse."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from capsule_gym.command_line import Count, Positional, check_output, parse, refuse
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Counts things."""
+
+    name: Positional[str]
+    """what is counted"""
+    steps: Count = 100
+    """how many"""
+    fast: bool = False
+    """without waiting"""
+
+    def check(self) -> None:
+        """Refuses what cannot be counted."""
+        if self.name == "sand":
+            raise ValueError(f"name must be something countable, got {self.name!r}")
+
+
+def read(*words: str) -> Arguments:
+    return parse(Arguments, "python -m count", words)
+
+
+@pytest.mark.parametrize(("text", "value"), [("7", 7), ("8e6", 8_000_000), ("8_000", 8000), ("0", 0)])
+def test_counts_are_written_in_several_ways(text, value):
+    assert read("sheep", "--steps", text) == Arguments("sheep", value)
+
+
+def test_defaults_and_switches():
+    assert read("sheep") == Arguments("sheep")
+    assert read("sheep", "--fast") == Arguments("sheep", fast=True)
+    assert parse(Arguments, "count", ["sheep"], default=Arguments("goats", 5)) == Arguments("sheep", 5)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["sheep", "--steps", "1.5"], "1.5"),
+        (["sheep", "--steps", "-3"], "-3"),
+        (["sheep", "--steps", "many"], "many"),
+        (["sheep", "--slow"], "--slow"),
+        ([], "required"),
+        (["sand"], "name must be something countable, got 'sand'"),
+    ],
+)
+def test_a_wrong_command_line_ends_with_2_and_says_what_is_wrong(words, said, capsys):
+    with pytest.raises(SystemExit) as ended:
+        read(*words)
+    assert ended.value.code == 2
+    assert said.lower() in capsys.readouterr().err.lower()
+
+
+def test_help_tells_what_the_dataclass_says(capsys):
+    with pytest.raises(SystemExit) as ended:
+        read("--help")
+    assert ended.value.code == 0
+    shown = capsys.readouterr().out
+    for said in ("python -m count", "Counts things.", "what is counted", "how many", "100", "without waiting"):
+        assert said in shown
+
+
+def test_a_refusal_is_one_line(capsys):
+    with pytest.raises(SystemExit) as ended:
+        refuse("python -m count", "--steps must be even, got 3")
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == "python -m count: error: --steps must be even, got 3\n"
+
+
+def test_outputs_are_refused_before_the_work(tmp_path: Path):
+    path = tmp_path / "out.json"
+    check_output("--json", None)
+    check_output("--json", path)
+    path.touch()
+    check_output("--json", path, overwrite=True)
+    for wrong in (path, tmp_path, tmp_path / "nowhere" / "out.json"):
+        with pytest.raises(ValueError, match=r"--json must name a .*file") as caught:
+            check_output("--json", wrong)
+        assert repr(str(wrong)) in str(caught.value)

@@ -1,0 +1,101 @@
+"""The contract of control laws: what is refused, what a user's own law meets."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from capsule_gym import CapsuleEnv, Controller
+from capsule_gym.controller import find_controller
+from capsule_gym.kernels import ROWS
+
+
+def test_a_law_of_the_users_own():
+    def law(theta, theta_dot, x, x_dot, memory, reference):
+        (count,) = memory
+        return -0.3 * (theta - reference[0]), (count + 1.0,)
+
+    controller = Controller("spring", law, np.zeros((10, 2)), (0.0,))
+    env = CapsuleEnv(controller=controller)
+    env.reset(seed=0)
+    env.step(np.zeros(1, np.float32))
+    # Called at the start and after each of the 20 ms.
+    assert env.simulation.world[0, ROWS, 0] == 21.0
+
+
+def test_a_law_that_is_not_finite_is_named():
+    def law(theta, theta_dot, x, x_dot, memory, reference):
+        return (memory[0] / (memory[0] - 30.0)) if memory[0] != 0.0 else 0.0, (memory[0] + 1.0,)
+
+    env = CapsuleEnv(controller=Controller("breaks", law, np.zeros((1, 2))))
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="control law 'breaks' returned a torque that is not finite"):
+        for _ in range(5):
+            env.step(np.zeros(1, np.float32))
+
+    def nan_law(theta, theta_dot, x, x_dot, memory, reference):
+        return memory[0], (memory[0] + 1e308 if memory[0] < 1e308 else np.nan,)
+
+    env = CapsuleEnv(controller=Controller("nan", nan_law, np.zeros((1, 2))))
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="control law 'nan' returned a torque that is not finite"):
+        env.step(np.zeros(1, np.float32))
+
+
+@pytest.mark.parametrize(
+    ("law", "error"),
+    [
+        (lambda theta: 0.0, TypeError),
+        (lambda theta, theta_dot, x, x_dot, memory, reference: 0.0, TypeError),
+        (lambda theta, theta_dot, x, x_dot, memory, reference: (0.0, (1.0, 2.0)), ValueError),
+        (lambda theta, theta_dot, x, x_dot, memory, reference: (float("nan"), memory), ValueError),
+        ("law", TypeError),
+    ],
+)
+def test_laws_that_break_the_contract_are_refused(law, error):
+    with pytest.raises(error):
+        Controller("bad", law, np.zeros((1, 2)))
+
+
+@pytest.mark.parametrize("reference", [np.zeros(3), np.zeros((0, 2)), np.zeros((4, 1)), np.full((2, 2), np.nan)])
+def test_references_that_break_the_contract_are_refused(reference):
+    with pytest.raises(ValueError, match=r"Controller\.reference"):
+        Controller("bad", lambda *state: (0.0, state[4]), reference)
+
+
+def own() -> Controller:
+    return Controller("own", lambda *arguments: (0.0, arguments[4]), np.zeros((1, 2)))
+
+
+def test_a_controller_is_found_in_every_form():
+    made = own()
+    assert find_controller(None) is None
+    assert find_controller(made) is made
+    assert find_controller(own).name == "own"
+    assert find_controller(f"{__name__}:own").name == "own"
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "said"),
+    [
+        ("baselines", ValueError, "module:attribute"),
+        (":law", ValueError, "module:attribute"),
+        ("nowhere.at_all:law", ValueError, "'nowhere.at_all', which does not exist"),
+        ("baselines:nothing", ValueError, "has no 'nothing'"),
+        ("math:pi", TypeError, "which gives 3.14"),
+        (lambda: "law", TypeError, "which gives 'law'"),
+        (3, TypeError, "controller must be None, a Controller"),
+    ],
+)
+def test_what_is_no_controller_is_named(given, error, said):
+    with pytest.raises(error, match=re.escape(said)):
+        find_controller(given)
+
+
+def test_an_import_that_fails_inside_the_named_module_is_its_own_error(tmp_path, monkeypatch):
+    (tmp_path / "needs_more.py").write_text("import not_installed_anywhere\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ModuleNotFoundError, match="not_installed_anywhere"):
+        find_controller("needs_more:law")

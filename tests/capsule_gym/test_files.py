@@ -1,0 +1,52 @@
+"""Files written whole or not at all, JSON that any reader accepts, hashes that layout does not change."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from capsule_gym.files import canonical_hash, file_hash, replacing, to_json, write_atomically
+
+
+def test_a_file_appears_whole_and_replaces_what_was_there(tmp_path: Path):
+    path = tmp_path / "result.json"
+    for text in ("one", "zwölf"):
+        write_atomically(path, text)
+        assert path.read_text(encoding="utf-8") == text
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path):
+    path = tmp_path / "table.csv"
+    write_atomically(path, "old")
+    with pytest.raises(RuntimeError), replacing(path) as temporary:
+        assert temporary.suffix == ".csv"
+        assert temporary.parent == tmp_path
+        temporary.write_text("half", encoding="utf-8")
+        assert path.read_text(encoding="utf-8") == "old"
+        raise RuntimeError
+    assert path.read_text(encoding="utf-8") == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_json_has_null_where_a_number_is_not_finite():
+    value = {"a": [1.0, math.inf, (math.nan, np.float64(-math.inf))], "b": {"c": 0.1, "d": None, "e": "nan"}}
+    text = to_json(value)
+    assert json.loads(text) == {"a": [1.0, None, [None, None]], "b": {"c": 0.1, "d": None, "e": "nan"}}
+    assert text.endswith("}\n")
+
+
+def test_hashes_see_content_alone(tmp_path: Path):
+    assert canonical_hash({"a": 1, "b": [0.5]}) == canonical_hash({"b": [0.5], "a": 1})
+    assert canonical_hash({"a": 1}) != canonical_hash({"a": 1.5})
+    first, second = tmp_path / "first", tmp_path / "second"
+    for path in (first, second):
+        path.write_bytes(b"abc")
+    assert file_hash(first) == file_hash(second)
+    assert file_hash(first).startswith("ba7816bf8f01cfea414140de5dae2223")  # FIPS 180-2, appendix B.1
+    second.write_bytes(b"abd")
+    assert file_hash(first) != file_hash(second)

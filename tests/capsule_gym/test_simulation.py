@@ -1,0 +1,145 @@
+"""Environments side by side: every quantity is that of the environment alone, in any lane, block and thread."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from capsule_gym.kernels import ROWS, Row
+from capsule_gym.options import Options
+from capsule_gym.simulation import RandomStreams, Simulation, Stream, divide, random_stream
+from capsule_gym.task import METRICS
+from tests.capsule_gym.fakes import EPISODE_ROWS
+
+VARIANTS = [
+    {},
+    {"controller": "baselines:adaptive", "residual_limit": 3.0, "observe_parameters": True},
+]
+
+
+LANE_STEPS = 60
+
+
+LARGEST_BATCH = 200
+
+
+class Alone(NamedTuple):
+    """Environments that have each been stepped alone until they failed; one entry or row per step.
+
+    Attributes:
+        kwargs: what they were made with.
+        actions: shape (steps, environments); the torques differ by a factor of ten between environments.
+        running: who took part, shape (steps, environments).
+        columns: every row of `world`, shape (steps, rows, environments).
+        observations: shape (steps, environments, entries).
+        metrics: at the end, each of shape (environments,).
+    """
+
+    kwargs: dict[str, Any]
+    actions: np.ndarray
+    running: np.ndarray
+    columns: np.ndarray
+    observations: np.ndarray
+    metrics: dict[str, np.ndarray]
+
+
+@pytest.fixture(scope="module", params=VARIANTS, ids=["direct", "adaptive"])
+def alone(request) -> Alone:
+    kwargs = {"initial_noise": 0.05, "randomization": "wide", **request.param}
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1.0, 1.0, (LANE_STEPS, LARGEST_BATCH)) * rng.uniform(0.1, 1.0, LARGEST_BATCH)
+    running = np.zeros(actions.shape, bool)
+    columns, observations, metrics = [], [], []
+    for i in range(LARGEST_BATCH):
+        simulation = Simulation(1, Options(**kwargs))
+        simulation.seed(0, i)
+        simulation.reset(np.array([0]))
+        trace, seen = [], []
+        for n in range(LANE_STEPS):
+            running[n, i] = simulation.world[0, Row.termination, 0] == 0.0
+            if running[n, i]:
+                simulation.step_one(actions[n, i])
+            trace.append(simulation.world[0, :, 0].copy())
+            seen.append(simulation.observations[0].copy())
+        columns.append(trace)
+        observations.append(seen)
+        metrics.append(simulation.metrics(np.array([0]), LANE_STEPS))
+    joined = {name: np.concatenate([one[name] for one in metrics]) for name in METRICS}
+    axes = (1, 2, 0)
+    return Alone(kwargs, actions, running, np.transpose(columns, axes), np.array(observations).swapaxes(0, 1), joined)
+
+
+def count_off_grid(times: np.ndarray, step: float) -> int:
+    """How many are no whole multiple of the step."""
+    return np.count_nonzero(np.abs(times / step - np.round(times / step)) > 1e-6)
+
+
+def test_the_lanes_meet_everything_that_can_happen(alone):
+    # Of the first block, so that every batch below but the smallest has it all side by side.
+    columns, running = alone.columns[:, :, :63], alone.running[:, :63]
+    directions = np.sign(columns[:, Row.x_dot])
+    assert np.count_nonzero(np.diff(directions, axis=0)) > 500
+    assert sum({-1.0, 0.0, 1.0} <= set(row) for row in directions) > LANE_STEPS // 2
+    failed = columns[-1, Row.termination] != 0.0
+    assert 3 <= np.count_nonzero(failed) <= 40
+    assert len(set(running.sum(axis=0))) >= 4
+    # Phases change within steps of the integrator, and episodes end within steps of the agent.
+    simulation = Simulation(1, Options(**alone.kwargs))
+    assert count_off_grid(columns[-1, Row.stuck], simulation.settings.physics_dt) > 30
+    assert count_off_grid(columns[-1, Row.duration, failed], simulation.options.control_dt) > 0
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("n", [1, 63, 64, 65, LARGEST_BATCH])
+def test_every_quantity_is_that_of_the_environment_alone(alone, n, threads):
+    simulation = Simulation(n, Options(threads=threads, **alone.kwargs))
+    for i in range(n):
+        simulation.seed(i, i)
+    simulation.reset(np.arange(n))
+    own_rows = [*EPISODE_ROWS, *range(ROWS, simulation.world.shape[1])]
+    for step in range(LANE_STEPS):
+        running = alone.running[step, :n]
+        simulation.step(alone.actions[step, :n], None if running.all() else running)
+        columns, expected = simulation.columns(np.arange(n)), alone.columns[step, :, :n].copy()
+        # Who stands still earns nothing; all else stays as the last step has left it.
+        expected[Row.reward, ~running] = 0.0
+        for row in own_rows:
+            assert columns[row].tobytes() == expected[row].tobytes(), (step, row)
+        assert simulation.observations.tobytes() == alone.observations[step, :n].tobytes(), step
+    for name, values in simulation.metrics(np.arange(n), LANE_STEPS).items():
+        assert values.tobytes() == alone.metrics[name][:n].tobytes(), name
+    simulation.close()
+
+
+def test_a_stream_depends_on_seed_episode_and_purpose_alone():
+    streams = RandomStreams()
+    places = [(seed, episode, purpose) for seed in (0, 1, 2**64, 2**100) for episode in (0, 1) for purpose in Stream]
+    drawn = [tuple(streams.at(*place).random(3)) for place in places]
+    assert len(set(drawn)) == len(places)
+    # The same again in any order, also where the generator has been left in the middle of its buffer.
+    for place, numbers in reversed(list(zip(places, drawn, strict=True))):
+        streams.at(*place).random(1)
+        assert tuple(streams.at(*place).random(3)) == numbers
+        assert tuple(random_stream(*place).random(3)) == numbers
+
+
+def test_steps_divide_each_other_or_say_which_does_not():
+    assert divide("control_dt", 0.02, "physics_dt", 0.001) == 20
+    assert divide("control_dt", 0.3, "physics_dt", 0.1) == 3
+    for part in (0.003, 0.04, 0.02 * (1.0 + 1e-6)):
+        with pytest.raises(ValueError, match=r"physics_dt must divide control_dt=0\.02 s"):
+            divide("control_dt", 0.02, "physics_dt", part)
+
+
+def test_rows_are_read_and_written_by_environments():
+    simulation = Simulation(130)
+    values = np.arange(130.0)
+    simulation.write(Row.x, values)
+    assert np.array_equal(simulation.row(Row.x), values)
+    assert np.array_equal(simulation.rows(Row.x_dot, Row.M)[0], np.zeros(130))
+    assert np.array_equal(simulation.rows(Row.x, Row.M)[0], values)
+    assert np.array_equal(simulation.columns(np.array([3, 129, 64]))[Row.x], [3.0, 129.0, 64.0])
+    simulation.row(Row.x)[:] = 0.0
+    assert simulation.world[2, Row.x, 1] == 129.0
