@@ -131,6 +131,15 @@ def test_evaluations_leave_the_training_alone(tmp_path, whole, algo):
     assert same(parameters(run / "model.zip"), parameters(whole[algo] / "model.zip"))
 
 
+def test_the_shown_mean_is_over_the_last_episodes(tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "RECENT", 4)
+    config = small("direct", "ppo", evaluate_every=10_000)
+    run = new_run(tmp_path / "run", config)
+    assert train(run, config)
+    progress = json.loads((checkpoint.newest(run) / "progress.json").read_text())
+    assert len(progress["speeds"]) == len(progress["failed"]) == 4
+
+
 def test_the_last_two_checkpoints_are_kept(whole):
     for run in whole.values():
         assert len(list(run.glob("checkpoint-*"))) == 2
@@ -341,7 +350,7 @@ REFUSED = [
 @pytest.mark.parametrize("arguments", REFUSED, ids=" ".join)
 def test_what_cannot_be_trained_makes_no_folder(tmp_path, capsys, arguments):
     run = tmp_path / "runs" / "run"
-    assert command_line.main([*arguments, "--run", str(run)]) == 2
+    assert command_line.main(["--total-steps", "64", "--no-comparison", *arguments, "--run", str(run)]) == 2
     error = capsys.readouterr().err
     assert error.startswith("train.py: error: ") and error.count("\n") == 1
     named = arguments[2] if arguments[0] == "--algo" else arguments[0]
@@ -457,6 +466,7 @@ def test_a_checkpoint_holds_every_random_stream(tmp_path, algo):
     model = make_model(config, env)
     model.set_logger(Logger(None, []))
     model.learn(300)
+    random.random()
     (tmp_path / "checkpoint").mkdir()
     model.logger.record("kept", 1.0)
     checkpoint.fill(tmp_path / "checkpoint", model, checkpoint.Progress(config.total_steps))
