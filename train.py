@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
-import dataclasses
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Annotated
 
 from agents.training.stopping import INTERRUPTED, Leaving
 
@@ -17,94 +16,95 @@ if __name__ == "__main__":
     # Before what takes seconds to import.
     LEAVING.install()
 
+import tyro  # noqa: E402
+
 from agents.training.errors import RunError  # noqa: E402
-from agents.training.presets import PRESETS, Config, read_config  # noqa: E402
+from agents.training.presets import (  # noqa: E402
+    BEST,
+    MODEL,
+    PRESETS,
+    Algorithm,
+    Config,
+    PPOConfig,
+    Task,
+    read_config,
+)
+from capsule_gym.command_line import parse, parse_some, refuse  # noqa: E402
 
+PROG = "train.py"
 RUNS = Path("runs")
+Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 
 
-def _number(text: str) -> int:
-    """An integer, also in the form 8e6 or 8_000_000."""
-    value = float(text)
-    if value != int(value) or value < 0:
-        raise argparse.ArgumentTypeError(f"must be an integer >= 0, got {text!r}")
-    return int(value)
+@dataclass(frozen=True)
+class Choice:
+    """What decides the defaults of all other options."""
+
+    task: Task = "residual"
+    """Residual torque on a control law, or direct torque."""
+    algo: Algorithm = "ppo"
+    """Algorithm of Stable-Baselines3."""
+    resume: Folder = None
+    """Go on with the run in this folder, from its last checkpoint; only --total-steps may be changed."""
 
 
-def _switch(text: str) -> bool:
-    """True or false, in words."""
-    if text.lower() not in ("true", "false"):
-        raise argparse.ArgumentTypeError(f"must be true or false, got {text!r}")
-    return text.lower() == "true"
+@dataclass(frozen=True)
+class Options(Choice):
+    """Trains an agent and compares it with the paper's adaptive controller on the set 'paper'.
+
+    The hyperparameters below are those of the chosen --task and --algo, with the preset as their defaults. Ctrl-C saves
+    and stops; --resume DIR goes on, also after a crash. Model archives contain pickles: load only what you trust.
+
+    Examples:
+      python train.py --task direct --randomization wide --seed 1
+      python train.py --algo sac --total-steps 8e5 --run runs/mine
+      python train.py --resume runs/mine --total-steps 2e6
+    """
+
+    run: Folder = None
+    """Folder of the run; a new one in runs/ where none is given."""
+    no_comparison: bool = False
+    """Skip evaluation, figure and animation at the end."""
+    hyperparameters: tyro.conf.OmitArgPrefixes[Config] = field(default_factory=PPOConfig)
 
 
-def _add_fields(parser: argparse._ArgumentGroup, preset: Config) -> None:
-    """One option per field of the configuration, with the preset's value as its default."""
-    kinds: dict[Any, Any] = {int: _number, float: float, bool: _switch}
-    hints = get_type_hints(type(preset))
-    for field in dataclasses.fields(preset):
-        if field.name == "task":
-            continue
-        default = getattr(preset, field.name)
-        parser.add_argument(
-            "--" + field.name.replace("_", "-"),
-            type=kinds.get(hints[field.name], str),
-            default=default,
-            choices=field.metadata["choices"],
-            metavar=None if field.metadata["choices"] else "X",
-            help=f"{field.metadata['help']} (default: {str(default).lower() if default in (True, False) else default})",
-        )
+def read_options(arguments: Sequence[str] | None = None) -> Options:
+    """Reads the command line.
+
+    Returns:
+        The options; `hyperparameters` are the new run's or, with --resume, those of the run that goes on.
+    """
+    choice = parse_some(Choice, PROG, arguments)
+    if choice.resume is None:
+        preset = PRESETS[choice.task, choice.algo]
+        return parse(Options, PROG, arguments, default=Options(choice.task, choice.algo, hyperparameters=preset))
+    try:
+        before = read_config(choice.resume)
+    except RunError as error:
+        refuse(PROG, str(error))
+    default = Options(before.task, before.algo, choice.resume, hyperparameters=before)
+    options = parse(Options, PROG, arguments, default=default)
+    _refuse_changes(default, options)
+    return options
 
 
-def parse(arguments: Sequence[str] | None = None) -> tuple[Config, argparse.Namespace]:
-    """Reads the command line: the configuration of the run, and what is not the run's own."""
-    first = argparse.ArgumentParser(add_help=False)
-    general = first.add_argument_group("what to train")
-    general.add_argument(
-        "--task", choices=("residual", "direct"), default="residual", help="residual torque on a law, or direct torque"
-    )
-    general.add_argument("--algo", choices=("ppo", "sac"), default="ppo", help="algorithm of Stable-Baselines3")
-    general.add_argument("--run", type=Path, metavar="DIR", help="folder of the run (default: a new one in runs/)")
-    general.add_argument(
-        "--resume",
-        type=Path,
-        metavar="DIR",
-        help="go on with the run in this folder, from its last checkpoint; only --total-steps may be changed",
-    )
-    general.add_argument(
-        "--no-comparison", action="store_true", help="skip evaluation, figure and animation at the end"
-    )
-    known, _ = first.parse_known_args(arguments)
-    preset = PRESETS[known.task, known.algo]
-    parser = argparse.ArgumentParser(
-        prog="train.py",
-        parents=[first],
-        description="Trains an agent and compares it with the paper's adaptive controller on the set 'paper'. The "
-        "options below are those of the chosen --task and --algo, with the preset as their defaults.",
-        epilog="Ctrl-C saves and stops; --resume DIR goes on, also after a crash. Model archives contain pickles: load "
-        "only what you trust.",
-    )
-    _add_fields(parser.add_argument_group(f"hyperparameters ({known.task}, {known.algo})"), preset)
-    options = parser.parse_args(arguments)
-    if options.resume is not None:
-        try:
-            config = read_config(options.resume)
-        except RunError as error:
-            parser.error(str(error))
-        given = (
-            options.total_steps
-            if any(a.startswith("--total-steps") for a in arguments or sys.argv[1:])
-            else config.total_steps
-        )
-        return dataclasses.replace(config, total_steps=given), options
-    fields = {field.name: getattr(options, field.name) for field in dataclasses.fields(preset)}
-    config = dataclasses.replace(preset, **fields)
-    return config, options
+def _refuse_changes(before: Options, options: Options) -> None:
+    """Ends the command where it would change what a run has begun with."""
+    if options.run is not None:
+        refuse(PROG, f"--run must not be given with --resume, got {str(options.run)!r}")
+    changed = [(name, getattr(before, name), getattr(options, name)) for name in ("task", "algo")]
+    old, new = before.hyperparameters.to_dict(), options.hyperparameters.to_dict()
+    changed += [(name, old[name], new[name]) for name in old if name != "total_steps"]
+    for name, was, given in changed:
+        if was != given:
+            option = "--" + name.replace("_", "-")
+            refuse(PROG, f"{option} must stay {was} with --resume, got {given}; only --total-steps may be changed")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    config, options = parse(arguments)
+    options = read_options(arguments)
+    config = options.hyperparameters
     # After the command line is known to be right: importing torch takes seconds.
     from agents import comparison
     from agents.training import loop as training
@@ -121,12 +121,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         LEAVING.message = f"Stopped. To go on: python train.py --resume {run}"
         finished = training.train(run, config)
     except (RunError, OSError) as error:
-        print(f"train.py: error: {error}", file=sys.stderr)
+        print(f"{PROG}: error: {error}", file=sys.stderr)
         return 2
     if not finished:
         print(f"\nStopped; saved. To go on: python train.py --resume {run}")
         return INTERRUPTED
-    print(f"Trained; the best model on its own draws is {run / 'best' / 'model.zip'}.")
+    print(f"Trained; the best model on its own draws is {run / BEST / MODEL}.")
     if not options.no_comparison:
         LEAVING.message = "Stopped. The run is complete; its comparison is not."
         comparison.compare(run)

@@ -6,17 +6,22 @@ from dataclasses import replace
 from pathlib import Path
 
 from agents.evaluate import comparison_table
+from agents.evaluation.candidates import BASELINE
 from agents.evaluation.episodes import evaluate, make_result, scores
 from agents.evaluation.sets import load_set
 from agents.evaluation.statistics import interquartile_mean
-from agents.recording import FRAME_EVERY, NOMINAL_TITLE, draw_comparison, record, write_gif
-from agents.training.loop import BASELINE
+from agents.recording import (
+    ANIMATION_SECONDS,
+    ANIMATION_START,
+    NOMINAL_TITLE,
+    draw_comparison,
+    record,
+    write_gif,
+)
 from agents.training.runs import load_policy
 from baselines.policies import SCRIPTED
 from capsule_gym.files import to_json, write_atomically
-
-# The animation: six seconds from the tenth on.
-ANIMATED_FROM, ANIMATED_STEPS = 500, 300
+from capsule_gym.task import HORIZON
 
 
 def compare(run: Path, set_name: str = "paper") -> None:
@@ -29,7 +34,7 @@ def compare(run: Path, set_name: str = "paper") -> None:
     evaluation_set = load_set(set_name)
     policy, baseline = load_policy(run), SCRIPTED[BASELINE]
     own, theirs = (evaluate(each, evaluation_set) for each in (policy, baseline))
-    print(f"\nOn the set {evaluation_set.name} ({len(own)} episodes of 33 s, the same for both):\n")
+    print(f"\nOn the set {evaluation_set.name} ({len(own)} episodes of {HORIZON:g} s, the same for both):\n")
     print(comparison_table("agent", own, BASELINE, theirs))
     speed, reference = (float(interquartile_mean(scores(each, "mean_speed"))[0]) for each in (own, theirs))
     print(f"\nThe agent's interquartile mean speed is {speed / reference:.2f} times that of {BASELINE}.")
@@ -41,7 +46,7 @@ def compare(run: Path, set_name: str = "paper") -> None:
 
     recordings = [record(baseline), replace(record(policy), name=f"agent ({policy.name})")]
     draw_comparison(recordings, run / "comparison.png", NOMINAL_TITLE)
-    moving = record(policy, steps=ANIMATED_FROM + ANIMATED_STEPS, frame_every=FRAME_EVERY, frames_from=ANIMATED_FROM)
+    moving = record(policy, seconds=ANIMATION_START + ANIMATION_SECONDS, frames_from=ANIMATION_START)
     if moving.frames:
         write_gif(moving.frames, run / "animation.gif")
     print(f"Episodes: {run / 'comparison.json'}\nFigure:   {run / 'comparison.png'}\nMoving:   {run / 'animation.gif'}")

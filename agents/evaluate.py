@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-import argparse
+import inspect
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from tqdm import tqdm
+from tyro.conf import arg
 
-from agents.evaluation.candidates import Candidate, checkpoint_names, find_candidate
+from agents.evaluation.candidates import BASELINE, Candidate, checkpoint_names, find_candidate
 from agents.evaluation.episodes import Episode, difference, failures, make_result, scores, summarise
 from agents.evaluation.sets import SET_NAMES, EvaluationSet, load_set
 from agents.evaluation.statistics import interquartile_mean
 from agents.evaluation.tables import MEASURES
 from baselines.policies import SCRIPTED
 from baselines.tables import text_table
+from capsule_gym.command_line import Positional, check_output, parse, refuse
 from capsule_gym.files import to_json, write_atomically
 
-DEFAULT_REFERENCE = "adaptive"
+PROG = "python -m agents.evaluate"
 RESAMPLED = {
     "seeds": "over training seeds, resampled whole (with few of them read the interval as a range)",
     "episodes": "over episodes (they say nothing about another training run)",
@@ -26,32 +30,42 @@ RESAMPLED = {
 }
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m agents.evaluate",
-        description="Evaluates a policy on a frozen set: interquartile means with 95 % bootstrap intervals, and the "
-        "paired difference to a reference on the same episodes.",
-        epilog="Stable-Baselines3 archives contain pickles, which can run any code when loaded: load only what you "
-        f"trust. Scripted policies: {', '.join(SCRIPTED)}. Checkpoints: {', '.join(checkpoint_names()) or 'none'}.",
-    )
-    parser.add_argument(
-        "policy",
-        metavar="NAME_OR_PATH",
-        help="a scripted policy, a checkpoint (all its training seeds), or the path of a run's folder or a .zip in it",
-    )
-    parser.add_argument(
-        "--set", default="paper", help=f"{', '.join(SET_NAMES)}, or the path of a JSON file (default: paper)"
-    )
-    parser.add_argument(
-        "--against",
-        default=DEFAULT_REFERENCE,
-        metavar="NAME_OR_PATH",
-        help=f"the reference of the paired difference (default: {DEFAULT_REFERENCE})",
-    )
-    parser.add_argument("--seed-runs", action="store_true", help="also show every training seed by itself")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the result, with all episodes, to this file")
-    parser.add_argument("--overwrite", action="store_true", help="let --json replace an existing file")
-    return parser
+@dataclass(frozen=True)
+class Options:
+    """Evaluates a policy on a frozen set, beside a reference on the same episodes.
+
+    Prints interquartile means with 95 % bootstrap intervals, and the paired difference to the reference.
+    Stable-Baselines3 archives contain pickles, which can run any code when loaded: load only what you trust.
+
+    Examples:
+      python -m agents.evaluate adaptive --set paper
+      python -m agents.evaluate residual-ppo --set drift --seed-runs
+      python -m agents.evaluate runs/my-run --set wide --json result.json
+    """
+
+    policy: Annotated[Positional[str], arg(metavar="NAME_OR_PATH")]
+    """A scripted policy, a checkpoint (all its training seeds), or the path of a run's folder or a .zip in it."""
+    set: Annotated[str, arg(metavar="NAME_OR_PATH")] = "paper"
+    """A frozen set, or the path of a JSON file of the same form."""
+    against: Annotated[str, arg(metavar="NAME_OR_PATH")] = BASELINE
+    """The reference of the paired difference."""
+    seed_runs: bool = False
+    """Also show every training seed by itself."""
+    json: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Write the result, with all episodes, to this file."""
+    overwrite: bool = False
+    """Let --json replace an existing file."""
+
+    def check(self) -> None:
+        """Refuses a file that cannot be written."""
+        check_output("--json", self.json, overwrite=self.overwrite)
+
+
+# The names are not known before the program runs.
+Options.__doc__ = (
+    f"{inspect.getdoc(Options)}\n\nSets: {', '.join(SET_NAMES)}.\n\nScripted policies: {', '.join(SCRIPTED)}.\n\n"
+    f"Checkpoints: {', '.join(checkpoint_names()) or 'none'}."
+)
 
 
 def run_all(candidate: Candidate, evaluation_set: EvaluationSet) -> list[Episode]:
@@ -100,8 +114,7 @@ def seed_table(episodes: Sequence[Episode]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
+    options = parse(Options, PROG, arguments)
     try:
         evaluation_set = load_set(options.set)
         candidate = find_candidate(options.policy)
@@ -110,27 +123,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for run in (*candidate.runs, *reference.runs):
             run.load()
     except ValueError as error:
-        parser.error(str(error))
-    # Before the work, so that nothing is computed in vain.
-    if options.json is not None:
-        if options.json.exists() and not options.overwrite:
-            parser.error(f"--json must name a new file unless --overwrite is given, got {str(options.json)!r}")
-        if options.json.is_dir() or not options.json.parent.is_dir():
-            parser.error(f"--json must name a file in a folder that exists, got {str(options.json)!r}")
-
+        refuse(PROG, str(error))
     episodes = run_all(candidate, evaluation_set)
     others = None if reference == candidate else run_all(reference, evaluation_set)
-    result = make_result(candidate.name, evaluation_set, episodes)
     # Written before anything is printed: a closed pipe must not cost the result.
     if options.json is not None:
-        write_atomically(options.json, to_json(result))
+        write_atomically(options.json, to_json(make_result(candidate.name, evaluation_set, episodes)))
     plural = "" if len(evaluation_set.plants) == 1 else "s"
     print(
         f"{candidate.name} on the set {evaluation_set.name} ({len(evaluation_set.plants)} episode{plural}, "
         f"{evaluation_set.hash[:12]})\n"
     )
     print(comparison_table(candidate.name, episodes, reference.name, others))
-    print(f"\nInterquartile means with 95 % intervals {RESAMPLED[result['summary']['resampled']]}.")
+    print(f"\nInterquartile means with 95 % intervals {RESAMPLED[summarise(episodes)['resampled']]}.")
     if others is not None:
         print(f"Differences to {reference.name} are taken episode by episode.")
     if options.seed_runs and candidate.folder is not None:

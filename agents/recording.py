@@ -2,32 +2,37 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium as gym
 import numpy as np
+from tyro.conf import arg
 
-from agents.evaluation.candidates import find_candidate
+from agents.evaluation.candidates import BASELINE, find_candidate
 from agents.evaluation.episodes import EPISODE_SETTINGS, Policy
-from agents.evaluation.sets import HORIZON, PlantSpec
+from agents.evaluation.sets import NOMINAL_PLANT, PlantSpec
+from baselines.drawing import BLUE, DPI, GREEN, MUTED, VERMILION, new_figure, style
 from baselines.policies import SCRIPTED
+from capsule_gym.command_line import Positional, check_output, parse, refuse
 from capsule_gym.files import replacing
-from capsule_gym.task import CONTROL_DT, EPISODE_STEPS
+from capsule_gym.parameters import check_number
+from capsule_gym.task import CONTROL_DT, HORIZON
 
-NOMINAL = PlantSpec(M=0.5, mu=0.01, seed=0)
-NOMINAL_TITLE = "Nominal plant (M = 0.5 kg, μ = 0.01)"
-# Agent steps between the frames of a moving picture: 25 a second, which a GIF can keep exactly.
-FRAME_EVERY = 2
+PROG = "python -m agents.recording"
+NOMINAL_TITLE = f"Nominal plant (M = {NOMINAL_PLANT.M:g} kg, μ = {NOMINAL_PLANT.mu:g})"
+# Between the frames of a moving picture: 25 a second, which a GIF can keep exactly.
+FRAME_SECONDS = 0.04
+# The part of an episode that a moving picture shows unless told otherwise, s.
+ANIMATION_START, ANIMATION_SECONDS = 10.0, 6.0
 
 
 @dataclass(frozen=True)
 class Recording:
-    """The course of one episode, sampled once per agent step.
+    """The course of one episode, sampled once per step of the agent.
 
     Attributes:
         name: of the policy.
@@ -47,38 +52,32 @@ class Recording:
 
 
 def record(
-    policy: Policy,
-    plant: PlantSpec = NOMINAL,
-    *,
-    steps: int = EPISODE_STEPS,
-    frame_every: int | None = None,
-    frames_from: int = 0,
+    policy: Policy, plant: PlantSpec = NOMINAL_PLANT, *, seconds: float = HORIZON, frames_from: float | None = None
 ) -> Recording:
-    """Runs a policy once on one plant, until `steps` or the episode's end.
+    """Runs a policy once on one plant, to the given time or the episode's end.
 
     Args:
         policy: what acts.
         plant: the platform's mass and friction.
-        steps: agent steps.
-        frame_every: agent steps between pictures; None draws none.
-        frames_from: the agent step of the first picture.
+        seconds: length of the recording.
+        frames_from: the time in s of the first picture, from which one follows every `FRAME_SECONDS`; None draws none.
     """
-    kwargs: dict[str, Any] = {**policy.env_kwargs, **EPISODE_SETTINGS}
-    del kwargs["autoreset_mode"]
-    mode = None if frame_every is None else "rgb_array"
-    env = gym.make("CapsuleStickSlip-v0", render_mode=mode, max_episode_steps=steps, **kwargs)
+    settings: dict[str, Any] = {**policy.env_kwargs, **EPISODE_SETTINGS}
+    dt = settings.get("control_dt", CONTROL_DT)
+    steps, frame_every = round(seconds / dt), round(FRAME_SECONDS / dt)
+    first_frame = steps + 1 if frames_from is None else round(frames_from / dt)
+    mode = None if frames_from is None else "rgb_array"
+    env = gym.make("CapsuleStickSlip-v0", render_mode=mode, max_episode_steps=steps, **settings)
     act = policy.start([plant.seed])
-    rows, frames = [], []
+    rows, frames, terminated = [], [], False
     observation, info = env.reset(seed=plant.seed, options={"M": plant.M, "mu": plant.mu})
     for n in range(steps + 1):
-        rows.append((n * CONTROL_DT, info["state"][0], info["state"][2], info["torque"]))
-        if frame_every is not None and n >= frames_from and (n - frames_from) % frame_every == 0:
+        rows.append((n * dt, info["state"][0], info["state"][2], info["torque"]))
+        if n >= first_frame and (n - first_frame) % frame_every == 0:
             frames.append(np.asarray(env.render()))
-        if n == steps:
+        if terminated or n == steps:
             break
         observation, _, terminated, _, info = env.step(act(observation[None])[0])
-        if terminated:
-            break
     env.close()
     t, theta, x, torque = np.array(rows).T
     return Recording(policy.name, t, theta, x, torque, tuple(frames))
@@ -88,44 +87,33 @@ def draw_comparison(recordings: Sequence[Recording], path: Path, title: str, sec
     """Draws displacement over the episode, and torque and angle over its last seconds, as one PNG.
 
     Args:
-        recordings: one or more, the baseline first.
+        recordings: one to four, the baseline first.
         path: the PNG; written whole or not at all.
         title: of the figure.
         seconds: length of the windows of torque and angle.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.0, 8.0), layout="constrained")
-    displacement, angle, torque = figure.subplots(3, 1, height_ratios=(1.5, 1.0, 1.0))
-    window = max(r.t[-1] for r in recordings)
-    first = max(0.0, window - seconds)
-    colours = ("#6d7a8d", "#0d807c", "#ee8024", "#8b4cc7")
-    for recording, colour in zip(recordings, colours, strict=False):
-        speed = 100.0 * (recording.x[-1] - recording.x[0]) / recording.t[-1]
-        shown = recording.t >= first
-        displacement.plot(
-            recording.t, 100.0 * recording.x, color=colour, lw=1.8, label=f"{recording.name}: {speed:.2f} cm/s"
-        )
-        angle.plot(recording.t[shown], np.degrees(recording.theta[shown]), color=colour, lw=1.2)
-        # The torque on record at an agent step is the one of the step before it.
-        torque.step(recording.t[shown], recording.torque[shown], color=colour, lw=1.2, where="pre")
-    displacement.set(title=title, xlabel="time (s)", ylabel="displacement x (cm)", xlim=(0.0, window))
-    displacement.legend(frameon=False, loc="upper left")
-    angle.set(ylabel="angle θ (deg)", xlim=(first, window))
-    torque.set(xlabel="time (s)", ylabel="torque u (N m)", xlim=(first, window))
-    for axes in (displacement, angle, torque):
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.grid(color="#e3e8ef", lw=0.7)
-        axes.set_axisbelow(True)
-    FigureCanvasAgg(figure)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=120)
+    with style():
+        figure = new_figure(5.6)
+        displacement, angle, torque = figure.subplots(3, 1, height_ratios=(1.5, 1.0, 1.0))
+        window = max(r.t[-1] for r in recordings)
+        first = max(0.0, window - seconds)
+        for recording, colour in zip(recordings, (MUTED, BLUE, VERMILION, GREEN), strict=False):
+            speed = 100.0 * (recording.x[-1] - recording.x[0]) / recording.t[-1]
+            shown = recording.t >= first
+            label = f"{recording.name}: {speed:.2f} cm/s"
+            displacement.plot(recording.t, 100.0 * recording.x, color=colour, label=label)
+            angle.plot(recording.t[shown], np.degrees(recording.theta[shown]), color=colour)
+            # The torque on record at an agent step is the one of the step before it.
+            torque.step(recording.t[shown], recording.torque[shown], color=colour, lw=1.0, where="pre")
+        displacement.set(title=title, xlabel="time (s)", ylabel="displacement x (cm)", xlim=(0.0, window))
+        displacement.legend(loc="upper left")
+        angle.set(ylabel="angle θ (deg)", xlim=(first, window))
+        torque.set(xlabel="time (s)", ylabel="torque u (N m)", xlim=(first, window))
+        with replacing(path) as temporary:
+            figure.savefig(temporary, dpi=DPI)
 
 
-def write_gif(
-    frames: Sequence[np.ndarray], path: Path, frame_seconds: float = FRAME_EVERY * CONTROL_DT, width: int = 640
-) -> None:
+def write_gif(frames: Sequence[np.ndarray], path: Path, frame_seconds: float = FRAME_SECONDS, width: int = 640) -> None:
     """Writes pictures as a looping GIF.
 
     Args:
@@ -159,35 +147,51 @@ def write_gif(
         )
 
 
+@dataclass(frozen=True)
+class Options:
+    """Draws a policy on the nominal plant: as a moving picture, or beside the paper's controller.
+
+    Model archives contain pickles: load only what you trust.
+
+    Examples:
+      python -m agents.recording residual-ppo --gif moving.gif
+      python -m agents.recording runs/my-run --png figure.png
+    """
+
+    policy: Annotated[Positional[str], arg(metavar="NAME_OR_PATH")]
+    """As for python -m agents.evaluate; the first training seed."""
+    gif: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Write the moving picture to this file."""
+    png: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Write the figure to this file."""
+    start: float = ANIMATION_START
+    """Start of the moving picture, s."""
+    seconds: float = ANIMATION_SECONDS
+    """Length of the moving picture, s."""
+
+    def check(self) -> None:
+        """Refuses times outside an episode, and files that cannot be written."""
+        for name, value in (("--start", self.start), ("--seconds", self.seconds)):
+            check_number(name, value, f"between 0 and {HORIZON:g} s", 0.0, HORIZON)
+        if self.gif is None and self.png is None:
+            raise ValueError("--gif or --png must name a file, got neither")
+        check_output("--gif", self.gif, overwrite=True)
+        check_output("--png", self.png, overwrite=True)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m agents.recording",
-        description="Draws a policy on the nominal plant: as a moving picture, or beside the paper's controller.",
-        epilog="Model archives contain pickles: load only what you trust.",
-    )
-    parser.add_argument(
-        "policy", metavar="NAME_OR_PATH", help="as for python -m agents.evaluate; the first training seed"
-    )
-    parser.add_argument("--gif", type=Path, metavar="FILE", help="write the moving picture to this file")
-    parser.add_argument("--png", type=Path, metavar="FILE", help="write the figure to this file")
-    parser.add_argument("--start", type=float, default=10.0, help="start of the moving picture, s (default: 10)")
-    parser.add_argument("--seconds", type=float, default=6.0, help="length of the moving picture, s (default: 6)")
-    options = parser.parse_args(arguments)
-    for name, value in (("--start", options.start), ("--seconds", options.seconds)):
-        if not 0.0 <= value <= HORIZON:
-            parser.error(f"{name} must be between 0 and {HORIZON} s, got {value}")
+    options = parse(Options, PROG, arguments)
     try:
         policy = find_candidate(options.policy).runs[0].load()
     except ValueError as error:
-        parser.error(str(error))
+        refuse(PROG, str(error))
     if options.png is not None:
-        recordings = [record(SCRIPTED["adaptive"]), replace(record(policy), name=options.policy)]
+        recordings = [record(SCRIPTED[BASELINE]), replace(record(policy), name=options.policy)]
         draw_comparison(recordings, options.png, NOMINAL_TITLE)
     if options.gif is not None:
-        first = round(options.start / CONTROL_DT)
-        last = first + round(options.seconds / CONTROL_DT)
-        write_gif(record(policy, steps=last, frame_every=FRAME_EVERY, frames_from=first).frames, options.gif)
+        moving = record(policy, seconds=options.start + options.seconds, frames_from=options.start)
+        write_gif(moving.frames, options.gif)
     return 0
 
 

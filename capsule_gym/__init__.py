@@ -9,10 +9,11 @@ from capsule_gym.controller import Controller
 from capsule_gym.env import CapsuleEnv
 from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.policy import Policy, load_policy, policy_names
-from capsule_gym.task import EPISODE_STEPS
+from capsule_gym.task import ENV_ID, EPISODE_STEPS
 from capsule_gym.vector_env import CapsuleVectorEnv
 
 __all__ = [
+    "ENV_ID",
     "Capsule",
     "CapsuleEnv",
     "CapsuleVectorEnv",
@@ -25,8 +26,6 @@ __all__ = [
 ]
 
 __version__ = "0.1.0"
-
-ENV_ID = "CapsuleStickSlip-v0"
 
 if ENV_ID not in registry:
     register(

@@ -7,26 +7,33 @@ A field of type `Positional[str]` is a positional argument, one of type `Count` 
 from __future__ import annotations
 
 import inspect
+import io
+import math
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stderr
+from itertools import takewhile
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
 
 try:
     import tyro
+    from tyro.conf import Positional
 except ImportError as error:
     raise ImportError('this command needs tyro: pip install "capsule-gym[paper]"') from error
 
-__all__ = ["Count", "Positional", "check_output", "described", "parse", "refuse"]
+__all__ = ["Count", "Positional", "check_output", "described", "parse", "parse_some", "refuse"]
 
 T = TypeVar("T")
-Positional = tyro.conf.Positional
 
 
 def _count(text: str) -> int:
     """An integer >= 0 out of one word of a command line."""
-    value = float(text.replace("_", ""))
-    if value != int(value) or value < 0:
+    try:
+        value = float(text.replace("_", ""))
+    except ValueError:
+        value = math.nan
+    if not value.is_integer() or value < 0:
         raise ValueError(f"must be an integer >= 0, got {text!r}")
     return int(value)
 
@@ -63,14 +70,7 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
         SystemExit: with 0 after `--help`, with 2 where the command line is wrong.
     """
     defaults: dict[str, Any] = {} if default is None else {"default": default}
-    options: T = tyro.cli(
-        kind,
-        prog=prog,
-        description=inspect.getdoc(kind),
-        args=arguments,
-        config=(tyro.conf.FlagCreatePairsOff,),
-        **defaults,
-    )
+    options: T = _read(kind, prog, arguments, description=inspect.getdoc(kind), **defaults)
     check = getattr(options, "check", None)
     if callable(check):
         try:
@@ -78,6 +78,39 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
         except (TypeError, ValueError) as error:
             refuse(prog, str(error))
     return options
+
+
+def parse_some(kind: type[T], prog: str, arguments: Sequence[str] | None = None) -> T:
+    """Reads a few options of a command line, those that decide which others there are, and passes over the rest.
+
+    Args:
+        kind: a dataclass.
+        prog: the command as the user types it.
+        arguments: the words behind it; None takes them from `sys.argv`.
+
+    Raises:
+        SystemExit: with 2 where one of these options is wrong.
+    """
+    options: T = _read(kind, prog, arguments, return_unknown_args=True, add_help=False)[0]
+    return options
+
+
+def _read(kind: Any, prog: str, arguments: Sequence[str] | None, **settings: Any) -> Any:
+    """What tyro reads; its errors in one line instead of a box of several."""
+    box = io.StringIO()
+    try:
+        with redirect_stderr(box):
+            return tyro.cli(kind, prog=prog, args=arguments, config=(tyro.conf.FlagCreatePairsOff,), **settings)
+    except SystemExit as stop:
+        if stop.code == 2:
+            refuse(prog, _first_paragraph(box.getvalue()) or box.getvalue())
+        raise
+
+
+def _first_paragraph(box: str) -> str:
+    """The text in a box, below its title and above its first rule."""
+    lines = [line.strip("│ ") for line in box.splitlines()[1:]]
+    return " ".join(takewhile(lambda line: not line.startswith(("─", "╰")), lines))
 
 
 def refuse(prog: str, message: str) -> NoReturn:

@@ -31,6 +31,8 @@ ROOT_ITERATIONS = 60
 CUBIC_ITERATIONS = 3
 # Share of a step that the state may be moved along its tangent: at 2 ms and 50 rad/s^2 an error of 1e-16 rad.
 LAST_CORRECTION = 1e-6
+# Share of a bracket below which its halves are the same number.
+SMALLEST_BRACKET = 1e-14
 # Share of a step below which a slip that starts and ends at rest counts as none.
 VOID_PHASE = 1e-9
 
@@ -266,6 +268,28 @@ def glide(
     return theta_1, theta_dot_1, x_1, x_dot_1, x_ddot, normal, smallest, lasts
 
 
+class Phase(NamedTuple):
+    """A state in a phase of contact, and what acts on it.
+
+    Attributes:
+        theta: angle, rad.
+        theta_dot: rad/s.
+        x: m.
+        x_dot: m/s.
+        slip: +1.0, -1.0 or 0.0 (stick).
+        u: motor torque, N m.
+        p: the plant.
+    """
+
+    theta: float
+    theta_dot: float
+    x: float
+    x_dot: float
+    slip: float
+    u: float
+    p: Plant
+
+
 class Piece(NamedTuple):
     """A part of a step that stays in one phase.
 
@@ -297,31 +321,22 @@ class Piece(NamedTuple):
 
 
 @jitable
-def finish(
-    theta: float,
-    theta_dot: float,
-    x: float,
-    x_dot: float,
-    slip: float,
-    u: float,
-    p: Plant,
-    tau: float,
-    x_ddot: float,
-    normal: float,
-) -> Piece:
-    """The piece that ends with the given state; x_ddot and normal are those at its start."""
+def finish(end: Phase, tau: float, x_ddot: float, normal: float) -> Piece:
+    """The piece of tau seconds that has led to `end`; x_ddot and normal are those at its start."""
+    theta, theta_dot, x, x_dot, slip, u, p = end
     theta_ddot, last_x_ddot, _ = accelerations(theta, theta_dot, slip, u, p)
     value, rate = boundary(theta, theta_dot, x_dot, last_x_ddot, slip, u, p)
     return Piece(tau, theta, theta_dot, x, x_dot, value, rate, theta_ddot, last_x_ddot, x_ddot, max(0.0, normal))
 
 
 @jitable
-def piece(theta: float, theta_dot: float, x: float, x_dot: float, slip: float, u: float, p: Plant, tau: float) -> Piece:
+def piece(start: Phase, tau: float) -> Piece:
     """tau seconds in one phase, whether it lasts or not.
 
     Always a full Runge-Kutta step from the phase's start, so that an event is as accurate as the integrator itself. A
     step in which the contact is lost is one without friction.
     """
+    theta, theta_dot, x, x_dot, slip, u, p = start
     mu = kinetic_friction(slip, p)
     for _ in range(2):
         theta_1, theta_dot_1, x_1, x_dot_1, x_ddot, normal, smallest = runge_kutta(
@@ -330,7 +345,7 @@ def piece(theta: float, theta_dot: float, x: float, x_dot: float, slip: float, u
         if smallest >= 0.0:
             break
         mu = 0.0
-    return finish(theta_1, theta_dot_1, x_1, x_dot_1, slip, u, p, tau, x_ddot, normal)
+    return finish(Phase(theta_1, theta_dot_1, x_1, x_dot_1, slip, u, p), tau, x_ddot, normal)
 
 
 @jitable
@@ -359,62 +374,79 @@ def _first_guess(g_low: float, rate_low: float, g_high: float, rate_high: float,
 
 
 @jitable
-def _until_event(
-    theta: float,
-    theta_dot: float,
-    x: float,
-    x_dot: float,
-    slip: float,
-    u: float,
-    p: Plant,
-    before: float,
-    rate: float,
-    whole: Piece,
-) -> Piece:
-    """The piece up to the first event of a step that may have crossed the phase's boundary.
-
-    Newton's method on re-taken steps, kept inside a bracket; the cubic through the bracket's ends lets it start close
-    to the root. The last correction is so small that the state follows it in a straight line.
+def _beyond(start: Phase, before: float, rate: float, whole: Piece) -> Piece:
+    """A piece at whose end the boundary has been crossed, or `whole` where none shows one.
 
     Args:
-        theta: angle at the start of the step, rad; likewise the next three.
-        theta_dot: rad/s.
-        x: m.
-        x_dot: m/s.
-        slip: the phase.
-        u: torque, N m.
-        p: the plant.
-        before: the boundary at the start.
+        start: the phase at the start of the step.
+        before: the boundary there.
         rate: its time derivative there.
-        whole: the step as if the phase lasted; returned if it does.
+        whole: the step as if the phase lasted.
     """
-    high = whole
-    if whole.boundary >= 0.0:
-        dip = _dip(before, rate, whole.boundary, whole.tau)
-        if dip >= whole.tau:
-            return whole
-        high = piece(theta, theta_dot, x, x_dot, slip, u, p, dip)
-        if high.boundary >= 0.0:
-            return whole
-    low, g_low, rate_low = 0.0, before, rate
-    if before <= EVENT_TOLERANCE:
-        # A phase that starts at its own boundary: the bracket is void until the boundary has been left.
-        for _ in range(ROOT_ITERATIONS):
-            trial = piece(theta, theta_dot, x, x_dot, slip, u, p, 0.5 * high.tau)
-            if trial.boundary > 0.0:
-                break
-            high = trial
-        if trial.boundary <= 0.0:
-            return high
-        low, g_low, rate_low = trial.tau, trial.boundary, trial.boundary_rate
-    width, end = high.tau - low, high.tau
-    tau = low + _first_guess(g_low, rate_low, high.boundary, high.boundary_rate, width)
+    if whole.boundary < 0.0:
+        return whole
+    dip = _dip(before, rate, whole.boundary, whole.tau)
+    if dip >= whole.tau:
+        return whole
+    deepest = piece(start, dip)
+    return deepest if deepest.boundary < 0.0 else whole
+
+
+@jitable
+def _leave(start: Phase, beyond: Piece) -> tuple[Piece, Piece]:
+    """The ends of the bracket around the event of a phase that starts on its own boundary.
+
+    From such a start the bracket is void until the boundary has been left; where that is never, the first end stays
+    beyond it too.
+    """
+    for _ in range(ROOT_ITERATIONS):
+        left = piece(start, 0.5 * beyond.tau)
+        if left.boundary > 0.0:
+            break
+        beyond = left
+    return left, beyond
+
+
+@jitable
+def _shifted(end: Piece, correction: float) -> Piece:
+    """The piece, longer by a time so small that its end follows the tangent, to where the boundary is met."""
+    return Piece(
+        end.tau + correction,
+        end.theta + correction * end.theta_dot,
+        end.theta_dot + correction * end.theta_ddot,
+        end.x + correction * end.x_dot,
+        end.x_dot + correction * end.x_ddot,
+        0.0,
+        end.boundary_rate,
+        end.theta_ddot,
+        end.x_ddot,
+        end.first_x_ddot,
+        end.normal_force,
+    )
+
+
+@jitable
+def _root(start: Phase, low: float, before: float, rate: float, beyond: Piece) -> Piece:
+    """The piece that ends on the boundary: Newton's method on re-taken steps, kept inside a bracket.
+
+    The cubic through the bracket's ends lets it start close to the root. The last correction is so small that the state
+    follows it in a straight line.
+
+    Args:
+        start: the phase at the start of the step.
+        low: where the bracket begins, s.
+        before: the boundary there, positive.
+        rate: its time derivative there.
+        beyond: the piece at whose end the bracket ends.
+    """
+    width, end = beyond.tau - low, beyond.tau
+    tau = low + _first_guess(before, rate, beyond.boundary, beyond.boundary_rate, width)
     correction = math.inf
     for _ in range(ROOT_ITERATIONS):
-        trial = piece(theta, theta_dot, x, x_dot, slip, u, p, tau)
+        trial = piece(start, tau)
         correction = -trial.boundary / trial.boundary_rate if trial.boundary_rate < 0.0 else math.inf
         small = abs(correction) <= LAST_CORRECTION * width
-        if small or abs(trial.boundary) <= EVENT_TOLERANCE or end - low <= 1e-14 * width:
+        if small or abs(trial.boundary) <= EVENT_TOLERANCE or end - low <= SMALLEST_BRACKET * width:
             break
         if trial.boundary < 0.0:
             end = tau
@@ -423,21 +455,28 @@ def _until_event(
         tau += correction
         if not low < tau < end:
             tau = 0.5 * (low + end)
-    if abs(correction) > LAST_CORRECTION * width:
-        return trial
-    return Piece(
-        trial.tau + correction,
-        trial.theta + correction * trial.theta_dot,
-        trial.theta_dot + correction * trial.theta_ddot,
-        trial.x + correction * trial.x_dot,
-        trial.x_dot + correction * trial.x_ddot,
-        0.0,
-        trial.boundary_rate,
-        trial.theta_ddot,
-        trial.x_ddot,
-        trial.first_x_ddot,
-        trial.normal_force,
-    )
+    return trial if abs(correction) > LAST_CORRECTION * width else _shifted(trial, correction)
+
+
+@jitable
+def _until_event(start: Phase, before: float, rate: float, whole: Piece) -> Piece:
+    """The piece up to the first event of a step that may have crossed the phase's boundary.
+
+    Args:
+        start: the phase at the start of the step.
+        before: the boundary there.
+        rate: its time derivative there.
+        whole: the step as if the phase lasted; returned if it does.
+    """
+    beyond = _beyond(start, before, rate, whole)
+    if beyond.boundary >= 0.0:
+        return whole
+    if before > EVENT_TOLERANCE:
+        return _root(start, 0.0, before, rate, beyond)
+    left, beyond = _leave(start, beyond)
+    if left.boundary <= 0.0:
+        return beyond
+    return _root(start, left.tau, left.boundary, left.boundary_rate, beyond)
 
 
 @inlined
@@ -449,10 +488,9 @@ def swept(start: float, end: float, turned: float, h: float) -> float:
 
 
 @jitable
-def follow(
-    theta: float, theta_dot: float, x: float, x_dot: float, slip: float, u: float, p: Plant, whole: Piece
-) -> Motion:
+def follow(start: Phase, whole: Piece) -> Motion:
     """`step` from a phase and from what the whole step would be if that phase lasted."""
+    theta, theta_dot, x, x_dot, slip, u, p = start
     forward = backward = stuck = turned = 0.0
     smallest_normal = math.inf
     events = 0
@@ -460,14 +498,15 @@ def follow(
     remaining = h
     done = whole
     for count in range(EVENT_LIMIT):
+        phase = Phase(theta, theta_dot, x, x_dot, slip, u, p)
         if count > 0:
-            done = piece(theta, theta_dot, x, x_dot, slip, u, p, remaining)
+            done = piece(phase, remaining)
         before, rate = boundary(theta, theta_dot, x_dot, done.first_x_ddot, slip, u, p)
         # The last piece takes what is left of the step, so that no time is lost.
         crossed = crosses(before, rate, done.boundary, remaining) and count < EVENT_LIMIT - 1
         beyond = crossed and done.boundary < 0.0
         if crossed:
-            done = _until_event(theta, theta_dot, x, x_dot, slip, u, p, before, rate, done)
+            done = _until_event(phase, before, rate, done)
         tau = done.tau
         ended = tau < remaining or beyond
         smallest_normal = min(smallest_normal, done.normal_force)
@@ -510,6 +549,5 @@ def step(theta: float, theta_dot: float, x: float, x_dot: float, u: float, p: Pl
     Returns:
         The state afterwards with the integrals of the step.
     """
-    slip = contact_phase(theta, theta_dot, x_dot, u, p)
-    whole = piece(theta, theta_dot, x, x_dot, slip, u, p, h)
-    return follow(theta, theta_dot, x, x_dot, slip, u, p, whole)
+    start = Phase(theta, theta_dot, x, x_dot, contact_phase(theta, theta_dot, x_dot, u, p), u, p)
+    return follow(start, piece(start, h))

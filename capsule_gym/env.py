@@ -249,7 +249,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         return self._observation.copy(), shown.item(Row.reward), terminated, False, info
 
     def episode_metrics(self, horizon: int = task.EPISODE_STEPS) -> dict[str, float]:
-        """The metrics of the episode so far; `Simulation.metrics` says what each means.
+        """The metrics of the episode so far; `capsule_gym.task.Metrics` says what each means.
 
         Args:
             horizon: agent steps of a whole episode: a failed one has its mean speed over these.

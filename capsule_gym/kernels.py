@@ -219,7 +219,7 @@ NO_REFERENCE = np.zeros((1, 2))
 # Bound anew, per law, in the copies that `build` makes; so are the functions below that call each other.
 law: Callable[..., Any] = no_law
 MEMORY_SIZE = 1
-REFERENCE_SIZE = 2
+REFERENCE_SIZE = NO_REFERENCE.shape[1]
 PIVOT_TORQUE_ON_CONTACT = 0.0
 
 
@@ -318,22 +318,15 @@ def follow(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) ->
     torque = block[AT.torque + j]
     theta, theta_dot, x, x_dot = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x + j], block[AT.x_dot + j]
     slip = block[AT.slip + j]
+    start = dynamics.Phase(theta, theta_dot, x, x_dot, slip, torque, p)
     if block[AT.least_normal_force + j] >= 0.0:
-        whole = dynamics.finish(
-            block[AT.next_theta + j],
-            block[AT.next_theta_dot + j],
-            block[AT.next_x + j],
-            block[AT.next_x_dot + j],
-            slip,
-            torque,
-            p,
-            h,
-            block[AT.x_ddot + j],
-            block[AT.first_normal_force + j],
-        )
+        theta_1, theta_dot_1 = block[AT.next_theta + j], block[AT.next_theta_dot + j]
+        x_1, x_dot_1 = block[AT.next_x + j], block[AT.next_x_dot + j]
+        end = dynamics.Phase(theta_1, theta_dot_1, x_1, x_dot_1, slip, torque, p)
+        whole = dynamics.finish(end, h, block[AT.x_ddot + j], block[AT.first_normal_force + j])
     else:
-        whole = dynamics.piece(theta, theta_dot, x, x_dot, slip, torque, p, h)
-    motion = dynamics.follow(theta, theta_dot, x, x_dot, slip, torque, p, whole)
+        whole = dynamics.piece(start, h)
+    motion = dynamics.follow(start, whole)
     block[AT.theta + j], block[AT.theta_dot + j] = motion.theta, motion.theta_dot
     block[AT.x + j], block[AT.x_dot + j] = motion.x, motion.x_dot
     block[AT.energy + j] += abs(torque) * motion.swept

@@ -22,12 +22,11 @@ A file is in the safetensors format:
 from __future__ import annotations
 
 import difflib
-import inspect
 import json
 import os
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -39,8 +38,8 @@ from safetensors.numpy import save
 from capsule_gym import task
 from capsule_gym.files import write_bytes_atomically
 from capsule_gym.network import Layer, decision, pack
+from capsule_gym.options import Options
 from capsule_gym.parameters import Capsule, Randomization, check_number
-from capsule_gym.simulation import Simulation
 
 Act = Callable[[np.ndarray], np.ndarray]
 
@@ -51,8 +50,8 @@ ACTIVATIONS, SQUASHINGS = ("tanh", "relu"), ("clip", "tanh")
 MOST_LAYERS, MOST_UNITS, LARGEST_CLIP = 6, 1024, 1e6
 # Nothing larger is read: more than the layers above can fill, many times what a policy takes.
 LARGEST_FILE, LARGEST_METADATA = 32 * 2**20, 2**16
-# The arguments of the environment that change what a policy meets.
-ENV_ARGUMENTS = tuple(name for name in inspect.signature(Simulation).parameters if name not in ("num_envs", "threads"))
+# The options of the environment that change what a policy meets.
+ENV_ARGUMENTS = tuple(each.name for each in fields(Options) if each.name not in ("threads", "render_mode"))
 # An import string runs code; that of this package's own laws is known.
 OWN_CONTROLLER = re.compile(r"baselines:[A-Za-z][A-Za-z0-9_]*")
 SEED_FOLDER = re.compile(r"seed-([0-9]{1,18})")
@@ -278,12 +277,10 @@ def _entries(env_kwargs: Any) -> int:
     unknown = sorted(set(env_kwargs) - set(ENV_ARGUMENTS))
     if unknown:
         raise ValueError(f"env_kwargs must have keys out of {ENV_ARGUMENTS}, got {unknown}")
-    controller, observe_parameters = env_kwargs.get("controller"), env_kwargs.get("observe_parameters", False)
-    if controller is not None and not isinstance(controller, str):
-        raise TypeError(f"env_kwargs['controller'] must be None or an import string, got {controller!r}")
-    if not isinstance(observe_parameters, bool):
-        raise TypeError(f"env_kwargs['observe_parameters'] must be True or False, got {observe_parameters!r}")
-    return len(task.observation_names(controller is not None, observe_parameters))
+    options = Options(**env_kwargs)
+    if options.controller is not None and not isinstance(options.controller, str):
+        raise TypeError(f"env_kwargs['controller'] must be None or an import string, got {options.controller!r}")
+    return len(task.observation_names(options.controller is not None, options.observe_parameters))
 
 
 def _widths(shapes: Sequence[tuple[Sequence[int], Sequence[int]]]) -> list[int]:

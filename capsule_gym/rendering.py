@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from capsule_gym.canvas import SCALE, Canvas, Colour, blend, import_pygame
+from capsule_gym.options import RENDER_MODES
 from capsule_gym.parameters import Capsule, check_number
+from capsule_gym.task import ENV_ID
 
 WIDTH, HEIGHT = 960, 540
-MODES = ("human", "rgb_array")
 
 # Layout in pixels of the finished frame.
 HEADER, FLOOR, RULER = 76, 378, 36
@@ -155,10 +156,8 @@ class Renderer:
         gymnasium.error.DependencyNotInstalled: if pygame is not installed.
     """
 
-    def __init__(
-        self, capsule: Capsule, mode: str, fps: int, torque_limit: float, title: str = "CapsuleStickSlip-v0"
-    ) -> None:
-        if mode not in MODES:
+    def __init__(self, capsule: Capsule, mode: str, fps: int, torque_limit: float, title: str = ENV_ID) -> None:
+        if mode not in RENDER_MODES:
             raise ValueError(f"mode must be 'human' or 'rgb_array', got {mode!r}")
         self._mode = mode
         self._title = title

@@ -114,8 +114,8 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
     entries = simulation.observations.shape[1]
     if policy.entries != entries:
         raise ValueError(
-            f"policy must take the observations of the simulation, {entries} entries, "
-            f"got {policy.name!r}, which takes {policy.entries}"
+            f"policy must take the observations of the simulation, {entries} entries, got {policy.name!r}, which takes "
+            f"{policy.entries}"
         )
     changes = np.array(
         [(i, *change) for i, schedule in simulation._changes.items() for change in schedule], np.float64

@@ -14,26 +14,13 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import kernels, task
-from capsule_gym.controller import Controller, find_controller
+from capsule_gym.controller import Controller, Law, find_controller
 from capsule_gym.kernels import LANES, Row
 from capsule_gym.options import DEFAULTS, DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, Options
 from capsule_gym.parameters import NOMINAL, Randomization, check_count, check_number
 
-METRICS = (
-    "mean_speed",
-    "cost_of_transport",
-    "peak_torque",
-    "rms_torque",
-    "backward_ratio",
-    "stuck_fraction",
-    "smallest_normal_ratio",
-    "largest_theta",
-    "largest_theta_dot",
-    "distance",
-    "energy",
-    "duration",
-    "failed",
-)
+# What acts where no controller does.
+NO_CONTROLLER = Controller("none", kernels.no_law, kernels.NO_REFERENCE)
 
 
 class Stream(IntEnum):
@@ -144,8 +131,8 @@ class Simulation:
         self.randomization.check(self.capsule)
         self.controller = find_controller(options.controller)
         self.settings = make_settings(options, self.controller)
-        self.reference = self.controller.reference if self.controller else kernels.NO_REFERENCE
-        self.memory = self.controller.memory if self.controller else (0.0,)
+        acting = self.controller or NO_CONTROLLER
+        self.reference, self.memory = acting.reference, acting.memory
 
         blocks = -(-self.num_envs // LANES)
         rows = kernels.ROWS + len(self.memory) + self.reference.shape[1]
@@ -154,7 +141,7 @@ class Simulation:
         self.observations = np.zeros((self.num_envs, len(names)), np.float32)
         # Set through a memoryview, which takes half the time of an array.
         self._action: Any = memoryview(self.world[0, Row.action])
-        self._bind_kernel()
+        self._bind_kernel(acting.law)
 
         self._seeds = [0] * self.num_envs
         self._episodes = np.zeros(self.num_envs, np.int64)
@@ -172,11 +159,11 @@ class Simulation:
         # The process whose threads they are.
         self._owner = 0
 
-    def _bind_kernel(self) -> None:
+    def _bind_kernel(self, law: Law) -> None:
         """Compiles the kernel, or loads it, and binds the arguments that stay the same from step to step."""
         plant = self.capsule.plant()
         self._kernel = kernels.build(
-            self.controller.law if self.controller else kernels.no_law,
+            law,
             len(self.memory),
             self.reference.shape[1],
             plant.pivot_torque_on_contact,
@@ -338,11 +325,7 @@ class Simulation:
                 early does not pay; None takes the time that has passed.
 
         Returns:
-            One float64 array of shape (n,) for each name of METRICS: mean_speed in cm/s, cost_of_transport (infinite
-            without forward progress), torques in N m, backward travel over forward travel (infinite with backward
-            travel alone, 0 at rest), fraction of time stuck, smallest N / ((M + m) g), largest |theta| in rad and
-            |theta_dot| in rad/s, distance in m, energy = integral |u theta_dot| dt in J, duration in s, failed as 0
-            or 1.
+            One float64 array of shape (n,) for each field of `task.Metrics`.
         """
         world = self.columns(rows)
         duration, energy = world[Row.duration], world[Row.episode_energy]
@@ -356,22 +339,22 @@ class Simulation:
         forward, backward = world[Row.forward], world[Row.backward]
         nowhere = np.where(backward > 0.0, math.inf, 0.0)
         backward_ratio = np.divide(backward, forward, out=nowhere, where=forward > 0.0)
-        values = (
-            100.0 * distance / whole,
-            transport,
-            world[Row.peak_torque],
-            np.sqrt(world[Row.torque_squared] / elapsed),
-            backward_ratio,
-            world[Row.stuck] / elapsed,
-            world[Row.smallest_normal_ratio],
-            world[Row.largest_theta],
-            world[Row.largest_theta_dot],
-            distance,
-            energy,
-            duration,
-            failed.astype(np.float64),
+        metrics = task.Metrics(
+            mean_speed=100.0 * distance / whole,
+            cost_of_transport=transport,
+            peak_torque=world[Row.peak_torque],
+            rms_torque=np.sqrt(world[Row.torque_squared] / elapsed),
+            backward_ratio=backward_ratio,
+            stuck_fraction=world[Row.stuck] / elapsed,
+            smallest_normal_ratio=world[Row.smallest_normal_ratio],
+            largest_theta=world[Row.largest_theta],
+            largest_theta_dot=world[Row.largest_theta_dot],
+            distance=distance,
+            energy=energy,
+            duration=duration,
+            failed=failed.astype(np.float64),
         )
-        return dict(zip(METRICS, values, strict=True))
+        return metrics._asdict()
 
     def close(self) -> None:
         """Ends the threads."""

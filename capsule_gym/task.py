@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
 from capsule_gym.compilation import inlined
 from capsule_gym.parameters import Capsule
 
+ENV_ID = "CapsuleStickSlip-v0"
 EPISODE_STEPS = 1650
 CONTROL_DT = 0.02
+HORIZON = EPISODE_STEPS * CONTROL_DT
 TORQUE_LIMIT = 1.5
 # In centimetres of progress: a joule, and a failure.
 ENERGY_WEIGHT = 0.1
@@ -40,6 +43,43 @@ class Termination(IntEnum):
     none = 0
     pendulum = 1
     contact = 2
+
+
+class Metrics(NamedTuple):
+    """The numbers that an episode is judged by, each of shape (environments,), float64.
+
+    Attributes:
+        mean_speed: cm/s.
+        cost_of_transport: energy over weight and distance; infinite without forward progress.
+        peak_torque: N m.
+        rms_torque: N m.
+        backward_ratio: travel backwards over travel forwards; infinite with the former alone, 0 at rest.
+        stuck_fraction: share of the time in stick.
+        smallest_normal_ratio: smallest N / ((M + m) g).
+        largest_theta: largest |theta|, rad.
+        largest_theta_dot: largest |theta_dot|, rad/s.
+        distance: m.
+        energy: integral of |u theta_dot|, J.
+        duration: s.
+        failed: 1 where the episode terminated, else 0.
+    """
+
+    mean_speed: np.ndarray
+    cost_of_transport: np.ndarray
+    peak_torque: np.ndarray
+    rms_torque: np.ndarray
+    backward_ratio: np.ndarray
+    stuck_fraction: np.ndarray
+    smallest_normal_ratio: np.ndarray
+    largest_theta: np.ndarray
+    largest_theta_dot: np.ndarray
+    distance: np.ndarray
+    energy: np.ndarray
+    duration: np.ndarray
+    failed: np.ndarray
+
+
+METRICS = Metrics._fields
 
 
 def observation_names(with_reference: bool, with_parameters: bool) -> tuple[str, ...]:

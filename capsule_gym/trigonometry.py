@@ -45,7 +45,7 @@ TURNS_PER_RADIAN = 1.0 / TURN
 ROUNDING = 1.5 * 2.0**52
 
 # Polynomials in z = y^2 that interpolate (sin(y) / y - 1) / z and (cos(y) - 1 + z / 2) / z^2 at the Chebyshev nodes of
-# [0, (1.0001 pi / 2)^2]; `tests/test_trigonometry.py` derives them.
+# [0, (1.0001 pi / 2)^2]; `tests/capsule_gym/test_trigonometry.py` derives them.
 S_0, S_1, S_2, S_3 = -0.16666666666666666, 0.008333333333333316, -0.00019841269841254955, 2.755731921915843e-06
 S_4, S_5, S_6, S_7 = -2.5052107616384595e-08, 1.6058977272815506e-10, -7.643969031052769e-13, 2.731428986122616e-15
 C_0, C_1, C_2, C_3 = 0.041666666666666664, -0.001388888888888888, 2.4801587301579844e-05, -2.7557319221567154e-07

@@ -192,7 +192,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return simulation.observations.copy(), rewards, terminated, truncated, info
 
     def episode_metrics(self) -> dict[str, np.ndarray]:
-        """The metrics of the running episodes, each of shape (num_envs,); `Simulation.metrics` says what they mean."""
+        """The metrics of the running episodes, each of shape (num_envs,); `capsule_gym.task.Metrics` says what they are."""
         return self.simulation.metrics(np.arange(self.num_envs), self.max_episode_steps)
 
     def render(self) -> tuple[np.ndarray, ...] | None:

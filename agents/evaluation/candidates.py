@@ -9,16 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from agents.evaluation.episodes import Episode, Policy, evaluate
-from agents.evaluation.sets import HORIZON, EvaluationSet
+from agents.evaluation.sets import EvaluationSet
+from agents.training.presets import CONFIG, MODEL, NORMALISATION
 from baselines.policies import SCRIPTED
-from capsule_gym.task import TORQUE_LIMIT
+from capsule_gym.task import HORIZON, TORQUE_LIMIT
 
 # The paper's controller, which everything else is compared with.
 BASELINE = "adaptive"
 CHECKPOINTS = Path(__file__).parents[1] / "checkpoints"
-# What decides a run's policy, as `agents.training.runs` names it (importing that would load torch).
-CONFIG = "config.json"
-POLICY_FILES = (CONFIG, "model.zip", "normalisation.json")
+POLICY_FILES = (CONFIG, MODEL, NORMALISATION)
 
 
 @dataclass(frozen=True)

@@ -10,22 +10,18 @@ from typing import Any, Protocol
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from agents.evaluation.sets import HORIZON, EvaluationSet
+from agents.evaluation.sets import EvaluationSet, PlantSpec
 from agents.evaluation.statistics import Estimate, estimate, paired_difference
 from agents.evaluation.tables import SHARE
 from baselines.gaits.archive import best_known_speed, in_grid
 from capsule_gym import CapsuleVectorEnv, __version__
-from capsule_gym.task import CONTROL_DT, TORQUE_LIMIT
+from capsule_gym.task import CONTROL_DT, HORIZON, TORQUE_LIMIT
 
 Act = Callable[[np.ndarray], np.ndarray]
 Episode = dict[str, Any]
 
 # What makes an episode of a set, whatever a policy was trained with.
-EPISODE_SETTINGS: dict[str, Any] = {
-    "autoreset_mode": AutoresetMode.DISABLED,
-    "randomization": "none",
-    "initial_noise": 0.0,
-}
+EPISODE_SETTINGS: dict[str, Any] = {"randomization": "none", "initial_noise": 0.0}
 # What an episode says beside its metrics.
 LABELS = ("M", "mu", "seed", "changes", "training_seed")
 PACKAGES = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
@@ -70,14 +66,29 @@ def evaluate(policy: Policy, evaluation_set: EvaluationSet, *, horizon: float = 
 
     Returns:
         One dict per plant, in order: M (kg), mu, seed, the plant's changes where it has any, and the metrics of
-        `capsule_gym.simulation.METRICS`; where `has_best_known` says so also `share_of_best_known`, the mean speed
+        `capsule_gym.task.Metrics`; where `has_best_known` says so also `share_of_best_known`, the mean speed
         over the best-known one of the episode's plant.
     """
-    plants = evaluation_set.plants
-    seeds = [plant.seed for plant in plants]
     settings: dict[str, Any] = {**policy.env_kwargs, **EPISODE_SETTINGS}
-    steps = round(horizon / settings.get("control_dt", CONTROL_DT))
-    env = CapsuleVectorEnv(**{**settings, "num_envs": len(plants), "max_episode_steps": steps})
+    metrics = _run(policy, settings, evaluation_set.plants, round(horizon / settings.get("control_dt", CONTROL_DT)))
+    shared = has_best_known(evaluation_set) and settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
+    episodes = []
+    for i, plant in enumerate(evaluation_set.plants):
+        values = {name: float(column[i]) for name, column in metrics.items()}
+        if shared:
+            values[SHARE.metric] = values["mean_speed"] / best_known_speed(plant.M, plant.mu)
+        label = plant.to_dict()
+        if not plant.changes:
+            del label["changes"]
+        episodes.append({**label, **values})
+    return episodes
+
+
+def _run(policy: Policy, settings: Mapping[str, Any], plants: Sequence[PlantSpec], steps: int) -> dict[str, np.ndarray]:
+    """The metrics of one episode per plant, all run side by side; each of shape (plants,)."""
+    seeds = [plant.seed for plant in plants]
+    batch = {"num_envs": len(plants), "max_episode_steps": steps, "autoreset_mode": AutoresetMode.DISABLED}
+    env = CapsuleVectorEnv(**{**settings, **batch})
     try:
         observations, _ = env.reset(
             seed=seeds,
@@ -96,17 +107,7 @@ def evaluate(policy: Policy, evaluation_set: EvaluationSet, *, horizon: float = 
         metrics = env.episode_metrics()
     finally:
         env.close()
-    shared = has_best_known(evaluation_set) and settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
-    episodes = []
-    for i, plant in enumerate(plants):
-        values = {name: float(column[i]) for name, column in metrics.items()}
-        if shared:
-            values[SHARE.metric] = values["mean_speed"] / best_known_speed(plant.M, plant.mu)
-        label = plant.to_dict()
-        if not plant.changes:
-            del label["changes"]
-        episodes.append({**label, **values})
-    return episodes
+    return metrics
 
 
 def has_best_known(evaluation_set: EvaluationSet) -> bool:

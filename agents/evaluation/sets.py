@@ -1,22 +1,22 @@
-"""The frozen evaluation sets: the plants that every policy is judged on, the same for all.
+"""The frozen evaluation sets: the plants that every policy is judged on, the same for all, and their hashes.
 
-    python -m agents.evaluation.sets           draws them again and writes agents/evaluation/frozen/*.json
-    python -m agents.evaluation.sets --check   fails where a file differs from its draw
+`python -m agents.evaluation.sets` draws them anew and writes agents/evaluation/frozen/*.json; with --check it fails
+where a file differs from its draw.
 
-| set | episodes | platform mass M (kg) | friction coefficient mu |
-|---|---|---|---|
-| `nominal` | 1 | 0.5 | 0.01 |
-| `paper` | 100 | uniform in [0.45, 0.55] | uniform in [0.009, 0.011] |
-| `wide` | 100 | uniform in [0.35, 0.75] | log-uniform in [0.005, 0.3] |
-| `extrapolation` | 100 | outside `wide` in M, in mu or in both | (see below) |
-| `drift` | 100 | drawn three times from `wide` | drawn three times from `wide` |
+| set | episodes | platform mass M and friction coefficient mu |
+|---|---|---|
+| `nominal` | 1 | the paper's plant |
+| `paper` | 100 | drawn as by `randomization="paper"` |
+| `wide` | 100 | drawn as by `randomization="wide"` |
+| `extrapolation` | 100 | outside `wide` in M, in mu or in both |
+| `drift` | 100 | drawn three times as in `wide` |
 
 `nominal` holds one plant: the episode starts from rest without noise, so that repetitions would be copies.
 
 `extrapolation`: a third of the plants leaves `wide` in M alone, a third in mu alone, a third in both. Outside means
-M uniform in [0.25, 0.35] or [0.75, 1.2] and mu log-uniform in [0.002, 0.005] or [0.3, 0.6], either side with equal
-chance; what stays inside is drawn as in `wide`. The lightest platform with the roughest floor is far from Painleve's
-paradox ((M + m) / m = 2.81, the bound is 1.08).
+lighter or heavier (down to 0.25 kg, up to 1.2 kg; uniform), smoother or rougher (down to 0.002, up to 0.6;
+log-uniform), either side with equal chance; what stays inside is drawn as in `wide`. The lightest platform with the
+roughest floor is far from Painleve's paradox ((M + m) / m = 2.81, the bound is 1.08).
 
 `drift`: M and mu jump together at two times, the first drawn uniformly from the middle third of the episode's first
 half (5.5 to 11 s), the second from that of its second half (22 to 27.5 s), so that no plant rules for less than 5.5 s.
@@ -24,11 +24,14 @@ Times are multiples of the agent's step.
 
 Numbers are rounded (M to 0.1 g, mu to five digits), so that the files do not depend on the last digit of some
 machine's `exp`. Every set has a random seed of its own; the plants' own seeds are 0, 1, ..
+
+A set's hash (`EvaluationSet.hash`) is the sha256 of its name and plants as JSON with sorted keys and no white space:
+the file's layout does not matter, every number does. It stands in every result and in leaderboard.json; results
+compare only where it is the same. So a set never changes: another one gets another name.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
@@ -40,16 +43,19 @@ from typing import Any
 
 import numpy as np
 
+from capsule_gym.command_line import parse
 from capsule_gym.files import canonical_hash, write_atomically
-from capsule_gym.parameters import RANDOMIZATIONS, Capsule, check_number
-from capsule_gym.task import CONTROL_DT, EPISODE_STEPS
+from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, check_number
+from capsule_gym.task import CONTROL_DT, HORIZON
 
+PROG = "python -m agents.evaluation.sets"
 SETS_FOLDER = Path(__file__).with_name("frozen")
-HORIZON = EPISODE_STEPS * CONTROL_DT
 EPISODES = 100
 
-LIGHTER, HEAVIER = (0.25, 0.35), (0.75, 1.2)
-SMOOTHER, ROUGHER = (0.002, 0.005), (0.3, 0.6)
+_WIDE = RANDOMIZATIONS["wide"]
+assert _WIDE.M is not None and _WIDE.mu is not None
+LIGHTER, HEAVIER = (0.25, _WIDE.M[0]), (_WIDE.M[1], 1.2)
+SMOOTHER, ROUGHER = (0.002, _WIDE.mu[0]), (_WIDE.mu[1], 0.6)
 CHANGE_WINDOWS = ((HORIZON / 6.0, HORIZON / 3.0), (HORIZON * 2.0 / 3.0, HORIZON * 5.0 / 6.0))
 
 
@@ -98,6 +104,9 @@ class PlantSpec:
         }
 
 
+NOMINAL_PLANT = PlantSpec(NOMINAL.M, NOMINAL.mu, seed=0)
+
+
 @dataclass(frozen=True)
 class EvaluationSet:
     """A named list of episodes.
@@ -143,13 +152,12 @@ def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 def _drawn(rng: np.random.Generator, randomization: str) -> tuple[float, float]:
     """M and mu from one of the environment's own ranges."""
-    M, mu = RANDOMIZATIONS[randomization].draw(rng, Capsule())
+    M, mu = RANDOMIZATIONS[randomization].draw(rng, NOMINAL)
     return _rounded_mass(M), _rounded_friction(mu)
 
 
 def _nominal(rng: np.random.Generator) -> list[PlantSpec]:
-    capsule = Capsule()
-    return [PlantSpec(capsule.M, capsule.mu, 0)]
+    return [NOMINAL_PLANT]
 
 
 def _paper(rng: np.random.Generator) -> list[PlantSpec]:
@@ -229,7 +237,7 @@ def _mass_and_friction(where: str, entry: dict[str, Any]) -> tuple[float, float]
     M = check_number(f"{where}.M", entry["M"], "a finite number > 0 (kg)", 0.0, open_low=True)
     mu = check_number(f"{where}.mu", entry["mu"], "a finite number > 0", 0.0, open_low=True)
     try:
-        Capsule().check_plant(M, mu)
+        NOMINAL.check_plant(M, mu)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
     return M, mu
@@ -307,13 +315,17 @@ def stale_sets(folder: Path = SETS_FOLDER) -> list[str]:
     return stale
 
 
+@dataclass(frozen=True)
+class Options:
+    """Draws the frozen evaluation sets from their fixed seeds and writes agents/evaluation/frozen/*.json."""
+
+    check: bool = False
+    """Write nothing; fail where a file differs from its draw."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m agents.evaluation.sets", description="Draws the frozen evaluation sets from their fixed seeds."
-    )
-    parser.add_argument("--check", action="store_true", help="write nothing; fail where a file differs from its draw")
-    if parser.parse_args(arguments).check:
+    if parse(Options, PROG, arguments).check:
         stale = stale_sets()
         print("\n".join(stale) or "The evaluation sets are what their seeds give.")
         return 1 if stale else 0

@@ -15,11 +15,12 @@ from tqdm import tqdm
 
 from agents.evaluation.candidates import POLICY_FILES, Candidate, Run
 from agents.evaluation.episodes import Episode, summarise, versions
-from agents.evaluation.sets import HORIZON, EvaluationSet
+from agents.evaluation.sets import EvaluationSet
 from agents.evaluation.tables import MEASURES, SHARE
 from agents.leaderboard import tolerance
 from agents.leaderboard.page import rank, render, with_head
 from capsule_gym.files import file_hash, to_json, without_nonfinite, write_atomically
+from capsule_gym.task import HORIZON
 
 T = TypeVar("T")
 

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from agents.evaluation.candidates import Candidate
-from agents.evaluation.sets import HORIZON, EvaluationSet
+from agents.evaluation.sets import EvaluationSet
 from agents.evaluation.tables import MEASURES, SHARE
 from agents.leaderboard.board import build, static_row
 from agents.leaderboard.page import render, with_head
 from agents.leaderboard.tolerance import agree, agree_counts
+from capsule_gym.task import HORIZON
 
 EXACT_FIELDS = ("description", "training_seeds", "revision", "files")
 

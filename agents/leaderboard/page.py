@@ -109,14 +109,32 @@ def _spread_table(board: Mapping[str, Any]) -> str:
     return markdown_table(table)
 
 
+def _notes(board: Mapping[str, Any]) -> list[str]:
+    """What the numbers mean and what they were computed with."""
+    hashes = ", ".join(f"`{name}` {value[:12]}" for name, value in board["sets"].items())
+    versions = ", ".join(f"{name} {value}" for name, value in board["versions"].items())
+    return [
+        "- Intervals. Where a policy was trained with several seeds, whole seeds are resampled, all episodes of a seed "
+        "together; with three seeds the interval is the range from the worst to the best seed, which holds the true "
+        "median of training runs with a probability of 75 %, not 95 %. Scripted policies, and policies of a single "
+        "seed, have their episodes resampled: the interval then says how much the choice of plants matters, not what "
+        "another training run would give. `nominal` is one plant, so that these have no interval there.",
+        "- Failures are counted over all episodes of all training seeds.",
+        "- Revision: the git revision that a checkpoint was trained at. Scripted policies are this checkout's own "
+        "code, which the check runs, so they need none.",
+        "- A dash stands for what does not exist: the cost of transport where more than a quarter of the episodes make "
+        "no forward progress, the revision of a scripted policy.",
+        f"- Sets (sha256 of the content): {hashes}.",
+        f"- Written with {versions}.",
+    ]
+
+
 def render(board: Mapping[str, Any]) -> str:
     """The text of LEADERBOARD.md.
 
     Args:
         board: the content of leaderboard.json.
     """
-    hashes = ", ".join(f"`{name}` {value[:12]}" for name, value in board["sets"].items())
-    versions = ", ".join(f"{name} {value}" for name, value in board["versions"].items())
     lines = [
         "# Leaderboard",
         "",
@@ -161,18 +179,7 @@ def render(board: Mapping[str, Any]) -> str:
         "",
         "## Notes",
         "",
-        "- Intervals. Where a policy was trained with several seeds, whole seeds are resampled, all episodes of a seed "
-        "together; with three seeds the interval is the range from the worst to the best seed, which holds the true "
-        "median of training runs with a probability of 75 %, not 95 %. Scripted policies, and policies of a single "
-        "seed, have their episodes resampled: the interval then says how much the choice of plants matters, not what "
-        "another training run would give. `nominal` is one plant, so that these have no interval there.",
-        "- Failures are counted over all episodes of all training seeds.",
-        "- Revision: the git revision that a checkpoint was trained at. Scripted policies are this checkout's own "
-        "code, which the check runs, so they need none.",
-        "- A dash stands for what does not exist: the cost of transport where more than a quarter of the episodes make "
-        "no forward progress, the revision of a scripted policy.",
-        f"- Sets (sha256 of the content): {hashes}.",
-        f"- Written with {versions}.",
+        *_notes(board),
     ]
     return "\n".join(lines) + "\n"
 

@@ -31,9 +31,10 @@ import numpy as np
 
 from agents.evaluation.candidates import Candidate
 from agents.evaluation.episodes import Act, Policy, evaluate, scores
-from agents.evaluation.sets import HORIZON, EvaluationSet
+from agents.evaluation.sets import EvaluationSet
 from agents.evaluation.statistics import estimate
 from agents.evaluation.tables import MEASURES, SHARE
+from capsule_gym.task import HORIZON
 
 # Of full action; the standard deviation.
 NOISE = 1e-7

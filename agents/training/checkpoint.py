@@ -33,7 +33,8 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.training.errors import RunError
-from agents.training.runs import ALGORITHMS, BEST, MODEL, archive
+from agents.training.presets import BEST, MODEL
+from agents.training.runs import ALGORITHMS, archive
 from capsule_gym.files import file_hash, naming, synchronise, to_json, write_bytes_atomically
 
 MANIFEST, STATE, REPLAY_BUFFER, PROGRESS = "manifest.json", "state.pkl", "replay_buffer.pkl", "progress.json"

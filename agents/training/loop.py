@@ -21,6 +21,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecNormalize
 from tqdm import tqdm
 
+from agents.evaluation.candidates import BASELINE
 from agents.evaluation.episodes import evaluate, scores, versions
 from agents.evaluation.sets import EvaluationSet, PlantSpec
 from agents.evaluation.statistics import interquartile_mean
@@ -29,8 +30,8 @@ from agents.training.checkpoint import Progress
 from agents.training.errors import RunError
 from agents.training.lock import locked
 from agents.training.logs import EVALUATED, EVALUATIONS, Table, make_logger
-from agents.training.presets import CONFIG, Config, PPOConfig, SACConfig, read_config
-from agents.training.runs import BEST, Normalisation, TrainedPolicy, git_revision, save_model
+from agents.training.presets import BEST, CONFIG, Config, PPOConfig, SACConfig, read_config
+from agents.training.runs import Normalisation, TrainedPolicy, git_revision, save_model
 from agents.training.sac import LeanSAC
 from agents.training.stopping import Stop
 from agents.training.vec_env import CapsuleSB3VecEnv
@@ -39,7 +40,6 @@ from capsule_gym import Capsule, Randomization
 from capsule_gym.files import naming, to_json, write_atomically
 from capsule_gym.simulation import Stream, random_stream
 
-BASELINE = "adaptive"
 # Far from the seeds 0, 1, .. that training runs and evaluation sets use: model selection sees draws of its own.
 SELECTION_SEED = 1_000_000
 # Episodes that the progress bar's mean speed is over.

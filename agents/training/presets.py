@@ -1,6 +1,6 @@
-"""Hyperparameters: one small dataclass per algorithm, one tuned instance per algorithm and task.
+"""What a run is begun with. Hyperparameters: a small dataclass per algorithm, a tuned instance per algorithm and task.
 
-The fields are the command line of train.py, so each is explained where it stands.
+The fields are the command line of train.py, the text under each is its help. Nothing here imports torch.
 """
 
 from __future__ import annotations
@@ -9,52 +9,74 @@ import dataclasses
 import json
 import math
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
+
+from tyro.conf import Fixed, Suppress
 
 from agents.training.errors import RunError
+from capsule_gym.command_line import Count, described
 from capsule_gym.options import DOCS, Options
-from capsule_gym.parameters import RANDOMIZATIONS, check_number
+from capsule_gym.parameters import check_number
 
-CONFIG = "config.json"
 # Of numpy's generators, which SB3 seeds.
 LARGEST_SEED = 2**32 - 1
+# The files of a run that decide its policy, and the folder of the best evaluation.
+CONFIG, MODEL, NORMALISATION, BEST = "config.json", "model.zip", "normalisation.json", "best"
+
+Task = Literal["residual", "direct"]
+Algorithm = Literal["ppo", "sac"]
 
 
-def option(default: Any, help_text: str, choices: tuple[str, ...] | None = None) -> Any:
-    """A dataclass field that says on the command line what it means."""
-    return field(default=default, metadata={"help": help_text, "choices": choices})
+def _option(name: str, more: str = "") -> Any:
+    """The help of an option of the environment."""
+    return described(f"{DOCS[name][0].upper()}{DOCS[name][1:]}{more}.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
     """What every training run has."""
 
-    algo: ClassVar[str]
+    algo: ClassVar[Algorithm]
 
-    task: str = option("residual", "residual torque on a control law, or direct torque", ("residual", "direct"))
-    seed: int = option(0, "seed of everything: the same seed gives the same model on one machine")
-    total_steps: int = option(6_000_000, "environment steps")
-    num_envs: int = option(64, "environments that are stepped together")
-    controller: str | None = option("baselines:adaptive", "control law under a residual torque, as module:attribute")
-    residual_limit: float = option(
-        2.0 * Options.torque_limit, f"{DOCS['residual_limit']}; twice the torque limit is full authority"
+    # It chooses the preset, and so is no option of its own.
+    task: Annotated[Task, Fixed, Suppress] = "residual"
+    seed: Count = 0
+    """Seed of everything: the same seed gives the same model on one machine."""
+    total_steps: Count = 6_000_000
+    """Environment steps."""
+    num_envs: Count = 64
+    """Environments that are stepped together."""
+    controller: str | None = "baselines:adaptive"
+    """Control law under a residual torque, as module:attribute."""
+    residual_limit: Annotated[float, _option("residual_limit", "; twice the torque limit is full authority")] = (
+        2.0 * Options.torque_limit
     )
-    torque_limit: float = option(Options.torque_limit, DOCS["torque_limit"])
-    randomization: str = option("paper", "where M and mu of an episode come from", tuple(RANDOMIZATIONS))
-    observe_parameters: bool = option(Options.observe_parameters, DOCS["observe_parameters"])
-    energy_weight: float = option(Options.energy_weight, DOCS["energy_weight"])
-    termination_penalty: float = option(30.0, DOCS["termination_penalty"])
-    learning_rate: float = option(1e-3, "step size of Adam at the start")
-    final_learning_rate: float = option(1e-4, "step size of Adam at the end; linear in between")
-    gamma: float = option(0.995, "discount factor per agent step")
-    hidden: int = option(64, "units in each of the two hidden layers")
-    batch_size: int = option(2048, "samples in a gradient step")
-    evaluate_every: int = option(500_000, "environment steps between evaluations and checkpoints")
-    evaluation_episodes: int = option(32, "episodes in each of them, with draws of their own")
-    torch_threads: int = option(1, "threads of torch")
-    env_threads: int = option(Options.threads, "threads of the environment")
+    torque_limit: Annotated[float, _option("torque_limit")] = Options.torque_limit
+    randomization: Literal["none", "paper", "wide"] = "paper"
+    """Where M and mu of an episode come from."""
+    observe_parameters: Annotated[bool, _option("observe_parameters")] = Options.observe_parameters
+    energy_weight: Annotated[float, _option("energy_weight")] = Options.energy_weight
+    termination_penalty: Annotated[float, _option("termination_penalty")] = 30.0
+    learning_rate: float = 1e-3
+    """Step size of Adam at the start."""
+    final_learning_rate: float = 1e-4
+    """Step size of Adam at the end; linear in between."""
+    gamma: float = 0.995
+    """Discount factor per agent step."""
+    hidden: Count = 64
+    """Units in each of the two hidden layers."""
+    batch_size: Count = 2048
+    """Samples in a gradient step."""
+    evaluate_every: Count = 500_000
+    """Environment steps between evaluations and checkpoints."""
+    evaluation_episodes: Count = 32
+    """Episodes in each of them, with draws of their own."""
+    torch_threads: Count = 1
+    """Threads of torch."""
+    env_threads: Count = Options.threads
+    """Threads of the environment."""
 
     def env_kwargs(self) -> dict[str, Any]:
         """The arguments of the environment that this run trains in."""
@@ -106,13 +128,18 @@ class Config:
 class PPOConfig(Config):
     """Proximal policy optimisation."""
 
-    algo: ClassVar[str] = "ppo"
+    algo: ClassVar[Algorithm] = "ppo"
 
-    n_steps: int = option(256, "steps of each environment between updates")
-    n_epochs: int = option(6, "passes over the collected steps in an update")
-    gae_lambda: float = option(0.98, "decay of the generalised advantage estimate")
-    ent_coef: float = option(0.0, "weight of the entropy bonus")
-    log_std_init: float = option(-0.5, "logarithm of the initial standard deviation of the action")
+    n_steps: Count = 256
+    """Steps of each environment between updates."""
+    n_epochs: Count = 6
+    """Passes over the collected steps in an update."""
+    gae_lambda: float = 0.98
+    """Decay of the generalised advantage estimate."""
+    ent_coef: float = 0.0
+    """Weight of the entropy bonus."""
+    log_std_init: float = -0.5
+    """Logarithm of the initial standard deviation of the action."""
 
     def check(self) -> None:
         """As for all; and a rollout must hold the two samples that advantages are normalised over."""
@@ -129,17 +156,26 @@ class PPOConfig(Config):
 class SACConfig(Config):
     """Soft actor-critic."""
 
-    algo: ClassVar[str] = "sac"
+    algo: ClassVar[Algorithm] = "sac"
 
-    total_steps: int = option(400_000, "environment steps")
-    num_envs: int = option(32, "environments that are stepped together")
-    learning_rate: float = option(7e-4, "step size of Adam at the start")
-    batch_size: int = option(512, "samples in a gradient step")
-    evaluate_every: int = option(50_000, "environment steps between evaluations and checkpoints")
-    buffer_size: int = option(400_000, "transitions that the replay buffer holds")
-    learning_starts: int = option(10_000, "random steps before the first update")
-    gradient_steps: int = option(8, "updates after each step of all environments")
-    tau: float = option(0.01, "rate at which the target networks follow")
+    total_steps: Count = 400_000
+    """Environment steps."""
+    num_envs: Count = 32
+    """Environments that are stepped together."""
+    learning_rate: float = 7e-4
+    """Step size of Adam at the start."""
+    batch_size: Count = 512
+    """Samples in a gradient step."""
+    evaluate_every: Count = 50_000
+    """Environment steps between evaluations and checkpoints."""
+    buffer_size: Count = 400_000
+    """Transitions that the replay buffer holds."""
+    learning_starts: Count = 10_000
+    """Random steps before the first update."""
+    gradient_steps: Count = 8
+    """Updates after each step of all environments."""
+    tau: float = 0.01
+    """Rate at which the target networks follow."""
 
     def check(self) -> None:
         """As for all; and the replay buffer must hold a step of all environments."""
@@ -150,7 +186,7 @@ class SACConfig(Config):
         self._check_range("tau", "a number in (0, 1]", 0.0, 1.0, open_low=True)
 
 
-PRESETS: dict[tuple[str, str], Config] = {
+PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("residual", "ppo"): PPOConfig(),
     ("direct", "ppo"): PPOConfig(task="direct", controller=None),
     ("residual", "sac"): SACConfig(),

@@ -27,12 +27,11 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.training.presets import CONFIG
+from agents.training.presets import BEST, CONFIG, MODEL, NORMALISATION
 from agents.training.sac import LeanSAC
 from capsule_gym.files import to_json, write_atomically, write_bytes_atomically
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": LeanSAC}
-MODEL, NORMALISATION, BEST = "model.zip", "normalisation.json", "best"
 
 
 @dataclass(frozen=True)

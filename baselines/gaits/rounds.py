@@ -13,8 +13,9 @@ import numpy as np
 
 from baselines.gaits.archive import Archive, Gait
 from baselines.gaits.families import FAMILIES, Family
-from baselines.gaits.simulation import HORIZON, TOLERATED, robust_metrics, simulate, worst_speeds
+from baselines.gaits.simulation import TOLERATED, robust_metrics, simulate, worst_speeds
 from capsule_gym.parameters import Capsule
+from capsule_gym.task import HORIZON
 
 NOMINAL = Capsule()
 SHORT_HORIZON = 12.0

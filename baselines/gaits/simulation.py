@@ -13,9 +13,8 @@ from baselines.gaits.archive import Gait
 from baselines.gaits.families import FAMILIES, GAIT_DT, Family, actions
 from baselines.gaits.performance import Choice
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym.task import CONTROL_DT, EPISODE_STEPS, START_THETA
+from capsule_gym.task import HORIZON, START_THETA
 
-HORIZON = EPISODE_STEPS * CONTROL_DT
 PERTURBATION = 1e-3
 # The oracle's map covers what the evaluation sets hold: M in kg, evenly spaced, and mu, evenly in its logarithm.
 MAP_M, MAP_MU = (0.25, 1.2, 20), (0.002, 0.6, 16)
@@ -49,7 +48,7 @@ def simulate(
         threads: that share the batch; the results do not depend on it.
 
     Returns:
-        The metrics of `capsule_gym.simulation.METRICS`, `late_speed` in cm/s, the mean from `late_from` on, and
+        The metrics of `capsule_gym.task.Metrics`, `late_speed` in cm/s, the mean from `late_from` on, and
         `steps`, the agent steps taken; each of shape (n,).
     """
     count = len(parameters)

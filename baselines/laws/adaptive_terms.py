@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from baselines.laws.gains import Gains
+from baselines.laws.reference import COLUMNS
 from capsule_gym import dynamics
 from capsule_gym.compilation import inlined
 from capsule_gym.parameters import Plant
@@ -22,6 +23,7 @@ MEMORY = (
     "eta_root",
     "x_anchor",
 )
+THETA_D_DDOT, CYCLE_START = COLUMNS.index("theta_d_ddot"), COLUMNS.index("cycle_start")
 
 
 class Constants(NamedTuple):
@@ -199,7 +201,7 @@ def adaptive_terms(
     gains = constants.gains
     s = sliding_variables(theta, theta_dot, x, x_dot, anchor, reference, gains)
     delta_theta, delta_x = s.delta_theta, s.delta_x
-    Y_theta, Y_x = regressors(theta, theta_dot, x_dot, reference[2], s, constants.plant)
+    Y_theta, Y_x = regressors(theta, theta_dot, x_dot, reference[THETA_D_DDOT], s, constants.plant)
     y1, y2, y3, y4, y5 = Y_theta
     z1, z2, z3, z4 = Y_x
     T_c = y1 * h1 + y2 * h2 + y3 * h3 + y4 * h4 + y5 * h5 - gains.K1 * delta_theta  # Eq. (39b)
@@ -238,7 +240,7 @@ def adaptive_step(
     The arguments are those of `adaptive_terms`.
     """
     h1, h2, h3, h4, h5, g1, g2, g3, g4, root, anchor = memory
-    if reference[6] > 0.0:
+    if reference[CYCLE_START] > 0.0:
         anchor = x if constants.anchored else anchor + constants.cycle_advance
     begun = (h1, h2, h3, h4, h5, g1, g2, g3, g4, root, anchor)
     terms = adaptive_terms(theta, theta_dot, x, x_dot, begun, reference, constants)

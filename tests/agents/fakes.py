@@ -5,6 +5,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+PLANTS = {
+    "name": "tiny",
+    "plants": [
+        {"M": 0.5, "mu": 0.01, "seed": 0},
+        {"M": 0.6, "mu": 0.1, "seed": 1},
+        {"M": 0.5, "mu": 0.01, "seed": 2, "changes": [{"t": 0.5, "M": 0.7, "mu": 0.3}]},
+    ],
+}
+
 
 @dataclass
 class Sine:

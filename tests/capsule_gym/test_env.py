@@ -17,10 +17,8 @@ from gymnasium.utils.env_checker import check_env
 import baselines
 from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization
 from capsule_gym.kernels import ROWS
-from capsule_gym.simulation import METRICS
-from capsule_gym.task import Termination
+from capsule_gym.task import ENV_ID, METRICS, Termination
 
-ENV_ID = "CapsuleStickSlip-v0"
 VARIANTS = [
     {},
     {"controller": "baselines:adaptive"},

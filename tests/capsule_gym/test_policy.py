@@ -420,6 +420,8 @@ HOSTILE_METADATA = {
     "a law without its entries": ({"env_kwargs": '{"controller": "baselines:adaptive"}'}, "has entries, 10, got 5"),
     "parameters without entries": ({"env_kwargs": '{"observe_parameters": true}'}, "has entries, 7, got 5"),
     "a word for a switch": ({"env_kwargs": '{"observe_parameters": "no"}'}, "must be True or False"),
+    "a torque below zero": ({"env_kwargs": '{"torque_limit": -1}'}, "torque_limit must be a finite number > 0"),
+    "an unknown range": ({"env_kwargs": '{"randomization": "wild"}'}, "randomization must be"),
     "an impossible capsule": ({"env_kwargs": '{"capsule": {"M": -1.0}}'}, "Capsule.M must be"),
     "a capsule with wheels": ({"env_kwargs": '{"capsule": {"wheels": 4}}'}, "is no policy: "),
     "a megabyte": ({"comment": "a" * 10**6}, "its metadata must have at most 65536 characters"),

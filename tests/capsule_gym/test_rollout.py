@@ -10,7 +10,8 @@ import pytest
 from capsule_gym import CapsuleVectorEnv, Controller, Policy, load_policy
 from capsule_gym.kernels import LANES, Row
 from capsule_gym.rollout import rollout
-from capsule_gym.simulation import METRICS, Simulation
+from capsule_gym.simulation import Simulation
+from capsule_gym.task import METRICS
 from tests.capsule_gym.test_policy import make_policy
 
 
@@ -136,7 +137,7 @@ def test_the_horizon_of_the_metrics_is_the_rollouts():
 
 def test_a_policy_for_another_observation_is_refused():
     env, _ = begun(load_policy("direct-ppo"), 2)
-    with pytest.raises(ValueError, match=r"policy must take the observations of the simulation, 5 entries .*takes 10"):
+    with pytest.raises(ValueError, match=r"policy must take the observations of the simulation, 5 entries, .*takes 10"):
         rollout(env.simulation, load_policy("residual-ppo"), 10)
     with pytest.raises(ValueError, match="steps must be an integer >= 1, got 0"):
         rollout(env.simulation, load_policy("direct-ppo"), 0)

@@ -12,11 +12,10 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.kernels import ROWS, Row
 from capsule_gym.options import Options
-from capsule_gym.simulation import METRICS, Simulation
-from capsule_gym.task import Termination
+from capsule_gym.simulation import Simulation
+from capsule_gym.task import ENV_ID, METRICS, Termination
 from tests.capsule_gym.test_env import layout
 
-ENV_ID = "CapsuleStickSlip-v0"
 VARIANTS = [
     {"initial_noise": 0.05, "randomization": "wide"},
     {"controller": "baselines:adaptive", "residual_limit": 3.0, "observe_parameters": True},

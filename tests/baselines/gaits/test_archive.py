@@ -11,10 +11,10 @@ from baselines.gaits.archive import GRID_M, GRID_MU, PLANTS, Archive, best_known
 from baselines.gaits.bound import phase_plane_envelope, speed_bound
 from baselines.gaits.families import FAMILIES, GAIT_DT, actions
 from baselines.gaits.performance import Performance
-from baselines.gaits.simulation import HORIZON, recheck, simulate
+from baselines.gaits.simulation import recheck, simulate
 from baselines.policies import SCRIPTED
 from capsule_gym import Capsule, CapsuleVectorEnv
-from capsule_gym.task import START_THETA
+from capsule_gym.task import HORIZON, START_THETA
 from tests.baselines.gaits.fakes import some_gait
 
 NOMINAL = Capsule()

@@ -13,6 +13,7 @@ from baselines.paper.adaptive_variants import endure, varied
 from baselines.paper.adaptive_verdicts import converged
 from baselines.paper.traces import trace
 from capsule_gym.kernels import Row
+from capsule_gym.options import Options
 from capsule_gym.parameters import RANDOMIZATIONS
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import TORQUE_LIMIT
@@ -32,16 +33,15 @@ LIGHT, HEAVY = (0.45, 0.009), (0.55, 0.011)
 def test_law_of_the_study_is_the_law_itself(choices):
     courses = []
     for make in (adaptive, varied):
-        simulation = Simulation(
-            6, controller=make(**choices), randomization="paper", residual_limit=0.0, physics_dt=choices.get("dt", 1e-3)
-        )
+        options = Options(controller=make(**choices), residual_limit=0.0, physics_dt=choices.get("dt", 1e-3))
+        simulation = Simulation(6, options)
         for i in range(6):
             simulation.seed(i, i)
         simulation.reset(np.arange(6))
         running, course = np.ones(6, np.bool_), []
         for _ in range(360):
             simulation.step(np.zeros(6), running)
-            course.append(simulation.rows(0, Row.step_energy))
+            course.append(simulation.rows(0, Row.energy))
             running &= simulation.row(Row.termination) == 0.0
         courses.append(np.array(course))
     np.testing.assert_array_equal(*courses)

@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+from PIL import Image
+
+from agents import recording
+from agents.evaluation import candidates
+from agents.evaluation.episodes import evaluate
+from agents.evaluation.sets import EvaluationSet, PlantSpec
+from agents.recording import draw_comparison, record, write_gif
+from tests.agents.fakes import Sine
+
+PLANT = PlantSpec(0.6, 0.05, seed=3)
+
+
+@pytest.mark.parametrize("control_dt", [0.02, 0.01])
+def test_a_recording_is_the_episode_of_the_evaluation(control_dt):
+    policy = Sine(0.5, env_kwargs={"control_dt": control_dt, "randomization": "wide"})
+    found = record(policy, PLANT, seconds=2.0)
+    (episode,) = evaluate(policy, EvaluationSet("one", (PLANT,)), horizon=2.0)
+    assert found.x[-1] == episode["distance"]
+    assert np.abs(found.theta).max() <= episode["largest_theta"]
+    np.testing.assert_allclose(found.t, np.arange(len(found.t)) * control_dt)
+    assert found.t[-1] == pytest.approx(2.0)
+    assert found.frames == ()
+
+
+def test_a_recording_ends_with_its_episode():
+    policy = Sine(1.5, period=10.0)
+    found = record(policy, PLANT, seconds=2.0)
+    (episode,) = evaluate(policy, EvaluationSet("one", (PLANT,)), horizon=2.0)
+    assert episode["failed"]
+    assert -1e-9 <= found.t[-1] - episode["duration"] < 0.02
+
+
+@pytest.mark.parametrize("control_dt", [0.02, 0.01])
+def test_pictures_are_25_a_second(control_dt, tmp_path):
+    found = record(Sine(0.5, env_kwargs={"control_dt": control_dt}), PLANT, seconds=0.4, frames_from=0.2)
+    assert len(found.frames) == 6
+    assert len({frame.tobytes() for frame in found.frames}) == 6
+    write_gif(found.frames, tmp_path / "moving.gif", width=200)
+    with Image.open(tmp_path / "moving.gif") as moving:
+        assert (moving.n_frames, moving.width, moving.info["duration"]) == (6, 200, 40)
+    with pytest.raises(ValueError, match="at least one picture"):
+        write_gif((), tmp_path / "none.gif")
+    assert not (tmp_path / "none.gif").exists()
+
+
+def test_figure_shows_one_to_four_recordings(tmp_path):
+    recordings = [record(Sine(0.1 * n), PLANT, seconds=1.0) for n in range(1, 5)]
+    for count in (1, 4):
+        draw_comparison(recordings[:count], tmp_path / f"{count}.png", "Title")
+    pictures = [np.asarray(Image.open(tmp_path / f"{count}.png").convert("RGB")) for count in (1, 4)]
+    assert pictures[0].shape == pictures[1].shape
+    assert not np.array_equal(*pictures)
+
+
+def test_command_line(tmp_path, monkeypatch):
+    known = {name: Sine(0.3, name=name) for name in ("adaptive", "bold")}
+    monkeypatch.setattr(candidates, "SCRIPTED", known)
+    monkeypatch.setattr(recording, "SCRIPTED", known)
+    gif, png = tmp_path / "a.gif", tmp_path / "a.png"
+    assert recording.main(["bold", "--gif", str(gif), "--png", str(png), "--start", "0.1", "--seconds", "0.2"]) == 0
+    with Image.open(gif) as moving:
+        assert moving.n_frames == 6
+    assert png.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["zero"], "--gif or --png must name a file, got neither"),
+        (["nobody", "--gif", "x.gif"], "got 'nobody'"),
+        (["zero", "--gif", "/nowhere/x.gif"], "--gif must name a file in a folder that exists, got '/nowhere/x.gif'"),
+        (["zero", "--png", "/nowhere/x.png"], "--png must name a file in a folder that exists"),
+        (["zero", "--gif", "x.gif", "--start", "40"], "--start must be between 0 and 33 s, got 40.0"),
+        (["zero", "--gif", "x.gif", "--seconds", "nan"], "--seconds must be between 0 and 33 s, got nan"),
+    ],
+)
+def test_wrong_options_are_named(words, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        recording.main(words)
+    assert stop.value.code == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,135 @@
+"""The loop: determinism, what a run's folder holds, interruption and resumption."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import train as command_line
+from agents.training.checkpoint import newest
+from agents.training.loop import begin, make_env, make_model, own_draws, train
+from agents.training.presets import PRESETS
+from agents.training.runs import Normalisation, load_policy
+from capsule_gym.parameters import RANDOMIZATIONS
+from tests.agents.training.small import small, weights
+
+
+def test_bootstrap_happens_at_time_limits_only():
+    # SB3 adds gamma V(terminal observation) to the reward where TimeLimit.truncated says so: with a critic that says 1
+    # everywhere the collected rewards show where.
+    config = small("direct", "ppo", total_steps=256)
+    env = make_env(config, 0)
+    env.venv.batch.max_episode_steps = 20
+    model = make_model(config, env)
+    for name, parameter in model.policy.named_parameters():
+        if name.startswith("value_net"):
+            torch.nn.init.constant_(parameter, 1000.0 if name.endswith("bias") else 0.0)
+    model.learn(256)
+    rewards = model.rollout_buffer.rewards
+    assert np.count_nonzero(rewards > 500.0) == 8
+    env.close()
+
+
+@pytest.mark.parametrize(("task", "algo"), list(PRESETS))
+def test_same_seed_same_model_another_seed_another(tmp_path, task, algo):
+    models = []
+    for n, seed in enumerate((0, 0, 1)):
+        run = tmp_path / str(n)
+        config = small(task, algo, total_steps=512, seed=seed)
+        begin(run, config)
+        assert train(run, config)
+        models.append(weights(load_policy(run / "model.zip").model))
+    assert np.array_equal(models[0], models[1])
+    assert not np.array_equal(models[0], models[2])
+
+
+def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
+    run = tmp_path / "run"
+    config = small("residual", "ppo", total_steps=512, evaluate_every=256)
+    begin(run, config)
+    with pytest.raises(FileExistsError):
+        begin(run, config)
+    assert train(run, config)
+    content = json.loads((run / "config.json").read_text())
+    assert content["algo"] == "ppo" and content["seed"] == 0
+    assert content["env"]["controller"] == "baselines:adaptive"
+    assert {"torch", "stable-baselines3", "numpy", "numba", "gymnasium"} <= set(content["versions"])
+    assert content["revision"]
+    with (run / "evaluations.csv").open() as file:
+        steps = [int(row["steps"]) for row in csv.DictReader(file)]
+    assert steps == [256, 512]
+    assert (run / "logs" / "progress.csv").stat().st_size > 0
+    assert list((run / "logs").glob("events*"))
+    assert len(list(run.glob("checkpoint-*"))) == 2
+
+    policy = load_policy(run)
+    observations = np.random.default_rng(0).normal(size=(5, 10)).astype(np.float32)
+    normalised = Normalisation.read(run / "best" / "normalisation.json")(observations)
+    expected, _ = policy.model.predict(normalised, deterministic=True)
+    assert np.array_equal(policy.start([0] * 5)(observations), expected)
+    (run / "best" / "normalisation.json").unlink()
+    with pytest.raises(ValueError, match=r"normalisation\.json is missing"):
+        load_policy(run)
+
+
+def test_model_selection_uses_draws_of_its_own():
+    draws = own_draws(small("residual", "ppo"))
+    assert min(plant.seed for plant in draws.plants) >= 1_000_000
+    low, high = RANDOMIZATIONS["paper"].M
+    assert all(low <= plant.M <= high for plant in draws.plants)
+    assert len({plant.M for plant in draws.plants}) == len(draws.plants)
+    assert own_draws(small("residual", "ppo", seed=1)).plants[0].seed not in {p.seed for p in draws.plants}
+
+
+def _train_process(*arguments: str) -> subprocess.Popen:
+    command = [sys.executable, "train.py", "--no-comparison", *arguments]
+    return subprocess.Popen(command, cwd=Path(__file__).parents[3], stderr=subprocess.PIPE, text=True)
+
+
+def _wait_for(condition, process: subprocess.Popen) -> None:
+    deadline = time.monotonic() + 120
+    while not condition():
+        assert process.poll() is None, process.stderr.read() if process.stderr else ""
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def test_kill_and_interrupt_lose_nothing_that_resume_cannot_find(tmp_path):
+    run = tmp_path / "run"
+    options = ("--total-steps", "10_000_000", "--num-envs", "8", "--n-steps", "32", "--batch-size", "64")
+    options += ("--evaluate-every", "1000", "--evaluation-episodes", "1")
+    process = _train_process("--run", str(run), *options)
+    _wait_for(lambda: newest(run), process)
+    process.kill()
+    process.communicate()
+    first = newest(run)
+    assert first is not None
+
+    process = _train_process("--resume", str(run))
+    _wait_for(lambda: newest(run) != first, process)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    second = newest(run)
+    assert second is not None and second.name > first.name
+    assert (run / "model.zip").is_file()
+
+    steps = int(second.name.split("-")[1])
+    assert command_line.main(["--resume", str(run), "--total-steps", str(steps + 500), "--no-comparison"]) == 0
+    third = newest(run)
+    assert third is not None and int(third.name.split("-")[1]) >= steps + 500
+    progress = json.loads((third / "progress.json").read_text())
+    assert progress["resumed_at"] == [int(first.name.split("-")[1]), steps]
+    # One log for all parts, in which each step stands once.
+    with (run / "logs" / "progress.csv").open() as file:
+        logged = [int(row["time/total_timesteps"]) for row in csv.DictReader(file)]
+    assert logged == sorted(set(logged)) and logged[0] < int(first.name.split("-")[1]) < logged[-1]

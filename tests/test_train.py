@@ -1,0 +1,124 @@
+"""The command line of train.py."""
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+import train
+from agents.training.presets import PRESETS
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--task", "sideways"], "--task"),
+        (["--algo", "dqn"], "--algo"),
+        (["--total-steps", "many"], "--total-steps: must be an integer >= 0, got 'many'"),
+        (["--total-steps", "inf"], "--total-steps: must be an integer >= 0, got 'inf'"),
+        (["--total-steps", "1.5"], "--total-steps: must be an integer >= 0, got '1.5'"),
+        (["--gamma", "x"], "--gamma"),
+        (["--tota", "4"], "--tota"),
+        (["--randomization", "huge"], "--randomization"),
+        (["--n-steps", "-4"], "--n-steps"),
+        (["--observe-parameters", "perhaps"], "perhaps"),
+        (["--resume", "nowhere"], "nowhere"),
+    ],
+)
+def test_bad_options_are_named(arguments, message, capsys):
+    with pytest.raises(SystemExit) as stop:
+        train.main(arguments)
+    assert stop.value.code == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(("task", "algo"), list(PRESETS))
+def test_presets_are_the_defaults(task, algo):
+    options = train.read_options(["--algo", algo, "--task", task])
+    assert options.hyperparameters == PRESETS[task, algo]
+    assert (options.task, options.algo, options.run, options.resume) == (task, algo, None, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"), [("8e6", 8_000_000), ("8_000_000", 8_000_000), ("1e3", 1000), ("0", 0), ("12", 12)]
+)
+def test_numbers_may_be_written_briefly(text, value):
+    assert train.read_options(["--total-steps", text]).hyperparameters.total_steps == value
+
+
+def test_options_change_what_they_name():
+    words = ["--seed", "3", "--controller", "baselines:compliant", "--gamma", "0.9", "--observe-parameters"]
+    found = train.read_options([*words, "--randomization", "wide", "--run", "there"])
+    expected = dataclasses.replace(
+        PRESETS["residual", "ppo"],
+        seed=3,
+        controller="baselines:compliant",
+        gamma=0.9,
+        observe_parameters=True,
+        randomization="wide",
+    )
+    assert found.hyperparameters == expected
+    assert found.run == Path("there")
+
+
+@pytest.mark.parametrize(("task", "algo"), list(PRESETS))
+def test_help_explains_every_hyperparameter_with_its_default(task, algo, capsys):
+    with pytest.raises(SystemExit) as stop:
+        train.main(["--task", task, "--algo", algo, "--help"])
+    assert stop.value.code == 0
+    description, *entries = re.split(r"\n\W (?=--)", capsys.readouterr().out)
+    assert "load only what you trust" in description
+    helps = {entry.split()[0]: " ".join(re.sub("[│|]", " ", entry).split()[1:]) for entry in entries}
+    for name, value in PRESETS[task, algo].to_dict().items():
+        text, _, default = helps["--" + name.replace("_", "-")].partition("(default: ")
+        assert default.startswith(f"{value})")
+        # What it takes, and what that means.
+        assert len(text.split()) >= 3, text
+
+
+@pytest.fixture
+def run(tmp_path):
+    """The folder of a run that has begun."""
+    folder = tmp_path / "run"
+    config = dataclasses.replace(PRESETS["direct", "sac"], seed=5, total_steps=1000, observe_parameters=True)
+    content = {"task": "direct", "algo": "sac", "hyperparameters": config.to_dict()}
+    folder.mkdir()
+    (folder / "config.json").write_text(json.dumps(content))
+    return folder
+
+
+def test_resume_takes_everything_from_the_run_but_its_length(run):
+    before = train.read_options(["--resume", str(run)])
+    assert (before.task, before.algo) == ("direct", "sac")
+    assert (before.hyperparameters.seed, before.hyperparameters.total_steps) == (5, 1000)
+    longer = train.read_options(["--resume", str(run), "--total-steps", "2e3"])
+    assert longer.hyperparameters == dataclasses.replace(before.hyperparameters, total_steps=2000)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--seed", "6"], "--seed must stay 5 with --resume, got 6; only --total-steps may be changed"),
+        (["--task", "residual"], "--task must stay direct with --resume, got residual"),
+        (["--algo", "ppo"], "--algo must stay sac with --resume, got ppo"),
+        (["--learning-rate", "0.1"], "--learning-rate must stay 0.0007"),
+        (["--run", "elsewhere"], "--run must not be given with --resume, got 'elsewhere'"),
+        (["--n-steps", "3"], "Unrecognized options: --n-steps, 3"),
+    ],
+)
+def test_resume_refuses_other_changes(run, words, message, capsys):
+    with pytest.raises(SystemExit) as stop:
+        train.main(["--resume", str(run), *words])
+    assert stop.value.code == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_a_run_is_never_overwritten(tmp_path, capsys):
+    assert train.main(["--run", str(tmp_path)]) == 2
+    assert "--resume" in capsys.readouterr().err
