@@ -253,7 +253,6 @@ def begin(run: Path, config: Config) -> None:
 
 def try_out(config: Config) -> None:
     """Makes the environments and the agent of a configuration, for what they refuse."""
-    config.check()
     # What they warn of comes when they are made to stay.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -327,10 +326,12 @@ def note_changes(run: Path, config: Config) -> None:
     if dataclasses.replace(begun, total_steps=config.total_steps) != config:
         raise RunError(f"{path} must hold the configuration that is trained, of which total_steps alone may change")
     content = json.loads(path.read_text(encoding="utf-8"))
+    recorded = content.get("versions")
+    present = versions()
     changed = [
-        f"{name} {content['versions'].get(name)} is now {number}"
-        for name, number in versions().items()
-        if content["versions"].get(name) != number
+        f"{name} {number} is now {present[name]}"
+        for name, number in (recorded if isinstance(recorded, dict) else {}).items()
+        if name in present and number != present[name]
     ]
     if changed:
         print(f"warning: not the same run to the last bit, since {', '.join(changed)}", file=sys.stderr)
