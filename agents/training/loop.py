@@ -253,6 +253,7 @@ def begin(run: Path, config: Config) -> None:
 
 def try_out(config: Config) -> None:
     """Makes the environments and the agent of a configuration, for what they refuse."""
+    config.check()
     # What they warn of comes when they are made to stay.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
