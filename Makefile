@@ -17,7 +17,7 @@ train: $(STAMP)  ## Set everything up and train the default agent (TRAIN_ARGS="-
 
 # The tests take up to a half longer where their coverage is measured. The floor stands in pyproject.toml.
 test: $(STAMP)  ## Set everything up and run the tests (PYTEST_ARGS="-k kernels" for some)
-	$(BIN)/python -m pytest -n 2 --dist loadgroup $(if $(filter true,$(CI)),--cov) $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 $(if $(filter true,$(CI)),--cov) $(PYTEST_ARGS)
 
 coverage: $(STAMP)  ## Run the tests as CI does: with their coverage, which must reach its floor
 	$(MAKE) test CI=true

@@ -16,9 +16,6 @@ from capsule_gym.compilation import fingerprint
 from capsule_gym.kernels import LANES
 from capsule_gym.network import FEW, TILE, decide, decision, filled, pack
 
-# What they share takes long to make: one worker has them all.
-pytestmark = pytest.mark.xdist_group("network")
-
 ROOT = Path(__file__).parents[2]
 
 

@@ -7,9 +7,6 @@ from typing import Any
 
 import pytest
 
-# What they share takes long to make: one worker has them all.
-pytestmark = pytest.mark.xdist_group("wheel")
-
 tomllib = pytest.importorskip("tomllib", reason="from Python 3.11 on", exc_type=ImportError)
 
 ROOT = Path(__file__).resolve().parents[2]

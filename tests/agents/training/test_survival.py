@@ -29,9 +29,6 @@ from agents.training.presets import PRESETS, Config, read_config
 from agents.training.stopping import Stop
 from tests.agents.training.sameness import differences, parameters, rows, same
 
-# What they share takes long to make: one worker has them all.
-pytestmark = pytest.mark.xdist_group("runs")
-
 SMALL = {"num_envs": 8, "batch_size": 64, "hidden": 8, "evaluation_episodes": 2, "evaluate_every": 300}
 OWN = {
     "ppo": {"n_steps": 32, "n_epochs": 2, "total_steps": 1400},

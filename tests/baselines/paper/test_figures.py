@@ -17,9 +17,6 @@ from baselines.paper.figures.profiles import PROFILE_FIGURES, run_profiles
 from baselines.paper.figures.studies import draw_principles
 from baselines.paper.proofs import largest_rates
 
-# What they share takes long to make: one worker has them all.
-pytestmark = pytest.mark.xdist_group("figures")
-
 pytest.importorskip("matplotlib")
 IMAGE = pytest.importorskip("PIL.Image")
 

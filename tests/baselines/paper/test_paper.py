@@ -18,9 +18,6 @@ from baselines.paper.reproduction import track
 from baselines.tables import printed_above, printed_below
 from capsule_gym import Capsule, dynamics
 
-# What they share takes long to make: one worker has them all.
-pytestmark = pytest.mark.xdist_group("report")
-
 ROOT = Path(__file__).resolve().parents[3]
 SWINGS = {
     "proposed": math.radians(published.PROPOSED["swing"].value),

@@ -27,9 +27,6 @@ from capsule_gym.compilation import compile_cached
 from capsule_gym.options import Options
 from capsule_gym.simulation import Simulation
 
-# What they share takes long to make: one worker has them all.
-pytestmark = pytest.mark.xdist_group("sensitivity")
-
 CYCLES = 5
 FINE = 2e-5
 
