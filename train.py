@@ -21,7 +21,6 @@ import tyro  # noqa: E402
 from agents.training.errors import RunError  # noqa: E402
 from agents.training.presets import (  # noqa: E402
     BEST,
-    MODEL,
     PRESETS,
     Algorithm,
     Config,
@@ -30,6 +29,7 @@ from agents.training.presets import (  # noqa: E402
     read_config,
 )
 from capsule_gym.command_line import parse, parse_some, refuse  # noqa: E402
+from capsule_gym.policy import POLICY  # noqa: E402
 
 PROG = "train.py"
 RUNS = Path("runs")
@@ -126,7 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not finished:
         print(f"\nStopped; saved. To go on: python train.py --resume {run}")
         return INTERRUPTED
-    print(f"Trained; the best model on its own draws is {run / BEST / MODEL}.")
+    print(f"Trained; the best model on its own draws is {run / BEST / POLICY}.")
     if not options.no_comparison:
         LEAVING.message = "Stopped. The run is complete; its comparison is not."
         comparison.compare(run)

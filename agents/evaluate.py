@@ -35,7 +35,6 @@ class Options:
     """Evaluates a policy on a frozen set, beside a reference on the same episodes.
 
     Prints interquartile means with 95 % bootstrap intervals, and the paired difference to the reference.
-    Stable-Baselines3 archives contain pickles, which can run any code when loaded: load only what you trust.
 
     Examples:
       python -m agents.evaluate adaptive --set paper
@@ -44,7 +43,7 @@ class Options:
     """
 
     policy: Annotated[Positional[str], arg(metavar="NAME_OR_PATH")]
-    """A scripted policy, a checkpoint (all its training seeds), or the path of a run's folder or a .zip in it."""
+    """A scripted policy, a checkpoint (all training seeds; one as NAME/seed-0), or the path of a run or policy file."""
     set: Annotated[str, arg(metavar="NAME_OR_PATH")] = "paper"
     """A frozen set, or the path of a JSON file of the same form."""
     against: Annotated[str, arg(metavar="NAME_OR_PATH")] = BASELINE
@@ -55,6 +54,8 @@ class Options:
     """Write the result, with all episodes, to this file."""
     overwrite: bool = False
     """Let --json replace an existing file."""
+    trust_controller: bool = False
+    """Accept a policy with a control law from elsewhere: importing it runs its code."""
 
     def check(self) -> None:
         """Refuses a file that cannot be written."""
@@ -117,11 +118,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse(Options, PROG, arguments)
     try:
         evaluation_set = load_set(options.set)
-        candidate = find_candidate(options.policy)
-        reference = find_candidate(options.against)
-        # A broken archive is met here, before any work.
-        for run in (*candidate.runs, *reference.runs):
-            run.load()
+        trust = options.trust_controller
+        candidate, reference = (find_candidate(n, trust_controller=trust) for n in (options.policy, options.against))
     except ValueError as error:
         refuse(PROG, str(error))
     episodes = run_all(candidate, evaluation_set)

@@ -70,7 +70,8 @@ def record(
     env = gym.make("CapsuleStickSlip-v0", render_mode=mode, max_episode_steps=steps, **settings)
     act = policy.start([plant.seed])
     rows, frames, terminated = [], [], False
-    observation, info = env.reset(seed=plant.seed, options={"M": plant.M, "mu": plant.mu})
+    start = [plant.theta, 0.0, 0.0, 0.0]
+    observation, info = env.reset(seed=plant.seed, options={"M": plant.M, "mu": plant.mu, "state": start})
     for n in range(steps + 1):
         rows.append((n * dt, info["state"][0], info["state"][2], info["torque"]))
         if n >= first_frame and (n - first_frame) % frame_every == 0:
@@ -151,8 +152,6 @@ def write_gif(frames: Sequence[np.ndarray], path: Path, frame_seconds: float = F
 class Options:
     """Draws a policy on the nominal plant: as a moving picture, or beside the paper's controller.
 
-    Model archives contain pickles: load only what you trust.
-
     Examples:
       python -m agents.recording residual-ppo --gif moving.gif
       python -m agents.recording runs/my-run --png figure.png
@@ -168,6 +167,8 @@ class Options:
     """Start of the moving picture, s."""
     seconds: float = ANIMATION_SECONDS
     """Length of the moving picture, s."""
+    trust_controller: bool = False
+    """Accept a policy with a control law from elsewhere: importing it runs its code."""
 
     def check(self) -> None:
         """Refuses times outside an episode, and files that cannot be written."""
@@ -183,7 +184,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     options = parse(Options, PROG, arguments)
     try:
-        policy = find_candidate(options.policy).runs[0].load()
+        policy = find_candidate(options.policy, trust_controller=options.trust_controller).runs[0].policy
     except ValueError as error:
         refuse(PROG, str(error))
     if options.png is not None:

@@ -26,6 +26,7 @@ from baselines.tables import markdown_table, text_table
 from benchmarks.machine import describe, machine
 from benchmarks.output import Output, check_at_least_one, section
 from benchmarks.trainers import BROAD, PACKAGES, UNTUNED
+from capsule_gym import load_policy
 from capsule_gym.command_line import Count, described, parse
 from capsule_gym.files import to_json, write_atomically
 
@@ -103,8 +104,6 @@ def curve(run: Path) -> list[tuple[int, float]]:
 
 def record(run: Path, seed: int, evaluation_set: EvaluationSet) -> tuple[dict[str, Any], list[Episode]]:
     """What a finished run has cost and learned, and its episodes."""
-    from agents.training.runs import load_policy
-
     points = curve(run)
     seconds = json.loads((run / COST).read_text(encoding="utf-8"))["processor_seconds"]
     episodes = [{**episode, "training_seed": seed} for episode in evaluate(load_policy(run), evaluation_set)]

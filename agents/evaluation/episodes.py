@@ -10,12 +10,14 @@ from typing import Any, Protocol
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+import capsule_gym
 from agents.evaluation.sets import EvaluationSet, PlantSpec
 from agents.evaluation.statistics import Estimate, estimate, paired_difference
 from agents.evaluation.tables import SHARE
 from baselines.gaits.archive import best_known_speed, in_grid
 from capsule_gym import CapsuleVectorEnv, __version__
-from capsule_gym.task import CONTROL_DT, HORIZON, TORQUE_LIMIT
+from capsule_gym.rollout import rollout
+from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA, TORQUE_LIMIT
 
 Act = Callable[[np.ndarray], np.ndarray]
 Episode = dict[str, Any]
@@ -23,7 +25,7 @@ Episode = dict[str, Any]
 # What makes an episode of a set, whatever a policy was trained with.
 EPISODE_SETTINGS: dict[str, Any] = {"randomization": "none", "initial_noise": 0.0}
 # What an episode says beside its metrics.
-LABELS = ("M", "mu", "seed", "changes", "training_seed")
+LABELS = ("M", "mu", "seed", "theta", "changes", "training_seed")
 PACKAGES = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
 
 
@@ -59,15 +61,17 @@ class Policy(Protocol):
 def evaluate(policy: Policy, evaluation_set: EvaluationSet, *, horizon: float = HORIZON) -> list[Episode]:
     """Runs a policy once on every plant of a set, all at once, each from rest.
 
+    A trained policy runs in compiled code, `capsule_gym.rollout`; the others are asked at every step.
+
     Args:
         policy: what acts.
         evaluation_set: the plants.
         horizon: length of an episode in s.
 
     Returns:
-        One dict per plant, in order: M (kg), mu, seed, the plant's changes where it has any, and the metrics of
-        `capsule_gym.task.Metrics`; where `has_best_known` says so also `share_of_best_known`, the mean speed
-        over the best-known one of the episode's plant.
+        One dict per plant, in order: M (kg), mu, seed, where it has them theta (rad) and changes, and the metrics of
+        `capsule_gym.task.Metrics`; where `has_best_known` says so also `share_of_best_known`, the mean speed over the
+        best-known one of the episode's plant.
     """
     settings: dict[str, Any] = {**policy.env_kwargs, **EPISODE_SETTINGS}
     metrics = _run(policy, settings, evaluation_set.plants, round(horizon / settings.get("control_dt", CONTROL_DT)))
@@ -95,24 +99,29 @@ def _run(policy: Policy, settings: Mapping[str, Any], plants: Sequence[PlantSpec
             options={
                 "M": np.array([plant.M for plant in plants]),
                 "mu": np.array([plant.mu for plant in plants]),
+                "state": np.array([(plant.theta, 0.0, 0.0, 0.0) for plant in plants]),
                 "changes": [[change.to_dict() for change in plant.changes] for plant in plants],
             },
         )
+        if isinstance(policy, capsule_gym.Policy):
+            return rollout(env.simulation, policy, steps)
         act = policy.start(seeds)
         for _ in range(steps):
             observations, _, terminated, truncated, _ = env.step(act(observations))
             if (terminated | truncated).all():
                 break
         # Who has ended stands still.
-        metrics = env.episode_metrics()
+        return env.episode_metrics()
     finally:
         env.close()
-    return metrics
 
 
 def has_best_known(evaluation_set: EvaluationSet) -> bool:
-    """Whether every episode of a set is one of the table of best-known gaits: no jumps, M and mu within its grid."""
-    return all(not plant.changes and in_grid(plant.M, plant.mu) for plant in evaluation_set.plants)
+    """Whether all episodes of a set are such as the table of best-known gaits holds: its start, its grid, no jumps."""
+    return all(
+        plant.theta == START_THETA and not plant.changes and in_grid(plant.M, plant.mu)
+        for plant in evaluation_set.plants
+    )
 
 
 def scores(episodes: Sequence[Episode], metric: str) -> np.ndarray:

@@ -5,13 +5,14 @@ where a file differs from its draw.
 
 | set | episodes | platform mass M and friction coefficient mu |
 |---|---|---|
-| `nominal` | 1 | the paper's plant |
+| `nominal` | 100 | the paper's plant, from 100 angles |
 | `paper` | 100 | drawn as by `randomization="paper"` |
 | `wide` | 100 | drawn as by `randomization="wide"` |
 | `extrapolation` | 100 | outside `wide` in M, in mu or in both |
 | `drift` | 100 | drawn three times as in `wide` |
 
-`nominal` holds one plant: the episode starts from rest without noise, so that repetitions would be copies.
+`nominal` starts at rest as all do, but within 0.1 rad of the angle that the others start from (uniform, to a
+microradian); its first episode is the paper's own. From a single start a chaotic policy would show a single draw.
 
 `extrapolation`: a third of the plants leaves `wide` in M alone, a third in mu alone, a third in both. Outside means
 lighter or heavier (down to 0.25 kg, up to 1.2 kg; uniform), smoother or rougher (down to 0.002, up to 0.6;
@@ -36,7 +37,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -46,11 +47,13 @@ import numpy as np
 from capsule_gym.command_line import parse
 from capsule_gym.files import canonical_hash, write_atomically
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, check_number
-from capsule_gym.task import CONTROL_DT, HORIZON
+from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA, THETA_LIMIT
 
 PROG = "python -m agents.evaluation.sets"
 SETS_FOLDER = Path(__file__).with_name("frozen")
 EPISODES = 100
+# Half the width of the angles that `nominal` starts from, rad.
+STARTS = 0.1
 
 _WIDE = RANDOMIZATIONS["wide"]
 assert _WIDE.M is not None and _WIDE.mu is not None
@@ -87,21 +90,20 @@ class PlantSpec:
         mu: friction coefficient.
         seed: seeds the episode's environment and the policy, where they draw random numbers.
         changes: the plant's jumps in order of time.
+        theta: the angle that the episode starts from, at rest, rad.
     """
 
     M: float
     mu: float
     seed: int
     changes: tuple[Change, ...] = ()
+    theta: float = START_THETA
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""
-        return {
-            "M": self.M,
-            "mu": self.mu,
-            "seed": self.seed,
-            "changes": [change.to_dict() for change in self.changes],
-        }
+        start = {} if self.theta == START_THETA else {"theta": self.theta}
+        changes = [change.to_dict() for change in self.changes]
+        return {"M": self.M, "mu": self.mu, "seed": self.seed, **start, "changes": changes}
 
 
 NOMINAL_PLANT = PlantSpec(NOMINAL.M, NOMINAL.mu, seed=0)
@@ -157,7 +159,9 @@ def _drawn(rng: np.random.Generator, randomization: str) -> tuple[float, float]:
 
 
 def _nominal(rng: np.random.Generator) -> list[PlantSpec]:
-    return [NOMINAL_PLANT]
+    starts = [round(START_THETA + _uniform(rng, -STARTS, STARTS), 6) for _ in range(EPISODES - 1)]
+    rest = [replace(NOMINAL_PLANT, seed=seed, theta=theta) for seed, theta in enumerate(starts, start=1)]
+    return [NOMINAL_PLANT, *rest]
 
 
 def _paper(rng: np.random.Generator) -> list[PlantSpec]:
@@ -251,23 +255,26 @@ def _parse_change(where: str, value: Any, after: float) -> Change:
 
 
 def _parse_plant(where: str, value: Any) -> PlantSpec:
-    entry = _fields(where, value, ("M", "mu", "seed"), ("changes",))
+    entry = _fields(where, value, ("M", "mu", "seed"), ("theta", "changes"))
     M, mu = _mass_and_friction(where, entry)
+    accepted = f"an angle in rad within {THETA_LIMIT:.4g} of 0"
+    largest = math.nextafter(THETA_LIMIT, 0.0)
+    theta = check_number(f"{where}.theta", entry.get("theta", START_THETA), accepted, -largest, largest)
     seed = entry["seed"]
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ValueError(f"{where}.seed must be an integer >= 0, got {seed!r}")
     changes: list[Change] = []
     for j, change in enumerate(_items(f"{where}.changes", entry.get("changes", []), "a list of changes")):
         changes.append(_parse_change(f"{where}.changes[{j}]", change, changes[-1].t if changes else 0.0))
-    return PlantSpec(M, mu, seed, tuple(changes))
+    return PlantSpec(M, mu, seed, tuple(changes), theta)
 
 
 def parse_set(content: Any) -> EvaluationSet:
     """Validates the parsed JSON of a set.
 
     Args:
-        content: `{"name": .., "plants": [{"M": .., "mu": .., "seed": .., "changes": [{"t": .., "M": .., "mu": ..}]}]}`
-            with M in kg and t in s; `changes` may be left out.
+        content: `{"name": .., "plants": [{"M": .., "mu": .., "seed": .., "theta": .., "changes": [{"t": .., "M": ..,
+            "mu": ..}]}]}` with M in kg, theta in rad and t in s; `theta` and `changes` may be left out.
 
     Raises:
         TypeError: if a number is of the wrong type.

@@ -1,9 +1,9 @@
 """Writes and checks the leaderboard, every policy on every frozen set: `python -m agents.leaderboard`.
 
 The check compares exactly: the policies listed, their descriptions and training seeds, the sets' hashes, the hash of
-every checkpoint's model, normalisation and configuration, and the revisions they were trained at; LEADERBOARD.md and
-the README's head must be what leaderboard.json renders to. Then it evaluates everything again with the code at hand
-and compares the numbers, each to the tolerance that its measured spread allows: `agents.leaderboard.tolerance`.
+every policy's file, and the revisions they were trained at; LEADERBOARD.md and the README's head must be what
+leaderboard.json renders to. Then it evaluates everything again with the code at hand and compares every digit:
+networks, laws and plants give the same bits on every machine.
 
 Versions of packages are recorded and not compared. Neither is any revision of the code: the numbers are, so that a
 commit makes the leaderboard stale exactly where it changes them.
@@ -30,9 +30,6 @@ ROOT = Path(__file__).resolve().parents[2]
 @dataclass(frozen=True)
 class Options:
     """Evaluates every policy on every frozen set and writes leaderboard.json, LEADERBOARD.md and the README's head.
-
-    Writing also measures how far each number moves under the noise that tells machines apart, which takes most of the
-    time: minutes.
 
     Examples:
       python -m agents.leaderboard            write them

@@ -1,9 +1,8 @@
-"""The content of leaderboard.json: every policy evaluated on every frozen set, and how chaotic its numbers are."""
+"""The content of leaderboard.json: every policy evaluated on every frozen set, and how chaotic it is."""
 
 from __future__ import annotations
 
 import multiprocessing
-import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -13,21 +12,17 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from agents.evaluation.candidates import POLICY_FILES, Candidate, Run
+from agents.evaluation.candidates import Candidate, Run
 from agents.evaluation.episodes import Episode, summarise, versions
 from agents.evaluation.sets import EvaluationSet
 from agents.evaluation.tables import MEASURES, SHARE
-from agents.leaderboard import tolerance
+from agents.leaderboard import chaos
 from agents.leaderboard.page import rank, render, with_head
 from capsule_gym.files import file_hash, to_json, without_nonfinite, write_atomically
+from capsule_gym.policy import POLICY
 from capsule_gym.task import HORIZON
 
 T = TypeVar("T")
-
-
-def _one_thread() -> None:
-    """Keeps a worker's networks to one thread: the workers already fill the machine."""
-    os.environ["OMP_NUM_THREADS"] = "1"
 
 
 def _evaluate_run(run: Run, sets: Sequence[EvaluationSet], horizon: float) -> list[list[Episode]]:
@@ -40,9 +35,8 @@ def _pool(jobs: int) -> Iterator[Any]:
     if jobs == 1:
         yield map
         return
-    # Spawned and not forked: numba's and torch's threads do not survive a fork.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_one_thread) as executor:
+    # Spawned and not forked, which Python warns of where there are threads.
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as executor:
         yield executor.map
 
 
@@ -55,7 +49,7 @@ def static_row(candidate: Candidate) -> dict[str, Any]:
     """What a row says before anything is evaluated."""
     revisions = dict.fromkeys(run.revision for run in candidate.runs if run.revision)
     folder = candidate.folder
-    paths = sorted(path for name in POLICY_FILES for path in folder.rglob(name)) if folder else []
+    paths = sorted(folder.rglob(POLICY)) if folder else []
     return {
         "policy": candidate.name,
         "description": candidate.description,
@@ -80,12 +74,7 @@ def _summary(episodes: Sequence[Episode]) -> dict[str, Any]:
 
 
 def build(
-    candidates: Sequence[Candidate],
-    sets: Sequence[EvaluationSet],
-    *,
-    jobs: int = 1,
-    horizon: float = HORIZON,
-    with_spread: bool = True,
+    candidates: Sequence[Candidate], sets: Sequence[EvaluationSet], *, jobs: int = 1, horizon: float = HORIZON
 ) -> dict[str, Any]:
     """Evaluates everything: the content of leaderboard.json.
 
@@ -94,24 +83,18 @@ def build(
         sets: the columns; one of them is the ranking set.
         jobs: number of processes.
         horizon: length of an episode in s.
-        with_spread: whether to measure every number's spread too, which takes several times as long.
     """
     runs = [run for candidate in candidates for run in candidate.runs]
-    pairs = [(candidate, evaluation_set) for candidate in candidates for evaluation_set in sets]
     with _pool(jobs) as run_map:
         evaluated = run_map(_evaluate_run, runs, [sets] * len(runs), [horizon] * len(runs))
+        disturbed = run_map(chaos.measure, candidates, [horizon] * len(candidates))
         results = iter(_with_progress("evaluating", evaluated, len(runs)))
-        if with_spread:
-            measured = run_map(tolerance.measure, *zip(*pairs, strict=True), [horizon] * len(pairs))
-            spreads = iter(_with_progress("measuring the spread", measured, len(pairs)))
+        ranges = _with_progress("disturbing", disturbed, len(candidates))
     rows = []
-    for candidate in candidates:
+    for candidate, speeds in zip(candidates, ranges, strict=True):
         own = [next(results) for _ in candidate.runs]
         summaries = {s.name: _summary([episode for run in own for episode in run[i]]) for i, s in enumerate(sets)}
-        if with_spread:
-            for summary in summaries.values():
-                summary["spread"] = _rounded(next(spreads), 3)
-        rows.append({**static_row(candidate), "results": summaries})
+        rows.append({**static_row(candidate), "results": summaries, "disturbed": _rounded(speeds, 6)})
     board = {"sets": {s.name: s.hash for s in sets}, "versions": versions(), "rows": rank(rows)}
     return without_nonfinite(board)
 

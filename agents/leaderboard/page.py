@@ -10,7 +10,7 @@ from typing import Any
 
 from agents.evaluation.candidates import BASELINE
 from agents.evaluation.tables import MEASURES, SHARE, Measure
-from agents.leaderboard.tolerance import EVALUATIONS, MULTIPLE, NOISE, RELATIVE
+from agents.leaderboard.chaos import COPIES, NOISE
 from baselines.tables import markdown_table
 
 RANKING_SET = "paper"
@@ -95,17 +95,14 @@ def _sets_table(board: Mapping[str, Any]) -> str:
     return markdown_table(table)
 
 
-def _spread_table(board: Mapping[str, Any]) -> str:
-    """The spread of the mean speed on every set."""
-
-    def cell(spread: float) -> str:
-        return SPEED.format(spread) if float(SPEED.format(spread)) else f"< {0.5 * 10.0**-SPEED.digits:g}"
-
-    table = [["policy", *board["sets"]]]
+def _chaos_table(board: Mapping[str, Any]) -> str:
+    """The range of the mean speed under noise."""
+    table = [["policy", f"lowest {SPEED.label}", "highest", "width"]]
     for row in rank(board["rows"]):
-        table.append(
-            [row["policy"], *(cell(row["results"][name]["spread"]["mean_speed"]["iqm"]) for name in board["sets"])]
-        )
+        low, high = (row["disturbed"][end] for end in ("low", "high"))
+        width = SPEED.format(high - low)
+        smallest = f"< {0.5 * 10.0**-SPEED.digits:g}"
+        table.append([row["policy"], SPEED.format(low), SPEED.format(high), width if float(width) else smallest])
     return markdown_table(table)
 
 
@@ -118,7 +115,7 @@ def _notes(board: Mapping[str, Any]) -> list[str]:
         "together; with three seeds the interval is the range from the worst to the best seed, which holds the true "
         "median of training runs with a probability of 75 %, not 95 %. Scripted policies, and policies of a single "
         "seed, have their episodes resampled: the interval then says how much the choice of plants matters, not what "
-        "another training run would give. `nominal` is one plant, so that these have no interval there.",
+        "another training run would give; on `nominal`, how much the start matters.",
         "- Failures are counted over all episodes of all training seeds.",
         "- Revision: the git revision that a checkpoint was trained at. Scripted policies are this checkout's own "
         "code, which the check runs, so they need none.",
@@ -138,10 +135,12 @@ def render(board: Mapping[str, Any]) -> str:
     lines = [
         "# Leaderboard",
         "",
-        f"Written by `{COMMAND}` from `leaderboard.json`; do not edit. `{COMMAND} --check` evaluates every row again "
-        "and fails where a number, a set or a checkpoint is not what stands here.",
+        f"Written by `{COMMAND}` from `leaderboard.json`; do not edit. `{COMMAND} --check` evaluates every row again, "
+        "and fails where any digit of a number, a set or a checkpoint is not what stands here: the same code gives the "
+        "same bits on every machine.",
         "",
-        "Every policy runs the same frozen episodes: 33 s from rest. Numbers are interquartile means (the middle half "
+        "Every policy runs the same frozen episodes: 33 s from rest (on `nominal` the paper's plant from 100 angles, "
+        "on the other sets 100 plants from one). Numbers are interquartile means (the middle half "
         "of the episodes) with 95 % bootstrap intervals. A failed episode (the pendulum reaches 90 degrees, or the "
         "platform leaves the floor) ends there: its mean speed is the distance it had made over the whole 33 s, its "
         "other numbers are of the time until then.",
@@ -163,15 +162,14 @@ def render(board: Mapping[str, Any]) -> str:
         "",
         _shares_table(board),
         "",
-        "## Spread",
+        "## Chaos",
         "",
-        f"How much of a mean speed (cm/s) is chance: the largest minus the smallest of {EVALUATIONS} evaluations with "
-        f"noise of 1 / {1.0 / NOISE:,.0f} of full action on every action. Networks in float32 differ by as much from "
-        "machine to machine; a chaotic policy amplifies it. The check accepts a number within "
-        f"{MULTIPLE:g} times its spread, which is recorded for each, and {100.0 * RELATIVE:g} % for rounding. A set of "
-        "a single plant leaves a chaotic policy a single draw.",
+        f"The mean speed (cm/s) on the paper's plant, of {COPIES} copies of one episode with noise of up to "
+        f"1 / {1.0 / NOISE:,.0f} of full action on every action; of several training seeds, the one whose copies part "
+        "the most. The speed of a policy with a wide range is known as a distribution only: a single episode of it "
+        "says little, here as on a robot.",
         "",
-        _spread_table(board),
+        _chaos_table(board),
         "",
         "## The policies",
         "",

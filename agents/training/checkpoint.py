@@ -34,7 +34,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.training.errors import RunError
 from agents.training.presets import BEST, MODEL
-from agents.training.runs import ALGORITHMS, archive
+from agents.training.runs import archive, unarchive
 from capsule_gym.files import file_hash, naming, synchronise, to_json, write_bytes_atomically
 
 MANIFEST, STATE, REPLAY_BUFFER, PROGRESS = "manifest.json", "state.pkl", "replay_buffer.pkl", "progress.json"
@@ -235,7 +235,7 @@ def restore(checkpoint: Path, algo: str, env: VecNormalize) -> tuple[BaseAlgorit
         path = checkpoint / STATE
         state = pickle.loads(path.read_bytes())
         path = checkpoint / MODEL
-        model = ALGORITHMS[algo].load(path, env=env, device="cpu", force_reset=False)
+        model = unarchive(path, algo, env)
         if isinstance(model, OffPolicyAlgorithm):
             path = checkpoint / REPLAY_BUFFER
             model.replay_buffer = pickle.loads(path.read_bytes())

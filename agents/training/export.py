@@ -18,7 +18,6 @@ ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 def export(
     name: str,
     model: BaseAlgorithm,
-    normalisation: Normalisation,
     *,
     env_kwargs: dict[str, Any],
     training_seed: int,
@@ -28,8 +27,8 @@ def export(
 
     Args:
         name: for messages and tables.
-        model: a PPO or SAC agent with a plain network of linear layers, tanh or ReLU between them.
-        normalisation: what its observations go through.
+        model: a PPO or SAC agent with a plain network of linear layers, tanh or ReLU between them, and with its
+            environments, which normalise its observations.
         env_kwargs: the arguments of the environment that it was trained in.
         training_seed: the seed of the training run.
         revision: the git revision that it runs at.
@@ -57,6 +56,7 @@ def export(
             f"squashing, got {hidden} and {last}"
         )
     (activation,) = kinds
+    normalisation = Normalisation.of(model)
     return Policy(
         name=name,
         algorithm=algorithm,

@@ -28,15 +28,16 @@ from agents.evaluation.statistics import interquartile_mean
 from agents.training import checkpoint
 from agents.training.checkpoint import Progress
 from agents.training.errors import RunError
+from agents.training.export import export
 from agents.training.lock import locked
 from agents.training.logs import EVALUATED, EVALUATIONS, Table, make_logger
 from agents.training.presets import BEST, CONFIG, Config, PPOConfig, SACConfig, read_config
-from agents.training.runs import Normalisation, TrainedPolicy, git_revision, save_model
+from agents.training.runs import git_revision, save
 from agents.training.sac import LeanSAC
 from agents.training.stopping import Stop
 from agents.training.vec_env import CapsuleSB3VecEnv
 from baselines.policies import SCRIPTED
-from capsule_gym import Capsule, Randomization
+from capsule_gym import Capsule, Policy, Randomization
 from capsule_gym.files import naming, to_json, write_atomically
 from capsule_gym.simulation import Stream, random_stream
 
@@ -118,12 +119,16 @@ class Monitor(BaseCallback):
         progress: where it stands.
         latest: the checkpoint that it goes on from, None for none.
         stop: whether it is to end.
+        revision: the git revision that the run was begun at.
     """
 
-    def __init__(self, run: Path, config: Config, progress: Progress, latest: Path | None, stop: Stop) -> None:
+    def __init__(
+        self, run: Path, config: Config, progress: Progress, latest: Path | None, stop: Stop, revision: str
+    ) -> None:
         super().__init__()
         self.run = run
         self.config = config
+        self.revision = revision
         self.progress = progress
         self.latest = latest
         self.stop = stop
@@ -178,7 +183,7 @@ class Monitor(BaseCallback):
 
     def evaluate(self) -> None:
         """Evaluates the deterministic policy, writes a line, a checkpoint, and the best model where it is one."""
-        policy = self.policy()
+        policy = policy_of(self.run, self.config, self.revision, self.model)
         episodes = evaluate(policy, self.draws)
         speed = float(interquartile_mean(scores(episodes, "mean_speed"))[0])
         failed = float(scores(episodes, "failed").mean())
@@ -196,7 +201,7 @@ class Monitor(BaseCallback):
         )
         if self.progress.best_speed is None or speed > self.progress.best_speed:
             self.progress.best_speed = speed
-            save_model(self.run / BEST, self.model, policy.normalisation)
+            save(self.run / BEST, self.model, policy)
         self.checkpoint()
 
     def checkpoint(self) -> None:
@@ -212,11 +217,11 @@ class Monitor(BaseCallback):
             before=self.latest,
         )
 
-    def policy(self) -> TrainedPolicy:
-        """The policy as it is now."""
-        env = self.model.get_vec_normalize_env()
-        assert env is not None
-        return TrainedPolicy(self.run.name, self.config.env_kwargs(), self.model, Normalisation.of(env))
+
+def policy_of(run: Path, config: Config, revision: str, model: BaseAlgorithm) -> Policy:
+    """The policy that an agent of a run acts by at present."""
+    kwargs = config.env_kwargs()
+    return export(run.name, model, env_kwargs=kwargs, training_seed=config.seed, revision=revision)
 
 
 def begin(run: Path, config: Config) -> None:
@@ -285,7 +290,7 @@ def train(run: Path, config: Config) -> bool:
     """
     torch.set_num_threads(config.torch_threads)
     with naming(run), locked(run):
-        note_changes(run, config)
+        revision = note_changes(run, config)
         checkpoint.clean_up(run)
         latest = checkpoint.newest_whole(run)
         checkpoint.restore_best(latest, run)
@@ -297,7 +302,7 @@ def train(run: Path, config: Config) -> bool:
             progress = Progress.read(latest)
             progress.resumed_at.append(model.num_timesteps)
         stop = Stop()
-        monitor = Monitor(run, config, progress, latest, stop)
+        monitor = Monitor(run, config, progress, latest, stop, revision)
         model.set_logger(make_logger(run, model.num_timesteps))
         remaining = config.total_steps - model.num_timesteps
         try:
@@ -312,12 +317,15 @@ def train(run: Path, config: Config) -> bool:
             monitor.bar.close()
             model.logger.close()
             env.close()
-        save_model(run, model, Normalisation.of(env))
+        save(run, model, policy_of(run, config, revision, model))
         return not stop.requested
 
 
-def note_changes(run: Path, config: Config) -> None:
+def note_changes(run: Path, config: Config) -> str:
     """Says how a run that goes on differs from the one that was begun, and writes a new end down.
+
+    Returns:
+        The git revision that it was begun at.
 
     Raises:
         RunError: if config.json cannot be read, or is another run's.
@@ -343,3 +351,5 @@ def note_changes(run: Path, config: Config) -> None:
         )
         content["hyperparameters"]["total_steps"] = config.total_steps
         write_atomically(path, to_json(content))
+    revision = content.get("revision")
+    return revision if isinstance(revision, str) and revision else "unknown"

@@ -23,7 +23,7 @@ from capsule_gym.parameters import check_number
 # Of numpy's generators, which SB3 seeds.
 LARGEST_SEED = 2**32 - 1
 # The files of a run that decide its policy, and the folder of the best evaluation.
-CONFIG, MODEL, NORMALISATION, BEST = "config.json", "model.zip", "normalisation.json", "best"
+CONFIG, MODEL, BEST = "config.json", "model.zip", "best"
 
 Task = Literal["residual", "direct"]
 Algorithm = Literal["ppo", "sac"]

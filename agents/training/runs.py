@@ -1,35 +1,41 @@
-"""The folder of a training run: what lies in it, how it is written so that nothing is lost, how a policy is read back.
+"""The folder of a training run: what lies in it, and how an agent is written so that nothing is lost.
 
     config.json          algorithm, hyperparameters, environment, seed, package versions, git revision
-    model.zip            the last model
-    normalisation.json   the observation's running mean and variance that belong to it
+    policy.safetensors   the last policy, to use: `capsule_gym.load_policy`
+    model.zip            the last agent, for Stable-Baselines3: `PPO.load`
     best/                the same two files for the best evaluation so far
     checkpoint-STEPS/    everything that --resume needs, as `agents.training.checkpoint` says; the last two
     evaluations.csv      the evaluations while training
     logs/                progress.csv and TensorBoard events
     lock                 the process that trains it
 
-Stable-Baselines3 archives (model.zip) contain pickles, which can run any code when loaded: load only what you trust.
+While an agent learns, `VecNormalize` stands between it and the environments. Its archive holds that normalisation as
+the first layer of its networks (`Normalised`): what `PPO.load` gives acts on the environment's own observations.
+Archives contain pickles, which can run any code when loaded: load only what you trust. A policy file contains none.
 """
 
 from __future__ import annotations
 
 import io
-import json
 import subprocess
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from gymnasium import spaces
 from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.save_util import load_from_zip_file
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.training.presets import BEST, CONFIG, MODEL, NORMALISATION
+from agents.training.presets import MODEL
 from agents.training.sac import LeanSAC
-from capsule_gym.files import to_json, write_atomically, write_bytes_atomically
+from capsule_gym import Policy
+from capsule_gym.files import write_bytes_atomically
+from capsule_gym.policy import POLICY
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": LeanSAC}
 
@@ -41,96 +47,83 @@ class Normalisation:
     Attributes:
         mean: shape (entries,), float64.
         var: shape (entries,), float64.
-        count: number of observations behind them.
         clip: largest normalised value.
         epsilon: added to the variance.
     """
 
     mean: np.ndarray
     var: np.ndarray
-    count: float
     clip: float
     epsilon: float
 
     @classmethod
-    def of(cls, env: VecNormalize) -> Normalisation:
-        """The present statistics of a running environment."""
+    def of(cls, model: BaseAlgorithm) -> Normalisation:
+        """The present statistics of the environments that an agent learns in."""
+        env = model.get_vec_normalize_env()
+        assert isinstance(env, VecNormalize)
         rms: Any = env.obs_rms
-        return cls(rms.mean.copy(), rms.var.copy(), float(rms.count), env.clip_obs, env.epsilon)
-
-    @classmethod
-    def read(cls, path: Path) -> Normalisation:
-        """From a file."""
-        content = json.loads(path.read_text(encoding="utf-8"))
-        mean, var = np.array(content["mean"]), np.array(content["var"])
-        return cls(mean, var, content["count"], content["clip"], content["epsilon"])
-
-    def write(self, path: Path) -> None:
-        """To a file."""
-        fields = {**vars(self), "mean": self.mean.tolist(), "var": self.var.tolist()}
-        write_atomically(path, to_json(fields))
-
-    def __call__(self, observations: np.ndarray) -> np.ndarray:
-        """Normalised observations, float32."""
-        scaled = (observations - self.mean) / np.sqrt(self.var + self.epsilon)
-        return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
+        return cls(rms.mean.copy(), rms.var.copy(), env.clip_obs, env.epsilon)
 
 
-@dataclass(frozen=True)
-class TrainedPolicy:
-    """A trained network that acts deterministically.
+class Normalised(BaseFeaturesExtractor):
+    """The normalisation as the first layer of a network; it has nothing to learn and is no part of the state dict."""
 
-    Attributes:
-        name: as it appears in results.
-        env_kwargs: the arguments of the environment that it was trained in.
-        model: the network.
-        normalisation: what its observations go through.
-    """
+    mean: torch.Tensor
+    scale: torch.Tensor
 
-    name: str
-    env_kwargs: dict[str, Any]
-    model: BaseAlgorithm
-    normalisation: Normalisation
+    def __init__(self, observation_space: spaces.Box, normalisation: Normalisation) -> None:
+        super().__init__(observation_space, int(np.prod(observation_space.shape)))
+        self.normalisation = normalisation
+        scale = np.sqrt(normalisation.var + normalisation.epsilon)
+        self.register_buffer("mean", torch.from_numpy(normalisation.mean), persistent=False)
+        self.register_buffer("scale", torch.from_numpy(scale), persistent=False)
 
-    def start(self, seeds: Sequence[int]) -> Callable[[np.ndarray], np.ndarray]:
-        """The policy as a function from observations (n, entries) to actions (n, 1)."""
-        return lambda observations: self.model.predict(self.normalisation(observations), deterministic=True)[0]
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Normalised observations, float32, by the arithmetic of `VecNormalize`."""
+        scaled = (observations.double() - self.mean) / self.scale
+        return scaled.clamp(-self.normalisation.clip, self.normalisation.clip).float()
 
 
-def load_policy(path: Path) -> TrainedPolicy:
-    """Reads a trained policy. The archive contains pickles: load only what you trust.
-
-    Args:
-        path: a run's folder, whose best model counts if there is one, or a .zip with its normalisation beside it.
-
-    Raises:
-        ValueError: if something is missing.
-    """
-    path = Path(path)
-    file = path
-    if path.is_dir():
-        file = next((p for p in (path / BEST / MODEL, path / MODEL) if p.is_file()), path / MODEL)
-    folder = next((p for p in (file.parent, file.parent.parent) if (p / CONFIG).is_file()), file.parent)
-    for needed in (file, file.with_name(NORMALISATION), folder / CONFIG):
-        if not needed.is_file():
-            raise ValueError(f"{path} is no trained policy: {needed} is missing")
-    config = json.loads((folder / CONFIG).read_text(encoding="utf-8"))
-    model = ALGORITHMS[config["algo"]].load(file, device="cpu")
-    return TrainedPolicy(folder.name, config["env"], model, Normalisation.read(file.with_name(NORMALISATION)))
+# What an archive's networks are made with and those in training are not.
+_FIRST_LAYER = ("features_extractor_class", "features_extractor_kwargs")
 
 
 def archive(model: BaseAlgorithm) -> bytes:
-    """SB3's archive of a model; made in memory, since on a full disk its writer fails with an error of its own."""
+    """SB3's archive of an agent, its normalisation inside.
+
+    Made in memory, since on a full disk SB3's writer fails with an error of its own.
+    """
     content = io.BytesIO()
-    model.save(content)
+    kwargs: dict[str, Any] = model.policy_kwargs
+    layer = (Normalised, {"normalisation": Normalisation.of(model)})
+    try:
+        model.policy_kwargs = {**kwargs, **dict(zip(_FIRST_LAYER, layer, strict=True))}
+        model.save(content)
+    finally:
+        model.policy_kwargs = kwargs
     return content.getvalue()
 
 
-def save_model(folder: Path, model: BaseAlgorithm, normalisation: Normalisation) -> None:
-    """Writes model and normalisation into a folder, each whole or not at all."""
+def unarchive(path: Path, algo: str, env: VecNormalize) -> BaseAlgorithm:
+    """The agent of an archive as it learned: the environments normalise, not its networks. This unpickles.
+
+    Args:
+        path: the archive.
+        algo: the algorithm's name.
+        env: what it learns in.
+    """
+    data, _, _ = load_from_zip_file(path, device="cpu")
+    assert data is not None
+    kwargs = {name: value for name, value in data["policy_kwargs"].items() if name not in _FIRST_LAYER}
+    kind = ALGORITHMS[algo]
+    return kind.load(path, env=env, device="cpu", force_reset=False, custom_objects={"policy_kwargs": kwargs})
+
+
+def save(folder: Path, model: BaseAlgorithm, policy: Policy) -> None:
+    """Writes an agent and the policy that it acts by into a folder, each whole or not at all."""
     folder.mkdir(parents=True, exist_ok=True)
     write_bytes_atomically(folder / MODEL, archive(model))
-    normalisation.write(folder / NORMALISATION)
+    policy.save(folder / POLICY)
 
 
 def git_revision(folder: Path) -> str:

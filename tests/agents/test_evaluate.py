@@ -3,16 +3,12 @@ import re
 
 import numpy as np
 import pytest
-from stable_baselines3 import PPO
 
 from agents import evaluate
-from agents.training.runs import Normalisation, save_model
-from agents.training.vec_env import CapsuleSB3VecEnv
-from tests.agents.fakes import Sine
+from tests.agents.fakes import write_run
 
 
-def test_command_line(world, tiny_file, monkeypatch, capsys):
-    monkeypatch.setattr("agents.training.runs.load_policy", lambda path: Sine(0.4, name="learnt"))
+def test_command_line(world, tiny_file, capsys):
     out = world / "result.json"
     assert evaluate.main(["learnt", "--set", tiny_file, "--json", str(out), "--seed-runs"]) == 0
     printed = capsys.readouterr().out
@@ -39,19 +35,15 @@ def test_command_line_keeps_existing_results(world, tiny_file, capsys):
     assert "difference" not in capsys.readouterr().out
 
 
-def test_a_real_training_run_is_evaluated(world, tiny_file, capsys):
-    run = world / "checkpoints" / "learnt" / "seed-2"
-    config = json.loads((run / "config.json").read_text()) | {"env": {"torque_limit": 0.1}}
-    (run / "config.json").write_text(json.dumps(config))
+def test_a_policy_with_a_law_from_elsewhere_needs_consent(world, tiny_file, capsys):
+    fields = {"layers": ((np.zeros((1, 10), np.float32), np.zeros(1, np.float32)),), "mean": np.zeros(10)}
+    law = {"controller": "tests.agents.fakes:quiet"}
+    write_run(world / "run", 2, **fields, variance=np.ones(10), env_kwargs=law)
     with pytest.raises(SystemExit):
-        evaluate.main([str(run), "--set", tiny_file])
-    assert "normalisation.json is missing" in capsys.readouterr().err
-    env = CapsuleSB3VecEnv(1, torque_limit=0.1)
-    entries = env.observation_space.shape
-    model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu")
-    save_model(run, model, Normalisation(np.zeros(entries), np.ones(entries), 1.0, 10.0, 1e-8))
-    assert evaluate.main([str(run), "--set", tiny_file]) == 0
-    assert "seed-2 on the set tiny" in capsys.readouterr().out
+        evaluate.main([str(world / "run"), "--set", tiny_file])
+    assert "'tests.agents.fakes:quiet', which does not come with this package" in capsys.readouterr().err
+    assert evaluate.main([str(world / "run"), "--set", tiny_file, "--trust-controller"]) == 0
+    assert "run on the set tiny" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("world")
@@ -69,9 +61,3 @@ def test_command_line_refuses_before_any_work(arguments, message, capsys):
         evaluate.main(arguments)
     assert caught.value.code == 2
     assert message in capsys.readouterr().err
-
-
-def test_help_warns_of_pickles(capsys):
-    with pytest.raises(SystemExit):
-        evaluate.main(["--help"])
-    assert "load only what you trust" in " ".join(capsys.readouterr().out.split())

@@ -10,7 +10,7 @@ from agents.evaluation.sets import load_set, parse_set
 from agents.evaluation.statistics import estimate
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.files import to_json
-from tests.agents.fakes import PLANTS, Sine
+from tests.agents.fakes import PLANTS, Sine, make_policy
 
 TINY = parse_set(PLANTS)
 
@@ -32,6 +32,25 @@ def test_episodes_are_those_of_single_environments():
             assert episode[name] == values[0], name
     # The jump to a heavier platform on a rougher floor is felt.
     assert episodes[2]["mean_speed"] != episodes[0]["mean_speed"]
+
+
+def test_an_episode_starts_from_the_angle_that_its_set_says():
+    content = {"M": 0.5, "mu": 0.01, "seed": 0}
+    chosen = parse_set({"name": "starts", "plants": [content, content | {"theta": 0.0}]})
+    rest, upright = evaluation.evaluate(Sine(0.0), chosen, horizon=0.5)
+    assert rest["largest_theta"] > 1.0 > upright["largest_theta"] == 0.0
+    assert "theta" not in rest and upright["theta"] == 0.0
+
+
+def test_a_trained_policy_runs_in_compiled_code_with_the_same_bits(monkeypatch):
+    policy = make_policy()
+    compiled = evaluation.evaluate(policy, TINY, horizon=2.0)
+    monkeypatch.setattr(evaluation, "rollout", None)
+
+    class Stepped:
+        name, env_kwargs, start = policy.name, policy.env_kwargs, policy.start
+
+    assert evaluation.evaluate(Stepped(), TINY, horizon=2.0) == compiled
 
 
 def test_only_the_first_end_of_an_episode_counts():

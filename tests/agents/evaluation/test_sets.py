@@ -6,11 +6,12 @@ import pytest
 
 from agents.evaluation import sets
 from agents.evaluation.sets import SET_NAMES, load_set, parse_set
-from capsule_gym.parameters import RANDOMIZATIONS
+from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
+from capsule_gym.task import START_THETA
 
 # The sets are frozen: a changed hash makes every published result incomparable. Add a set under a new name instead.
 HASHES = {
-    "nominal": "708d5c049582",
+    "nominal": "175e0d05f0d7",
     "paper": "b735055ceff1",
     "wide": "4eb52be12a6e",
     "extrapolation": "37f72254b16c",
@@ -27,11 +28,23 @@ def test_committed_sets_are_frozen(name):
     frozen = load_set(name)
     assert frozen.name == name
     assert frozen.hash[:12] == HASHES[name]
-    assert len(frozen.plants) == (1 if name == "nominal" else 100)
+    assert len(frozen.plants) == 100
 
 
 def test_committed_sets_are_what_their_seeds_give():
     assert sets.stale_sets() == []
+
+
+def test_nominal_is_one_plant_from_many_angles():
+    plants = load_set("nominal").plants
+    assert {(plant.M, plant.mu, plant.changes) for plant in plants} == {(NOMINAL.M, NOMINAL.mu, ())}
+    assert plants[0].theta == START_THETA
+    starts = np.array([plant.theta for plant in plants])
+    assert len(set(starts.tolist())) == 100
+    assert np.abs(starts - START_THETA).max() <= 0.1
+    assert np.ptp(starts) > 0.18
+    # The others start where the environment does.
+    assert all(plant.theta == START_THETA for name in SET_NAMES[1:] for plant in load_set(name).plants)
 
 
 @pytest.mark.parametrize("name", ["paper", "wide"])
@@ -101,6 +114,8 @@ def change(*changes):
         (plant(M=0.01, mu=1.0), r"set.plants\[0\]: .*Painleve"),
         (plant(seed=-1), r"seed must be an integer >= 0, got -1"),
         (plant(seed=True), "got True"),
+        (plant(theta=1.58), r"theta must be an angle in rad within 1\.571 of 0, got 1\.58"),
+        (plant(theta=None), "got None"),
         (plant(colour="red"), "got a field 'colour'"),
         (plant(changes=3), r"set.plants\[0\].changes must be a list"),
         (change((33.0, 0.5, 0.01)), r"changes\[0\].t must be a number of seconds within \(0, 33\).*got 33.0"),

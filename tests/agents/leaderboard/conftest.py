@@ -2,18 +2,13 @@ import pytest
 
 from agents.evaluation import candidates
 from agents.evaluation.candidates import all_candidates
-from agents.leaderboard import tolerance
+from agents.leaderboard import chaos
 from agents.leaderboard.board import build, write
 from agents.leaderboard.page import END, START
 from tests.agents.fakes import Sine, Twitch, write_run
 from tests.agents.leaderboard.world import HORIZON, SETS
 
 README = f"# Title\n\nBefore.\n\n{START}\n{END}\n\nAfter.\n"
-
-
-def speed_of(path):
-    """A policy for each run, so that training seeds differ."""
-    return Sine(0.1 * (4 + int(path.name[-1])), period=0.9, name="learnt")
 
 
 @pytest.fixture
@@ -24,9 +19,7 @@ def world(tmp_path, monkeypatch):
     known["twitch"] = Twitch()
     monkeypatch.setattr(candidates, "SCRIPTED", known)
     monkeypatch.setattr(candidates, "CHECKPOINTS", tmp_path / "checkpoints")
-    monkeypatch.setattr("agents.training.runs.load_policy", speed_of)
-    monkeypatch.setattr(tolerance, "EPISODES", 30)
-    monkeypatch.setattr(tolerance, "EVALUATIONS", 20)
+    monkeypatch.setattr(chaos, "COPIES", 20)
     for seed in (0, 1):
         write_run(tmp_path / "checkpoints" / "learnt" / f"seed-{seed}", seed)
     (tmp_path / "README.md").write_text(README)

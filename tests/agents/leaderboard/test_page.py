@@ -20,17 +20,16 @@ def test_page(written):
         assert s.hash[:12] in page
 
 
-def test_page_shows_shares_and_spreads(written):
+def test_page_shows_shares_and_chaos(written):
     board = read(written)
     page = render(board)
-    results = row_of(board, "bold")["results"]["nominal"]
+    results = row_of(board, "bold")["results"]["paper"]
     assert "share of best-known" in table(page)[0]
     assert ["bold", f"{results['share_of_best_known']['iqm']:.2f}"] in [row[:2] for row in table(page, "## Share")]
-    spreads = table(page, "## Spread")
-    assert spreads[0] == ["policy", "nominal", "paper"]
-    found = {row[0]: row[1:] for row in spreads}
-    assert found["bold"] == ["< 0.005", "< 0.005"]
-    assert float(found["twitch"][1]) > 0.1
+    found = {row[0]: row[1:] for row in table(page, "## Chaos")}
+    low, high = (f"{row_of(board, 'bold')['disturbed'][end]:.2f}" for end in ("low", "high"))
+    assert found["bold"] == [low, high, "< 0.005"]
+    assert float(found["twitch"][2]) > 0.1
 
 
 def test_head_always_shows_the_reference(written):

@@ -1,13 +1,17 @@
-"""Whether two runs are one run: networks, optimisers, normalisation, evaluations and log, bit for bit."""
+"""Whether two runs are one run: networks, optimisers, policies, evaluations and log, bit for bit."""
 
 from __future__ import annotations
 
 import csv
+import itertools
 from pathlib import Path
 from typing import Any
 
 import torch
 from stable_baselines3.common.save_util import load_from_zip_file
+
+from capsule_gym import load_policy
+from capsule_gym.policy import POLICY
 
 # Columns that say how long something took, or count from the last resumption.
 CLOCKS = ("seconds", "time/fps", "time/time_elapsed", "time/iterations")
@@ -17,6 +21,12 @@ def parameters(archive: Path) -> dict[str, Any]:
     """Networks and optimisers of an archive, without unpickling."""
     _, states, variables = load_from_zip_file(archive, load_data=False, device="cpu")
     return {"states": states, "variables": variables}
+
+
+def network(folder: Path) -> bytes:
+    """The numbers of the policy in a folder, whatever run it says that it is of."""
+    policy = load_policy(folder / POLICY)
+    return b"".join(array.tobytes() for array in (policy.mean, policy.variance, *itertools.chain(*policy.layers)))
 
 
 def same(a: Any, b: Any) -> bool:
@@ -42,8 +52,8 @@ def differences(run: Path, other: Path) -> list[str]:
     for folder in (Path(), Path("best")):
         if not same(parameters(run / folder / "model.zip"), parameters(other / folder / "model.zip")):
             found.append(str(folder / "model.zip"))
-        if (run / folder / "normalisation.json").read_text() != (other / folder / "normalisation.json").read_text():
-            found.append(str(folder / "normalisation.json"))
+        if network(run / folder) != network(other / folder):
+            found.append(str(folder / POLICY))
     for table in ("evaluations.csv", "logs/progress.csv"):
         if rows(run / table, CLOCKS) != rows(other / table, CLOCKS):
             found.append(table)

@@ -13,12 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from stable_baselines3 import PPO
 
 import train as command_line
 from agents.training.checkpoint import newest
 from agents.training.loop import begin, make_env, make_model, own_draws, train
 from agents.training.presets import PRESETS
-from agents.training.runs import Normalisation, load_policy
+from agents.training.runs import ALGORITHMS
+from capsule_gym import load_policy
 from capsule_gym.parameters import RANDOMIZATIONS
 from tests.agents.training.small import small, weights
 
@@ -47,7 +49,7 @@ def test_same_seed_same_model_another_seed_another(tmp_path, task, algo):
         config = small(task, algo, total_steps=512, seed=seed)
         begin(run, config)
         assert train(run, config)
-        models.append(weights(load_policy(run / "model.zip").model))
+        models.append(weights(ALGORITHMS[algo].load(run / "model.zip", device="cpu")))
     assert np.array_equal(models[0], models[1])
     assert not np.array_equal(models[0], models[2])
 
@@ -72,13 +74,15 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
     assert len(list(run.glob("checkpoint-*"))) == 2
 
     policy = load_policy(run)
+    assert policy.env_kwargs == content["env"]
+    assert (policy.training_seed, policy.revision) == (0, content["revision"])
+    # The last and the best, as file and as archive; either takes the environment's own observations.
     observations = np.random.default_rng(0).normal(size=(5, 10)).astype(np.float32)
-    normalised = Normalisation.read(run / "best" / "normalisation.json")(observations)
-    expected, _ = policy.model.predict(normalised, deterministic=True)
-    assert np.array_equal(policy.start([0] * 5)(observations), expected)
-    (run / "best" / "normalisation.json").unlink()
-    with pytest.raises(ValueError, match=r"normalisation\.json is missing"):
-        load_policy(run)
+    for folder in (run, run / "best"):
+        policy = load_policy(folder / "policy.safetensors")
+        agent = PPO.load(folder / "model.zip", device="cpu")
+        wanted, _ = agent.predict(observations, deterministic=True)
+        np.testing.assert_allclose(policy(observations), wanted, atol=2e-6)
 
 
 def test_model_selection_uses_draws_of_its_own():

@@ -260,7 +260,7 @@ def test_what_a_killed_process_left_is_swept(tmp_path, whole):
     for name in ("checkpoint-000000009999.partial", "checkpoint-000000000001.discarded"):
         (run / name).mkdir()
         (run / name / "model.zip").write_bytes(b"half")
-    for name in (".model.77.tmp.zip", "best/.normalisation.77.tmp.json"):
+    for name in (".model.77.tmp.zip", "best/.policy.77.tmp.safetensors"):
         (run / name).write_bytes(b"half")
     assert checkpoint.newest_whole(run) == max(run.glob("checkpoint-????????????"))
     checkpoint.clean_up(run)
