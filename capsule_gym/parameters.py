@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+
+from capsule_gym.exponential import exponentials, log
 
 NormalForce = Literal["newton", "paper"]
 
@@ -196,6 +199,12 @@ def _check_range(name: str, value: Any, *, positive: bool) -> tuple[float, float
     return low, high
 
 
+# What the package's own exponential can take.
+LARGEST_RATIO = 1e300
+# Every episode asks for the same one.
+_log = lru_cache(maxsize=16)(log)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Randomization:
     """The ranges that the platform mass and the friction coefficient of every episode are drawn from.
@@ -225,7 +234,13 @@ class Randomization:
         if self.M is not None:
             object.__setattr__(self, "M", _check_range("Randomization.M", self.M, positive=True))
         if self.mu is not None:
-            object.__setattr__(self, "mu", _check_range("Randomization.mu", self.mu, positive=self.log_mu))
+            low, high = _check_range("Randomization.mu", self.mu, positive=self.log_mu)
+            if self.log_mu and not high / low <= LARGEST_RATIO:
+                raise ValueError(
+                    f"Randomization.mu must span at most a factor of {LARGEST_RATIO:g} where log_mu is True, "
+                    f"got {self.mu!r}"
+                )
+            object.__setattr__(self, "mu", (low, high))
 
     @classmethod
     def named(cls, name: str | Randomization) -> Randomization:
@@ -275,9 +290,10 @@ class Randomization:
             M = self.M[0] + (self.M[1] - self.M[0]) * uniform[:, 0]
         if self.mu is not None:
             low, high = self.mu
-            # One by one: numpy's power of an array may differ from that of a number in the last bit.
-            powers = [low * (high / low) ** share for share in uniform[:, 1].tolist()] if self.log_mu else None
-            mu = low + (high - low) * uniform[:, 1] if powers is None else np.array(powers)
+            if self.log_mu:
+                mu = low * exponentials(_log(high / low) * uniform[:, 1])
+            else:
+                mu = low + (high - low) * uniform[:, 1]
         return M, mu
 
     def __str__(self) -> str:

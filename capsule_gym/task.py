@@ -13,6 +13,7 @@ import numpy as np
 
 from capsule_gym.compilation import inlined
 from capsule_gym.parameters import Capsule
+from capsule_gym.trigonometry import sincos
 
 ENV_ID = "CapsuleStickSlip-v0"
 EPISODE_STEPS = 1650
@@ -189,8 +190,7 @@ def write_observation(
         theta_d, theta_d_dot, phase = reference
         out[5] = clip(theta_d, THETA_LIMIT)
         out[6] = clip(theta_d_dot, THETA_DOT_BOUND)
-        out[7] = math.sin(2.0 * math.pi * phase)
-        out[8] = math.cos(2.0 * math.pi * phase)
+        out[7], out[8] = sincos(2.0 * math.pi * phase)
         out[9] = law_torque
         next_entry = 10
     if with_parameters:

@@ -15,15 +15,15 @@ from __future__ import annotations
 
 import json
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from baselines.gaits.families import FAMILIES
+from capsule_gym.exponential import log
 from capsule_gym.parameters import Capsule
 
 FOLDER = Path(__file__).with_name("data")
@@ -223,11 +223,22 @@ def best_known_speed(M: float, mu: float) -> float:
             f"got M={M!r}, mu={mu!r}"
         )
     table = known_gaits().table()
-    along_mu = [
-        np.interp(math.log(mu), np.log(GRID_MU), [table[row, column].mean_speed for column in GRID_MU])
-        for row in GRID_M
-    ]
-    return float(np.interp(M, GRID_M, along_mu))
+    (row, share_M), (column, share_mu) = _place(M, GRID_M), _place(log(mu), _log_grid())
+    corners = [[table[GRID_M[i], GRID_MU[j]].mean_speed for j in (column, column + 1)] for i in (row, row + 1)]
+    below, above = (left + share_mu * (right - left) for left, right in corners)
+    return below + share_M * (above - below)
+
+
+@lru_cache(maxsize=1)
+def _log_grid() -> list[float]:
+    """The logarithms of `GRID_MU`."""
+    return [log(mu) for mu in GRID_MU]
+
+
+def _place(value: float, grid: Sequence[float]) -> tuple[int, float]:
+    """The cell of an ascending grid that a value lies in, and how far into it, from 0 to 1."""
+    cell = min(bisect_right(grid, value), len(grid) - 1) - 1
+    return cell, (value - grid[cell]) / (grid[cell + 1] - grid[cell])
 
 
 def in_grid(M: float, mu: float) -> bool:

@@ -7,6 +7,9 @@
 | `phase-space` | a cubic polynomial of the state without any clock, steep where it pays: a switching surface |
 
 All hold feedback, so that a gait can be an attracting cycle and not a course that only its own plant follows.
+
+A gait's torque is the same bits on every machine: real arithmetic entry by entry, where numpy's products of complex
+numbers and its sums of products are fused on some processors.
 """
 
 from __future__ import annotations
@@ -16,6 +19,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+
+from capsule_gym.trigonometry import sines_and_cosines
 
 # The torque of many candidates at once: parameters of shape (size, n), time in s, observations of shape (n, entries).
 Torque = Callable[[np.ndarray, float, np.ndarray], np.ndarray]
@@ -32,24 +37,23 @@ EXPONENTS = tuple((i, j, k) for i in range(4) for j in range(4) for k in range(4
 
 def _feedback(gains: np.ndarray, observations: np.ndarray) -> np.ndarray:
     """Linear feedback of theta, theta_dot and x_dot: the first three observations."""
-    torque: np.ndarray = np.einsum("in,ni->n", gains, observations[:, :3])
+    torque: np.ndarray = gains[0] * observations[:, 0] + gains[1] * observations[:, 1] + gains[2] * observations[:, 2]
     return torque
 
 
 def _harmonics(parameters: np.ndarray, time: float, observations: np.ndarray) -> np.ndarray:
-    angle = 2.0 * math.pi * time / parameters[0]
-    first = np.exp(1j * angle)
+    sine, cosine = sines_and_cosines(2.0 * math.pi * time / parameters[0])
     # Horner's scheme: a sum of (cos_k - i sin_k) exp(i k angle), whose real part is the series.
-    weights = parameters[2 : 2 + HARMONICS] - 1j * parameters[2 + HARMONICS : 2 + 2 * HARMONICS]
-    total = weights[-1] * first
-    for weight in weights[-2::-1]:
-        total = (total + weight) * first
-    return parameters[1] + total.real + _feedback(parameters[2 + 2 * HARMONICS :], observations)
+    real = imaginary = np.zeros_like(sine)
+    for k in range(HARMONICS, 0, -1):
+        real, imaginary = real + parameters[1 + k], imaginary - parameters[1 + HARMONICS + k]
+        real, imaginary = real * cosine - imaginary * sine, real * sine + imaginary * cosine
+    return parameters[1] + real + _feedback(parameters[2 + 2 * HARMONICS :], observations)
 
 
 def _bang_bang(parameters: np.ndarray, time: float, observations: np.ndarray) -> np.ndarray:
     durations = np.abs(parameters[:4])
-    period = durations.sum(axis=0)
+    period = durations[0] + durations[1] + durations[2] + durations[3]
 
     def impulse(moment: np.ndarray) -> np.ndarray:
         """Integral of the square wave up to a moment, in s."""

@@ -83,7 +83,8 @@ class Choice:
         """The gaits of some plants: that of the nearest cell in M and log(mu), outside the map of its edge."""
         centres = np.array(self.M)
         rows = np.abs(M[:, None] - centres).argmin(axis=1)
-        columns = np.abs(np.log(np.maximum(mu, self.mu[0]))[:, None] - np.log(self.mu)).argmin(axis=1)
+        # Half-way between two cells in log(mu) is the square root of their product.
+        columns = np.searchsorted(np.multiply(self.mu[:-1], self.mu[1:]), mu * mu)
         return [self.gaits[i][j] for i, j in zip(rows, columns, strict=True)]
 
     def to_json(self) -> str:

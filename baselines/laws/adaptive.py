@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from decimal import Context, Decimal
 
 import numpy as np
 
-from baselines.laws.adaptive_terms import MEMORY, Constants, adaptive_step
+from baselines.laws.adaptive_terms import MEMORY, Constants, adaptive_step, eta_of_root
 from baselines.laws.gains import COMPLIANT, PUBLISHED, REGULARISED, UNREGULARISED, Choices, Gains, check_gains
 from baselines.laws.profiles import PROPOSED, Profile
 from baselines.laws.reference import COLUMNS, reference_table
@@ -62,13 +63,17 @@ def constants_of(gains: Gains, choices: Choices, plant: Plant, table: np.ndarray
 
 
 def root_of_eta(eta: float, n: int) -> float:
-    """The (2n + 1)-th root of the auxiliary variable, which the memory holds."""
-    return float(eta ** (1.0 / (2 * n + 1)))
+    """The (2n + 1)-th root of the auxiliary variable, which the memory holds.
+
+    In decimal arithmetic, which is the same everywhere: the last digit of a float's power is the C library's.
+    """
+    exact = Context(prec=40)
+    return float(exact.power(Decimal(eta), exact.divide(Decimal(1), Decimal(2 * n + 1))))
 
 
 def eta_of(memory: np.ndarray, n: int = REGULARISED.n) -> np.ndarray:
     """The auxiliary variable eta out of memories of the adaptive law, shape (.., cells)."""
-    return memory[..., MEMORY.index("eta_root")] ** (2 * n + 1)
+    return eta_of_root(memory[..., MEMORY.index("eta_root")], n)
 
 
 def initial_memory(constants: Constants, eta_0: float) -> tuple[float, ...]:

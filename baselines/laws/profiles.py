@@ -14,6 +14,7 @@ import numpy as np
 
 from capsule_gym.parameters import check_number
 from capsule_gym.task import START_THETA
+from capsule_gym.trigonometry import arccos, sincos, sines_and_cosines
 
 
 @dataclass(frozen=True)
@@ -29,16 +30,18 @@ class Segment:
 
     def velocity(self, s: np.ndarray) -> np.ndarray:
         """theta_d' in rad/s."""
-        return self.amplitude * np.sin(self.phase + self.rate * s) + self.offset + self.slope * s
+        sines, _ = sines_and_cosines(self.phase + self.rate * s)
+        return self.amplitude * sines + self.offset + self.slope * s
 
     def acceleration(self, s: np.ndarray) -> np.ndarray:
         """theta_d'' in rad/s^2."""
-        return self.amplitude * self.rate * np.cos(self.phase + self.rate * s) + self.slope
+        _, cosines = sines_and_cosines(self.phase + self.rate * s)
+        return self.amplitude * self.rate * cosines + self.slope
 
     def turned(self, s: np.ndarray) -> np.ndarray:
         """Angle since the start of the segment, rad."""
-        arc = math.cos(self.phase) - np.cos(self.phase + self.rate * s)
-        return self.amplitude / self.rate * arc + (self.offset + 0.5 * self.slope * s) * s
+        _, cosines = sines_and_cosines(self.phase + self.rate * s)
+        return self.amplitude / self.rate * (sincos(self.phase)[1] - cosines) + (self.offset + 0.5 * self.slope * s) * s
 
 
 def _ramp(duration: float, start: float, end: float) -> Segment:
@@ -121,7 +124,7 @@ def _restoring(durations: Sequence[float], swept: float) -> list[Segment]:
 
 def _swept(segments: Sequence[Segment]) -> float:
     """Angle that a chain of segments turns, rad."""
-    return float(sum(segment.turned(np.float64(segment.duration)) for segment in segments))
+    return math.fsum(segment.turned(np.float64(segment.duration)) for segment in segments)
 
 
 def seven_phases(times: Sequence[float], V1: float, P2: float, name: str = "proposed") -> Profile:
@@ -142,7 +145,7 @@ def seven_phases(times: Sequence[float], V1: float, P2: float, name: str = "prop
     progressive = [
         Segment(d[0], amplitude=V1, rate=math.pi / (2.0 * d[0])),
         Segment(d[1], offset=V1),
-        Segment(d[2], amplitude=V1, phase=math.pi / 2.0, rate=math.acos(P2 / V1) / d[2]),
+        Segment(d[2], amplitude=V1, phase=math.pi / 2.0, rate=arccos(P2 / V1) / d[2]),
         _ramp(d[3], P2, 0.0),
     ]
     return Profile(name, (*progressive, *_restoring(d[4:], _swept(progressive))))

@@ -160,6 +160,8 @@ def test_zero_is_a_friction_coefficient_but_no_mass_and_has_no_logarithm():
         Randomization(M=(0.0, 1.0))
     with pytest.raises(ValueError, match=r"Randomization\.mu\[0\].*0 < low"):
         Randomization(mu=(0.0, 0.1), log_mu=True)
+    with pytest.raises(ValueError, match=r"Randomization\.mu must span at most a factor of 1e\+300 .*5e-324"):
+        Randomization(mu=(5e-324, 0.1), log_mu=True)
     with pytest.raises(TypeError, match=r"Randomization\.log_mu must be True or False, got 1"):
         Randomization(log_mu=1)
 
