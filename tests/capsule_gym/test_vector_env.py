@@ -152,7 +152,16 @@ def test_make_vec_gives_the_native_batch_without_warnings():
     same = gym.make_vec(ENV_ID, num_envs=2, autoreset_mode="SAME_STEP", max_episode_steps=9)
     assert same.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     assert same.unwrapped.max_episode_steps == 9
-    assert env.spec.to_json()
+
+
+@pytest.mark.parametrize(("kwargs", "steps"), [({}, 1650), ({"max_episode_steps": 10}, 10)])
+def test_the_spec_says_the_time_limit_of_the_batch(kwargs, steps):
+    env = gym.make_vec(ENV_ID, num_envs=2, **kwargs)
+    assert env.spec.max_episode_steps == steps
+    again = gym.make_vec(type(env.spec).from_json(env.spec.to_json()))
+    assert (again.num_envs, again.unwrapped.max_episode_steps, again.spec.max_episode_steps) == (2, steps, steps)
+    assert CapsuleVectorEnv(2, **kwargs).spec is None
+    assert gym.spec(ENV_ID).max_episode_steps == 1650
 
 
 def test_next_step_ignores_the_action_after_the_end():
