@@ -14,7 +14,7 @@ from gymnasium.vector.utils import batch_space
 
 from capsule_gym import task
 from capsule_gym.controller import Controller
-from capsule_gym.env import RESET_OPTIONS, REWARD_TERMS, check_options, draw, make_spaces, show
+from capsule_gym.env import RESET_OPTIONS, REWARD_TERMS, check_options, draw, make_spaces, options_among, show
 from capsule_gym.kernels import Row
 from capsule_gym.options import Options
 from capsule_gym.parameters import Capsule, Randomization, check_count
@@ -88,7 +88,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         threads: int = Options.threads,
         render_mode: str | None = Options.render_mode,
     ) -> None:
-        options = Options.among(locals())
+        options = options_among(locals())
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode of a batch must be None or 'rgb_array', got {render_mode!r}")
         self.autoreset_mode = _find_mode(autoreset_mode)

@@ -16,6 +16,9 @@ from gymnasium.utils.env_checker import check_env
 
 import baselines
 from capsule_gym import Capsule, CapsuleEnv, Randomization
+from capsule_gym.kernels import Row
+from capsule_gym.options import Options
+from capsule_gym.simulation import Simulation
 from capsule_gym.task import ENV_ID, METRICS, Termination
 from tests.capsule_gym.fakes import layout, rollout
 
@@ -221,18 +224,19 @@ def test_metrics_against_the_definitions():
 @pytest.mark.parametrize("attribute", ["adaptive", "compliant", "feedback_linearising", "epc", "adaptive_as_published"])
 def test_zero_residual_is_the_scripted_baseline_bit_for_bit(attribute):
     # Without any residual authority the law acts alone.
-    alone = CapsuleEnv(controller=f"baselines:{attribute}", residual_limit=0.0)
+    alone = Simulation(1, Options(controller=f"baselines:{attribute}", residual_limit=0.0))
     residual = CapsuleEnv(controller=getattr(baselines, attribute), residual_limit=3.0)
-    for env in (alone, residual):
-        env.reset(seed=5)
+    residual.reset(seed=5)
+    alone.seed(0, 5)
+    alone.reset(np.arange(1))
     rng = np.random.default_rng(0)
     for _ in range(400):
-        a = alone.step(rng.uniform(-1, 1, 1).astype(np.float32))
-        b = residual.step(np.zeros(1, np.float32))
-        assert a[4]["state"].tobytes() == b[4]["state"].tobytes()
-        assert a[4]["law_torque"] == b[4]["law_torque"]
-        if a[2]:
-            assert b[2]
+        alone.step_one(rng.uniform(-1, 1))
+        _, _, terminated, _, info = residual.step(np.zeros(1, np.float32))
+        assert info["state"].tobytes() == alone.world[0, : Row.M, 0].tobytes()
+        assert info["law_torque"] == alone.world[0, Row.law_torque, 0]
+        if terminated:
+            assert alone.world[0, Row.termination, 0] != 0.0
             break
 
 
@@ -330,6 +334,8 @@ def test_make_by_module_needs_no_import():
         ({"torque_limit": "1"}, TypeError, "torque_limit must be"),
         ({"residual_limit": float("nan")}, ValueError, "residual_limit must be"),
         ({"randomization": "some"}, ValueError, "randomization must be"),
+        ({"residual_limit": 0.0}, ValueError, "residual_limit must be > 0 .*, got 0.0: the action would do nothing"),
+        ({"residual_limit": 0, "controller": "baselines:adaptive"}, ValueError, "residual_limit must be > 0"),
         ({"randomization": 1}, TypeError, "randomization must be"),
         ({"randomization": Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))}, ValueError, "Painleve"),
         ({"capsule": 1.0}, TypeError, "capsule must be"),
