@@ -294,10 +294,11 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             return None
         if name != "changes" and np.ndim(values) == 0:
             return [values] * len(rows)
+        accepted = f"options[{name!r}] must have one entry per environment ({self.num_envs})"
+        if not hasattr(values, "__len__") or isinstance(values, dict):
+            raise TypeError(f"{accepted}, got {values!r}")
         if len(values) != self.num_envs:
-            raise ValueError(
-                f"options[{name!r}] must have one entry per environment ({self.num_envs}), got {len(values)}"
-            )
+            raise ValueError(f"{accepted}, got {len(values)}")
         return [values[i] for i in rows]
 
     def _states(self, states: Any, rows: np.ndarray) -> Any:

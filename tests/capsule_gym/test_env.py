@@ -28,6 +28,7 @@ VARIANTS = [
     {"controller": "baselines:compliant", "residual_limit": 3.0, "observe_parameters": True},
     {"observe_parameters": True, "randomization": "wide", "initial_noise": 0.05},
 ]
+JUMP = {"t": 1.0, "M": 0.5, "mu": 0.01}
 
 
 @pytest.mark.parametrize("kwargs", VARIANTS)
@@ -333,9 +334,9 @@ def test_make_by_module_needs_no_import():
         ({"torque_limit": -1.0}, ValueError, "torque_limit must be"),
         ({"torque_limit": "1"}, TypeError, "torque_limit must be"),
         ({"residual_limit": float("nan")}, ValueError, "residual_limit must be"),
-        ({"randomization": "some"}, ValueError, "randomization must be"),
         ({"residual_limit": 0.0}, ValueError, "residual_limit must be > 0 .*, got 0.0: the action would do nothing"),
         ({"residual_limit": 0, "controller": "baselines:adaptive"}, ValueError, "residual_limit must be > 0"),
+        ({"randomization": "some"}, ValueError, "randomization must be"),
         ({"randomization": 1}, TypeError, "randomization must be"),
         ({"randomization": Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))}, ValueError, "Painleve"),
         ({"capsule": 1.0}, TypeError, "capsule must be"),
@@ -371,8 +372,19 @@ def test_bad_arguments_are_named(kwargs, error, message):
         ({"state": [2.0, 0.0, 0.0, 0.0]}, ValueError, "state"),
         ({"state": [float("nan"), 0.0, 0.0, 0.0]}, ValueError, "state"),
         ({"state": "here"}, TypeError, "state"),
-        ({"changes": [{"t": 1.0}]}, ValueError, "changes"),
-        ({"changes": [{"t": -1.0, "M": 0.5, "mu": 0.01}]}, ValueError, "changes"),
+        ({"changes": 1.0}, TypeError, r"options\['changes'\] must be a list of dicts .*, got 1.0"),
+        ({"changes": JUMP}, TypeError, r"options\['changes'\] must be a list of dicts"),
+        ({"changes": [1.0]}, TypeError, r"options\['changes'\]\[0\].*, got 1.0"),
+        ({"changes": [{"t": 1.0, "M": 0.5}]}, ValueError, r"options\['changes'\]\[0\] .* lacks \['mu'\]"),
+        ({"changes": [JUMP, {"M": 0.5, "mu": 0.1}]}, ValueError, r"options\['changes'\]\[1\] .* lacks \['t'\]"),
+        ({"changes": [{**JUMP, "m": 0.1}]}, ValueError, r"options\['changes'\]\[0\] .* nobody reads \['m'\]"),
+        ({"changes": [{**JUMP, "t": -1.0}]}, ValueError, r"options\['changes'\]\[0\]\['t'\] must be"),
+        (
+            {"changes": [JUMP, {**JUMP, "t": 0.5}]},
+            ValueError,
+            r"options\['changes'\]\[1\]\['t'\] must be later than the one before, 1 s, got 0.5 s",
+        ),
+        ({"changes": [JUMP, JUMP]}, ValueError, r"options\['changes'\]\[1\]\['t'\] must be later"),
         ({"changes": [{"t": 1.0, "M": -0.5, "mu": 0.01}]}, ValueError, "M must be"),
     ],
 )
