@@ -125,5 +125,6 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
     if callable(found):
         found = found()
     if found is not None and not isinstance(found, Controller):
-        raise TypeError(f"controller must be {accepted}, got {controller!r}, which gives {found!r}")
+        given = "" if found is controller else f", which gives {found!r}"
+        raise TypeError(f"controller must be {accepted}, got {controller!r}{given}")
     return found

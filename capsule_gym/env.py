@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, SupportsFloat
 
 import gymnasium as gym
@@ -168,7 +168,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         physics_dt: float | None = Options.physics_dt,
         render_mode: str | None = Options.render_mode,
     ) -> None:
-        options = Options.among(locals())
+        options = options_among(locals())
         EzPickle.__init__(self, **{name: value for name, value in vars(options).items() if name != "threads"})
         self.simulation = Simulation(1, options)
         self.render_mode = render_mode
@@ -190,7 +190,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         Args:
             seed: starts the random streams anew; without one they go on, each episode with its own draw.
             options: any of "M" (kg), "mu", "state" ([theta, theta_dot, x, x_dot]) and "changes" (a list of
-                `{"t": s, "M": kg, "mu": ..}`: jumps during the episode) override what would be drawn.
+                `{"t": s, "M": kg, "mu": ..}` in order of time: jumps during the episode) override what would be drawn.
 
         Returns:
             The observation and the info described above.
@@ -279,6 +279,15 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
+
+
+def options_among(arguments: Mapping[str, Any]) -> Options:
+    """The options among an environment's arguments; refuses what leaves its action without effect."""
+    options = Options.among(arguments)
+    # A `Simulation` may: so a law is run alone.
+    if options.residual_limit == 0.0:
+        raise ValueError("residual_limit must be > 0 (N m), got 0.0: the action would do nothing")
+    return options
 
 
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:

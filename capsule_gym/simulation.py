@@ -22,6 +22,9 @@ from capsule_gym.parameters import NOMINAL, Randomization, check_count, check_nu
 # What acts where no controller does.
 NO_CONTROLLER = Controller("none", kernels.no_law, kernels.NO_REFERENCE)
 
+# What a change of the plant within an episode says.
+CHANGE = ("t", "M", "mu")
+
 
 class Stream(IntEnum):
     """The purposes that random numbers are drawn for: one stream each, so that none shifts another."""
@@ -219,7 +222,8 @@ class Simulation:
             M: masses of their platforms, kg.
             mu: their friction coefficients.
             state: shape (n, 4): theta, theta_dot, x, x_dot.
-            changes: per environment the jumps of M and mu during the episode, `{"t": s, "M": kg, "mu": ..}`.
+            changes: per environment the jumps of M and mu during the episode, in order of time: `{"t": s, "M": kg,
+                "mu": ..}`.
 
         Raises:
             TypeError: if a value is of the wrong type.
@@ -385,15 +389,26 @@ class Simulation:
         return np.broadcast_to(array, (count, 4))
 
     def _schedule(self, changes: Sequence[dict[str, float]]) -> list[tuple[float, float, float]]:
-        """The jumps of one episode as (t, M, mu), in order of time."""
-        schedule = []
-        for change in changes:
-            if not isinstance(change, dict) or set(change) != {"t", "M", "mu"}:
-                raise ValueError(f"options['changes'] must hold dicts {{'t': s, 'M': kg, 'mu': ..}}, got {change!r}")
-            t = check_number("options['changes'] t", change["t"], "a finite number >= 0 (s)", 0.0)
+        """The jumps of one episode as (t, M, mu)."""
+        accepted = "a list of dicts {'t': s, 'M': kg, 'mu': ..}, each later than the one before"
+        if not isinstance(changes, (list, tuple)):
+            raise TypeError(f"options['changes'] must be {accepted}, got {changes!r}")
+        schedule: list[tuple[float, float, float]] = []
+        for n, change in enumerate(changes):
+            name = f"options['changes'][{n}]"
+            if not isinstance(change, dict):
+                raise TypeError(f"{name} must be a dict with the keys {CHANGE}, got {change!r}")
+            if set(change) != set(CHANGE):
+                missing = [key for key in CHANGE if key not in change]
+                unknown = [key for key in change if key not in CHANGE]
+                wrong = f"which lacks {missing}" if missing else f"where nobody reads {unknown}"
+                raise ValueError(f"{name} must have the keys {CHANGE}, got {change!r}, {wrong}")
+            t = check_number(f"{name}['t']", change["t"], "a finite number >= 0 (s)", 0.0)
+            if schedule and t <= schedule[-1][0]:
+                raise ValueError(f"{name}['t'] must be later than the one before, {schedule[-1][0]:g} s, got {t:g} s")
             self._check_plant(change["M"], change["mu"])
             schedule.append((t, float(change["M"]), float(change["mu"])))
-        return sorted(schedule)
+        return schedule
 
     def _apply_changes(self) -> None:
         """Lets M and mu jump where the time has come: at the first agent step that starts at or after t."""

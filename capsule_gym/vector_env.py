@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from capsule_gym import task
 from capsule_gym.controller import Controller
-from capsule_gym.env import RESET_OPTIONS, REWARD_TERMS, check_options, draw, make_spaces, show
+from capsule_gym.env import RESET_OPTIONS, REWARD_TERMS, check_options, draw, make_spaces, options_among, show
 from capsule_gym.kernels import Row
 from capsule_gym.options import Options
 from capsule_gym.parameters import Capsule, Randomization, check_count
@@ -86,7 +88,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         threads: int = Options.threads,
         render_mode: str | None = Options.render_mode,
     ) -> None:
-        options = Options.among(locals())
+        options = options_among(locals())
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode of a batch must be None or 'rgb_array', got {render_mode!r}")
         self.autoreset_mode = _find_mode(autoreset_mode)
@@ -107,6 +109,17 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._everywhere.setflags(write=False)
         self._started = False
         self._renderers: list[Renderer] = []
+        self._spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What `gym.make_vec` has made the batch from."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        # make_vec hands over the registered one, whose time limit is not the batch's where the caller has given another.
+        self._spec = spec and replace(spec, max_episode_steps=self.max_episode_steps)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -281,10 +294,11 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             return None
         if name != "changes" and np.ndim(values) == 0:
             return [values] * len(rows)
+        accepted = f"options[{name!r}] must have one entry per environment ({self.num_envs})"
+        if not hasattr(values, "__len__") or isinstance(values, dict):
+            raise TypeError(f"{accepted}, got {values!r}")
         if len(values) != self.num_envs:
-            raise ValueError(
-                f"options[{name!r}] must have one entry per environment ({self.num_envs}), got {len(values)}"
-            )
+            raise ValueError(f"{accepted}, got {len(values)}")
         return [values[i] for i in rows]
 
     def _states(self, states: Any, rows: np.ndarray) -> Any:

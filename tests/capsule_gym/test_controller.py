@@ -90,8 +90,10 @@ def test_a_controller_is_found_in_every_form():
     ],
 )
 def test_what_is_no_controller_is_named(given, error, said):
-    with pytest.raises(error, match=re.escape(said)):
+    with pytest.raises(error, match=re.escape(said)) as caught:
         find_controller(given)
+    # What was given is not said twice.
+    assert str(caught.value).count(repr(given)) == 1
 
 
 def test_an_import_that_fails_inside_the_named_module_is_its_own_error(tmp_path, monkeypatch):

@@ -16,6 +16,9 @@ from gymnasium.utils.env_checker import check_env
 
 import baselines
 from capsule_gym import Capsule, CapsuleEnv, Randomization
+from capsule_gym.kernels import Row
+from capsule_gym.options import Options
+from capsule_gym.simulation import Simulation
 from capsule_gym.task import ENV_ID, METRICS, Termination
 from tests.capsule_gym.fakes import layout, rollout
 
@@ -25,6 +28,7 @@ VARIANTS = [
     {"controller": "baselines:compliant", "residual_limit": 3.0, "observe_parameters": True},
     {"observe_parameters": True, "randomization": "wide", "initial_noise": 0.05},
 ]
+JUMP = {"t": 1.0, "M": 0.5, "mu": 0.01}
 
 
 @pytest.mark.parametrize("kwargs", VARIANTS)
@@ -221,18 +225,19 @@ def test_metrics_against_the_definitions():
 @pytest.mark.parametrize("attribute", ["adaptive", "compliant", "feedback_linearising", "epc", "adaptive_as_published"])
 def test_zero_residual_is_the_scripted_baseline_bit_for_bit(attribute):
     # Without any residual authority the law acts alone.
-    alone = CapsuleEnv(controller=f"baselines:{attribute}", residual_limit=0.0)
+    alone = Simulation(1, Options(controller=f"baselines:{attribute}", residual_limit=0.0))
     residual = CapsuleEnv(controller=getattr(baselines, attribute), residual_limit=3.0)
-    for env in (alone, residual):
-        env.reset(seed=5)
+    residual.reset(seed=5)
+    alone.seed(0, 5)
+    alone.reset(np.arange(1))
     rng = np.random.default_rng(0)
     for _ in range(400):
-        a = alone.step(rng.uniform(-1, 1, 1).astype(np.float32))
-        b = residual.step(np.zeros(1, np.float32))
-        assert a[4]["state"].tobytes() == b[4]["state"].tobytes()
-        assert a[4]["law_torque"] == b[4]["law_torque"]
-        if a[2]:
-            assert b[2]
+        alone.step_one(rng.uniform(-1, 1))
+        _, _, terminated, _, info = residual.step(np.zeros(1, np.float32))
+        assert info["state"].tobytes() == alone.world[0, : Row.M, 0].tobytes()
+        assert info["law_torque"] == alone.world[0, Row.law_torque, 0]
+        if terminated:
+            assert alone.world[0, Row.termination, 0] != 0.0
             break
 
 
@@ -329,6 +334,8 @@ def test_make_by_module_needs_no_import():
         ({"torque_limit": -1.0}, ValueError, "torque_limit must be"),
         ({"torque_limit": "1"}, TypeError, "torque_limit must be"),
         ({"residual_limit": float("nan")}, ValueError, "residual_limit must be"),
+        ({"residual_limit": 0.0}, ValueError, "residual_limit must be > 0 .*, got 0.0: the action would do nothing"),
+        ({"residual_limit": 0, "controller": "baselines:adaptive"}, ValueError, "residual_limit must be > 0"),
         ({"randomization": "some"}, ValueError, "randomization must be"),
         ({"randomization": 1}, TypeError, "randomization must be"),
         ({"randomization": Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))}, ValueError, "Painleve"),
@@ -365,8 +372,19 @@ def test_bad_arguments_are_named(kwargs, error, message):
         ({"state": [2.0, 0.0, 0.0, 0.0]}, ValueError, "state"),
         ({"state": [float("nan"), 0.0, 0.0, 0.0]}, ValueError, "state"),
         ({"state": "here"}, TypeError, "state"),
-        ({"changes": [{"t": 1.0}]}, ValueError, "changes"),
-        ({"changes": [{"t": -1.0, "M": 0.5, "mu": 0.01}]}, ValueError, "changes"),
+        ({"changes": 1.0}, TypeError, r"options\['changes'\] must be a list of dicts .*, got 1.0"),
+        ({"changes": JUMP}, TypeError, r"options\['changes'\] must be a list of dicts"),
+        ({"changes": [1.0]}, TypeError, r"options\['changes'\]\[0\].*, got 1.0"),
+        ({"changes": [{"t": 1.0, "M": 0.5}]}, ValueError, r"options\['changes'\]\[0\] .* lacks \['mu'\]"),
+        ({"changes": [JUMP, {"M": 0.5, "mu": 0.1}]}, ValueError, r"options\['changes'\]\[1\] .* lacks \['t'\]"),
+        ({"changes": [{**JUMP, "m": 0.1}]}, ValueError, r"options\['changes'\]\[0\] .* nobody reads \['m'\]"),
+        ({"changes": [{**JUMP, "t": -1.0}]}, ValueError, r"options\['changes'\]\[0\]\['t'\] must be"),
+        (
+            {"changes": [JUMP, {**JUMP, "t": 0.5}]},
+            ValueError,
+            r"options\['changes'\]\[1\]\['t'\] must be later than the one before, 1 s, got 0.5 s",
+        ),
+        ({"changes": [JUMP, JUMP]}, ValueError, r"options\['changes'\]\[1\]\['t'\] must be later"),
         ({"changes": [{"t": 1.0, "M": -0.5, "mu": 0.01}]}, ValueError, "M must be"),
     ],
 )

@@ -152,7 +152,16 @@ def test_make_vec_gives_the_native_batch_without_warnings():
     same = gym.make_vec(ENV_ID, num_envs=2, autoreset_mode="SAME_STEP", max_episode_steps=9)
     assert same.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     assert same.unwrapped.max_episode_steps == 9
-    assert env.spec.to_json()
+
+
+@pytest.mark.parametrize(("kwargs", "steps"), [({}, 1650), ({"max_episode_steps": 10}, 10)])
+def test_the_spec_says_the_time_limit_of_the_batch(kwargs, steps):
+    env = gym.make_vec(ENV_ID, num_envs=2, **kwargs)
+    assert env.spec.max_episode_steps == steps
+    again = gym.make_vec(type(env.spec).from_json(env.spec.to_json()))
+    assert (again.num_envs, again.unwrapped.max_episode_steps, again.spec.max_episode_steps) == (2, steps, steps)
+    assert CapsuleVectorEnv(2, **kwargs).spec is None
+    assert gym.spec(ENV_ID).max_episode_steps == 1650
 
 
 def test_next_step_ignores_the_action_after_the_end():
@@ -238,6 +247,7 @@ def test_nothing_handed_out_changes_later():
         ({"num_envs": 2.0}, TypeError, "num_envs must be"),
         ({"num_envs": 2, "max_episode_steps": 0}, ValueError, "max_episode_steps"),
         ({"num_envs": 2, "threads": 0}, ValueError, "threads"),
+        ({"num_envs": 2, "residual_limit": 0.0}, ValueError, "residual_limit must be > 0"),
         ({"num_envs": 2, "autoreset_mode": "LATER"}, ValueError, "autoreset_mode"),
         ({"num_envs": 2, "render_mode": "human"}, ValueError, "render_mode"),
     ],
@@ -255,6 +265,8 @@ def test_bad_arguments_are_named(kwargs, error, message):
         ([1, 0.5], None, TypeError, "seed"),
         (0, {"M": [0.5]}, ValueError, "options\\['M'\\]"),
         (0, {"M": [0.5, -0.5]}, ValueError, "M must be"),
+        (0, {"changes": 1.0}, TypeError, "options\\['changes'\\] must have one entry per environment .*, got 1.0"),
+        (0, {"changes": [[], {"t": 1.0}]}, TypeError, "options\\['changes'\\] must be a list"),
         (0, {"state": np.zeros((3, 4))}, ValueError, "state"),
         (0, {"reset_mask": [True, False]}, TypeError, "reset_mask"),
         (0, {"reset_mask": np.array([False, False])}, ValueError, "reset_mask"),
