@@ -137,7 +137,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
     | `termination_penalty` | `10` | centimetres that a failure costs |
     | `initial_noise` | `0` | half width of the uniform noise on the initial angle, rad |
     | `control_dt` | `0.02` | agent step, s |
-    | `physics_dt` | 2 ms, with a controller 1 ms | step of the fourth-order integrator, s |
+    | `physics_dt` | 2 ms, with a controller 1 ms | step of the fourth-order integrator, s; at most a million in an agent step |
     | `render_mode` | `None` | "human" or, also of a batch, "rgb_array" |
 
     Raises:

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 from numba import types
 from numba.core import cgutils
+from numba.core.errors import NumbaError
 from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
 
@@ -132,7 +133,25 @@ def pack(plant: Plant, settings: Settings, reference: np.ndarray) -> np.ndarray:
 
     Numbers in a tuple, and every array more, would take longer to enter compiled code than a substep takes.
     """
-    return np.concatenate([[*plant, *settings], reference.ravel()])
+    # Named, since numpy makes objects of integers that fit none of its own: to the kernel these would be addresses.
+    return np.concatenate([np.array([*plant, *settings], np.float64), reference.ravel()], dtype=np.float64)
+
+
+def check_arrays(**arrays: tuple[Any, type, tuple[int | None, ...]]) -> None:
+    """Refuses what compiled code would read or write beyond: its raw entry points look at nothing of an array.
+
+    Args:
+        arrays: by name the array, its dtype, and its shape, with None for a length that does not matter.
+
+    Raises:
+        TypeError: if one is no contiguous, aligned array of that dtype and shape.
+    """
+    for name, (array, dtype, shape) in arrays.items():
+        sound = isinstance(array, np.ndarray) and array.dtype == dtype and array.ndim == len(shape)
+        sound = sound and all(size in (None, own) for size, own in zip(shape, array.shape, strict=True))
+        if not (sound and array.flags.c_contiguous and array.flags.aligned and array.dtype.isnative):
+            got = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+            raise TypeError(f"{name} must be a contiguous array of {dtype.__name__} of shape {shape}, got {got}")
 
 
 # Where `pack` begins with the settings, and with the controller's table.
@@ -508,7 +527,10 @@ def build(
         memory_size: number of its memory cells.
         reference_size: number of columns of its reference table.
         pivot_torque_on_contact: 1.0 for the paper's normal force, 0.0 for Newton's.
-        name: of the law, for the message.
+        name: of the law, for the messages.
+
+    Raises:
+        TypeError: if the law is nothing that numba compiles.
     """
     source = law_function.py_func if isinstance(law_function, CPUDispatcher) else law_function
     shape = f"{memory_size}:{reference_size}:{pivot_torque_on_contact}"
@@ -524,7 +546,13 @@ def build(
         for function in (consult, observe):
             bindings[function.__name__] = inlined(rebound(function, f"{function.__name__}_{digest}", bindings))
         built = kernel(advance, digest, bindings)
-        compile_now(built, SIGNATURE, f"the physics with {name}")
+        try:
+            compile_now(built, SIGNATURE, f"the physics with {name}")
+        except (NumbaError, NotImplementedError, ValueError) as error:
+            raise TypeError(
+                f"{name} must be a function that numba compiles, of numbers and tuples of numbers, and return "
+                f"(torque, memory) with {memory_size} cells of memory; numba says: {error}"
+            ) from error
         _built[digest] = built
     return _built[digest]
 

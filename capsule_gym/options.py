@@ -19,6 +19,10 @@ from capsule_gym.parameters import RANDOMIZATIONS, Capsule, Randomization, check
 
 DIRECT_PHYSICS_DT = 2e-3
 LAW_PHYSICS_DT = LAW_DT
+# Steps of the integrator in a step of the agent: what takes a tenth of a second.
+MOST_SUBSTEPS = 1_000_000
+# s. Steps of more digits than these would not divide each other, whatever they are.
+SHORTEST_STEP, LONGEST_STEP = 1e-9, 1e6
 RENDER_MODES = ("human", "rgb_array")
 
 Check = Callable[[str, Any], Any]
@@ -31,6 +35,11 @@ def _anything(name: str, value: Any) -> Any:
 
 def _positive(unit: str) -> Check:
     return partial(check_number, accepted=f"a finite number > 0 ({unit})", low=0.0, open_low=True)
+
+
+def _is_step(name: str, value: Any) -> float:
+    accepted = f"a finite number of s in [{SHORTEST_STEP:g}, {LONGEST_STEP:g}]"
+    return check_number(name, value, accepted, SHORTEST_STEP, LONGEST_STEP)
 
 
 def _at_least_zero(unit: str) -> Check:
@@ -129,12 +138,12 @@ class Options:
     initial_noise: float = field(
         default=0.0, metadata=_about("half width of the uniform noise on the initial angle, rad", _is_noise)
     )
-    control_dt: float = field(default=task.CONTROL_DT, metadata=_about("agent step, s", _positive("s")))
+    control_dt: float = field(default=task.CONTROL_DT, metadata=_about("agent step, s", _is_step))
     physics_dt: float | None = field(
         default=None,
         metadata=_about(
-            "step of the fourth-order integrator, s",
-            _or_none(_positive("s")),
+            "step of the fourth-order integrator, s; at most a million in an agent step",
+            _or_none(_is_step),
             f"{1e3 * DIRECT_PHYSICS_DT:g} ms, with a controller {1e3 * LAW_PHYSICS_DT:g} ms",
         ),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
@@ -34,6 +35,14 @@ class Plant(NamedTuple):
     backward_ratio: float
 
 
+def shown(value: Any) -> str:
+    """A value as a message shows it: Python writes no integer of thousands of digits out."""
+    try:
+        return repr(value)
+    except ValueError:
+        return f"a {type(value).__name__} too long to show"
+
+
 def check_number(
     name: str, value: Any, accepted: str, low: float = -math.inf, high: float = math.inf, *, open_low: bool = False
 ) -> float:
@@ -52,27 +61,29 @@ def check_number(
         ValueError: if it is not finite or outside the range.
     """
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise TypeError(f"{name} must be {accepted}, got {value!r} of type {type(value).__name__}")
+        raise TypeError(f"{name} must be {accepted}, got {shown(value)} of type {type(value).__name__}")
     try:
         number = float(value)
     except OverflowError:  # an integer beyond the largest float
         number = math.inf
     if not math.isfinite(number) or number < low or number > high or (open_low and number == low):
-        raise ValueError(f"{name} must be {accepted}, got {value!r}")
+        raise ValueError(f"{name} must be {accepted}, got {shown(value)}")
     return number
 
 
-def check_count(name: str, value: Any) -> int:
-    """Returns `value` as a positive int.
+def check_count(name: str, value: Any, most: int = sys.maxsize) -> int:
+    """Returns `value` as an int from 1 to `most`.
 
     Raises:
         TypeError: if it is no integer.
-        ValueError: if it is below 1.
+        ValueError: if it is below 1 or above `most`.
     """
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{name} must be an integer >= 1, got {value!r}")
     if value < 1:
-        raise ValueError(f"{name} must be an integer >= 1, got {value!r}")
+        raise ValueError(f"{name} must be an integer >= 1, got {shown(value)}")
+    if value > most:
+        raise ValueError(f"{name} must be an integer <= {most}, got {shown(value)}")
     return int(value)
 
 

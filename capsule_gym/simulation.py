@@ -16,11 +16,13 @@ import numpy as np
 from capsule_gym import kernels, task
 from capsule_gym.controller import Controller, Law, find_controller
 from capsule_gym.kernels import LANES, Row
-from capsule_gym.options import DEFAULTS, DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, Options
+from capsule_gym.options import DEFAULTS, DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, Options
 from capsule_gym.parameters import NOMINAL, Randomization, check_count, check_number
 
 # What acts where no controller does.
 NO_CONTROLLER = Controller("none", kernels.no_law, kernels.NO_REFERENCE)
+# Environments in a batch: some 7 GB.
+MOST_ENVS = 2**24
 
 # What a change of the plant within an episode says.
 CHANGE = ("t", "M", "mu")
@@ -70,9 +72,15 @@ def divide(name: str, whole: float, part_name: str, part: float) -> int:
     """How often `part` fits into `whole`; both in seconds.
 
     Raises:
-        ValueError: if it does not fit a whole number of times.
+        ValueError: if it does not fit a whole number of times, or too often.
     """
-    count = round(whole / part)
+    ratio = whole / part
+    if ratio > MOST_SUBSTEPS:
+        raise ValueError(
+            f"{part_name} must divide {name}={whole!r} s at most {MOST_SUBSTEPS} times, got {part!r} s, which does "
+            f"{ratio:.6g} times"
+        )
+    count = round(ratio)
     if count < 1 or abs(count * part - whole) > 1e-9 * whole:
         raise ValueError(f"{part_name} must divide {name}={whole!r} s a whole number of times, got {part!r} s")
     return count
@@ -86,13 +94,18 @@ def make_settings(options: Options, controller: Controller | None) -> kernels.Se
         controller: the law inside the step, which `options` names.
 
     Raises:
-        ValueError: if the steps of the integrator, the law and the agent do not divide each other.
+        ValueError: if the steps of the integrator, the law and the agent do not divide each other, or are too many.
     """
     torque_limit, residual_limit = options.torque_limit, options.residual_limit
     physics_dt = options.physics_dt
     if physics_dt is None:
         physics_dt = LAW_PHYSICS_DT if controller else DIRECT_PHYSICS_DT
     law_dt = controller.dt if controller else options.control_dt
+    if options.control_dt / physics_dt > MOST_SUBSTEPS:
+        raise ValueError(
+            f"control_dt must be at most {MOST_SUBSTEPS} times physics_dt={physics_dt!r} s, "
+            f"got {options.control_dt!r} s"
+        )
     return kernels.Settings(
         torque_limit=torque_limit,
         residual_limit=torque_limit if residual_limit is None else residual_limit,
@@ -127,7 +140,7 @@ class Simulation:
     """
 
     def __init__(self, num_envs: int, options: Options = DEFAULTS) -> None:
-        self.num_envs = check_count("num_envs", num_envs)
+        self.num_envs = check_count("num_envs", num_envs, MOST_ENVS)
         self.options = options
         self.capsule = options.capsule or NOMINAL
         self.randomization = Randomization.named(options.randomization)
@@ -139,9 +152,12 @@ class Simulation:
 
         blocks = -(-self.num_envs // LANES)
         rows = kernels.ROWS + len(self.memory) + self.reference.shape[1]
-        self.world = np.zeros((blocks, rows, LANES))
         names = task.observation_names(self.settings.with_reference, self.settings.with_parameters)
-        self.observations = np.zeros((self.num_envs, len(names)), np.float32)
+        try:
+            self.world = np.zeros((blocks, rows, LANES))
+            self.observations = np.zeros((self.num_envs, len(names)), np.float32)
+        except MemoryError as error:
+            raise ValueError(f"num_envs must be as many as there is memory for, got {self.num_envs}: {error}") from None
         # Set through a memoryview, which takes half the time of an array.
         self._action: Any = memoryview(self.world[0, Row.action])
         self._bind_kernel(acting.law)
@@ -177,6 +193,11 @@ class Simulation:
         # are the arguments, where they are looked up each time.
         compiled: Callable[..., int] = next(iter(self._kernel.overloads.values())).entry_point
         fixed = (kernels.pack(plant, self.settings, self.reference), self.observations)
+        kernels.check_arrays(
+            world=(blocks, np.float64, (None, self.world[0].size)),
+            fixed=(fixed[0], np.float64, (kernels.CONSTANTS + self.reference.size,)),
+            observations=(self.observations, np.float32, (self.num_envs, None)),
+        )
         self._advance: Callable[[int, int, bool], int] = lambda first, last, begin: compiled(
             blocks, first, last, begin, *fixed
         )

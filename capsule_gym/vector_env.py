@@ -52,7 +52,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         termination_penalty: centimetres that a failure costs.
         initial_noise: half width of the uniform noise on the initial angle, rad.
         control_dt: agent step, s.
-        physics_dt: step of the fourth-order integrator, s.
+        physics_dt: step of the fourth-order integrator, s; at most a million in an agent step.
         threads: threads that share a batch, from 64 environments each; the results do not depend on it.
         render_mode: "human" or, also of a batch, "rgb_array".
 

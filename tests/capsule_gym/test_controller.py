@@ -59,10 +59,56 @@ def test_laws_that_break_the_contract_are_refused(law, error):
         Controller("bad", law, np.zeros((1, 2)))
 
 
-@pytest.mark.parametrize("reference", [np.zeros(3), np.zeros((0, 2)), np.zeros((4, 1)), np.full((2, 2), np.nan)])
+@pytest.mark.parametrize(
+    "reference",
+    [
+        np.zeros(3),
+        np.zeros((0, 2)),
+        np.zeros((4, 1)),
+        np.full((2, 2), np.nan),
+        np.zeros((2, 257)),
+        np.broadcast_to(np.zeros(2), (10**12, 2)),
+        [[0.0, 10**400]],
+        [["a", "b"]],
+        [[1.0], [1.0, 2.0]],
+        None,
+    ],
+)
 def test_references_that_break_the_contract_are_refused(reference):
-    with pytest.raises(ValueError, match=r"Controller\.reference"):
+    with pytest.raises(ValueError, match=r"^Controller\.reference must be a table of finite numbers"):
         Controller("bad", lambda *state: (0.0, state[4]), reference)
+
+
+@pytest.mark.parametrize(
+    ("memory", "error"),
+    [((), ValueError), ((0.0,) * 257, ValueError), ((10**400,), ValueError), (0.0, TypeError), (("a",), TypeError)],
+)
+def test_memories_that_break_the_contract_are_refused(memory, error):
+    with pytest.raises(error, match=r"^Controller\.memory must be a tuple of 1 to 256 finite numbers"):
+        Controller("bad", lambda *state: (0.0, state[4]), np.zeros((1, 2)), memory)
+
+
+def law_of(gain):
+    return lambda theta, theta_dot, x, x_dot, memory, reference: (gain * theta, memory)
+
+
+@pytest.mark.parametrize("gain", [2, True, np.float32(2.0), np.int8(2), np.array(2.0)])
+def test_the_constants_of_a_law_may_be_of_any_type_that_numba_knows(gain):
+    env = CapsuleEnv(controller=Controller("own", law_of(gain), np.zeros((1, 2))), torque_limit=5.0)
+    _, info = env.reset(seed=0)
+    assert info["law_torque"] == float(gain) * info["state"][0]
+
+
+@pytest.mark.parametrize("gain", [np.float16(2.0), 10**30, np.longdouble(2.0)])
+def test_a_law_that_does_not_compile_is_named(gain):
+    with pytest.raises(TypeError, match=r"^the control law 'odd' must be a function that numba compiles"):
+        CapsuleEnv(controller=Controller("odd", law_of(gain), np.zeros((1, 2))))
+
+
+@pytest.mark.parametrize(("gain", "error"), [(10**400, ValueError), (1j, TypeError), ([], TypeError)])
+def test_a_law_whose_trial_call_fails_is_named(gain, error):
+    with pytest.raises(error, match=r"^the control law of 'odd' must .* trial call"):
+        Controller("odd", law_of(gain), np.ones((1, 2)))
 
 
 def own() -> Controller:
