@@ -15,9 +15,9 @@ from capsule_gym import task
 from capsule_gym.controller import Controller
 from capsule_gym.kernels import Quantities, Row
 from capsule_gym.options import RENDER_MODES, Options
-from capsule_gym.parameters import Capsule, Randomization
+from capsule_gym.parameters import Capsule, Randomization, check_count, written
 from capsule_gym.rendering import Renderer
-from capsule_gym.simulation import Simulation
+from capsule_gym.simulation import Simulation, check_seed
 
 RESET_OPTIONS = ("M", "mu", "state", "changes")
 REWARD_TERMS = Quantities._fields[Row.reward_progress : Row.reward]
@@ -188,7 +188,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         """Begins a new episode.
 
         Args:
-            seed: starts the random streams anew; without one they go on, each episode with its own draw.
+            seed: starts the random streams anew, an integer in [0, 2**128); without one they go on, each episode with
+                its own draw.
             options: any of "M" (kg), "mu", "state" ([theta, theta_dot, x, x_dot]) and "changes" (a list of
                 `{"t": s, "M": kg, "mu": ..}`: jumps during the episode) override what would be drawn.
 
@@ -196,9 +197,10 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
             The observation and the info described above.
 
         Raises:
-            TypeError: if an option is of the wrong type.
-            ValueError: if an option is unknown or out of range.
+            TypeError: if the seed or an option is of the wrong type.
+            ValueError: if the seed is out of range, or an option is unknown or out of range.
         """
+        seed = None if seed is None else check_seed(seed)
         fresh = seed is not None or self._np_random is None
         super().reset(seed=seed)
         if fresh:
@@ -234,9 +236,9 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         if not self._running:
             raise gym.error.ResetNeeded("call reset() before step(): there is no running episode")
         plain = type(action) is np.ndarray and action.dtype.char == "f"
-        array = action if plain else np.asarray(action, np.float32)
-        if array.shape != (1,) or not math.isfinite(value := array.item()):
-            raise ValueError(f"action must be one finite number of shape (1,) in [-1, 1], got {action!r}")
+        array = action if plain else as_actions(action)
+        if array is None or array.shape != (1,) or not math.isfinite(value := array.item()):
+            raise ValueError(f"action must be one finite number of shape (1,) in [-1, 1], got {written(action)}")
         self._advance(value)
         shown = self._shown.copy()
         info = show(shown)
@@ -253,7 +255,12 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
 
         Args:
             horizon: agent steps of a whole episode: a failed one has its mean speed over these.
+
+        Raises:
+            TypeError: if the horizon is no integer.
+            ValueError: if it is below 1.
         """
+        check_count("horizon", horizon)
         return {name: float(value[0]) for name, value in self.simulation.metrics(THE_ONE, horizon).items()}
 
     def render(self) -> np.ndarray | None:
@@ -288,6 +295,14 @@ def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:
         settings.with_reference, settings.with_parameters, simulation.capsule, settings.torque_limit
     )
     return spaces.Box(-1.0, 1.0, (1,), np.float32), spaces.Box(low, high, dtype=np.float32)
+
+
+def as_actions(actions: Any) -> np.ndarray | None:
+    """Actions as contiguous float32, or None where they are no numbers."""
+    try:
+        return np.asarray(actions, np.float32, order="C")
+    except (TypeError, ValueError, OverflowError):
+        return None
 
 
 def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> dict[str, Any]:

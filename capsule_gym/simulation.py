@@ -17,7 +17,7 @@ from capsule_gym import kernels, task
 from capsule_gym.controller import Controller, Law, find_controller
 from capsule_gym.kernels import LANES, Row
 from capsule_gym.options import DEFAULTS, DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, Options
-from capsule_gym.parameters import NOMINAL, Randomization, check_count, check_number
+from capsule_gym.parameters import NOMINAL, Randomization, check_count, check_number, written
 
 # What acts where no controller does.
 NO_CONTROLLER = Controller("none", kernels.no_law, kernels.NO_REFERENCE)
@@ -40,11 +40,29 @@ def random_stream(seed: int, episode: int, stream: Stream) -> np.random.Generato
     a batch.
 
     Args:
-        seed: the environment's seed, any integer >= 0.
+        seed: the environment's seed, an integer in [0, 2**128).
         episode: episodes since that seed was given.
         stream: the purpose.
     """
     return RandomStreams().at(seed, episode, stream)
+
+
+def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None") -> int:
+    """An environment's seed as an int.
+
+    Args:
+        seed: what the caller gave.
+        accepted: in words, for the message.
+
+    Raises:
+        TypeError: if it is no integer.
+        ValueError: if it is negative, or has more bits than a stream's key.
+    """
+    if isinstance(seed, (bool, np.bool_)) or not isinstance(seed, (int, np.integer)):
+        raise TypeError(f"seed must be {accepted}, got {written(seed)}")
+    if not 0 <= seed < 2**128:
+        raise ValueError(f"seed must be {accepted}, got {written(seed)}")
+    return int(seed)
 
 
 class RandomStreams:
@@ -397,8 +415,10 @@ class Simulation:
         accepted = "[theta, theta_dot, x, x_dot], finite, |theta| < pi/2"
         try:
             array = np.asarray(state, dtype=np.float64)
+        except OverflowError:
+            raise ValueError(f"options['state'] must be {accepted}, got {written(state)}") from None
         except (TypeError, ValueError):
-            raise TypeError(f"options['state'] must be {accepted}, got {state!r}") from None
+            raise TypeError(f"options['state'] must be {accepted}, got {written(state)}") from None
         if array.shape not in ((4,), (count, 4)):
             raise ValueError(f"options['state'] must be {accepted}, got shape {array.shape}")
         if not np.isfinite(array).all() or (np.abs(array[..., 0]) >= task.THETA_LIMIT).any():
@@ -407,10 +427,13 @@ class Simulation:
 
     def _schedule(self, changes: Sequence[dict[str, float]]) -> list[tuple[float, float, float]]:
         """The jumps of one episode as (t, M, mu), in order of time."""
+        accepted = "hold dicts {'t': s, 'M': kg, 'mu': ..}"
+        if not isinstance(changes, Sequence):
+            raise TypeError(f"options['changes'] must {accepted}, got {written(changes)}")
         schedule = []
         for change in changes:
             if not isinstance(change, dict) or set(change) != {"t", "M", "mu"}:
-                raise ValueError(f"options['changes'] must hold dicts {{'t': s, 'M': kg, 'mu': ..}}, got {change!r}")
+                raise ValueError(f"options['changes'] must {accepted}, got {written(change)}")
             t = check_number("options['changes'] t", change["t"], "a finite number >= 0 (s)", 0.0)
             self._check_plant(change["M"], change["mu"])
             schedule.append((t, float(change["M"]), float(change["mu"])))

@@ -366,6 +366,8 @@ def test_bad_arguments_are_named(kwargs, error, message):
         ({"state": [float("nan"), 0.0, 0.0, 0.0]}, ValueError, "state"),
         ({"state": "here"}, TypeError, "state"),
         ({"changes": [{"t": 1.0}]}, ValueError, "changes"),
+        ({"changes": 5}, TypeError, r"options\['changes'\] must hold dicts"),
+        ({"changes": [5]}, ValueError, r"options\['changes'\] must hold dicts"),
         ({"changes": [{"t": -1.0, "M": 0.5, "mu": 0.01}]}, ValueError, "changes"),
         ({"changes": [{"t": 1.0, "M": -0.5, "mu": 0.01}]}, ValueError, "M must be"),
     ],
@@ -375,12 +377,54 @@ def test_bad_options_are_named(options, error, message):
         CapsuleEnv().reset(seed=0, options=options)
 
 
-@pytest.mark.parametrize("action", [np.zeros(2), np.array([np.nan]), np.zeros((1, 1)), 0.5, np.array([np.inf])])
+@pytest.mark.parametrize(
+    "action", [np.zeros(2), np.array([np.nan]), np.zeros((1, 1)), 0.5, np.array([np.inf]), ["a"], None, {}]
+)
 def test_bad_actions_are_named(action):
     env = CapsuleEnv()
     env.reset(seed=0)
     with pytest.raises(ValueError, match="action must be"):
         env.step(action)
+
+
+HUGE = 10**400
+LONGEST = 10**5000  # more digits than Python writes out
+
+
+@pytest.mark.parametrize("value", [HUGE, -HUGE, LONGEST], ids=["huge", "small", "longest"])
+def test_an_integer_beyond_every_float_is_refused_by_name_wherever_it_stands(value):
+    env = CapsuleEnv()
+    change = {"t": 1.0, "M": 0.5, "mu": 0.01}
+    for options, message in [
+        ({"M": value}, "^M must be"),
+        ({"mu": value}, "^mu must be"),
+        ({"state": [0.1, value, 0.0, 0.0]}, r"^options\['state'\] must be"),
+        *(({"changes": [{**change, name: value}]}, f"{name} must be") for name in change),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            env.reset(seed=0, options=options)
+    with pytest.raises(ValueError, match=r"^seed must be"):
+        env.reset(seed=value)
+    env.reset(seed=0)
+    for action in ([value], value, np.array([value])):
+        with pytest.raises(ValueError, match=r"^action must be"):
+            env.step(action)
+    with pytest.raises(ValueError, match=r"^horizon must be"):
+        env.episode_metrics(value)
+
+
+@pytest.mark.parametrize(
+    ("seed", "error"), [(-1, ValueError), (2**128, ValueError), (1.0, TypeError), (True, TypeError), ("a", TypeError)]
+)
+def test_bad_seeds_are_named(seed, error):
+    with pytest.raises(error, match=r"^seed must be an integer in \[0, 2\*\*128\) or None, got"):
+        CapsuleEnv().reset(seed=seed)
+
+
+def test_seeds_are_integers_of_any_type_up_to_128_bits():
+    env = CapsuleEnv()
+    drawn = [env.reset(seed=seed)[1]["M"] for seed in (5, np.int64(5), 2**128 - 1)]
+    assert drawn[0] == drawn[1] != drawn[2]
 
 
 def test_step_before_reset_is_refused():

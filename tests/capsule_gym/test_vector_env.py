@@ -237,6 +237,7 @@ def test_nothing_handed_out_changes_later():
         ({"num_envs": 0}, ValueError, "num_envs must be"),
         ({"num_envs": 2.0}, TypeError, "num_envs must be"),
         ({"num_envs": 2, "max_episode_steps": 0}, ValueError, "max_episode_steps"),
+        ({"num_envs": 2, "max_episode_steps": 10**400}, ValueError, "^max_episode_steps must be"),
         ({"num_envs": 2, "threads": 0}, ValueError, "threads"),
         ({"num_envs": 2, "autoreset_mode": "LATER"}, ValueError, "autoreset_mode"),
         ({"num_envs": 2, "render_mode": "human"}, ValueError, "render_mode"),
@@ -253,6 +254,19 @@ def test_bad_arguments_are_named(kwargs, error, message):
         ([1], None, ValueError, "seed"),
         ([1, -1], None, ValueError, "seed"),
         ([1, 0.5], None, TypeError, "seed"),
+        ([1, 10**400], None, ValueError, r"^seed must be"),
+        (10**400, None, ValueError, r"^seed must be"),
+        (-1, None, ValueError, r"^seed must be"),
+        (0.5, None, TypeError, r"^seed must be"),
+        (True, None, TypeError, r"^seed must be"),
+        (np.array(1), None, ValueError, r"^seed must be"),
+        (0, {"M": 10**400}, ValueError, "^M must be"),
+        (0, {"mu": [0.1, 10**400]}, ValueError, "^mu must be"),
+        (0, {"M": [[0.5], [0.5, 0.5]]}, TypeError, "^M must be"),
+        (0, {"state": [[0.0, 10**400, 0.0, 0.0]] * 2}, ValueError, "state"),
+        (0, {"state": [[0.0], [0.0, 0.0]]}, TypeError, "state"),
+        (0, {"changes": 5}, TypeError, r"options\['changes'\] must be a list per environment"),
+        (0, {"changes": [5, 5]}, TypeError, r"options\['changes'\] must hold dicts"),
         (0, {"M": [0.5]}, ValueError, "options\\['M'\\]"),
         (0, {"M": [0.5, -0.5]}, ValueError, "M must be"),
         (0, {"state": np.zeros((3, 4))}, ValueError, "state"),
@@ -267,12 +281,25 @@ def test_bad_resets_are_named(seed, options, error, message):
         CapsuleVectorEnv(2).reset(seed=seed, options=options)
 
 
+@pytest.mark.parametrize("seed", [range(3, 5), (3, 4), [3, 4], np.array([3, 4]), 3, np.int64(3)])
+def test_seeds_come_in_every_form(seed):
+    masses = [CapsuleVectorEnv(2).reset(seed=given)[1]["M"].tolist() for given in (seed, 3)]
+    assert masses[0] == masses[1]
+
+
 def test_bad_actions_are_named():
     env = CapsuleVectorEnv(2)
     with pytest.raises(gym.error.ResetNeeded):
         env.step(np.zeros((2, 1), np.float32))
     env.reset(seed=0)
-    for actions in (np.zeros(2), np.zeros((3, 1)), np.array([[0.0], [np.nan]])):
+    for actions in (
+        np.zeros(2),
+        np.zeros((3, 1)),
+        np.array([[0.0], [np.nan]]),
+        [[0.0], [10**400]],
+        [["a"], ["b"]],
+        None,
+    ):
         with pytest.raises(ValueError, match="actions must be"):
             env.step(actions)
 
