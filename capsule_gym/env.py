@@ -80,7 +80,10 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
     | 7 | sine of the cycle's phase | -1 | 1 | with a controller |
     | 8 | cosine of the cycle's phase | -1 | 1 | with a controller |
     | 9 | the torque that the law asks for at this instant (N m) | -torque_limit | torque_limit | with a controller |
-    | last two | M (kg), mu | 0 | 4 Capsule.M, 1 | `observe_parameters=True` |
+    | last two | M (kg), mu | 0 | 4 Capsule.M, 1; or what `randomization` and `capsule` reach, where that is more | `observe_parameters=True` |
+
+    Where M and mu are observed, `reset(options=..)` refuses larger ones than these: a `Randomization` with wider ranges
+    makes room for them.
 
     The position x is not observed: the task does not depend on it. `info["state"]` holds it.
 
@@ -292,7 +295,11 @@ def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:
     """The action and the observation space of one environment."""
     settings = simulation.settings
     low, high = task.observation_bounds(
-        settings.with_reference, settings.with_parameters, simulation.capsule, settings.torque_limit
+        settings.with_reference,
+        settings.with_parameters,
+        simulation.capsule,
+        simulation.randomization,
+        settings.torque_limit,
     )
     return spaces.Box(-1.0, 1.0, (1,), np.float32), spaces.Box(low, high, dtype=np.float32)
 

@@ -160,6 +160,8 @@ class Simulation:
         self.capsule = options.capsule or NOMINAL
         self.randomization = Randomization.named(options.randomization)
         self.randomization.check(self.capsule)
+        # M in kg and mu, where they are observed.
+        self._largest = task.parameter_bounds(self.capsule, self.randomization)
         self.controller = find_controller(options.controller)
         self.settings = make_settings(options, self.controller)
         acting = self.controller or NO_CONTROLLER
@@ -405,10 +407,9 @@ class Simulation:
         """Refuses M and mu that are invalid, or outside the bounds of the observation that shows them."""
         self.capsule.check_plant(M, mu)
         if self.settings.with_parameters:
-            check_number(
-                "M", M, f"at most {task.M_BOUND:g} x Capsule.M where observed", 0.0, task.M_BOUND * self.capsule.M
-            )
-            check_number("mu", mu, f"at most {task.MU_BOUND:g} where observed", 0.0, task.MU_BOUND)
+            for name, value, largest in zip(("M", "mu"), (M, mu), self._largest, strict=True):
+                accepted = f"at most {largest:g} where observe_parameters shows it (a wider randomization shows more)"
+                check_number(name, value, accepted, 0.0, largest)
 
     def _check_state(self, state: Any, count: int) -> np.ndarray:
         """The states of `count` environments as float64, shape (count, 4)."""

@@ -58,6 +58,36 @@ def test_observations_lie_within_tight_finite_bounds(kwargs):
     assert seen[:, 2].max() < space.high[2]
 
 
+@pytest.mark.parametrize(
+    "kwargs",
+    [
+        {"randomization": Randomization(M=(0.3, 9.0), mu=(0.001, 3.0))},
+        {"randomization": Randomization(M=(5.0, 5.0), mu=(0.1, 3.0), log_mu=True)},
+        {"capsule": Capsule(M=0.05)},
+        {"capsule": Capsule(mu=1.7), "randomization": "none"},
+        {"capsule": Capsule(M=0.1, mu=0.7)},
+    ],
+)
+def test_every_plant_that_can_occur_lies_in_the_observation_space(kwargs):
+    env = CapsuleEnv(observe_parameters=True, **kwargs)
+    space, none = env.observation_space, np.zeros(1, np.float32)
+    assert np.isfinite(space.high).all()
+    for seed in range(30):
+        observation, info = env.reset(seed=seed)
+        assert space.contains(observation)
+        np.testing.assert_allclose(observation[-2:], [info["M"], info["mu"]], rtol=1e-6)
+    # What a reset may set goes as far as the space, and no further.
+    M, mu = space.high[-2:].tolist()
+    largest = {"M": M * (1.0 - 1e-6), "mu": min(mu * (1.0 - 1e-6), 1.0)}
+    observation, _ = env.reset(options={**largest, "changes": [{"t": 0.0, "M": largest["M"], "mu": 0.0}]})
+    assert space.contains(observation)
+    assert space.contains(env.step(none)[0])
+    for beyond, message in (({"M": 1.01 * M}, "^M must be at most"), ({"M": M, "mu": 1.01 * mu}, "^mu must be at mo")):
+        for options in (beyond, {"changes": [{"t": 1.0, "M": 0.5, "mu": 0.0, **beyond}]}):
+            with pytest.raises(ValueError, match=message):
+                env.reset(options=options)
+
+
 @pytest.mark.parametrize("kwargs", VARIANTS)
 def test_same_seed_same_episodes(kwargs):
     first, second = (rollout(gym.make(ENV_ID, **kwargs), 7, 200) for _ in range(2))
