@@ -116,7 +116,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
 
     The same keys and dtypes at every reset and step, as numbers and arrays of numpy: `state` (theta, theta_dot, x,
     x_dot), `stick`, `M`, `mu`, `torque` (the last torque applied, N m), `law_torque` (what the law asks for next, N m),
-    `normal_force` (the smallest in the step, N), `energy` (of the step, J), the reward terms, and `termination`
+    `normal_force` (the smallest in the step, N; after a reset the weight), `energy` (of the step, J), the reward terms, and `termination`
     (`capsule_gym.task.Termination`: 0 while the episode goes on, 1 "pendulum", 2 "contact").
 
     ## Arguments

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from capsule_gym import CapsuleVectorEnv
+from capsule_gym import Capsule, CapsuleVectorEnv
 from capsule_gym.kernels import ROWS, Row
 from capsule_gym.task import ENV_ID, METRICS, Termination
 from tests.capsule_gym.fakes import EPISODE_ROWS, layout
@@ -206,6 +206,26 @@ def test_options_per_environment():
     env.step(np.zeros((3, 1), np.float32))
     info = env.step(np.zeros((3, 1), np.float32))[4]
     assert info["M"].tolist() == [0.5, 0.8, 0.7]
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+@pytest.mark.parametrize("controller", [None, "baselines:adaptive"])
+def test_infos_are_finite_at_every_reset_also_of_some(mode, controller):
+    env = CapsuleVectorEnv(70, max_episode_steps=3, autoreset_mode=mode, controller=controller)
+    _, info = env.reset(seed=0)
+    resets = 0
+    for step in range(9):
+        numbers = [value for name, value in info.items() if name[0] != "_" and not name.startswith("final")]
+        assert all(np.isfinite(value).all() for value in numbers), step
+        fresh = env.simulation.row(Row.steps) == 0.0
+        weight = (info["M"] + Capsule().m) * Capsule().g
+        assert np.array_equal(info["normal_force"] == weight, fresh), step
+        resets += np.count_nonzero(fresh)
+        info = env.step(np.full((70, 1), 0.3, np.float32))[4]
+        if mode is AutoresetMode.DISABLED and step % 3 == 2:
+            _, info = env.reset(options={"reset_mask": np.arange(70) % 2 == 0})
+    assert resets >= 140
+    env.close()
 
 
 def test_seeds_as_a_sequence():
