@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym.parameters import check_number, shown
+from capsule_gym.parameters import check_number, written
 
 Law = Callable[..., tuple[float, tuple[float, ...]]]
 
@@ -116,7 +116,7 @@ def _check_memory(memory: Any) -> tuple[float, ...]:
     try:
         cells = tuple(memory)
     except TypeError:
-        raise TypeError(f"Controller.memory must be {accepted}, got {shown(memory)}") from None
+        raise TypeError(f"Controller.memory must be {accepted}, got {written(memory)}") from None
     if not 1 <= len(cells) <= MOST_COLUMNS:
         raise ValueError(f"Controller.memory must be {accepted}, got {len(cells)}")
     return tuple(check_number("Controller.memory", cell, accepted) for cell in cells)

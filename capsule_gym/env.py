@@ -15,9 +15,9 @@ from capsule_gym import task
 from capsule_gym.controller import Controller
 from capsule_gym.kernels import Quantities, Row
 from capsule_gym.options import RENDER_MODES, Options
-from capsule_gym.parameters import Capsule, Randomization
+from capsule_gym.parameters import Capsule, Randomization, check_count, written
 from capsule_gym.rendering import Renderer
-from capsule_gym.simulation import Simulation
+from capsule_gym.simulation import Simulation, check_seed
 
 RESET_OPTIONS = ("M", "mu", "state", "changes")
 REWARD_TERMS = Quantities._fields[Row.reward_progress : Row.reward]
@@ -80,7 +80,10 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
     | 7 | sine of the cycle's phase | -1 | 1 | with a controller |
     | 8 | cosine of the cycle's phase | -1 | 1 | with a controller |
     | 9 | the torque that the law asks for at this instant (N m) | -torque_limit | torque_limit | with a controller |
-    | last two | M (kg), mu | 0 | 4 Capsule.M, 1 | `observe_parameters=True` |
+    | last two | M (kg), mu | 0 | 4 Capsule.M, 1; or what `randomization` and `capsule` reach, where that is more | `observe_parameters=True` |
+
+    Where M and mu are observed, `reset(options=..)` refuses larger ones than these: a `Randomization` with wider ranges
+    makes room for them.
 
     The position x is not observed: the task does not depend on it. `info["state"]` holds it.
 
@@ -113,7 +116,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
 
     The same keys and dtypes at every reset and step, as numbers and arrays of numpy: `state` (theta, theta_dot, x,
     x_dot), `stick`, `M`, `mu`, `torque` (the last torque applied, N m), `law_torque` (what the law asks for next, N m),
-    `normal_force` (the smallest in the step, N), `energy` (of the step, J), the reward terms, and `termination`
+    `normal_force` (the smallest in the step, N; after a reset the weight), `energy` (of the step, J), the reward terms, and `termination`
     (`capsule_gym.task.Termination`: 0 while the episode goes on, 1 "pendulum", 2 "contact").
 
     ## Arguments
@@ -188,7 +191,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         """Begins a new episode.
 
         Args:
-            seed: starts the random streams anew; without one they go on, each episode with its own draw.
+            seed: starts the random streams anew, an integer in [0, 2**128); without one they go on, each episode with
+                its own draw.
             options: any of "M" (kg), "mu", "state" ([theta, theta_dot, x, x_dot]) and "changes" (a list of
                 `{"t": s, "M": kg, "mu": ..}` in order of time: jumps during the episode) override what would be drawn.
 
@@ -196,9 +200,10 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
             The observation and the info described above.
 
         Raises:
-            TypeError: if an option is of the wrong type.
-            ValueError: if an option is unknown or out of range.
+            TypeError: if the seed or an option is of the wrong type.
+            ValueError: if the seed is out of range, or an option is unknown or out of range.
         """
+        seed = None if seed is None else check_seed(seed)
         fresh = seed is not None or self._np_random is None
         super().reset(seed=seed)
         if fresh:
@@ -234,9 +239,9 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         if not self._running:
             raise gym.error.ResetNeeded("call reset() before step(): there is no running episode")
         plain = type(action) is np.ndarray and action.dtype.char == "f"
-        array = action if plain else np.asarray(action, np.float32)
-        if array.shape != (1,) or not math.isfinite(value := array.item()):
-            raise ValueError(f"action must be one finite number of shape (1,) in [-1, 1], got {action!r}")
+        array = action if plain else as_actions(action)
+        if array is None or array.shape != (1,) or not math.isfinite(value := array.item()):
+            raise ValueError(f"action must be one finite number of shape (1,) in [-1, 1], got {written(action)}")
         self._advance(value)
         shown = self._shown.copy()
         info = show(shown)
@@ -253,7 +258,12 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
 
         Args:
             horizon: agent steps of a whole episode: a failed one has its mean speed over these.
+
+        Raises:
+            TypeError: if the horizon is no integer.
+            ValueError: if it is below 1.
         """
+        check_count("horizon", horizon)
         return {name: float(value[0]) for name, value in self.simulation.metrics(THE_ONE, horizon).items()}
 
     def render(self) -> np.ndarray | None:
@@ -294,9 +304,21 @@ def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:
     """The action and the observation space of one environment."""
     settings = simulation.settings
     low, high = task.observation_bounds(
-        settings.with_reference, settings.with_parameters, simulation.capsule, settings.torque_limit
+        settings.with_reference,
+        settings.with_parameters,
+        simulation.capsule,
+        simulation.randomization,
+        settings.torque_limit,
     )
     return spaces.Box(-1.0, 1.0, (1,), np.float32), spaces.Box(low, high, dtype=np.float32)
+
+
+def as_actions(actions: Any) -> np.ndarray | None:
+    """Actions as contiguous float32, or None where they are no numbers."""
+    try:
+        return np.asarray(actions, np.float32, order="C")
+    except (TypeError, ValueError, OverflowError):
+        return None
 
 
 def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> dict[str, Any]:

@@ -249,8 +249,8 @@ def plant_of(block: np.ndarray, j: int, plant: Plant) -> Plant:
 
 
 @inlined
-def prepare(block: np.ndarray, n: int, plant: Plant) -> int:
-    """Begins an agent step of a block's environments; returns how many take part."""
+def prepare(block: np.ndarray, n: int, plant: Plant, begin: bool) -> int:
+    """Begins an agent step, or an episode, of a block's environments; returns how many take part."""
     use_widest_vectors()
     count = 0
     for j in range(n):
@@ -260,7 +260,8 @@ def prepare(block: np.ndarray, n: int, plant: Plant) -> int:
         block[AT.mass_ratio + j] = plant.m / (block[AT.M + j] + plant.m)
         block[AT.before_x + j] = block[AT.x + j]
         block[AT.energy + j] = 0.0 if active else block[AT.energy + j]
-        block[AT.normal_force + j] = math.inf if active else block[AT.normal_force + j]
+        # The smallest of the step is to come; an episode begins with what it is given.
+        block[AT.normal_force + j] = math.inf if active and not begin else block[AT.normal_force + j]
         count += active
     return count
 
@@ -480,7 +481,7 @@ def advance(
         block = world[b]
         n = last - b * LANES
         n = n if n < LANES else LANES
-        if prepare(block, n, plant) == 0 and begin:
+        if prepare(block, n, plant, begin) == 0 and begin:
             continue
         for _ in range(1 if begin else settings.law_steps):
             if not begin:

@@ -35,7 +35,7 @@ class Plant(NamedTuple):
     backward_ratio: float
 
 
-def shown(value: Any) -> str:
+def written(value: Any) -> str:
     """A value as a message shows it: Python writes no integer of thousands of digits out."""
     try:
         return repr(value)
@@ -61,13 +61,13 @@ def check_number(
         ValueError: if it is not finite or outside the range.
     """
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise TypeError(f"{name} must be {accepted}, got {shown(value)} of type {type(value).__name__}")
+        raise TypeError(f"{name} must be {accepted}, got {written(value)} of type {type(value).__name__}")
     try:
         number = float(value)
     except OverflowError:  # an integer beyond the largest float
         number = math.inf
     if not math.isfinite(number) or number < low or number > high or (open_low and number == low):
-        raise ValueError(f"{name} must be {accepted}, got {shown(value)}")
+        raise ValueError(f"{name} must be {accepted}, got {written(value)}")
     return number
 
 
@@ -81,9 +81,9 @@ def check_count(name: str, value: Any, most: int = sys.maxsize) -> int:
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{name} must be an integer >= 1, got {value!r}")
     if value < 1:
-        raise ValueError(f"{name} must be an integer >= 1, got {shown(value)}")
+        raise ValueError(f"{name} must be an integer >= 1, got {written(value)}")
     if value > most:
-        raise ValueError(f"{name} must be an integer <= {most}, got {shown(value)}")
+        raise ValueError(f"{name} must be an integer <= {most}, got {written(value)}")
     return int(value)
 
 
@@ -103,7 +103,9 @@ def check_contact_is_regular(M: float, m: float, mu: float) -> None:
     """
     bound = (1.0 + math.sqrt(1.0 + mu * mu)) / 2.0
     if (M + m) / m <= bound:
-        largest = math.sqrt((2.0 * (M + m) / m - 1.0) ** 2 - 1.0)
+        ratio = 2.0 * (M + m) / m - 1.0
+        # As a product: a power that overflows is an exception in Python.
+        largest = math.sqrt(ratio * ratio - 1.0)
         raise ValueError(
             f"M={M!r}, m={m!r} and friction coefficient mu={mu!r} admit Painleve's paradox: the slip equations need "
             f"(M + m) / m > (1 + sqrt(1 + mu^2)) / 2 = {bound:.6g}, got {(M + m) / m:.6g}; with these masses "

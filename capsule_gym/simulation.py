@@ -17,7 +17,7 @@ from capsule_gym import kernels, task
 from capsule_gym.controller import Controller, Law, find_controller
 from capsule_gym.kernels import LANES, Row
 from capsule_gym.options import DEFAULTS, DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, Options
-from capsule_gym.parameters import NOMINAL, Randomization, check_count, check_number
+from capsule_gym.parameters import NOMINAL, Randomization, check_count, check_number, written
 
 # What acts where no controller does.
 NO_CONTROLLER = Controller("none", kernels.no_law, kernels.NO_REFERENCE)
@@ -43,11 +43,29 @@ def random_stream(seed: int, episode: int, stream: Stream) -> np.random.Generato
     a batch.
 
     Args:
-        seed: the environment's seed, any integer >= 0.
+        seed: the environment's seed, an integer in [0, 2**128).
         episode: episodes since that seed was given.
         stream: the purpose.
     """
     return RandomStreams().at(seed, episode, stream)
+
+
+def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None") -> int:
+    """An environment's seed as an int.
+
+    Args:
+        seed: what the caller gave.
+        accepted: in words, for the message.
+
+    Raises:
+        TypeError: if it is no integer.
+        ValueError: if it is negative, or has more bits than a stream's key.
+    """
+    if isinstance(seed, (bool, np.bool_)) or not isinstance(seed, (int, np.integer)):
+        raise TypeError(f"seed must be {accepted}, got {written(seed)}")
+    if not 0 <= seed < 2**128:
+        raise ValueError(f"seed must be {accepted}, got {written(seed)}")
+    return int(seed)
 
 
 class RandomStreams:
@@ -145,6 +163,8 @@ class Simulation:
         self.capsule = options.capsule or NOMINAL
         self.randomization = Randomization.named(options.randomization)
         self.randomization.check(self.capsule)
+        # M in kg and mu, where they are observed.
+        self._largest = task.parameter_bounds(self.capsule, self.randomization)
         self.controller = find_controller(options.controller)
         self.settings = make_settings(options, self.controller)
         acting = self.controller or NO_CONTROLLER
@@ -391,18 +411,19 @@ class Simulation:
         """Refuses M and mu that are invalid, or outside the bounds of the observation that shows them."""
         self.capsule.check_plant(M, mu)
         if self.settings.with_parameters:
-            check_number(
-                "M", M, f"at most {task.M_BOUND:g} x Capsule.M where observed", 0.0, task.M_BOUND * self.capsule.M
-            )
-            check_number("mu", mu, f"at most {task.MU_BOUND:g} where observed", 0.0, task.MU_BOUND)
+            for name, value, largest in zip(("M", "mu"), (M, mu), self._largest, strict=True):
+                accepted = f"at most {largest:g} where observe_parameters shows it (a wider randomization shows more)"
+                check_number(name, value, accepted, 0.0, largest)
 
     def _check_state(self, state: Any, count: int) -> np.ndarray:
         """The states of `count` environments as float64, shape (count, 4)."""
         accepted = "[theta, theta_dot, x, x_dot], finite, |theta| < pi/2"
         try:
             array = np.asarray(state, dtype=np.float64)
+        except OverflowError:
+            raise ValueError(f"options['state'] must be {accepted}, got {written(state)}") from None
         except (TypeError, ValueError):
-            raise TypeError(f"options['state'] must be {accepted}, got {state!r}") from None
+            raise TypeError(f"options['state'] must be {accepted}, got {written(state)}") from None
         if array.shape not in ((4,), (count, 4)):
             raise ValueError(f"options['state'] must be {accepted}, got shape {array.shape}")
         if not np.isfinite(array).all() or (np.abs(array[..., 0]) >= task.THETA_LIMIT).any():
@@ -413,17 +434,17 @@ class Simulation:
         """The jumps of one episode as (t, M, mu)."""
         accepted = "a list of dicts {'t': s, 'M': kg, 'mu': ..}, each later than the one before"
         if not isinstance(changes, (list, tuple)):
-            raise TypeError(f"options['changes'] must be {accepted}, got {changes!r}")
+            raise TypeError(f"options['changes'] must be {accepted}, got {written(changes)}")
         schedule: list[tuple[float, float, float]] = []
         for n, change in enumerate(changes):
             name = f"options['changes'][{n}]"
             if not isinstance(change, dict):
-                raise TypeError(f"{name} must be a dict with the keys {CHANGE}, got {change!r}")
+                raise TypeError(f"{name} must be a dict with the keys {CHANGE}, got {written(change)}")
             if set(change) != set(CHANGE):
                 missing = [key for key in CHANGE if key not in change]
                 unknown = [key for key in change if key not in CHANGE]
                 wrong = f"which lacks {missing}" if missing else f"where nobody reads {unknown}"
-                raise ValueError(f"{name} must have the keys {CHANGE}, got {change!r}, {wrong}")
+                raise ValueError(f"{name} must have the keys {CHANGE}, got {written(change)}, {wrong}")
             t = check_number(f"{name}['t']", change["t"], "a finite number >= 0 (s)", 0.0)
             if schedule and t <= schedule[-1][0]:
                 raise ValueError(f"{name}['t'] must be later than the one before, {schedule[-1][0]:g} s, got {t:g} s")

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from capsule_gym.compilation import inlined
-from capsule_gym.parameters import Capsule
+from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.trigonometry import sincos
 
 ENV_ID = "CapsuleStickSlip-v0"
@@ -30,6 +30,7 @@ START_THETA = -math.pi / 3.0
 # 1.2 m/s on the capsule of the paper; the rest is room for other capsules.
 THETA_DOT_BOUND = 20.0
 X_DOT_BOUND = 2.0
+# Bounds of the observed M, in masses of the capsule's platform, and of mu; ranges that go further widen them.
 M_BOUND = 4.0
 MU_BOUND = 1.0
 
@@ -92,17 +93,33 @@ def observation_names(with_reference: bool, with_parameters: bool) -> tuple[str,
     )
 
 
+def parameter_bounds(capsule: Capsule, randomization: Randomization) -> tuple[float, float]:
+    """The largest M in kg and the largest mu of an environment that shows them: what a reset may set.
+
+    Args:
+        capsule: the capsule of the environment.
+        randomization: where M and mu of an episode come from.
+    """
+    # Room for the rounding of a draw, and of the observation to float32.
+    room = 1.0 + 1e-6
+    heaviest = randomization.M[1] if randomization.M else capsule.M
+    roughest = randomization.mu[1] if randomization.mu else capsule.mu
+    return max(M_BOUND * capsule.M, room * heaviest), max(MU_BOUND, room * roughest)
+
+
 def observation_bounds(
-    with_reference: bool, with_parameters: bool, capsule: Capsule, torque_limit: float
+    with_reference: bool, with_parameters: bool, capsule: Capsule, randomization: Randomization, torque_limit: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest observation, float32.
 
     Args:
         with_reference: whether a control law runs inside the step.
         with_parameters: whether M and mu are observed.
-        capsule: the capsule, for the scale of M.
+        capsule: the capsule, and the next where M and mu come from, for the bounds of these.
+        randomization: likewise.
         torque_limit: N m.
     """
+    largest_M, largest_mu = parameter_bounds(capsule, randomization)
     bounds = {
         "theta": (-THETA_LIMIT, THETA_LIMIT),
         "theta_dot": (-THETA_DOT_BOUND, THETA_DOT_BOUND),
@@ -114,8 +131,8 @@ def observation_bounds(
         "sin_phase": (-1.0, 1.0),
         "cos_phase": (-1.0, 1.0),
         "law_torque": (-torque_limit, torque_limit),
-        "M": (0.0, M_BOUND * capsule.M),
-        "mu": (0.0, MU_BOUND),
+        "M": (0.0, largest_M),
+        "mu": (0.0, largest_mu),
     }
     low, high = np.array([bounds[name] for name in observation_names(with_reference, with_parameters)], np.float32).T
     return low.copy(), high.copy()

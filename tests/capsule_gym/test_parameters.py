@@ -102,6 +102,11 @@ def test_the_message_says_up_to_which_friction_the_masses_are_valid():
         Capsule(M=0.05, mu=largest * 1.0001)
 
 
+def test_masses_and_frictions_as_large_as_floats_are_refused_like_others():
+    with pytest.raises(ValueError, match="Painleve"):
+        check_contact_is_regular(1e200, 0.1, 1e300)
+
+
 @pytest.mark.parametrize("ratios", [{"backward_ratio": 4.0}, {"static_ratio": 4.0}])
 def test_painleves_paradox_counts_the_largest_coefficient_that_can_act(ratios):
     Capsule(M=0.2, mu=1.5)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from capsule_gym import Capsule, task
+from capsule_gym import Capsule, Randomization, task
 
 
 @pytest.mark.parametrize(("value", "limit", "expected"), [(3.0, 1.0, 1.0), (-3.0, 1.0, -1.0), (0.5, 1.0, 0.5)])
@@ -69,6 +69,14 @@ def test_every_entry_stands_where_its_name_does(with_reference, with_parameters)
         assert value == pytest.approx((own | derived)[name], abs=1e-6), name
 
 
+def test_the_bounds_of_the_parameters_are_those_of_the_capsule_unless_ranges_go_further():
+    paper, wide = Randomization.named("paper"), Randomization(M=(0.1, 9.0), mu=(0.0, 2.0))
+    assert task.parameter_bounds(Capsule(), paper) == (2.0, 1.0)
+    assert task.parameter_bounds(Capsule(), wide) == pytest.approx((9.0, 2.0), rel=1e-5)
+    assert task.parameter_bounds(Capsule(M=0.1), paper) == pytest.approx((0.55, 1.0), rel=1e-5)
+    assert task.parameter_bounds(Capsule(mu=1.5), Randomization(M=(0.1, 0.2))) == pytest.approx((2.0, 1.5), rel=1e-5)
+
+
 def test_only_a_platform_at_rest_sticks():
     assert observe(False, False, x_dot=0.0)["stick"] == 1.0
     assert observe(False, False, x_dot=-0.0)["stick"] == 1.0
@@ -77,7 +85,7 @@ def test_only_a_platform_at_rest_sticks():
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_observations_end_at_their_bounds(sign):
-    low, high = task.observation_bounds(True, True, Capsule(), task.TORQUE_LIMIT)
+    low, high = task.observation_bounds(True, True, Capsule(), Randomization(), task.TORQUE_LIMIT)
     bounds = dict(zip(task.observation_names(True, True), (high if sign > 0.0 else low).tolist(), strict=True))
     far = observe(
         True, True, **{name: sign * 1e9 for name in ("theta", "theta_dot", "x_dot", "theta_d", "theta_d_dot")}
