@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import importlib
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +17,7 @@ from capsule_gym.parameters import check_number
 Law = Callable[..., tuple[float, tuple[float, ...]]]
 
 LAW_DT = 1e-3
+_OWN = re.compile(r"baselines:[A-Za-z][A-Za-z0-9_]*")
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +92,11 @@ class Controller:
             raise ValueError(
                 f"the control law of {self.name!r} must return finite numbers, got {values} on its reference"
             )
+
+
+def is_own(controller: str | None) -> bool:
+    """Whether an import string names a law that comes with this package: resolving it runs no stranger's code."""
+    return controller is None or _OWN.fullmatch(controller) is not None
 
 
 def find_controller(controller: str | Controller | Callable[[], Controller] | None) -> Controller | None:
