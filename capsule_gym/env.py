@@ -203,14 +203,17 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         super().reset(seed=seed)
         if fresh:
             self.simulation.seed(0, self.np_random_seed)
-        options = check_options(options, RESET_OPTIONS)
-        self.simulation.reset(
-            THE_ONE,
-            M=None if options.get("M") is None else [options["M"]],
-            mu=None if options.get("mu") is None else [options["mu"]],
-            state=options.get("state"),
-            changes=None if options.get("changes") is None else [options["changes"]],
-        )
+        if options is None:
+            self.simulation.reset(THE_ONE)
+        else:
+            options = check_options(options, RESET_OPTIONS)
+            self.simulation.reset(
+                THE_ONE,
+                M=None if options.get("M") is None else [options["M"]],
+                mu=None if options.get("mu") is None else [options["mu"]],
+                state=options.get("state"),
+                changes=None if options.get("changes") is None else [options["changes"]],
+            )
         self._running = True
         if self.render_mode == "human":
             self.render()

@@ -257,28 +257,27 @@ class Randomization:
 
     def draw(self, rng: np.random.Generator, capsule: Capsule) -> tuple[float, float]:
         """Draws M in kg and mu for one episode: always two numbers of the stream, so that ranges do not shift it."""
-        M, mu = self.plants(rng.random((1, 2)), capsule)
-        return float(M[0]), float(mu[0])
+        low_M, growth_M, low_mu, growth_mu = self.lines(capsule)
+        share_M, share_mu = rng.random(2).tolist()
+        return low_M + growth_M * share_M, self.friction(low_mu + growth_mu * share_mu)
 
-    def plants(self, uniform: np.ndarray, capsule: Capsule) -> tuple[np.ndarray, np.ndarray]:
-        """The plants that numbers in [0, 1) stand for.
+    def lines(self, capsule: Capsule) -> tuple[float, float, float, float]:
+        """M in kg at the share 0 of its range and how much it grows up to 1, and what `friction` takes likewise.
 
         Args:
-            uniform: shape (n, 2): for M and for mu.
             capsule: where what is not drawn comes from.
-
-        Returns:
-            M in kg and mu, each of shape (n,).
         """
-        M, mu = np.full(len(uniform), float(capsule.M)), np.full(len(uniform), float(capsule.mu))
-        if self.M is not None:
-            M = self.M[0] + (self.M[1] - self.M[0]) * uniform[:, 0]
-        if self.mu is not None:
+        M = self.M or (capsule.M, capsule.M)
+        mu = (0.0, 1.0) if self.mu and self.log_mu else self.mu or (capsule.mu, capsule.mu)
+        return float(M[0]), float(M[1] - M[0]), float(mu[0]), float(mu[1] - mu[0])
+
+    def friction(self, value: float) -> float:
+        """The friction coefficient that a point of its line stands for: itself, or a power where log(mu) is drawn."""
+        if self.mu and self.log_mu:
             low, high = self.mu
-            # One by one: numpy's power of an array may differ from that of a number in the last bit.
-            powers = [low * (high / low) ** share for share in uniform[:, 1].tolist()] if self.log_mu else None
-            mu = low + (high - low) * uniform[:, 1] if powers is None else np.array(powers)
-        return M, mu
+            # Of a number, not of an array: numpy's power may differ in the last bit.
+            return low * (high / low) ** value
+        return value
 
     def __str__(self) -> str:
         if self.M is None and self.mu is None:

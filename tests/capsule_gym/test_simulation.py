@@ -9,7 +9,7 @@ import pytest
 
 from capsule_gym.kernels import ROWS, Row
 from capsule_gym.options import Options
-from capsule_gym.simulation import RandomStreams, Simulation, Stream, divide, random_stream
+from capsule_gym.simulation import Simulation, divide
 from capsule_gym.task import METRICS
 from tests.capsule_gym.fakes import EPISODE_ROWS
 
@@ -111,18 +111,6 @@ def test_every_quantity_is_that_of_the_environment_alone(alone, n, threads):
     for name, values in simulation.metrics(np.arange(n), LANE_STEPS).items():
         assert values.tobytes() == alone.metrics[name][:n].tobytes(), name
     simulation.close()
-
-
-def test_a_stream_depends_on_seed_episode_and_purpose_alone():
-    streams = RandomStreams()
-    places = [(seed, episode, purpose) for seed in (0, 1, 2**64, 2**100) for episode in (0, 1) for purpose in Stream]
-    drawn = [tuple(streams.at(*place).random(3)) for place in places]
-    assert len(set(drawn)) == len(places)
-    # The same again in any order, also where the generator has been left in the middle of its buffer.
-    for place, numbers in reversed(list(zip(places, drawn, strict=True))):
-        streams.at(*place).random(1)
-        assert tuple(streams.at(*place).random(3)) == numbers
-        assert tuple(random_stream(*place).random(3)) == numbers
 
 
 def test_steps_divide_each_other_or_say_which_does_not():
