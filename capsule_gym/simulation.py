@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import deepcopy
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -13,13 +14,18 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import kernels, resets, task
-from capsule_gym.controller import Controller, Law, find_controller
+from capsule_gym.controller import Controller, find_controller
 from capsule_gym.kernels import LANES, Row
 from capsule_gym.options import DEFAULTS, DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, Options
 from capsule_gym.parameters import NOMINAL, Randomization, check_count, check_number
 
 # What acts where no controller does.
 NO_CONTROLLER = Controller("none", kernels.no_law, kernels.NO_REFERENCE)
+
+# What a copy of a simulation makes anew.
+BOUND = frozenset({"controller", "reference", "memory"}) | {
+    *("_pool", "_owner", "_action", "_kernel", "_advance", "_advance_one", "_draw", "_renew")
+}
 
 # What a change of the plant within an episode says.
 CHANGE = ("t", "M", "mu")
@@ -65,6 +71,12 @@ def make_settings(options: Options, controller: Controller | None) -> kernels.Se
     )
 
 
+def count_rows(controller: Controller | None) -> int:
+    """The rows of `Simulation.world`: those of `Row`, the law's memory and its line of the reference."""
+    acting = controller or NO_CONTROLLER
+    return kernels.ROWS + len(acting.memory) + acting.reference.shape[1]
+
+
 class Simulation:
     """The state of N environments and its evolution; everything is float64 and in SI units.
 
@@ -91,20 +103,12 @@ class Simulation:
         self.capsule = options.capsule or NOMINAL
         self.randomization = Randomization.named(options.randomization)
         self.randomization.check(self.capsule)
-        self.controller = find_controller(options.controller)
-        self.settings = make_settings(options, self.controller)
-        acting = self.controller or NO_CONTROLLER
-        self.reference, self.memory = acting.reference, acting.memory
-
+        controller = find_controller(options.controller)
+        self.settings = make_settings(options, controller)
         blocks = -(-self.num_envs // LANES)
-        rows = kernels.ROWS + len(self.memory) + self.reference.shape[1]
-        self.world = np.zeros((blocks, rows, LANES))
+        self.world = np.zeros((blocks, count_rows(controller), LANES))
         names = task.observation_names(self.settings.with_reference, self.settings.with_parameters)
         self.observations = np.zeros((self.num_envs, len(names)), np.float32)
-        # Set through a memoryview, which takes half the time of an array.
-        self._action: Any = memoryview(self.world[0, Row.action])
-        self._bind_kernel(acting.law)
-
         self._keys = np.zeros((self.num_envs, 2), np.uint64)
         self._episodes = np.zeros(self.num_envs, np.int64)
         self._changes: dict[int, list[tuple[float, float, float]]] = {}
@@ -116,15 +120,45 @@ class Simulation:
         count = min(options.threads, blocks)
         edges = [min(self.num_envs, LANES * (blocks * n // count)) for n in range(count + 1)]
         self._ranges = list(pairwise(edges))
+        self._bind(controller)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What the episodes need to go on: no code, no threads."""
+        return {name: value for name, value in vars(self).items() if name not in BOUND}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        controller = find_controller(self.options.controller)
+        if count_rows(controller) != self.world.shape[1]:
+            raise ValueError(
+                f"controller={self.options.controller!r} must be as it was when the simulation was pickled, with as "
+                f"much memory and as many columns of the reference"
+            )
+        self._bind(controller)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
+        twin = memo[id(self)] = type(self).__new__(type(self))
+        vars(twin).update(deepcopy(self.__getstate__(), memo))
+        # The very law: a function that returns one need not return the same a second time.
+        twin._bind(self.controller)
+        return twin
+
+    def _bind(self, controller: Controller | None) -> None:
+        """Compiles the kernel, or loads it, and binds the arguments that stay the same from step to step.
+
+        All that it sets stands in `BOUND`.
+        """
+        self.controller = controller
+        acting = controller or NO_CONTROLLER
+        self.reference, self.memory = acting.reference, acting.memory
         self._pool: ThreadPoolExecutor | None = None
         # The process whose threads they are.
         self._owner = 0
-
-    def _bind_kernel(self, law: Law) -> None:
-        """Compiles the kernel, or loads it, and binds the arguments that stay the same from step to step."""
+        # Set through a memoryview, which takes half the time of an array.
+        self._action: Any = memoryview(self.world[0, Row.action])
         plant = self.capsule.plant()
         self._kernel = kernels.build(
-            law,
+            acting.law,
             len(self.memory),
             self.reference.shape[1],
             plant.pivot_torque_on_contact,
