@@ -7,7 +7,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help train test coverage venv lint types docs leaderboard leaderboard-check regression faults check clean
+.PHONY: help train test coverage venv lint types docs leaderboard leaderboard-check regression faults bits check clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
@@ -53,7 +53,10 @@ regression: $(STAMP)  ## Fail where a kernel has become slower against what it i
 faults: $(STAMP)  ## Kill, stop and starve trainings, and damage caches; fail where something is lost
 	$(BIN)/python -m tests.faults --short
 
-check: lint types docs leaderboard-check regression faults  ## All checks but the tests
+bits: $(STAMP)  ## Compare the bits of whole episodes with the committed ones, on every processor this one can stand for
+	$(BIN)/python -m tests.bits --variants
+
+check: lint types docs leaderboard-check regression faults bits  ## All checks but the tests
 
 clean:  ## Remove caches and build outputs; keeps .venv and runs/
 	rm -rf build dist site *.egg-info .pytest_cache .ruff_cache .mypy_cache .coverage*
