@@ -21,6 +21,7 @@ import tyro  # noqa: E402
 from agents.training.errors import RunError  # noqa: E402
 from agents.training.presets import (  # noqa: E402
     BEST,
+    CONFIG,
     PRESETS,
     Algorithm,
     Config,
@@ -29,6 +30,7 @@ from agents.training.presets import (  # noqa: E402
     read_config,
 )
 from capsule_gym.command_line import parse, parse_some, refuse  # noqa: E402
+from capsule_gym.controller import is_own  # noqa: E402
 from capsule_gym.policy import POLICY  # noqa: E402
 
 PROG = "train.py"
@@ -53,7 +55,7 @@ class Options(Choice):
     """Trains an agent and compares it with the paper's adaptive controller on the set 'paper'.
 
     The hyperparameters below are those of the chosen --task and --algo, with the preset as their defaults. Ctrl-C saves
-    and stops; --resume DIR goes on, also after a crash. Model archives contain pickles: load only what you trust.
+    and stops; --resume DIR goes on, also after a crash. Checkpoints contain pickles: resume only runs of your own.
 
     Examples:
       python train.py --task direct --randomization wide --seed 1
@@ -65,6 +67,8 @@ class Options(Choice):
     """Folder of the run; a new one in runs/ where none is given."""
     no_comparison: bool = False
     """Skip evaluation, figure and animation at the end."""
+    trust_controller: bool = False
+    """Go on with a run whose config.json names a control law from elsewhere: importing it runs its code."""
     hyperparameters: tyro.conf.OmitArgPrefixes[Config] = field(default_factory=PPOConfig)
 
 
@@ -85,6 +89,9 @@ def read_options(arguments: Sequence[str] | None = None) -> Options:
     default = Options(before.task, before.algo, choice.resume, hyperparameters=before)
     options = parse(Options, PROG, arguments, default=default)
     _refuse_changes(default, options)
+    if not (options.trust_controller or is_own(before.controller)):
+        path = choice.resume / CONFIG
+        refuse(PROG, f"{path} names the control law {before.controller!r}: --trust-controller if its code may run")
     return options
 
 

@@ -208,7 +208,7 @@ def compile_now(function: Any, signature: tuple[Any, ...], what: str) -> None:
     Args:
         function: what `kernel` has made.
         signature: numba's types of its arguments.
-        what: for the message.
+        what: for the message; empty where it takes too short a time to say so.
     """
     # A compilation makes millions of objects that live until its end: looking for garbage is a tenth of the time.
     collecting = gc.isenabled()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import importlib
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +20,7 @@ LAW_DT = 1e-3
 # Numbers in a reference table, 80 MB, and columns of one and cells of a memory: the compiler sees each of these.
 LARGEST_TABLE = 10_000_000
 MOST_COLUMNS = 256
+_OWN = re.compile(r"baselines:[A-Za-z][A-Za-z0-9_]*")
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +122,11 @@ def _check_memory(memory: Any) -> tuple[float, ...]:
     if not 1 <= len(cells) <= MOST_COLUMNS:
         raise ValueError(f"Controller.memory must be {accepted}, got {len(cells)}")
     return tuple(check_number("Controller.memory", cell, accepted) for cell in cells)
+
+
+def is_own(controller: str | None) -> bool:
+    """Whether an import string names a law that comes with this package: resolving it runs no stranger's code."""
+    return controller is None or _OWN.fullmatch(controller) is not None
 
 
 def find_controller(controller: str | Controller | Callable[[], Controller] | None) -> Controller | None:

@@ -9,7 +9,6 @@ from typing import Any, SupportsFloat
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.utils import EzPickle
 
 from capsule_gym import task
 from capsule_gym.controller import Controller
@@ -32,10 +31,12 @@ show: Callable[[np.ndarray], dict[str, Any]] = eval(
     f"lambda rows: {{{', '.join(f'{name!r}: {source}' for name, source in _SHOWN.items())}}}"
 )
 _CODES = {float(code): np.int64(code) for code in task.Termination}
+# What a copy of an environment makes anew.
+BOUND = frozenset({"_shown", "_observation", "_advance", "_renderer"})
 THE_ONE = np.zeros(1, np.int64)
 
 
-class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
+class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     """Friction-driven locomotion: a capsule that an inner pendulum drives by stick and slip.
 
     ## Description
@@ -109,6 +110,9 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
     2. Termination "contact": the normal force falls to zero, the capsule leaves the floor.
     3. Truncation: after 1650 steps (33 s, the paper's five cycles of 6.6 s).
 
+    A copy, `copy.deepcopy`'s or pickle's, goes on bit for bit with this episode and the next ones. Of the control law a
+    pickle holds the argument `controller`, which must be picklable: an import string, or a function of a module.
+
     `env.unwrapped.episode_metrics()` gives the metrics of the episode, at its end and at any time before. Truncation is
     done by gymnasium's wrapper, which the environment does not see.
 
@@ -172,18 +176,27 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         render_mode: str | None = Options.render_mode,
     ) -> None:
         options = options_among(locals())
-        EzPickle.__init__(self, **{name: value for name, value in vars(options).items() if name != "threads"})
         self.simulation = Simulation(1, options)
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": round(1.0 / options.control_dt)}
         self.action_space, self.observation_space = make_spaces(self.simulation)
-        # Views of the only environment, made once: finding them takes a good part of a step.
-        lane = self.simulation.world[0, :, 0]
-        self._shown = lane[: Row.steps]
+        self._running = False
+        self._bind()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The episode, which a copy goes on with, without the window."""
+        return {name: value for name, value in vars(self).items() if name not in BOUND}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._bind()
+
+    def _bind(self) -> None:
+        """Makes views of the only environment: finding them takes a good part of a step. All stand in `BOUND`."""
+        self._shown = self.simulation.world[0, : Row.steps, 0]
         self._observation = self.simulation.observations[0]
         self._advance = self.simulation.step_one
         self._renderer: Renderer | None = None
-        self._running = False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -208,14 +221,17 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         super().reset(seed=seed)
         if fresh:
             self.simulation.seed(0, self.np_random_seed)
-        options = check_options(options, RESET_OPTIONS)
-        self.simulation.reset(
-            THE_ONE,
-            M=None if options.get("M") is None else [options["M"]],
-            mu=None if options.get("mu") is None else [options["mu"]],
-            state=options.get("state"),
-            changes=None if options.get("changes") is None else [options["changes"]],
-        )
+        if options is None:
+            self.simulation.reset(THE_ONE)
+        else:
+            options = check_options(options, RESET_OPTIONS)
+            self.simulation.reset(
+                THE_ONE,
+                M=None if options.get("M") is None else [options["M"]],
+                mu=None if options.get("mu") is None else [options["mu"]],
+                state=options.get("state"),
+                changes=None if options.get("changes") is None else [options["changes"]],
+            )
         self._running = True
         if self.render_mode == "human":
             self.render()

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from capsule_gym.exponential import exponentials, log
+from capsule_gym.compilation import inlined
+from capsule_gym.exponential import exp, log
 
 NormalForce = Literal["newton", "paper"]
 
@@ -198,6 +200,20 @@ NOMINAL = Capsule()
 """The capsule of the paper."""
 
 
+@inlined
+def plant_at(lines: Sequence[float], share_M: float, share_mu: float) -> tuple[float, float]:
+    """M in kg and mu at these shares, in [0, 1), of their ranges.
+
+    Args:
+        lines: from `Randomization.lines`.
+        share_M: of the range of M.
+        share_mu: of the range of mu, or of log(mu) where that is drawn.
+    """
+    low_M, growth_M, low_mu, growth_mu, growth_log_mu = lines[0], lines[1], lines[2], lines[3], lines[4]
+    mu = low_mu * exp(growth_log_mu * share_mu) if growth_log_mu > 0.0 else low_mu + growth_mu * share_mu
+    return low_M + growth_M * share_M, mu
+
+
 def _check_range(name: str, value: Any, *, positive: bool) -> tuple[float, float]:
     """Validates one range (low, high) of a Randomization."""
     accepted = f"a pair (low, high) of finite numbers with {'0 <' if positive else '0 <='} low <= high"
@@ -285,29 +301,17 @@ class Randomization:
 
     def draw(self, rng: np.random.Generator, capsule: Capsule) -> tuple[float, float]:
         """Draws M in kg and mu for one episode: always two numbers of the stream, so that ranges do not shift it."""
-        M, mu = self.plants(rng.random((1, 2)), capsule)
-        return float(M[0]), float(mu[0])
+        return plant_at(self.lines(capsule), *rng.random(2).tolist())
 
-    def plants(self, uniform: np.ndarray, capsule: Capsule) -> tuple[np.ndarray, np.ndarray]:
-        """The plants that numbers in [0, 1) stand for.
+    def lines(self, capsule: Capsule) -> tuple[float, float, float, float, float]:
+        """What `plant_at` takes: where M (kg) and mu begin, how much they grow, and how much log(mu) grows.
 
         Args:
-            uniform: shape (n, 2): for M and for mu.
             capsule: where what is not drawn comes from.
-
-        Returns:
-            M in kg and mu, each of shape (n,).
         """
-        M, mu = np.full(len(uniform), float(capsule.M)), np.full(len(uniform), float(capsule.mu))
-        if self.M is not None:
-            M = self.M[0] + (self.M[1] - self.M[0]) * uniform[:, 0]
-        if self.mu is not None:
-            low, high = self.mu
-            if self.log_mu:
-                mu = low * exponentials(_log(high / low) * uniform[:, 1])
-            else:
-                mu = low + (high - low) * uniform[:, 1]
-        return M, mu
+        M, mu = self.M or (capsule.M, capsule.M), self.mu or (capsule.mu, capsule.mu)
+        growth = _log(mu[1] / mu[0]) if self.mu and self.log_mu else 0.0
+        return float(M[0]), float(M[1] - M[0]), float(mu[0]), float(mu[1] - mu[0]), growth
 
     def __str__(self) -> str:
         if self.M is None and self.mu is None:

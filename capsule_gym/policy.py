@@ -36,6 +36,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from capsule_gym import task
+from capsule_gym.controller import is_own
 from capsule_gym.files import write_bytes_atomically
 from capsule_gym.network import Layer, decision, pack
 from capsule_gym.options import Options
@@ -52,8 +53,6 @@ MOST_LAYERS, MOST_UNITS, LARGEST_CLIP = 6, 1024, 1e6
 LARGEST_FILE, LARGEST_METADATA = 32 * 2**20, 2**16
 # The options of the environment that change what a policy meets.
 ENV_ARGUMENTS = tuple(each.name for each in fields(Options) if each.name not in ("threads", "render_mode"))
-# An import string runs code; that of this package's own laws is known.
-OWN_CONTROLLER = re.compile(r"baselines:[A-Za-z][A-Za-z0-9_]*")
 SEED_FOLDER = re.compile(r"seed-([0-9]{1,18})")
 # A wheel carries the committed policies in the package; in a checkout they lie with the training commands.
 FOLDERS = (Path(__file__).with_name("checkpoints"), Path(__file__).parents[1] / "agents" / "checkpoints")
@@ -329,7 +328,7 @@ def _read(name: str, path: Path, trust_controller: bool) -> Policy:
     except (SafetensorError, ValueError, TypeError, RecursionError, OverflowError) as error:
         raise ValueError(f"{path} is no policy: {error}") from error
     controller = policy.env_kwargs.get("controller")
-    if not (trust_controller or controller is None or OWN_CONTROLLER.fullmatch(controller)):
+    if not (trust_controller or is_own(controller)):
         raise ValueError(
             f"{path} names the control law {controller!r}, which does not come with this package; an environment made "
             "with it runs that code: load_policy(.., trust_controller=True) if you trust it"

@@ -6,15 +6,15 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from enum import IntEnum
+from copy import deepcopy
 from functools import partial
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from capsule_gym import kernels, task
-from capsule_gym.controller import Controller, Law, find_controller
+from capsule_gym import kernels, resets, task
+from capsule_gym.controller import Controller, find_controller
 from capsule_gym.kernels import LANES, Row
 from capsule_gym.options import DEFAULTS, DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, Options
 from capsule_gym.parameters import NOMINAL, Randomization, check_count, check_number, written
@@ -24,30 +24,13 @@ NO_CONTROLLER = Controller("none", kernels.no_law, kernels.NO_REFERENCE)
 # Environments in a batch: some 7 GB.
 MOST_ENVS = 2**24
 
+# What a copy of a simulation makes anew.
+BOUND = frozenset({"controller", "reference", "memory"}) | {
+    *("_pool", "_owner", "_action", "_kernel", "_advance", "_advance_one", "_draw", "_renew")
+}
+
 # What a change of the plant within an episode says.
 CHANGE = ("t", "M", "mu")
-
-
-class Stream(IntEnum):
-    """The purposes that random numbers are drawn for: one stream each, so that none shifts another."""
-
-    parameters = 0
-    initial_state = 1
-    disturbances = 2
-
-
-def random_stream(seed: int, episode: int, stream: Stream) -> np.random.Generator:
-    """The random numbers of one purpose in one episode of one environment.
-
-    A counter-based generator needs no state between episodes, and an environment draws the same numbers alone and in
-    a batch.
-
-    Args:
-        seed: the environment's seed, an integer in [0, 2**128).
-        episode: episodes since that seed was given.
-        stream: the purpose.
-    """
-    return RandomStreams().at(seed, episode, stream)
 
 
 def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None") -> int:
@@ -66,24 +49,6 @@ def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None") -
     if not 0 <= seed < 2**128:
         raise ValueError(f"seed must be {accepted}, got {written(seed)}")
     return int(seed)
-
-
-class RandomStreams:
-    """`random_stream` for many episodes: one generator, set to each in turn, is five times as fast as one for each."""
-
-    def __init__(self) -> None:
-        self._philox = np.random.Philox(key=0)
-        self._generator = np.random.Generator(self._philox)
-        # With an empty buffer: the first number comes from the counter.
-        self._state: Any = self._philox.state
-
-    def at(self, seed: int, episode: int, stream: Stream) -> np.random.Generator:
-        """The generator of a stream; valid until the next call."""
-        counter, key = self._state["state"]["counter"], self._state["state"]["key"]
-        counter[0], counter[1], counter[2] = 0, stream, episode
-        key[0], key[1] = seed % 2**64, (seed >> 64) % 2**64
-        self._philox.state = self._state
-        return self._generator
 
 
 def divide(name: str, whole: float, part_name: str, part: float) -> int:
@@ -137,6 +102,12 @@ def make_settings(options: Options, controller: Controller | None) -> kernels.Se
     )
 
 
+def count_rows(controller: Controller | None) -> int:
+    """The rows of `Simulation.world`: those of `Row`, the law's memory and its line of the reference."""
+    acting = controller or NO_CONTROLLER
+    return kernels.ROWS + len(acting.memory) + acting.reference.shape[1]
+
+
 class Simulation:
     """The state of N environments and its evolution; everything is float64 and in SI units.
 
@@ -165,26 +136,17 @@ class Simulation:
         self.randomization.check(self.capsule)
         # M in kg and mu, where they are observed.
         self._largest = task.parameter_bounds(self.capsule, self.randomization)
-        self.controller = find_controller(options.controller)
-        self.settings = make_settings(options, self.controller)
-        acting = self.controller or NO_CONTROLLER
-        self.reference, self.memory = acting.reference, acting.memory
-
+        controller = find_controller(options.controller)
+        self.settings = make_settings(options, controller)
         blocks = -(-self.num_envs // LANES)
-        rows = kernels.ROWS + len(self.memory) + self.reference.shape[1]
         names = task.observation_names(self.settings.with_reference, self.settings.with_parameters)
         try:
-            self.world = np.zeros((blocks, rows, LANES))
+            self.world = np.zeros((blocks, count_rows(controller), LANES))
             self.observations = np.zeros((self.num_envs, len(names)), np.float32)
         except MemoryError as error:
             raise ValueError(f"num_envs must be as many as there is memory for, got {self.num_envs}: {error}") from None
-        # Set through a memoryview, which takes half the time of an array.
-        self._action: Any = memoryview(self.world[0, Row.action])
-        self._bind_kernel(acting.law)
-
-        self._seeds = [0] * self.num_envs
+        self._keys = np.zeros((self.num_envs, 2), np.uint64)
         self._episodes = np.zeros(self.num_envs, np.int64)
-        self._streams = RandomStreams()
         self._changes: dict[int, list[tuple[float, float, float]]] = {}
         # When the next of an environment's changes is due, s.
         self._due = np.full(self.num_envs, math.inf)
@@ -194,15 +156,45 @@ class Simulation:
         count = min(options.threads, blocks)
         edges = [min(self.num_envs, LANES * (blocks * n // count)) for n in range(count + 1)]
         self._ranges = list(pairwise(edges))
+        self._bind(controller)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What the episodes need to go on: no code, no threads."""
+        return {name: value for name, value in vars(self).items() if name not in BOUND}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        controller = find_controller(self.options.controller)
+        if count_rows(controller) != self.world.shape[1]:
+            raise ValueError(
+                f"controller={self.options.controller!r} must be as it was when the simulation was pickled, with as "
+                f"much memory and as many columns of the reference"
+            )
+        self._bind(controller)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
+        twin = memo[id(self)] = type(self).__new__(type(self))
+        vars(twin).update(deepcopy(self.__getstate__(), memo))
+        # The very law: a function that returns one need not return the same a second time.
+        twin._bind(self.controller)
+        return twin
+
+    def _bind(self, controller: Controller | None) -> None:
+        """Compiles the kernel, or loads it, and binds the arguments that stay the same from step to step.
+
+        All that it sets stands in `BOUND`.
+        """
+        self.controller = controller
+        acting = controller or NO_CONTROLLER
+        self.reference, self.memory = acting.reference, acting.memory
         self._pool: ThreadPoolExecutor | None = None
         # The process whose threads they are.
         self._owner = 0
-
-    def _bind_kernel(self, law: Law) -> None:
-        """Compiles the kernel, or loads it, and binds the arguments that stay the same from step to step."""
+        # Set through a memoryview, which takes half the time of an array.
+        self._action: Any = memoryview(self.world[0, Row.action])
         plant = self.capsule.plant()
         self._kernel = kernels.build(
-            law,
+            acting.law,
             len(self.memory),
             self.reference.shape[1],
             plant.pivot_torque_on_contact,
@@ -222,6 +214,10 @@ class Simulation:
             blocks, first, last, begin, *fixed
         )
         self._advance_one = partial(compiled, blocks, 0, 1, False, *fixed)
+        draw, renew = resets.compiled()
+        lines = np.array(self.randomization.lines(self.capsule))
+        self._draw = partial(draw, lines, self.options.initial_noise)
+        self._renew = partial(renew, blocks, np.array(self.memory), plant.m, plant.g)
 
     def row(self, row: int) -> np.ndarray:
         """A copy of one quantity of every environment, shape (num_envs,)."""
@@ -245,7 +241,7 @@ class Simulation:
 
     def seed(self, i: int, seed: int) -> None:
         """Gives environment i a seed; its next episode is the first of that seed."""
-        self._seeds[i] = seed
+        self._keys[i] = resets.make_key(seed)
         self._episodes[i] = 0
 
     def reset(
@@ -259,7 +255,7 @@ class Simulation:
         """Begins a new episode in some environments. What is not given is drawn.
 
         Args:
-            rows: indices of the environments, int64, shape (n,).
+            rows: indices of the environments, shape (n,).
             M: masses of their platforms, kg.
             mu: their friction coefficients.
             state: shape (n, 4): theta, theta_dot, x, x_dot.
@@ -269,43 +265,27 @@ class Simulation:
         Raises:
             TypeError: if a value is of the wrong type.
             ValueError: if a value is out of range.
+            IndexError: if there is no such environment.
         """
-        columns = np.zeros((self.world.shape[1], len(rows)))
-        schedules = [self._schedule(changes[n]) for n in range(len(rows))] if changes is not None else []
-        episodes = [(self._seeds[i], int(self._episodes[i])) for i in rows]
-        uniform = np.array([self._streams.at(*episode, Stream.parameters).random(2) for episode in episodes])
-        columns[Row.M], columns[Row.mu] = self.randomization.plants(uniform.reshape(-1, 2), self.capsule)
+        schedules = [self._schedule(changes[n]) for n in range(len(rows))] if changes is not None else None
+        # Compiled code believes that it is given these.
+        rows = np.ascontiguousarray(rows, np.int64)
+        starts = np.empty((Row.torque, len(rows)))
+        self._draw(rows, self._keys, self._episodes, starts)
         if M is not None or mu is not None:
-            masses = columns[Row.M].tolist() if M is None else M
-            frictions = columns[Row.mu].tolist() if mu is None else mu
+            masses = starts[Row.M].tolist() if M is None else M
+            frictions = starts[Row.mu].tolist() if mu is None else mu
             for plant in zip(masses, frictions, strict=True):
                 self._check_plant(*plant)
-            columns[Row.M], columns[Row.mu] = masses, frictions
-        columns[Row.theta] = task.START_THETA
-        if self.options.initial_noise > 0.0:
-            noise = [self._streams.at(*episode, Stream.initial_state).uniform(-1.0, 1.0) for episode in episodes]
-            columns[Row.theta] += self.options.initial_noise * np.array(noise)
+            starts[Row.M], starts[Row.mu] = masses, frictions
         if state is not None:
-            columns[: Row.M] = self._check_state(state, len(rows)).T
-        columns[Row.start_x] = columns[Row.x]
-        columns[Row.smallest_normal_ratio] = math.inf
-        columns[Row.largest_theta] = np.abs(columns[Row.theta])
-        columns[Row.largest_theta_dot] = np.abs(columns[Row.theta_dot])
-        columns[Row.normal_force] = (columns[Row.M] + self.capsule.m) * self.capsule.g
-        columns[kernels.ROWS : kernels.ROWS + len(self.memory)] = np.array(self.memory)[:, None]
-        columns[Row.active] = 1.0
+            starts[: Row.M] = self._check_state(state, len(rows)).T
 
         # Nothing above has touched the environments: a refused reset leaves them as they were.
-        self._episodes[rows] += 1
-        self._due[rows] = math.inf
-        for n, i in enumerate(rows.tolist() if self._changes or schedules else ()):
-            self._changes.pop(i, None)
-            if schedules and schedules[n]:
-                self._changes[i] = schedules[n]
-                self._due[i] = schedules[n][0][0]
-        self.world[:, Row.active] = 0.0
+        if self._changes or schedules:
+            self._plan(rows, schedules)
+        self._renew(rows, starts, self._episodes)
         self._everyone = False
-        self.world[rows // LANES, :, rows % LANES] = columns.T
         self._run(begin=True)
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> None:
@@ -451,6 +431,15 @@ class Simulation:
             self._check_plant(change["M"], change["mu"])
             schedule.append((t, float(change["M"]), float(change["mu"])))
         return schedule
+
+    def _plan(self, rows: np.ndarray, schedules: list[list[tuple[float, float, float]]] | None) -> None:
+        """Replaces the jumps that some environments had before them."""
+        for n, i in enumerate(rows.tolist()):
+            self._changes.pop(i, None)
+            self._due[i] = math.inf
+            if schedules and schedules[n]:
+                self._changes[i] = schedules[n]
+                self._due[i] = schedules[n][0][0]
 
     def _apply_changes(self) -> None:
         """Lets M and mu jump where the time has come: at the first agent step that starts at or after t."""

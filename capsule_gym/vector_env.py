@@ -36,7 +36,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     `gym.make_vec("CapsuleStickSlip-v0", num_envs=N)` makes one. Spaces, rewards, info and random draws are those of
     `CapsuleEnv`: environment i of a batch with seed s gives, bit for bit, the episodes of a single environment with
-    seed s + i, for any batch size and any number of threads.
+    seed s + i, for any batch size and any number of threads. Its copies, `copy.deepcopy`'s and pickle's, go on bit for bit.
 
     Truncation is the batch's own, after `max_episode_steps`. The autoreset mode is gymnasium's: with NEXT_STEP the
     step after the end ignores the action and returns the first observation of the next episode with reward 0; with
@@ -119,6 +119,14 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._started = False
         self._renderers: list[Renderer] = []
         self._spec: EnvSpec | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The episodes, which a copy goes on with, without the frames."""
+        return {**vars(self), "_renderers": []}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._everywhere.setflags(write=False)
 
     @property
     def spec(self) -> EnvSpec | None:

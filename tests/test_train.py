@@ -71,7 +71,7 @@ def test_help_explains_every_hyperparameter_with_its_default(task, algo, capsys)
         train.main(["--task", task, "--algo", algo, "--help"])
     assert stop.value.code == 0
     description, *entries = re.split(r"\n\W (?=--)", capsys.readouterr().out)
-    assert "load only what you trust" in description
+    assert "resume only runs of your own" in description
     helps = {entry.split()[0]: " ".join(re.sub("[│|]", " ", entry).split()[1:]) for entry in entries}
     for name, value in PRESETS[task, algo].to_dict().items():
         text, _, default = helps["--" + name.replace("_", "-")].partition("(default: ")
@@ -97,6 +97,19 @@ def test_resume_takes_everything_from_the_run_but_its_length(run):
     assert (before.hyperparameters.seed, before.hyperparameters.total_steps) == (5, 1000)
     longer = train.read_options(["--resume", str(run), "--total-steps", "2e3"])
     assert longer.hyperparameters == dataclasses.replace(before.hyperparameters, total_steps=2000)
+
+
+def test_resume_asks_before_it_runs_the_code_of_a_law_from_elsewhere(tmp_path, capsys):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    hyperparameters = dataclasses.replace(PRESETS["residual", "ppo"], controller="os:abort").to_dict()
+    content = {"algo": "ppo", "task": "residual", "hyperparameters": hyperparameters}
+    (folder / "config.json").write_text(json.dumps(content))
+    with pytest.raises(SystemExit):
+        train.read_options(["--resume", str(folder)])
+    assert f"{folder / 'config.json'} names the control law 'os:abort': --trust-controller" in capsys.readouterr().err
+    options = train.read_options(["--resume", str(folder), "--trust-controller"])
+    assert options.hyperparameters.controller == "os:abort"
 
 
 @pytest.mark.parametrize(

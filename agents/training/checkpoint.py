@@ -38,7 +38,7 @@ from agents.training.runs import archive, unarchive
 from capsule_gym.files import file_hash, naming, synchronise, to_json, write_bytes_atomically
 
 MANIFEST, STATE, REPLAY_BUFFER, PROGRESS = "manifest.json", "state.pkl", "replay_buffer.pkl", "progress.json"
-FORMAT = 1
+FORMAT = 2
 # Ends of the names of folders that are not there yet, or no longer.
 PARTIAL, DISCARDED = ".partial", ".discarded"
 
@@ -286,7 +286,7 @@ def _restore_streams(model: BaseAlgorithm, state: dict[str, Any]) -> None:
 
 
 # Attributes that are the whole state of a running batch and of what stands around it.
-_SIMULATION = ("_seeds", "_episodes", "_changes", "_due", "_everyone")
+_SIMULATION = ("_keys", "_episodes", "_changes", "_due", "_everyone")
 _BATCH = ("_ended", "_started", "_np_random", "_np_random_seed")
 _VEC_ENV = ("_returns", "_lengths", "_seed")
 _NORMALIZE = ("obs_rms", "ret_rms", "returns", "old_obs", "old_reward")

@@ -39,7 +39,7 @@ from agents.training.vec_env import CapsuleSB3VecEnv
 from baselines.policies import SCRIPTED
 from capsule_gym import Capsule, Policy, Randomization
 from capsule_gym.files import naming, to_json, write_atomically
-from capsule_gym.simulation import Stream, random_stream
+from capsule_gym.resets import Stream, random_stream
 
 # Far from the seeds 0, 1, .. that training runs and evaluation sets use: model selection sees draws of its own.
 SELECTION_SEED = 1_000_000

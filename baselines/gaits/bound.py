@@ -33,7 +33,7 @@ import numpy as np
 
 from baselines.envelope import Envelope, upper_envelope
 from capsule_gym.parameters import Capsule, check_number
-from capsule_gym.task import CONTROL_DT, EPISODE_STEPS, START_THETA, THETA_LIMIT, TORQUE_LIMIT
+from capsule_gym.task import HORIZON, START_THETA, THETA_LIMIT, TORQUE_LIMIT
 
 
 def phase_plane_envelope(
@@ -68,7 +68,7 @@ def speed_bound(
     torque_limit: float = TORQUE_LIMIT,
     capsule: Capsule | None = None,
     *,
-    horizon: float = EPISODE_STEPS * CONTROL_DT,
+    horizon: float = HORIZON,
 ) -> float:
     """An upper bound of the mean speed from rest at theta = -pi/3, cm/s; the module's docstring proves it.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import multiprocessing
 import pickle
@@ -15,7 +16,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import baselines
-from capsule_gym import Capsule, CapsuleEnv, Randomization
+from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization
 from capsule_gym.kernels import Row
 from capsule_gym.options import Options
 from capsule_gym.simulation import Simulation
@@ -338,9 +339,107 @@ def test_spec_survives_json_and_pickle():
     again = gym.make(spec)
     assert again.unwrapped.simulation.settings.residual_limit == 2.0
     assert json.loads(env.spec.to_json())["kwargs"]["controller"] == "baselines:adaptive"
-    copy = pickle.loads(pickle.dumps(env))
-    a, b = rollout(env, 1, 60), rollout(copy, 1, 60)
+    twin = pickle.loads(pickle.dumps(env))
+    a, b = rollout(env, 1, 60), rollout(twin, 1, 60)
     assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+
+
+def course(env: gym.Env, rng: np.random.Generator, steps: int) -> list[bytes]:
+    """What steps and the resets between them return, and the metrics, in bytes."""
+    seen = []
+
+    def note(*values):
+        seen.extend(np.asarray(value).tobytes() for value in values)
+
+    for _ in range(steps):
+        observation, reward, terminated, truncated, info = env.step(rng.uniform(-1.0, 1.0, 1).astype(np.float32))
+        note(observation, reward, terminated, truncated, *info.values())
+        note(*env.unwrapped.episode_metrics().values())
+        if terminated or truncated:
+            observation, info = env.reset()
+            note(observation, *info.values())
+    return seen
+
+
+COPIES = {"deepcopy": copy.deepcopy, "pickle": lambda env: pickle.loads(pickle.dumps(env))}
+
+
+@pytest.mark.parametrize("make_copy", COPIES.values(), ids=COPIES)
+@pytest.mark.parametrize("kwargs", [*VARIANTS, {"controller": baselines.adaptive}])
+@pytest.mark.parametrize("wrapped", [False, True], ids=["bare", "gym.make"])
+def test_a_copy_goes_on_with_the_episode_bit_for_bit_and_on_its_own(wrapped, kwargs, make_copy):
+    env = gym.make(ENV_ID, max_episode_steps=60, **kwargs) if wrapped else CapsuleEnv(**kwargs)
+    env.reset(seed=3)
+    # In the middle of the second episode, with a jump to come.
+    env.reset(options={"changes": [{**JUMP, "t": 0.05}, JUMP]})
+    course(env, np.random.default_rng(0), 5)
+    twin = make_copy(env)
+    for name in ("observation_space", "action_space", "render_mode", "metadata", "spec"):
+        assert getattr(twin, name) == getattr(env, name), name
+    one = course(env, np.random.default_rng(1), 100)
+    # The original has gone on meanwhile; a third goes on from the second.
+    assert course(make_copy(twin), np.random.default_rng(1), 100) == one
+    assert course(twin, np.random.default_rng(1), 100) == one
+    assert twin.unwrapped.np_random.random() == env.unwrapped.np_random.random()
+    assert course(twin, np.random.default_rng(2), 5) != course(env, np.random.default_rng(3), 5)
+
+
+@pytest.mark.parametrize("make_copy", COPIES.values(), ids=COPIES)
+def test_a_copy_is_where_the_original_is_before_and_after_an_episode(make_copy):
+    env = CapsuleEnv()
+    action = np.ones(1, np.float32)
+    with pytest.raises(gym.error.ResetNeeded):
+        make_copy(env).step(action)
+    env.reset(seed=0, options={"state": [1.55, 10.0, 0.0, 0.0]})
+    twin = make_copy(env)
+    assert twin.step(action)[2] and env.step(action)[2]
+    for ended in (env, twin, make_copy(env)):
+        with pytest.raises(gym.error.ResetNeeded):
+            ended.step(action)
+        assert ended.reset()[1]["M"] == env.simulation.world[0, Row.M, 0]
+
+
+@pytest.mark.parametrize("make_copy", COPIES.values(), ids=COPIES)
+def test_a_copy_draws_its_own_frames(make_copy):
+    env = gym.make(ENV_ID, render_mode="rgb_array")
+    env.reset(seed=0)
+    frame = env.render()
+    twin = make_copy(env)
+    env.close()
+    assert np.array_equal(twin.render(), frame)
+    twin.close()
+
+
+def test_a_law_that_cannot_be_pickled_is_picklings_error_and_no_obstacle_to_deepcopy():
+    gain = -0.3
+
+    def law(theta, theta_dot, x, x_dot, memory, reference):
+        return gain * theta, memory
+
+    def make() -> Controller:
+        return Controller("own", law, np.zeros((10, 2)))
+
+    for controller in (make, make()):
+        env = CapsuleEnv(controller=controller)
+        env.reset(seed=0)
+        with pytest.raises((AttributeError, pickle.PicklingError), match="local object"):
+            pickle.dumps(env)
+        twin = copy.deepcopy(env)
+        assert twin.simulation.controller.law is law
+        assert course(twin, np.random.default_rng(0), 50) == course(env, np.random.default_rng(0), 50)
+
+
+def test_a_pickle_goes_on_in_another_process():
+    env = gym.make(ENV_ID, controller="baselines:adaptive")
+    env.reset(seed=0)
+    course(env, np.random.default_rng(0), 5)
+    code = """if True:
+        import pickle, sys, numpy as np
+        env = pickle.loads(sys.stdin.buffer.read())
+        sys.stdout.buffer.write(env.step(np.ones(1, np.float32))[4]["state"].tobytes())
+    """
+    done = subprocess.run([sys.executable, "-c", code], input=pickle.dumps(env), capture_output=True, check=True)
+    assert done.stdout == env.step(np.ones(1, np.float32))[4]["state"].tobytes()
 
 
 def test_metadata_of_the_class_stays_its_own():

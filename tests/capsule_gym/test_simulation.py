@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
+from capsule_gym import Controller
 from capsule_gym.kernels import ROWS, Row
 from capsule_gym.options import Options
-from capsule_gym.simulation import RandomStreams, Simulation, Stream, divide, random_stream
+from capsule_gym.simulation import Simulation, divide
 from capsule_gym.task import METRICS
 from tests.capsule_gym.fakes import EPISODE_ROWS
 
@@ -113,18 +116,6 @@ def test_every_quantity_is_that_of_the_environment_alone(alone, n, threads):
     simulation.close()
 
 
-def test_a_stream_depends_on_seed_episode_and_purpose_alone():
-    streams = RandomStreams()
-    places = [(seed, episode, purpose) for seed in (0, 1, 2**64, 2**100) for episode in (0, 1) for purpose in Stream]
-    drawn = [tuple(streams.at(*place).random(3)) for place in places]
-    assert len(set(drawn)) == len(places)
-    # The same again in any order, also where the generator has been left in the middle of its buffer.
-    for place, numbers in reversed(list(zip(places, drawn, strict=True))):
-        streams.at(*place).random(1)
-        assert tuple(streams.at(*place).random(3)) == numbers
-        assert tuple(random_stream(*place).random(3)) == numbers
-
-
 def test_steps_divide_each_other_or_say_which_does_not():
     assert divide("control_dt", 0.02, "physics_dt", 0.001) == 20
     assert divide("control_dt", 0.3, "physics_dt", 0.1) == 3
@@ -182,3 +173,47 @@ def test_rows_are_read_and_written_by_environments():
     assert np.array_equal(simulation.columns(np.array([3, 129, 64]))[Row.x], [3.0, 129.0, 64.0])
     simulation.row(Row.x)[:] = 0.0
     assert simulation.world[2, Row.x, 1] == 129.0
+
+
+@pytest.mark.parametrize("make_copy", [copy.deepcopy, lambda whole: pickle.loads(pickle.dumps(whole))])
+@pytest.mark.parametrize("kwargs", VARIANTS, ids=["direct", "adaptive"])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_copy_goes_on_bit_for_bit(threads, kwargs, make_copy):
+    n = 150
+    simulation = Simulation(n, Options(threads=threads, randomization="wide", **kwargs))
+    rng = np.random.default_rng(0)
+    simulation.reset(np.arange(n), changes=[[{"t": 0.1, "M": 0.6, "mu": 0.02}]] * n)
+    simulation.step(rng.uniform(-1.0, 1.0, n), np.arange(n) % 3 > 0)
+    twin = make_copy(simulation)
+    assert not np.shares_memory(twin.world, simulation.world)
+    for _ in range(20):
+        actions = rng.uniform(-1.0, 1.0, n)
+        for each in (simulation, twin):
+            each.step(actions)
+        assert twin.world.tobytes() == simulation.world.tobytes()
+        assert twin.observations.tobytes() == simulation.observations.tobytes()
+    before = simulation.world.copy()
+    # The next draws, of the copy alone.
+    twin.reset(np.arange(n))
+    assert simulation.world.tobytes() == before.tobytes()
+    simulation.reset(np.arange(n))
+    assert twin.world.tobytes() == simulation.world.tobytes()
+    for each in (simulation, twin):
+        each.close()
+
+
+def short() -> Controller:
+    return Controller("short", lambda *arguments: (0.0, arguments[4]), np.zeros((1, 2)))
+
+
+def longer() -> Controller:
+    return Controller("longer", lambda *arguments: (0.0, arguments[4]), np.zeros((1, 2)), (0.0, 0.0))
+
+
+def test_a_pickle_whose_law_has_another_memory_now_is_refused(monkeypatch):
+    # Compiled code would write beyond the rows of its environments.
+    packed = pickle.dumps(Simulation(1, Options(controller=f"{__name__}:short")))
+    pickle.loads(packed)
+    monkeypatch.setitem(globals(), "short", longer)
+    with pytest.raises(ValueError, match=r"controller='.*:short' must be as it was"):
+        pickle.loads(packed)

@@ -58,12 +58,8 @@ def test_stepping_one_environment_does_not_grow_memory():
     env.close()
 
 
-def calls_in_a_step(n: int, **kwargs: object) -> Counter[str]:
-    """Functions that one step of n environments calls, with how often; in it no episode ends."""
-    env = CapsuleVectorEnv(n, max_episode_steps=NEVER, **kwargs)
-    env.reset(seed=0)
-    actions = np.zeros((n, 1), np.float32)
-    env.step(actions)
+def calls_of(function: Callable[[], object]) -> Counter[str]:
+    """Functions that one calls, with how often."""
     found: Counter[str] = Counter()
 
     def note(frame, event, argument):
@@ -74,10 +70,29 @@ def calls_in_a_step(n: int, **kwargs: object) -> Counter[str]:
 
     sys.setprofile(note)
     try:
-        env.step(actions)
+        function()
     finally:
         sys.setprofile(None)
+    return found
+
+
+def calls_in_a_step(n: int, **kwargs: object) -> Counter[str]:
+    """The calls of one step of n environments in which no episode ends."""
+    env = CapsuleVectorEnv(n, max_episode_steps=NEVER, **kwargs)
+    env.reset(seed=0)
+    actions = np.zeros((n, 1), np.float32)
+    env.step(actions)
+    found = calls_of(lambda: env.step(actions))
     assert not env._ended.any()
+    env.close()
+    return found
+
+
+def calls_in_a_reset(n: int, **kwargs: object) -> Counter[str]:
+    """The calls of one reset of n environments, whose seeds are given."""
+    env = CapsuleVectorEnv(n, **kwargs)
+    env.reset(seed=0)
+    found = calls_of(env.reset)
     env.close()
     return found
 
@@ -87,6 +102,20 @@ def test_a_step_in_which_nothing_ends_does_no_work_per_environment_in_python(kwa
     few, many = calls_in_a_step(64, **kwargs), calls_in_a_step(4096, **kwargs)
     assert few == many
     assert 20 < few.total() < 150
+
+
+@pytest.mark.parametrize("kwargs", [{}, {"controller": "baselines:adaptive"}], ids=["direct", "adaptive"])
+def test_a_reset_does_no_work_per_environment_in_python(kwargs):
+    few, many = (calls_in_a_reset(n, initial_noise=0.1, **kwargs) for n in (64, 4096))
+    assert few == many
+    assert 10 < few.total() < 100
+
+
+def test_a_reset_of_one_environment_calls_little():
+    env = gym.make(ENV_ID)
+    env.reset(seed=0)
+    env.reset()
+    assert calls_of(env.reset).total() < 30
 
 
 def test_an_environment_of_a_large_batch_takes_half_a_kilobyte():

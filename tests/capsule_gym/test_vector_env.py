@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -204,6 +207,47 @@ def test_disabled_autoreset_stands_still_until_the_mask_names_it():
     assert np.array_equal(info["state"][[0, 2]], before)
     assert np.array_equal(info["_state"], mask)
     assert not env.step(np.zeros((3, 1), np.float32))[2].any()
+
+
+def flat(value) -> list:
+    """Everything in nested infos, in bytes."""
+    if isinstance(value, dict):
+        return [entry for key in value for entry in (key, *flat(value[key]))]
+    if isinstance(value, (tuple, list)) or value.dtype == object:
+        return [entry for each in value if each is not None for entry in flat(each)]
+    return [value.tobytes()]
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+@pytest.mark.parametrize("kwargs", VARIANTS)
+@pytest.mark.parametrize(("n", "threads"), [(1, 1), (130, 2)])
+@pytest.mark.parametrize("make_copy", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_goes_on_with_the_episodes_bit_for_bit_and_on_its_own(make_copy, n, threads, kwargs, mode):
+    made = {"max_episode_steps": 30, "autoreset_mode": mode, "threads": threads, **kwargs}
+    env = gym.make_vec(ENV_ID, num_envs=n, **made)
+    with pytest.raises(gym.error.ResetNeeded):
+        make_copy(env).step(np.zeros((n, 1), np.float32))
+    env.reset(seed=4, options={"changes": [[{"t": 0.4, "M": 0.6, "mu": 0.02}]] * n})
+
+    def play(batch, seed, steps):
+        rng = np.random.default_rng(seed)
+        return [flat(batch.step(rng.uniform(-1.0, 1.0, (n, 1)).astype(np.float32))) for _ in range(steps)]
+
+    # Once in the middle of the episodes, and once where they have just ended.
+    for steps in (10, 20):
+        play(env, 0, steps)
+        twin = make_copy(env)
+        assert (twin.spec, twin.metadata, twin.observation_space) == (env.spec, env.metadata, env.observation_space)
+        twins = make_copy(twin), twin
+        expected = play(env, 1, 70)
+        for each in twins:
+            assert play(each, 1, 70) == expected
+            assert flat(each.episode_metrics()) == flat(env.episode_metrics())
+            # Masks are handed out, and must not be written to.
+            assert not each.reset()[1]["_state"].flags.writeable
+            each.close()
+        env.reset(seed=5)
+    env.close()
 
 
 def test_options_per_environment():

@@ -33,7 +33,7 @@ ERRORS = {"angle_error": "angle error, rad", "rate_error": "rate error, rad/s", 
 
 def _table(cells: Sequence[Sequence[str]]) -> list[str]:
     """A table's lines."""
-    return text_table(cells, left=1).splitlines()
+    return text_table(cells, left=1, last_left=False).splitlines()
 
 
 def _plant(run: LongRun) -> str:

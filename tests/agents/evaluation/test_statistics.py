@@ -68,6 +68,9 @@ def test_a_single_episode_has_no_interval():
     assert result.value == 1.5
     assert result.resampled == "nothing"
     assert np.isnan([result.low, result.high]).all()
+    # Two have.
+    result = estimate([[1.0, 2.0]])
+    assert (result.low, result.value, result.high, result.resampled) == (1.0, 1.5, 2.0, "episodes")
 
 
 def test_infinite_scores_give_no_warning():

@@ -182,7 +182,7 @@ DAMAGE = {
     "missing manifest": lambda folder: (folder / "manifest.json").unlink(),
     "half a manifest": lambda folder: truncate(folder / "manifest.json"),
     "manifest of another kind": lambda folder: (folder / "manifest.json").write_text("[1]"),
-    "manifest of a later format": lambda folder: (folder / "manifest.json").write_text('{"format": 2, "sha256": {}}'),
+    "manifest of a later format": lambda folder: (folder / "manifest.json").write_text('{"format": 3, "sha256": {}}'),
 }
 
 

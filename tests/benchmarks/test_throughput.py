@@ -1,4 +1,4 @@
-"""The benchmarks' own machinery: nothing here measures a time."""
+"""Contenders, their turns and what is written of them: nothing here measures a time."""
 
 from __future__ import annotations
 
@@ -8,17 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from benchmarks import accuracy, contenders, cost, creep, driver, native, speed_tables, throughput
-from benchmarks.frictions import CONTACT, FRICTIONLOSS, HOLDING_FRICTIONS, Friction, series_name
+from benchmarks import contenders, cost, creep, speed_tables, throughput
+from benchmarks.frictions import CONTACT, series_name
 from benchmarks.output import written_by
 from benchmarks.timing import Contender, Rate, Stepper, measure, present
-from capsule_gym.kernels import Row
-from capsule_gym.options import Options
-from capsule_gym.parameters import Capsule
-from capsule_gym.simulation import Simulation
 
 ABSENT = "a_package_that_nobody_has"
 
@@ -143,86 +138,3 @@ def test_without_mujoco_every_other_contender_remains(monkeypatch: pytest.Monkey
     assert {one.label for one in found} >= {contenders.SINGLE_PEER, "Pendulum-v1", contenders.DIRECT_BATCH}
     assert not [one for one in found if one.packages]
     assert any("MuJoCo contact" in line for line in lines) and any("EnvPool" in line for line in lines)
-
-
-def test_ours_does_not_creep_below_the_limit_and_slips_beyond() -> None:
-    for load in creep.LOADS:
-        assert creep.ours(load, 2e-3) == creep.Creep(load, 0.0, 0.0)
-    assert creep.ours(1.1, 2e-3).largest > 1e-3
-
-
-def own_trajectory(torques: np.ndarray, mu: float) -> np.ndarray:
-    """States of capsule_gym after every hold. In Python, because the compiled loop takes longer to compile."""
-    plant = Capsule(mu=mu).plant()
-    state, states = accuracy.START, []
-    for torque in torques:
-        for _ in range(20):
-            motion = driver.step(*state, torque, plant, accuracy.HOLD / 20)
-            state = (motion.theta, motion.theta_dot, motion.x, motion.x_dot)
-        states.append(state)
-    return np.array(states)
-
-
-def mujoco_trajectory(friction: Friction, torques: np.ndarray, mu: float) -> np.ndarray:
-    mujoco_capsule = pytest.importorskip("benchmarks.mujoco_capsule", exc_type=ImportError)
-    model = mujoco_capsule.build_model(Capsule(mu=mu), friction, "RK4", 1e-3)
-    return mujoco_capsule.simulate(model, torques[None], accuracy.START, accuracy.HOLD)[0]
-
-
-@pytest.fixture(scope="module")
-def torques() -> np.ndarray:
-    return np.random.default_rng(0).uniform(-0.5, 0.5, 100)
-
-
-def test_mujoco_has_the_same_plant(torques: np.ndarray) -> None:
-    states = mujoco_trajectory(FRICTIONLOSS, torques, 0.0)
-    np.testing.assert_allclose(states, own_trajectory(torques, 0.0), rtol=0.0, atol=1e-8)
-
-
-@pytest.mark.parametrize("friction", HOLDING_FRICTIONS, ids=lambda friction: friction.name)
-def test_mujoco_has_about_the_same_friction(friction: Friction, torques: np.ndarray) -> None:
-    states = mujoco_trajectory(friction, torques, 0.1)
-    with_friction, without = (np.abs(states - own_trajectory(torques, mu)).max() for mu in (0.1, 0.0))
-    assert with_friction < 0.03
-    assert without > 5.0 * with_friction
-
-
-def test_mujoco_steps_a_batch_and_begins_again_where_the_ball_meets_the_platform() -> None:
-    pytest.importorskip("mujoco")
-    stepper = contenders.step_mujoco(CONTACT, "implicitfast", 2e-3, 4, 2)
-    stepper.step(3)
-    stepper.close()
-
-
-# The C kernel
-
-
-@pytest.mark.skipif(not native.available(), reason="no gcc")
-def test_the_kernel_in_c_does_the_same_work():
-    # Twenty steps of hard torques with events and ended episodes; then rounding is no longer all that differs.
-    n = 100
-    simulations = [Simulation(n, Options(randomization="wide")) for _ in range(2)]
-    for simulation in simulations:
-        for i in range(n):
-            simulation.seed(i, i)
-        simulation.reset(np.arange(n))
-    ours, theirs = simulations
-    kernel = native.Native(theirs, native.STRICT)
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        actions = rng.uniform(-1.0, 1.0, n)
-        for simulation in simulations:
-            simulation.write(Row.action, actions)
-            simulation.write(Row.active, simulation.row(Row.termination) == 0.0)
-        ours._run(begin=False)
-        kernel()
-        np.testing.assert_allclose(theirs.rows(0, Row.slip), ours.rows(0, Row.slip), rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(theirs.observations, ours.observations, rtol=1e-6)
-    assert ours.row(Row.termination).any()
-    assert (ours.row(Row.stuck) > 0.0).any()
-    assert (ours.row(Row.backward) > 0.0).any()
-
-
-def test_the_kernel_in_c_refuses_what_it_does_not_know():
-    with pytest.raises(ValueError, match="direct-torque task"):
-        native.Native(Simulation(1, Options(observe_parameters=True)), native.STRICT)

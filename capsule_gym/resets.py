@@ -1,0 +1,167 @@
+"""How an episode begins: what is drawn for it, and the first values of all that an environment holds, compiled."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from enum import IntEnum
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numba import types
+
+from capsule_gym.compilation import compile_now, fingerprint, inlined, kernel
+from capsule_gym.kernels import AT, LANES, MEMORY, Row
+from capsule_gym.parameters import plant_at
+from capsule_gym.task import START_THETA
+
+
+class Stream(IntEnum):
+    """The purposes that random numbers are drawn for: one stream each, so that none shifts another."""
+
+    parameters = 0
+    initial_state = 1
+    disturbances = 2
+
+
+WORD = 2**64
+
+
+def make_key(seed: int) -> tuple[int, int]:
+    """The two words that a seed, any integer >= 0, is to the generator."""
+    return seed % WORD, (seed >> 64) % WORD
+
+
+def random_stream(seed: int, episode: int, stream: Stream) -> np.random.Generator:
+    """The random numbers of one purpose in one episode of one environment.
+
+    A counter-based generator needs no state between episodes, and an environment draws the same numbers alone and in
+    a batch.
+
+    Args:
+        seed: the environment's seed, any integer >= 0.
+        episode: episodes since that seed was given.
+        stream: the purpose.
+    """
+    key = np.array(make_key(seed), np.uint64)
+    return np.random.Generator(np.random.Philox(counter=[0, stream, episode, 0], key=key))
+
+
+# Of Philox4x64-10 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", 2011), which numpy's `Philox` is: the
+# factors of a round, and what the key grows by between rounds.
+_FACTOR_0, _FACTOR_1 = np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157)
+_STEP_0, _STEP_1 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBB67AE8584CAA73B)
+_ROUNDS = 10
+# Unsigned constants: numba makes a float of the sum of a signed and an unsigned integer.
+_HALF, _LOW, _ZERO, _ONE = np.uint64(32), np.uint64(2**32 - 1), np.uint64(0), np.uint64(1)
+# Of a word the upper 53 bits make a float in [0, 1).
+_SHIFT, _UNIT = np.uint64(11), 2.0**-53
+PARAMETERS, INITIAL_STATE = np.uint64(Stream.parameters), np.uint64(Stream.initial_state)
+
+
+@inlined
+def high_word(a: np.uint64, b: np.uint64) -> np.uint64:
+    """The upper 64 bits of a product of two words."""
+    a_0, a_1, b_0, b_1 = a & _LOW, a >> _HALF, b & _LOW, b >> _HALF
+    middle = a_1 * b_0 + (a_0 * b_0 >> _HALF)
+    return a_1 * b_1 + (middle >> _HALF) + (a_0 * b_1 + (middle & _LOW) >> _HALF)
+
+
+@inlined
+def draw_two(key_0: np.uint64, key_1: np.uint64, stream: np.uint64, episode: np.uint64) -> tuple[float, float]:
+    """The first two of `random_stream(..).random()`."""
+    a, b, c, d = _ONE, stream, episode, _ZERO
+    for _ in range(_ROUNDS):
+        low_0, low_1 = _FACTOR_0 * a, _FACTOR_1 * c
+        a, c = high_word(_FACTOR_1, c) ^ b ^ key_0, high_word(_FACTOR_0, a) ^ d ^ key_1
+        b, d = low_1, low_0
+        key_0 += _STEP_0
+        key_1 += _STEP_1
+    return _UNIT * (a >> _SHIFT), _UNIT * (b >> _SHIFT)
+
+
+def draw(
+    lines: np.ndarray, noise: float, rows: np.ndarray, keys: np.ndarray, episodes: np.ndarray, starts: np.ndarray
+) -> None:
+    """Draws how the next episodes of some environments start.
+
+    Args:
+        lines: from `Randomization.lines`.
+        noise: half width of the noise on the initial angle, rad.
+        rows: indices of the environments, int64, shape (n,).
+        keys: of every environment, uint64, shape (num_envs, 2).
+        episodes: of every environment, how many have begun since it was given its seed.
+        starts: shape (6, n), the rows as the first of `Row`; written.
+
+    Raises:
+        IndexError: if there is no such environment.
+    """
+    for n in range(rows.size):
+        i = rows[n]
+        if i < 0 or i >= len(keys):
+            raise IndexError("rows must be indices of environments, from 0 to num_envs - 1")
+        share_M, share_mu = draw_two(keys[i, 0], keys[i, 1], PARAMETERS, np.uint64(episodes[i]))
+        theta = START_THETA
+        if noise > 0.0:
+            share, _ = draw_two(keys[i, 0], keys[i, 1], INITIAL_STATE, np.uint64(episodes[i]))
+            theta += noise * (2.0 * share - 1.0)
+        starts[Row.theta, n] = theta
+        starts[Row.theta_dot, n] = starts[Row.x, n] = starts[Row.x_dot, n] = 0.0
+        starts[Row.M, n], starts[Row.mu, n] = plant_at(lines, share_M, share_mu)
+
+
+def renew(
+    world: np.ndarray,
+    memory: np.ndarray,
+    m: float,
+    g: float,
+    rows: np.ndarray,
+    starts: np.ndarray,
+    episodes: np.ndarray,
+) -> None:
+    """Gives some environments the first values of their next episodes, and leaves the others out of the next step.
+
+    Args:
+        world: as `kernels.advance` takes it; changed.
+        memory: of the law at the start of an episode.
+        m: mass of the ball, kg.
+        g: gravitational acceleration, m/s^2.
+        rows: indices of the environments, int64, shape (n,).
+        starts: from `draw`.
+        episodes: of every environment, how many have begun; changed.
+    """
+    for b in range(len(world)):
+        world[b, AT.active : AT.active + LANES] = 0.0
+    for n in range(rows.size):
+        block, j = world[rows[n] // LANES], rows[n] % LANES
+        block[j::LANES] = 0.0
+        for row in range(len(starts)):
+            block[row * LANES + j] = starts[row, n]
+        for cell in range(memory.size):
+            block[MEMORY + cell * LANES + j] = memory[cell]
+        block[AT.start_x + j] = block[AT.x + j]
+        block[AT.smallest_normal_ratio + j] = math.inf
+        block[AT.largest_theta + j] = abs(block[AT.theta + j])
+        block[AT.largest_theta_dot + j] = abs(block[AT.theta_dot + j])
+        block[AT.normal_force + j] = (block[AT.M + j] + m) * g
+        block[AT.active + j] = 1.0
+        episodes[rows[n]] += 1
+
+
+_INDICES, _TABLE = types.int64[::1], types.float64[:, ::1]
+_SIGNATURES: dict[Callable[..., None], tuple[Any, ...]] = {
+    draw: (types.float64[::1], types.float64, _INDICES, types.uint64[:, ::1], _INDICES, _TABLE),
+    renew: (_TABLE, types.float64[::1], types.float64, types.float64, _INDICES, _TABLE, _INDICES),
+}
+
+
+@lru_cache(maxsize=1)
+def compiled() -> tuple[Callable[..., None], Callable[..., None]]:
+    """`draw` and `renew`, compiled or from the disk cache, without numba's search for the right types."""
+    entries = []
+    for function, signature in _SIGNATURES.items():
+        built = kernel(function, fingerprint(function)[:16], {})
+        compile_now(built, signature, "")
+        entries.append(next(iter(built.overloads.values())).entry_point)
+    return entries[0], entries[1]

@@ -1,0 +1,263 @@
+"""The bits of whole episodes: `python -m tests.bits` compares them with the committed ones, `--write` commits new ones.
+
+`bits.json` holds a sha256 for the plant under random torques, for every law of `baselines` under random residuals, for
+every scripted policy without a law, and for every committed policy: all observations, rewards and states of a batch
+over a whole episode, and the metrics at its end. Some of its environments run alone as well, and trained policies in
+one compiled call on two threads: neither may change a bit. Nor may the processor or the libraries of elementary
+functions, which `--variants` replaces, in processes of their own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+import baselines
+from baselines.policies import SCRIPTED
+from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, load_policy, policy_names
+from capsule_gym.command_line import parse
+from capsule_gym.files import write_atomically
+from capsule_gym.rollout import rollout
+from capsule_gym.task import CONTROL_DT, HORIZON
+
+FILE = Path(__file__).with_name("bits.json")
+# Two blocks of lanes, the second with one in use.
+NUM_ENVS = 65
+# Environments that are also run alone: one among many, and the only one of its block.
+ALONE = (1, 64)
+# A random torque holds for so many steps, or nothing would move.
+HOLD = 5
+CYCLE = 400
+
+Act = Callable[[np.ndarray], np.ndarray]
+
+
+class Subject(NamedTuple):
+    """What has a hash.
+
+    Attributes:
+        name: in the file.
+        env_kwargs: of its environment.
+        start: takes the seeds of environments and returns what acts in them.
+    """
+
+    name: str
+    env_kwargs: dict[str, Any]
+    start: Callable[[Sequence[int]], Act]
+
+    @property
+    def steps(self) -> int:
+        """Agent steps of a whole episode."""
+        return round(HORIZON / self.env_kwargs.get("control_dt", CONTROL_DT))
+
+
+def random_actions(scale: float) -> Callable[[Sequence[int]], Act]:
+    """Uniform actions, the same for one environment alone and in any batch."""
+
+    def start(seeds: Sequence[int]) -> Act:
+        draws = np.array([np.random.default_rng([seed, 2]).random(CYCLE) for seed in seeds])
+        actions = (scale * (2.0 * draws - 1.0)).astype(np.float32)
+        step = -1
+
+        def act(observations: np.ndarray) -> np.ndarray:
+            nonlocal step
+            step += 1
+            return actions[:, step // HOLD % CYCLE, None]
+
+        return act
+
+    return start
+
+
+def subjects() -> Iterator[Subject]:
+    """Everything that has a hash."""
+    wide = {"randomization": "wide"}
+    capsule = Capsule(static_ratio=1.4, backward_ratio=1.3)
+    yield Subject("plant", {**wide, "observe_parameters": True}, random_actions(0.15))
+    yield Subject("plant anisotropic", {**wide, "capsule": capsule, "initial_noise": 0.1}, random_actions(0.15))
+    for name in baselines.__all__:
+        yield Subject(f"law {name}", {"controller": f"baselines:{name}"}, random_actions(0.05))
+    for policy in SCRIPTED.values():
+        if "controller" not in policy.env_kwargs:
+            yield Subject(f"scripted {policy.name}", {**wide, **policy.env_kwargs}, policy.start)
+    for name in policy_names(seeds=True):
+        trained = load_policy(name)
+        yield Subject(f"policy {name}", trained.env_kwargs, trained.start)
+
+
+class Course(NamedTuple):
+    """What episodes show: the first axis are the steps, the second the environments."""
+
+    observations: np.ndarray
+    rewards: np.ndarray
+    states: np.ndarray
+
+    def of(self, i: int, steps: int) -> bytes:
+        """The bytes of the first steps of one environment."""
+        return b"".join(array[:steps, i].tobytes() for array in self)
+
+
+def together(subject: Subject) -> tuple[Course, dict[str, np.ndarray]]:
+    """The episodes of a batch, whose environments stand still where theirs have ended, and their metrics."""
+    env = batch(subject)
+    observations, _ = env.reset(seed=0)
+    act = subject.start(range(NUM_ENVS))
+    shown = []
+    for _ in range(subject.steps):
+        observations, rewards, _, _, info = env.step(act(observations))
+        shown.append((observations, rewards, info["state"].copy()))
+    metrics = env.episode_metrics()
+    env.close()
+    return Course(*(np.array(column) for column in zip(*shown, strict=True))), metrics
+
+
+def alone(subject: Subject, i: int) -> tuple[bytes, int]:
+    """The bytes of environment i of such a batch, run by itself, and how many steps its episode took."""
+    env = CapsuleEnv(**subject.env_kwargs)
+    observation, _ = env.reset(seed=i)
+    act = subject.start([i])
+    rows = []
+    for _ in range(subject.steps):
+        observation, reward, terminated, _, info = env.step(act(observation[None])[0])
+        rows.append((observation, np.array(reward), info["state"].copy()))
+        if terminated:
+            break
+    env.close()
+    return b"".join(np.array(column).tobytes() for column in zip(*rows, strict=True)), len(rows)
+
+
+def batch(subject: Subject, threads: int = 1) -> CapsuleVectorEnv:
+    """The batch of a subject, whose episodes end for good."""
+    kwargs = {**subject.env_kwargs, "max_episode_steps": subject.steps, "threads": threads}
+    return CapsuleVectorEnv(NUM_ENVS, autoreset_mode=AutoresetMode.DISABLED, **kwargs)
+
+
+def compute(subject: Subject) -> tuple[str, list[str]]:
+    """The hash of a subject, and where an episode differs from itself, one line each."""
+    course, metrics = together(subject)
+    wrong = []
+    for i in ALONE:
+        shown, steps = alone(subject, i)
+        if shown != course.of(i, steps):
+            wrong.append(f"{subject.name}: environment {i} differs alone and in the batch")
+    if subject.name.startswith("policy "):
+        env = batch(subject, threads=2)
+        env.reset(seed=0)
+        compiled = rollout(env.simulation, load_policy(subject.name.removeprefix("policy ")), subject.steps)
+        env.close()
+        if any(compiled[name].tobytes() != metrics[name].tobytes() for name in metrics):
+            wrong.append(f"{subject.name}: the compiled rollout differs from the loop")
+    digest = hashlib.sha256()
+    for array in (*course, *metrics.values()):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest(), wrong
+
+
+def processors() -> dict[str, dict[str, str]]:
+    """Environment variables under which numba compiles for another processor, of those that this one can execute.
+
+    Without fused instructions and with narrow vectors; with 256 bits, of two makers; with 512.
+    """
+    needed = {"generic": set(), "haswell": {"avx2", "fma"}, "znver3": {"avx2", "fma"}, "skylake-avx512": {"avx512bw"}}
+    # The name alone would leave numba what it has found on this processor: the features follow from the name only
+    # where they are emptied.
+    return {
+        name: {"NUMBA_CPU_NAME": name, "NUMBA_CPU_FEATURES": ""}
+        for name, features in needed.items()
+        if platform.machine() in ("x86_64", "AMD64") and features <= own_features()
+    }
+
+
+def own_features() -> set[str]:
+    """What this processor can, as Linux calls it."""
+    path = Path("/proc/cpuinfo")
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    return set(next((line for line in lines if line.startswith("flags")), "").split())
+
+
+def libraries() -> dict[str, dict[str, str]]:
+    """Environment variables under which numpy and the C library compute elementary functions otherwise."""
+    found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
+    # The C library's own names, and those that it had before 2.33; it passes over what it does not know.
+    absent = [f"-{name}{ending}" for name in ("AVX2", "FMA", "FMA4", "AVX512F") for ending in ("", "_Usable")]
+    return {
+        "numpy without vectors": {"NPY_DISABLE_CPU_FEATURES": " ".join(found)},
+        "C library without FMA": {"GLIBC_TUNABLES": f"glibc.cpu.hwcaps={','.join(absent)}"},
+    }
+
+
+def run(variables: dict[str, str], *names: str) -> subprocess.CompletedProcess[str]:
+    """Compares in a process of its own.
+
+    Args:
+        variables: of its environment. What is compiled for another processor is kept nowhere.
+        names: of the subjects; all where none is given.
+    """
+    command = [sys.executable, "-m", "tests.bits", *(("--only", *names) if names else ())]
+    with tempfile.TemporaryDirectory() as folder:
+        cache = {"NUMBA_CACHE_DIR": folder} if "NUMBA_CPU_NAME" in variables else {}
+        environment = {**os.environ, **cache, **variables}
+        return subprocess.run(command, cwd=FILE.parents[1], env=environment, capture_output=True, text=True)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Computes the bits of whole episodes; exit status 1 where they are not the committed ones."""
+
+    write: bool = False
+    """Commit new ones: write them to tests/bits.json."""
+
+    variants: bool = False
+    """Compare on other processors and with other libraries as well, as far as this machine can do as they do."""
+
+    only: tuple[str, ...] = ()
+    """Subjects that are compared; all where none is given."""
+
+
+def compare(names: Sequence[str]) -> list[str]:
+    """What differs from the committed bits, one line each."""
+    committed: dict[str, str] = json.loads(FILE.read_text(encoding="utf-8"))
+    wanted = {subject.name: subject for subject in subjects() if not names or subject.name in names}
+    wrong = [f"{name}: is no subject" for name in names or committed if name not in wanted]
+    for name, subject in wanted.items():
+        found, lines = compute(subject)
+        wrong += lines
+        if found != committed.get(name):
+            wrong.append(f"{name}: {found} here, {committed.get(name)} committed")
+    print(*wrong, f"{len(wanted)} subjects in {NUM_ENVS} environments: {len(wrong)} differences", sep="\n")
+    return wrong
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    options = parse(Options, "python -m tests.bits", arguments)
+    if options.write:
+        found = {subject.name: compute(subject)[0] for subject in subjects()}
+        write_atomically(FILE, json.dumps(found, indent=1) + "\n")
+    failed = bool(compare(options.only))
+    for name, variables in ({**processors(), **libraries()} if options.variants else {}).items():
+        begun = time.perf_counter()
+        done = run(variables, *options.only)
+        print(
+            f"{name}, {time.perf_counter() - begun:.0f} s: {done.stdout}{done.stderr if done.returncode else ''}",
+            end="",
+        )
+        failed |= done.returncode != 0
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

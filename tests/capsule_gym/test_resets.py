@@ -1,0 +1,86 @@
+"""How an episode begins: the compiled draws are numpy's, and every environment has its own."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from capsule_gym import Capsule, Randomization
+from capsule_gym.kernels import Row
+from capsule_gym.options import Options
+from capsule_gym.resets import Stream, random_stream
+from capsule_gym.simulation import Simulation
+from capsule_gym.task import START_THETA
+
+SEEDS = (0, 1, 12345, 2**63, 2**64 - 1, 2**64, 2**100 + 7, 2**128 - 1, 2**128 + 1)
+RANDOMIZATIONS = ("none", "paper", "wide", Randomization(mu=(0.01, 0.2), log_mu=True), Randomization(M=(0.4, 0.5)))
+
+
+def test_a_stream_depends_on_seed_episode_and_purpose_alone():
+    places = list(itertools.product((0, 1, 2**64, 2**100), (0, 1), Stream))
+    drawn = [tuple(random_stream(*place).random(3)) for place in places]
+    assert len(set(drawn)) == len(places)
+    assert drawn == [tuple(random_stream(*place).random(3)) for place in places]
+    # Of a seed 128 bits count.
+    assert random_stream(2**128 + 1, 0, Stream.parameters).random() == random_stream(1, 0, Stream.parameters).random()
+
+
+@pytest.mark.parametrize("randomization", RANDOMIZATIONS, ids=str)
+def test_what_is_drawn_are_the_numbers_of_numpys_philox_bit_for_bit(randomization):
+    simulation = Simulation(
+        len(SEEDS), Options(randomization=randomization, initial_noise=0.05, capsule=Capsule(M=0.6))
+    )
+    rows = np.arange(len(SEEDS))
+    for i, seed in enumerate(SEEDS):
+        simulation.seed(i, seed)
+    for episode in range(40):
+        simulation.reset(rows)
+        for i, seed in enumerate(SEEDS):
+            plant = simulation.randomization.draw(random_stream(seed, episode, Stream.parameters), simulation.capsule)
+            noise = random_stream(seed, episode, Stream.initial_state).uniform(-1.0, 1.0)
+            column = simulation.columns(rows)[:, i]
+            assert (column[Row.M], column[Row.mu]) == plant
+            assert column[Row.theta] == START_THETA + 0.05 * noise
+    # The present capsule's where nothing is drawn.
+    if simulation.randomization.M is None:
+        assert (simulation.row(Row.M) == 0.6).all()
+
+
+def test_a_range_is_drawn_as_its_formula_says():
+    wide = Randomization.named("wide")
+    for seed in range(200):
+        shares = random_stream(seed, 0, Stream.parameters).random(2).tolist()
+        M, mu = wide.draw(random_stream(seed, 0, Stream.parameters), Capsule())
+        assert M == 0.35 + (0.75 - 0.35) * shares[0]
+        assert mu == pytest.approx(0.005 * (0.3 / 0.005) ** shares[1], rel=1e-15)
+
+
+def test_rows_may_be_any_integers_that_name_environments():
+    simulation = Simulation(130)
+    for rows in (np.array([129, 3]), np.array([129, 3], np.int32), np.arange(130)[::-126], [129, 3]):
+        for i in range(130):
+            simulation.seed(i, i)
+        simulation.reset(np.arange(130))
+        first = simulation.row(Row.M)
+        simulation.reset(rows)
+        assert np.flatnonzero(simulation.row(Row.M) != first).tolist() == [3, 129]
+    for wrong in (-1, 130, 2**40):
+        before = simulation.world.copy()
+        with pytest.raises(IndexError, match="rows must be indices of environments"):
+            simulation.reset(np.array([0, wrong]))
+        assert simulation.world.tobytes() == before.tobytes()
+
+
+def test_a_reset_leaves_the_other_environments_as_they_are():
+    simulation = Simulation(130, Options(controller="baselines:adaptive"))
+    simulation.reset(np.arange(130))
+    simulation.step(np.linspace(-1.0, 1.0, 130))
+    others = np.setdiff1d(np.arange(130), [0, 64, 129])
+    before, seen = simulation.columns(others), simulation.observations[others]
+    simulation.reset(np.array([64, 0, 129]))
+    after = simulation.columns(others)
+    kept = [row for row in range(len(after)) if row not in (Row.active, Row.halt, Row.mass_ratio, Row.before_x)]
+    assert after[kept].tobytes() == before[kept].tobytes()
+    assert simulation.observations[others].tobytes() == seen.tobytes()
