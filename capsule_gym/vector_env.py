@@ -167,7 +167,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             changes=self._per_row("changes", options.get("changes"), rows),
         )
         self._ended[rows] = False
-        self._started = True
+        # The mask of the first reset need not name every environment; one that has not begun has no mass.
+        self._started = self._started or bool(self.simulation.row(Row.M).all())
         return self.simulation.observations.copy(), _masked(_infos(self.simulation.rows(0, Row.start_x)), mask)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
@@ -182,10 +183,10 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
         Raises:
             ValueError: if the actions have another shape or are not finite.
-            gymnasium.error.ResetNeeded: before the first reset.
+            gymnasium.error.ResetNeeded: before every environment has been reset once.
         """
         if not self._started:
-            raise gym.error.ResetNeeded("call reset() before step(): there is no running episode")
+            raise gym.error.ResetNeeded("call reset() before step(): some environment has no running episode")
         array = as_actions(actions)
         if array is None:
             raise ValueError(

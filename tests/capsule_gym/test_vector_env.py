@@ -261,6 +261,15 @@ def test_options_per_environment():
     assert info["M"].tolist() == [0.5, 0.8, 0.7]
 
 
+def test_no_step_before_every_environment_has_begun():
+    env = CapsuleVectorEnv(3)
+    env.reset(seed=0, options={"reset_mask": np.array([True, False, False])})
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(np.zeros((3, 1), np.float32))
+    env.reset(options={"reset_mask": np.array([False, True, True])})
+    assert np.isfinite(env.step(np.zeros((3, 1), np.float32))[1]).all()
+
+
 @pytest.mark.parametrize("mode", AutoresetMode)
 @pytest.mark.parametrize("controller", [None, "baselines:adaptive"])
 def test_infos_are_finite_at_every_reset_also_of_some(mode, controller):
