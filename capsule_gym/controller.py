@@ -144,7 +144,7 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
     found: Any = controller
     if isinstance(controller, str):
         module_name, colon, attribute = controller.partition(":")
-        if not (module_name and colon and attribute):
+        if not (module_name and colon and attribute) or module_name.startswith("."):
             raise ValueError(f"controller must be {accepted}, got {controller!r}")
         try:
             module = importlib.import_module(module_name)
@@ -160,7 +160,11 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
             meant = f"; did you mean {module_name + ':' + near[0]!r}?" if near else ""
             raise ValueError(f"controller={controller!r}: the module {module_name!r} has no {attribute!r}{meant}")
     if callable(found):
-        found = found()
+        try:
+            found = found()
+        except (TypeError, ValueError) as error:
+            kind = TypeError if isinstance(error, TypeError) else ValueError
+            raise kind(f"controller must be {accepted}, got {controller!r}, whose call fails: {error}") from error
     if found is not None and not isinstance(found, Controller):
         given = "" if found is controller else f", which gives {found!r}"
         raise TypeError(f"controller must be {accepted}, got {controller!r}{given}")

@@ -428,7 +428,10 @@ class Simulation:
             t = check_number(f"{name}['t']", change["t"], "a finite number >= 0 (s)", 0.0)
             if schedule and t <= schedule[-1][0]:
                 raise ValueError(f"{name}['t'] must be later than the one before, {schedule[-1][0]:g} s, got {t:g} s")
-            self._check_plant(change["M"], change["mu"])
+            try:
+                self._check_plant(change["M"], change["mu"])
+            except (TypeError, ValueError) as error:
+                raise type(error)(f"{name}: {error}") from None
             schedule.append((t, float(change["M"]), float(change["mu"])))
         return schedule
 

@@ -133,6 +133,9 @@ def test_a_controller_is_found_in_every_form():
         ("math:pi", TypeError, "which gives 3.14"),
         (lambda: "law", TypeError, "which gives 'law'"),
         (3, TypeError, "controller must be None, a Controller"),
+        (".laws:law", ValueError, "controller must be None, a Controller"),
+        ("math:sin", TypeError, "whose call fails: math.sin() takes"),
+        (lambda: Controller("odd", print, [[]]), ValueError, "controller must be None, a Controller"),
     ],
 )
 def test_what_is_no_controller_is_named(given, error, said):

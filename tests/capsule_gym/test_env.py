@@ -530,7 +530,8 @@ def test_bad_arguments_are_named(kwargs, error, message):
             r"options\['changes'\]\[1\]\['t'\] must be later than the one before, 1 s, got 0.5 s",
         ),
         ({"changes": [JUMP, JUMP]}, ValueError, r"options\['changes'\]\[1\]\['t'\] must be later"),
-        ({"changes": [{"t": 1.0, "M": -0.5, "mu": 0.01}]}, ValueError, "M must be"),
+        ({"changes": [{"t": 1.0, "M": -0.5, "mu": 0.01}]}, ValueError, r"options\['changes'\]\[0\]: M must be"),
+        ({"changes": [{"t": 1.0, "M": 0.001, "mu": 2.0}]}, ValueError, r"options\['changes'\]\[0\]: .*Painleve"),
     ],
 )
 def test_bad_options_are_named(options, error, message):
