@@ -58,7 +58,7 @@ class Controller:
 
     def __post_init__(self) -> None:
         if not callable(self.law):
-            raise TypeError(f"Controller.law must be a function, got {self.law!r}")
+            raise TypeError(f"Controller.law must be a function, got {written(self.law)}")
         object.__setattr__(self, "reference", _check_reference(self.reference))
         object.__setattr__(self, "memory", _check_memory(self.memory))
         check_number("Controller.dt", self.dt, "a finite number > 0 (s)", 0.0, open_low=True)
@@ -145,7 +145,7 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
     if isinstance(controller, str):
         module_name, colon, attribute = controller.partition(":")
         if not (module_name and colon and attribute) or module_name.startswith("."):
-            raise ValueError(f"controller must be {accepted}, got {controller!r}")
+            raise ValueError(f"controller must be {accepted}, got {written(controller)}")
         try:
             module = importlib.import_module(module_name)
         except ModuleNotFoundError as error:
@@ -167,5 +167,5 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
             raise kind(f"controller must be {accepted}, got {controller!r}, whose call fails: {error}") from error
     if found is not None and not isinstance(found, Controller):
         given = "" if found is controller else f", which gives {found!r}"
-        raise TypeError(f"controller must be {accepted}, got {controller!r}{given}")
+        raise TypeError(f"controller must be {accepted}, got {written(controller)}{given}")
     return found

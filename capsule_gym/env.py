@@ -342,7 +342,7 @@ def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> 
     if options is None:
         return {}
     if not isinstance(options, dict):
-        raise TypeError(f"options must be a dict with keys out of {accepted}, got {options!r}")
+        raise TypeError(f"options must be a dict with keys out of {accepted}, got {written(options)}")
     unknown = set(options) - set(accepted)
     if unknown:
         raise ValueError(f"options must have keys out of {accepted}, got {sorted(map(str, unknown))}")

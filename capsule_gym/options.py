@@ -15,7 +15,7 @@ import numpy as np
 
 from capsule_gym import task
 from capsule_gym.controller import LAW_DT, Controller
-from capsule_gym.parameters import RANDOMIZATIONS, Capsule, Randomization, check_count, check_number
+from capsule_gym.parameters import RANDOMIZATIONS, Capsule, Randomization, check_count, check_number, written
 
 DIRECT_PHYSICS_DT = 2e-3
 LAW_PHYSICS_DT = LAW_DT
@@ -53,7 +53,7 @@ def _or_none(check: Check) -> Check:
 
 def _is_capsule(name: str, value: Any) -> Capsule:
     if not isinstance(value, Capsule):
-        raise TypeError(f"{name} must be a Capsule or None, got {value!r}")
+        raise TypeError(f"{name} must be a Capsule or None, got {written(value)}")
     return value
 
 
@@ -68,13 +68,14 @@ def _is_randomization(name: str, value: Any) -> str | Randomization:
 
 def _is_bool(name: str, value: Any) -> bool:
     if not isinstance(value, (bool, np.bool_)):
-        raise TypeError(f"{name} must be True or False, got {value!r}")
+        raise TypeError(f"{name} must be True or False, got {written(value)}")
     return bool(value)
 
 
 def _is_render_mode(name: str, value: Any) -> str:
-    if value not in RENDER_MODES:
-        raise ValueError(f"{name} must be None or one of {RENDER_MODES}, got {value!r}")
+    # Of an array, `in` has no answer.
+    if not isinstance(value, str) or value not in RENDER_MODES:
+        raise ValueError(f"{name} must be None or one of {RENDER_MODES}, got {written(value)}")
     return value
 
 

@@ -81,7 +81,7 @@ def check_count(name: str, value: Any, most: int = sys.maxsize) -> int:
         ValueError: if it is below 1 or above `most`.
     """
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"{name} must be an integer >= 1, got {value!r}")
+        raise TypeError(f"{name} must be an integer >= 1, got {written(value)}")
     if value < 1:
         raise ValueError(f"{name} must be an integer >= 1, got {written(value)}")
     if value > most:
@@ -161,8 +161,8 @@ class Capsule:
         for name in ("k", "c", "mu"):
             check_number(f"Capsule.{name}", getattr(self, name), "a finite number >= 0", 0.0)
         check_number("Capsule.static_ratio", self.static_ratio, "a finite number >= 1", 1.0)
-        if self.normal_force not in ("newton", "paper"):
-            raise ValueError(f"Capsule.normal_force must be 'newton' or 'paper', got {self.normal_force!r}")
+        if not isinstance(self.normal_force, str) or self.normal_force not in ("newton", "paper"):
+            raise ValueError(f"Capsule.normal_force must be 'newton' or 'paper', got {written(self.normal_force)}")
         self.check_plant(self.M, self.mu)
 
     def check_plant(self, M: float, mu: float) -> None:
@@ -220,11 +220,11 @@ def _check_range(name: str, value: Any, *, positive: bool) -> tuple[float, float
     try:
         low, high = value
     except (TypeError, ValueError):
-        raise TypeError(f"{name} must be {accepted}, got {value!r}") from None
+        raise TypeError(f"{name} must be {accepted}, got {written(value)}") from None
     low = check_number(f"{name}[0]", low, accepted, 0.0, open_low=positive)
     high = check_number(f"{name}[1]", high, accepted, 0.0, open_low=positive)
     if low > high:
-        raise ValueError(f"{name} must be {accepted}, got {value!r}")
+        raise ValueError(f"{name} must be {accepted}, got {written(value)}")
     return low, high
 
 
@@ -259,7 +259,7 @@ class Randomization:
 
     def __post_init__(self) -> None:
         if not isinstance(self.log_mu, bool):
-            raise TypeError(f"Randomization.log_mu must be True or False, got {self.log_mu!r}")
+            raise TypeError(f"Randomization.log_mu must be True or False, got {written(self.log_mu)}")
         if self.M is not None:
             object.__setattr__(self, "M", _check_range("Randomization.M", self.M, positive=True))
         if self.mu is not None:
@@ -281,10 +281,11 @@ class Randomization:
         """
         if isinstance(name, cls):
             return name
+        accepted = f"a Randomization or one of {sorted(RANDOMIZATIONS)}"
         if not isinstance(name, str):
-            raise TypeError(f"randomization must be a Randomization or one of {sorted(RANDOMIZATIONS)}, got {name!r}")
+            raise TypeError(f"randomization must be {accepted}, got {written(name)}")
         if name not in RANDOMIZATIONS:
-            raise ValueError(f"randomization must be a Randomization or one of {sorted(RANDOMIZATIONS)}, got {name!r}")
+            raise ValueError(f"randomization must be {accepted}, got {written(name)}")
         return RANDOMIZATIONS[name]
 
     def check(self, capsule: Capsule) -> None:

@@ -407,7 +407,7 @@ class Simulation:
         if array.shape not in ((4,), (count, 4)):
             raise ValueError(f"options['state'] must be {accepted}, got shape {array.shape}")
         if not np.isfinite(array).all() or (np.abs(array[..., 0]) >= task.THETA_LIMIT).any():
-            raise ValueError(f"options['state'] must be {accepted}, got {state!r}")
+            raise ValueError(f"options['state'] must be {accepted}, got {written(state)}")
         return np.broadcast_to(array, (count, 4))
 
     def _schedule(self, changes: Sequence[dict[str, float]]) -> list[tuple[float, float, float]]:

@@ -99,7 +99,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ) -> None:
         options = options_among(locals())
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ValueError(f"render_mode of a batch must be None or 'rgb_array', got {render_mode!r}")
+            raise ValueError(f"render_mode of a batch must be None or 'rgb_array', got {written(render_mode)}")
         self.autoreset_mode = _find_mode(autoreset_mode)
         self.max_episode_steps = check_count("max_episode_steps", max_episode_steps)
         self.simulation = Simulation(num_envs, options)
@@ -306,9 +306,9 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             return self._everywhere
         accepted = f"a bool array of shape ({self.num_envs},) with at least one True"
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
-            raise TypeError(f"options['reset_mask'] must be {accepted}, got {mask!r}")
+            raise TypeError(f"options['reset_mask'] must be {accepted}, got {written(mask)}")
         if mask.shape != (self.num_envs,) or not mask.any():
-            raise ValueError(f"options['reset_mask'] must be {accepted}, got {mask!r}")
+            raise ValueError(f"options['reset_mask'] must be {accepted}, got {written(mask)}")
         return mask
 
     def _per_row(self, name: str, values: Any, rows: np.ndarray) -> list[Any] | None:
@@ -340,10 +340,10 @@ def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:
     if isinstance(mode, AutoresetMode):
         return mode
     for candidate in AutoresetMode:
-        if mode in (candidate.name, candidate.value):
+        if isinstance(mode, str) and mode in (candidate.name, candidate.value):
             return candidate
     names = [candidate.name for candidate in AutoresetMode]
-    raise ValueError(f"autoreset_mode must be an AutoresetMode or one of {names}, got {mode!r}")
+    raise ValueError(f"autoreset_mode must be an AutoresetMode or one of {names}, got {written(mode)}")
 
 
 def _infos(rows: np.ndarray) -> dict[str, Any]:

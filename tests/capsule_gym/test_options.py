@@ -99,3 +99,9 @@ def test_what_is_none_follows_from_the_others():
     assert (law.residual_limit, law.physics_dt, law.physics_steps, law.law_steps) == (1.5, 1e-3, 1, 20)
     assert Simulation(1).capsule == Capsule()
     assert Simulation(1).randomization == Randomization.named("paper")
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_a_value_that_python_does_not_write_out_is_refused_by_name(name):
+    with pytest.raises((TypeError, ValueError), match=f"^{name} must be .*too long to show"):
+        CapsuleVectorEnv(**{name: 10**5000})

@@ -59,7 +59,7 @@ def test_numpy_numbers_and_integers_become_floats_in_the_plant():
     assert all(type(value) is float for value in plant)
 
 
-@pytest.mark.parametrize("value", ["Newton", "", None, 1])
+@pytest.mark.parametrize("value", ["Newton", "", None, 1, np.array(["newton"] * 2)])
 def test_an_unknown_normal_force_is_refused(value):
     with pytest.raises(ValueError) as caught:
         Capsule(normal_force=value)

@@ -323,6 +323,7 @@ def test_nothing_handed_out_changes_later():
         ({"num_envs": 2, "threads": 0}, ValueError, "threads"),
         ({"num_envs": 2, "residual_limit": 0.0}, ValueError, "residual_limit must be > 0"),
         ({"num_envs": 2, "autoreset_mode": "LATER"}, ValueError, "autoreset_mode"),
+        ({"num_envs": 2, "autoreset_mode": np.zeros(2)}, ValueError, "autoreset_mode"),
         ({"num_envs": 2, "render_mode": "human"}, ValueError, "render_mode"),
     ],
 )
