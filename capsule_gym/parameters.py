@@ -11,6 +11,9 @@ import numpy as np
 
 NormalForce = Literal["newton", "paper"]
 
+# Sizes of a plant's constants, in SI units: within these every force and acceleration is a floating-point number.
+SMALLEST, LARGEST = 1e-12, 1e12
+
 
 class Plant(NamedTuple):
     """The constants of one plant as the compiled functions read them: SI units, float64, no validation.
@@ -110,6 +113,11 @@ def check_contact_is_regular(M: float, m: float, mu: float) -> None:
         )
 
 
+def _check_size(name: str, value: Any, smallest: float = 0.0) -> None:
+    """Refuses constants so large or small that forces between them are no floating-point numbers."""
+    check_number(name, value, f"a number from {smallest:g} to {LARGEST:g}", smallest, LARGEST)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Capsule:
     """The constants of the capsule robot, in SI units; the defaults are those of Liu, Yu and Cang (2018), Sect. 5.
@@ -129,7 +137,8 @@ class Capsule:
 
     Raises:
         TypeError: if a field is of the wrong type.
-        ValueError: if a field is out of range, or the plant admits Painleve's paradox.
+        ValueError: if a field is out of range, beyond 1e12 or positive below 1e-12 where it must be positive, or the
+            plant admits Painleve's paradox.
 
     >>> Capsule(mu=0.1).plant().mu
     0.1
@@ -158,6 +167,10 @@ class Capsule:
         check_number("Capsule.static_ratio", self.static_ratio, "a finite number >= 1", 1.0)
         if self.normal_force not in ("newton", "paper"):
             raise ValueError(f"Capsule.normal_force must be 'newton' or 'paper', got {self.normal_force!r}")
+        for name in ("M", "m", "l", "g", "backward_ratio", "static_ratio"):
+            _check_size(f"Capsule.{name}", getattr(self, name), SMALLEST)
+        for name in ("k", "c", "mu"):
+            _check_size(f"Capsule.{name}", getattr(self, name))
         self.check_plant(self.M, self.mu)
 
     def check_plant(self, M: float, mu: float) -> None:
@@ -173,6 +186,8 @@ class Capsule:
         """
         M = check_number("M", M, "a finite number > 0 (kg)", 0.0, open_low=True)
         mu = check_number("mu", mu, "a finite number >= 0", 0.0)
+        _check_size("M", M, SMALLEST)
+        _check_size("mu", mu)
         check_contact_is_regular(M, self.m, mu * max(1.0, self.backward_ratio) * self.static_ratio)
 
     def plant(self, M: float | None = None, mu: float | None = None) -> Plant:
@@ -260,11 +275,13 @@ class Randomization:
         """Refuses ranges in which some plant would be invalid, before any episode meets it.
 
         Raises:
-            ValueError: if the lightest platform with the largest friction admits Painleve's paradox.
+            ValueError: if the lightest platform with the largest friction admits Painleve's paradox, or a value is too
+                large or too small for a `Capsule`.
         """
         # Both the lightest platform and the roughest floor are the worst case of the condition, so one corner decides.
         try:
             capsule.check_plant(self.M[0] if self.M else capsule.M, self.mu[1] if self.mu else capsule.mu)
+            capsule.check_plant(self.M[1] if self.M else capsule.M, self.mu[0] if self.mu else capsule.mu)
         except ValueError as error:
             raise ValueError(f"Randomization(M={self.M}, mu={self.mu}): {error}") from None
 

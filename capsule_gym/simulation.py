@@ -264,7 +264,7 @@ class Simulation:
 
         Raises:
             TypeError: if a value is of the wrong type.
-            ValueError: if a value is out of range.
+            ValueError: if a value is out of range, or the law returned a torque that is not finite.
         """
         columns = np.zeros((self.world.shape[1], len(rows)))
         schedules = [self._schedule(changes[n]) for n in range(len(rows))] if changes is not None else []
@@ -302,7 +302,9 @@ class Simulation:
         self.world[:, Row.active] = 0.0
         self._everyone = False
         self.world[rows // LANES, :, rows % LANES] = columns.T
-        self._run(begin=True)
+        broken = self._run(begin=True)
+        if broken >= 0:
+            self._report(broken)
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> None:
         """One agent step.
@@ -335,7 +337,7 @@ class Simulation:
             self._report(0)
 
     def _run(self, begin: bool) -> int:
-        """Runs the kernel on all environments; returns one whose numbers are no longer finite, or -1."""
+        """Runs the kernel on all environments; returns one whose law returned no finite torque, or -1."""
         if len(self._ranges) == 1:
             return self._advance(0, self.num_envs, begin)
         # A forked process inherits the pool, but none of its threads.
@@ -413,7 +415,11 @@ class Simulation:
 
     def _check_state(self, state: Any, count: int) -> np.ndarray:
         """The states of `count` environments as float64, shape (count, 4)."""
-        accepted = "[theta, theta_dot, x, x_dot], finite, |theta| < pi/2"
+        _, *rest = task.LARGEST_STATE
+        accepted = (
+            "[theta, theta_dot, x, x_dot] with |theta| < pi/2, |theta_dot| <= {:g} rad/s, |x| <= {:g} m and |x_dot| "
+            "<= {:g} m/s"
+        ).format(*rest)
         try:
             array = np.asarray(state, dtype=np.float64)
         except OverflowError:
@@ -422,7 +428,8 @@ class Simulation:
             raise TypeError(f"options['state'] must be {accepted}, got {written(state)}") from None
         if array.shape not in ((4,), (count, 4)):
             raise ValueError(f"options['state'] must be {accepted}, got shape {array.shape}")
-        if not np.isfinite(array).all() or (np.abs(array[..., 0]) >= task.THETA_LIMIT).any():
+        inside = (np.abs(array) <= task.LARGEST_STATE).all() and (np.abs(array[..., 0]) < task.THETA_LIMIT).all()
+        if not inside:
             raise ValueError(f"options['state'] must be {accepted}, got {state!r}")
         return np.broadcast_to(array, (count, 4))
 

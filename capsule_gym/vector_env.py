@@ -151,7 +151,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             (num_envs,) bool, and infos.
 
         Raises:
-            ValueError: if the actions have another shape or are not finite.
+            ValueError: if the actions have another shape or are not finite, or the control law returned a torque that is
+                not finite.
             gymnasium.error.ResetNeeded: before the first reset.
         """
         if not self._started:
