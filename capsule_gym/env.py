@@ -148,7 +148,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
 
     Raises:
         TypeError: if an argument is of the wrong type.
-        ValueError: if an argument is out of range, or the plant admits Painleve's paradox.
+        ValueError: if an argument is out of range, or a plant admits Painleve's paradox or is too stiff for `physics_dt`.
 
     ## Version History
 

@@ -190,6 +190,33 @@ class Capsule:
         _check_size("mu", mu)
         check_contact_is_regular(M, self.m, mu * max(1.0, self.backward_ratio) * self.static_ratio)
 
+    def fastest_rate(self, M: float, mu: float) -> float:
+        """The largest rate in 1/s at which the pendulum moves by itself: what a step of the integrator must resolve.
+
+        It is the largest eigenvalue, by its size, of the motion linearised at rest, over all angles and both directions
+        of slip (docs/physics.md). A lighter platform and a rougher floor make it larger.
+
+        Args:
+            M: mass of the platform in kg.
+            mu: kinetic friction coefficient forwards.
+        """
+        mu *= max(1.0, self.backward_ratio)
+        share = self.m / (M + self.m)
+        # What a platform that slips leaves of the inertia at the worst angle; Painleve's condition keeps it positive.
+        inertia = self.m * self.l * self.l * (1.0 - share * (1.0 + math.sqrt(1.0 + mu * mu)) / 2.0)
+        if inertia <= 0.0:  # by rounding
+            return math.inf
+        # The paper's normal force, which the pivot's torque changes, adds this share of that torque at most.
+        pivot = 0.5 * mu * share * self.l if self.normal_force == "paper" else 0.0
+        damping, weight = (1.0 + pivot) * self.c / inertia, self.m * self.g * self.l
+        lowest = (1.0 - (1.0 + math.pi) * pivot) * self.k - weight * math.sqrt(1.0 + mu * mu)
+        highest = (1.0 + (1.0 + math.pi) * pivot) * self.k + weight * mu
+        rates = []
+        for stiffness in (lowest / inertia, highest / inertia):
+            square = damping * damping / 4.0 - stiffness
+            rates.append(damping / 2.0 + math.sqrt(square) if square >= 0.0 else math.sqrt(stiffness))
+        return max(rates)
+
     def plant(self, M: float | None = None, mu: float | None = None) -> Plant:
         """The constants as the compiled functions read them.
 

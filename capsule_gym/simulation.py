@@ -17,10 +17,13 @@ from capsule_gym import kernels, task
 from capsule_gym.controller import Controller, Law, find_controller
 from capsule_gym.kernels import LANES, Row
 from capsule_gym.options import DEFAULTS, DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, Options
-from capsule_gym.parameters import NOMINAL, Randomization, check_count, check_number, written
+from capsule_gym.parameters import NOMINAL, Capsule, Randomization, check_count, check_number, written
 
 # What acts where no controller does.
 NO_CONTROLLER = Controller("none", kernels.no_law, kernels.NO_REFERENCE)
+# The half of the disc of this radius that lies to the left of the imaginary axis is in the region of stability of the
+# classical Runge-Kutta method (Hairer and Wanner, Solving Ordinary Differential Equations II, Sect. IV.2).
+STABLE = 2.6
 # Environments in a batch: some 7 GB.
 MOST_ENVS = 2**24
 
@@ -101,6 +104,31 @@ def divide(name: str, whole: float, part_name: str, part: float) -> int:
     return count
 
 
+def check_step(capsule: Capsule, M: float, mu: float, settings: kernels.Settings) -> None:
+    """Refuses a plant that is too stiff for the integrator's step.
+
+    Args:
+        capsule: the plant's constants.
+        M: mass of its platform, kg.
+        mu: its friction coefficient.
+        settings: what says the step.
+
+    Raises:
+        ValueError: if the step is longer than the integrator's stability allows.
+    """
+    h, rate = settings.physics_dt, capsule.fastest_rate(M, mu)
+    if rate * h <= STABLE:
+        return
+    held, longest = settings.physics_steps * h, STABLE / rate
+    enough = held / longest * (1.0 + 1e-9)
+    fits = enough * settings.law_steps < MOST_SUBSTEPS
+    would_do = f"physics_dt={held / math.ceil(enough)!r} would do" if fits else "no step would do"
+    raise ValueError(
+        f"physics_dt must be at most {longest:.4g} s for this capsule with M={M:.6g} kg and mu={mu:.6g}, whose fastest "
+        f"rate is {rate:.4g} 1/s: beyond {STABLE} / rate the integrator is unstable; {would_do}, got {h!r} s"
+    )
+
+
 def make_settings(options: Options, controller: Controller | None) -> kernels.Settings:
     """What the kernels need to know of the options, with what is None worked out.
 
@@ -164,6 +192,10 @@ class Simulation:
         self._largest = task.parameter_bounds(self.capsule, self.randomization)
         self.controller = find_controller(options.controller)
         self.settings = make_settings(options, self.controller)
+        # The lightest platform on the roughest floor is the stiffest plant.
+        ranges = self.randomization
+        lightest, roughest = (ranges.M or (self.capsule.M,))[0], (ranges.mu or (self.capsule.mu,))[-1]
+        check_step(self.capsule, lightest, roughest, self.settings)
         acting = self.controller or NO_CONTROLLER
         self.reference, self.memory = acting.reference, acting.memory
 
@@ -406,8 +438,9 @@ class Simulation:
         self._pool = None
 
     def _check_plant(self, M: float, mu: float) -> None:
-        """Refuses M and mu that are invalid, or outside the bounds of the observation that shows them."""
+        """Refuses M and mu that are invalid, too stiff for the step, or outside the observation that shows them."""
         self.capsule.check_plant(M, mu)
+        check_step(self.capsule, M, mu, self.settings)
         if self.settings.with_parameters:
             for name, value, largest in zip(("M", "mu"), (M, mu), self._largest, strict=True):
                 accepted = f"at most {largest:g} where observe_parameters shows it (a wider randomization shows more)"

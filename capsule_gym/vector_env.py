@@ -56,7 +56,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     Raises:
         TypeError: if an argument is of the wrong type.
-        ValueError: if an argument is out of range.
+        ValueError: if an argument is out of range, or a plant admits Painleve's paradox or is too stiff for `physics_dt`.
     """
 
     # Gymnasium declares it as the instance's, and wrappers change it: each instance gets a copy.
