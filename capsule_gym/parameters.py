@@ -137,7 +137,7 @@ class Capsule:
 
     Raises:
         TypeError: if a field is of the wrong type.
-        ValueError: if a field is out of range, beyond 1e12 or positive below 1e-12 where it must be positive, or the
+        ValueError: if a field is out of range, or beyond 1e12, or a mass, a length or a ratio below 1e-12, or the
             plant admits Painleve's paradox.
 
     >>> Capsule(mu=0.1).plant().mu
@@ -167,9 +167,9 @@ class Capsule:
         check_number("Capsule.static_ratio", self.static_ratio, "a finite number >= 1", 1.0)
         if self.normal_force not in ("newton", "paper"):
             raise ValueError(f"Capsule.normal_force must be 'newton' or 'paper', got {self.normal_force!r}")
-        for name in ("M", "m", "l", "g", "backward_ratio", "static_ratio"):
+        for name in ("M", "m", "l", "backward_ratio", "static_ratio"):
             _check_size(f"Capsule.{name}", getattr(self, name), SMALLEST)
-        for name in ("k", "c", "mu"):
+        for name in ("g", "k", "c", "mu"):
             _check_size(f"Capsule.{name}", getattr(self, name))
         self.check_plant(self.M, self.mu)
 

@@ -67,7 +67,7 @@ def test_constants_too_large_to_compute_with_are_refused(field, value):
         Capsule(**{field: value})
 
 
-@pytest.mark.parametrize("field", POSITIVE)
+@pytest.mark.parametrize("field", ["M", "m", "l", "backward_ratio"])
 def test_constants_too_small_to_divide_by_are_refused(field):
     with pytest.raises(ValueError, match=rf"^Capsule\.{field} must be a number from 1e-12 to "):
         Capsule(**{field: 1e-300})
