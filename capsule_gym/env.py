@@ -101,14 +101,17 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
     theta = -pi/3 (plus uniform noise of half width `initial_noise`), at rest, x = 0. `reset(options={"state": [theta,
     theta_dot, x, x_dot], "M": kg, "mu": ..})` sets what is given; `options={"changes": [{"t": s, "M": kg, "mu": ..}]}`
-    lets M and mu jump during the episode. The draws of M, mu and of the initial state come from separate random
+    lets M and mu jump during the episode. A state has |theta| < pi/2, |theta_dot| <= 1000 rad/s, |x| <= 1e6 m and
+    |x_dot| <= 1000 m/s. The draws of M, mu and of the initial state come from separate random
     streams.
 
     ## Episode End
 
     1. Termination "pendulum": |theta| reaches pi/2, where the ball meets the platform.
     2. Termination "contact": the normal force falls to zero, the capsule leaves the floor.
-    3. Truncation: after 1650 steps (33 s, the paper's five cycles of 6.6 s).
+    3. Termination "diverged": |theta_dot| + |x_dot| exceeds 1e4 rad/s and m/s, or is no number, which takes a plant or a
+       torque that the integrator's step does not resolve. The environment stays at the last state before that.
+    4. Truncation: after 1650 steps (33 s, the paper's five cycles of 6.6 s).
 
     A copy, `copy.deepcopy`'s or pickle's, goes on bit for bit with this episode and the next ones. Of the control law a
     pickle holds the argument `controller`, which must be picklable: an import string, or a function of a module.
@@ -121,7 +124,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     The same keys and dtypes at every reset and step, as numbers and arrays of numpy: `state` (theta, theta_dot, x,
     x_dot), `stick`, `M`, `mu`, `torque` (the last torque applied, N m), `law_torque` (what the law asks for next, N m),
     `normal_force` (the smallest in the step, N; after a reset the weight), `energy` (of the step, J), the reward terms, and `termination`
-    (`capsule_gym.task.Termination`: 0 while the episode goes on, 1 "pendulum", 2 "contact").
+    (`capsule_gym.task.Termination`: 0 while the episode goes on, 1 "pendulum", 2 "contact", 3 "diverged").
 
     ## Arguments
 
@@ -149,7 +152,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
     Raises:
         TypeError: if an argument is of the wrong type.
-        ValueError: if an argument is out of range, or the plant admits Painleve's paradox.
+        ValueError: if an argument is out of range, or a plant admits Painleve's paradox or is too stiff for `physics_dt`.
 
     ## Version History
 
@@ -214,7 +217,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
         Raises:
             TypeError: if the seed or an option is of the wrong type.
-            ValueError: if the seed is out of range, or an option is unknown or out of range.
+            ValueError: if the seed is out of range, an option is unknown or out of range, or the control law returned a
+                torque that is not finite.
         """
         seed = None if seed is None else check_seed(seed)
         fresh = seed is not None or self._np_random is None
@@ -249,7 +253,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
             Observation, reward, terminated, truncated (always False: gymnasium's TimeLimit truncates) and info.
 
         Raises:
-            ValueError: if the action has another shape or is not finite.
+            ValueError: if the action has another shape or is not finite, or the control law returned a torque that is
+                not finite.
             gymnasium.error.ResetNeeded: before the first reset, and after termination.
         """
         if not self._running:

@@ -112,6 +112,8 @@ ROWS = len(Row)
 MEMORY = ROWS * LANES
 # The values of `Row.halt`: under way; stopped in the present substep, its law to be asked once more; and at rest.
 UNDER_WAY, ENDING, HALTED = 0.0, 1.0, 2.0
+# As a plain integer, which numba takes for a constant.
+DIVERGED = int(task.Termination.diverged)
 
 
 class Settings(NamedTuple):
@@ -255,7 +257,9 @@ def prepare(block: np.ndarray, n: int, plant: Plant, begin: bool) -> int:
     count = 0
     for j in range(n):
         active = block[AT.active + j] != 0.0
-        block[AT.halt + j] = UNDER_WAY if active else HALTED
+        # A law that has broken its contract, which left NaN, is asked no more until the next reset.
+        law_torque = block[AT.law_torque + j]
+        block[AT.halt + j] = UNDER_WAY if active and law_torque == law_torque else HALTED
         block[AT.action + j] = task.clip(block[AT.action + j], 1.0)
         block[AT.mass_ratio + j] = plant.m / (block[AT.M + j] + plant.m)
         block[AT.before_x + j] = block[AT.x + j]
@@ -312,7 +316,7 @@ def glide(block: np.ndarray, n: int, plant: Plant, h: float, may_stick: bool) ->
         block[AT.x_ddot + j], block[AT.first_normal_force + j] = x_ddot, normal
         block[AT.least_normal_force + j] = smallest
         going = block[AT.halt + j] == UNDER_WAY
-        smooth = lasts and task.termination(theta_1, normal) == 0
+        smooth = lasts and task.termination(theta_1, normal) == 0 and task.bounded(theta_dot_1, x_dot_1)
         block[AT.eventful + j] = 1.0 if going and not smooth else 0.0
         commit = going and smooth
         block[AT.theta + j] = theta_1 if commit else theta
@@ -347,6 +351,16 @@ def follow(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) ->
     else:
         whole = dynamics.piece(start, h)
     motion = dynamics.follow(start, whole)
+    whole_motion = motion.theta + motion.x + motion.swept + motion.normal_force
+    if not (task.bounded(motion.theta_dot, motion.x_dot) and math.isfinite(whole_motion)):
+        # The substep is none: the environment stays where it has begun.
+        normal = dynamics.accelerations(theta, theta_dot, slip, torque, p)[2]
+        block[AT.normal_force + j] = min(block[AT.normal_force + j], normal)
+        block[AT.termination + j] = DIVERGED
+        block[AT.halt + j] = ENDING
+        block[AT.elapsed + j] = elapsed - h
+        block[AT.slip + j] = 1.0
+        return -1 if slip == 0.0 else 0
     block[AT.theta + j], block[AT.theta_dot + j] = motion.theta, motion.theta_dot
     block[AT.x + j], block[AT.x_dot + j] = motion.x, motion.x_dot
     block[AT.energy + j] += abs(torque) * motion.swept
@@ -395,7 +409,8 @@ def consult(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, settings: 
         )
         halt = block[AT.halt + j]
         asked = halt != HALTED
-        # Infinity must not pass for a torque that was clipped: infinity minus itself is NaN.
+        # Infinity must not pass for a torque that was clipped: infinity minus itself is NaN. The state stays what the
+        # law was asked about.
         clipped = task.clip(torque, settings.torque_limit) + (torque - torque)
         block[AT.law_torque + j] = clipped if asked else block[AT.law_torque + j]
         store(block, MEMORY + j, LANES, renewed if asked else memory)
@@ -403,7 +418,7 @@ def consult(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, settings: 
         torque = block[AT.torque + j]
         block[AT.duration + j] += tick * elapsed
         block[AT.torque_squared + j] += tick * elapsed * torque * torque
-        block[AT.halt + j] = UNDER_WAY if halt == UNDER_WAY else HALTED
+        block[AT.halt + j] = UNDER_WAY if halt == UNDER_WAY and clipped == clipped else HALTED
 
 
 @inlined
@@ -471,7 +486,7 @@ def advance(
         observations: shape (environments, entries), float32; written.
 
     Returns:
-        Index of an environment whose state or torque is no longer finite, or -1.
+        Index of an environment whose law returned no finite torque, or -1.
     """
     plant, settings = unpack(fixed, PIVOT_TORQUE_ON_CONTACT)
     cycle = (fixed.size - CONSTANTS) // REFERENCE_SIZE
@@ -499,7 +514,7 @@ def advance(
             settle(block, n, plant, settings)
         observe(block, n, begin, settings, cycle, observations[b * LANES :])
         for j in range(n):
-            if not math.isfinite(block[AT.theta_dot + j] + block[AT.law_torque + j] + block[AT.reward + j]):
+            if block[AT.active + j] != 0.0 and not math.isfinite(block[AT.law_torque + j]):
                 broken = b * LANES + j
     return broken
 

@@ -16,6 +16,9 @@ from capsule_gym.exponential import exp, log
 
 NormalForce = Literal["newton", "paper"]
 
+# Sizes of a plant's constants, in SI units: within these every force and acceleration is a floating-point number.
+SMALLEST, LARGEST = 1e-12, 1e12
+
 
 class Plant(NamedTuple):
     """The constants of one plant as the compiled functions read them: SI units, float64, no validation.
@@ -115,6 +118,11 @@ def check_contact_is_regular(M: float, m: float, mu: float) -> None:
         )
 
 
+def _check_size(name: str, value: Any, smallest: float = 0.0) -> None:
+    """Refuses constants so large or small that forces between them are no floating-point numbers."""
+    check_number(name, value, f"a number from {smallest:g} to {LARGEST:g}", smallest, LARGEST)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Capsule:
     """The constants of the capsule robot, in SI units; the defaults are those of Liu, Yu and Cang (2018), Sect. 5.
@@ -134,7 +142,8 @@ class Capsule:
 
     Raises:
         TypeError: if a field is of the wrong type.
-        ValueError: if a field is out of range, or the plant admits Painleve's paradox.
+        ValueError: if a field is out of range, or beyond 1e12, or a mass, a length or a ratio below 1e-12, or the
+            plant admits Painleve's paradox.
 
     >>> Capsule(mu=0.1).plant().mu
     0.1
@@ -163,6 +172,10 @@ class Capsule:
         check_number("Capsule.static_ratio", self.static_ratio, "a finite number >= 1", 1.0)
         if not isinstance(self.normal_force, str) or self.normal_force not in ("newton", "paper"):
             raise ValueError(f"Capsule.normal_force must be 'newton' or 'paper', got {written(self.normal_force)}")
+        for name in ("M", "m", "l", "backward_ratio", "static_ratio"):
+            _check_size(f"Capsule.{name}", getattr(self, name), SMALLEST)
+        for name in ("g", "k", "c", "mu"):
+            _check_size(f"Capsule.{name}", getattr(self, name))
         self.check_plant(self.M, self.mu)
 
     def check_plant(self, M: float, mu: float) -> None:
@@ -178,7 +191,36 @@ class Capsule:
         """
         M = check_number("M", M, "a finite number > 0 (kg)", 0.0, open_low=True)
         mu = check_number("mu", mu, "a finite number >= 0", 0.0)
+        _check_size("M", M, SMALLEST)
+        _check_size("mu", mu)
         check_contact_is_regular(M, self.m, mu * max(1.0, self.backward_ratio) * self.static_ratio)
+
+    def fastest_rate(self, M: float, mu: float) -> float:
+        """The largest rate in 1/s at which the pendulum moves by itself: what a step of the integrator must resolve.
+
+        It is the largest eigenvalue, by its size, of the motion linearised at rest, over all angles and both directions
+        of slip (docs/physics.md). A lighter platform and a rougher floor make it larger.
+
+        Args:
+            M: mass of the platform in kg.
+            mu: kinetic friction coefficient forwards.
+        """
+        mu *= max(1.0, self.backward_ratio)
+        share = self.m / (M + self.m)
+        # What a platform that slips leaves of the inertia at the worst angle; Painleve's condition keeps it positive.
+        inertia = self.m * self.l * self.l * (1.0 - share * (1.0 + math.sqrt(1.0 + mu * mu)) / 2.0)
+        if inertia <= 0.0:  # by rounding
+            return math.inf
+        # The paper's normal force, which the pivot's torque changes, adds this share of that torque at most.
+        pivot = 0.5 * mu * share * self.l if self.normal_force == "paper" else 0.0
+        damping, weight = (1.0 + pivot) * self.c / inertia, self.m * self.g * self.l
+        lowest = (1.0 - (1.0 + math.pi) * pivot) * self.k - weight * math.sqrt(1.0 + mu * mu)
+        highest = (1.0 + (1.0 + math.pi) * pivot) * self.k + weight * mu
+        rates = []
+        for stiffness in (lowest / inertia, highest / inertia):
+            square = damping * damping / 4.0 - stiffness
+            rates.append(damping / 2.0 + math.sqrt(square) if square >= 0.0 else math.sqrt(stiffness))
+        return max(rates)
 
     def plant(self, M: float | None = None, mu: float | None = None) -> Plant:
         """The constants as the compiled functions read them.
@@ -292,11 +334,13 @@ class Randomization:
         """Refuses ranges in which some plant would be invalid, before any episode meets it.
 
         Raises:
-            ValueError: if the lightest platform with the largest friction admits Painleve's paradox.
+            ValueError: if the lightest platform with the largest friction admits Painleve's paradox, or a value is too
+                large or too small for a `Capsule`.
         """
         # Both the lightest platform and the roughest floor are the worst case of the condition, so one corner decides.
         try:
             capsule.check_plant(self.M[0] if self.M else capsule.M, self.mu[1] if self.mu else capsule.mu)
+            capsule.check_plant(self.M[1] if self.M else capsule.M, self.mu[0] if self.mu else capsule.mu)
         except ValueError as error:
             raise ValueError(f"Randomization(M={self.M}, mu={self.mu}): {error}") from None
 

@@ -49,7 +49,7 @@ def play(
         changes: shape (changes, 4), those of an environment in order of time; changed.
 
     Returns:
-        Index of an environment whose state or torque is no longer finite, or -1.
+        Index of an environment whose law returned no finite torque, or -1.
     """
     lanes = workspace(network)
     for b in range(first // LANES, (last + LANES - 1) // LANES):

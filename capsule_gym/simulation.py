@@ -17,10 +17,13 @@ from capsule_gym import kernels, resets, task
 from capsule_gym.controller import Controller, find_controller
 from capsule_gym.kernels import LANES, Row
 from capsule_gym.options import DEFAULTS, DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, Options
-from capsule_gym.parameters import NOMINAL, Randomization, check_count, check_number, written
+from capsule_gym.parameters import NOMINAL, Capsule, Randomization, check_count, check_number, written
 
 # What acts where no controller does.
 NO_CONTROLLER = Controller("none", kernels.no_law, kernels.NO_REFERENCE)
+# The half of the disc of this radius that lies to the left of the imaginary axis is in the region of stability of the
+# classical Runge-Kutta method (Hairer and Wanner, Solving Ordinary Differential Equations II, Sect. IV.2).
+STABLE = 2.6
 # Environments in a batch: some 7 GB.
 MOST_ENVS = 2**24
 
@@ -67,6 +70,31 @@ def divide(name: str, whole: float, part_name: str, part: float) -> int:
     if count < 1 or abs(count * part - whole) > 1e-9 * whole:
         raise ValueError(f"{part_name} must divide {name}={whole!r} s a whole number of times, got {part!r} s")
     return count
+
+
+def check_step(capsule: Capsule, M: float, mu: float, settings: kernels.Settings) -> None:
+    """Refuses a plant that is too stiff for the integrator's step.
+
+    Args:
+        capsule: the plant's constants.
+        M: mass of its platform, kg.
+        mu: its friction coefficient.
+        settings: what says the step.
+
+    Raises:
+        ValueError: if the step is longer than the integrator's stability allows.
+    """
+    h, rate = settings.physics_dt, capsule.fastest_rate(M, mu)
+    if rate * h <= STABLE:
+        return
+    held, longest = settings.physics_steps * h, STABLE / rate
+    enough = held / longest * (1.0 + 1e-9)
+    fits = enough * settings.law_steps < MOST_SUBSTEPS
+    would_do = f"physics_dt={held / math.ceil(enough)!r} would do" if fits else "no step would do"
+    raise ValueError(
+        f"physics_dt must be at most {longest:.4g} s for this capsule with M={M:.6g} kg and mu={mu:.6g}, whose fastest "
+        f"rate is {rate:.4g} 1/s: beyond {STABLE} / rate the integrator is unstable; {would_do}, got {h!r} s"
+    )
 
 
 def make_settings(options: Options, controller: Controller | None) -> kernels.Settings:
@@ -138,6 +166,10 @@ class Simulation:
         self._largest = task.parameter_bounds(self.capsule, self.randomization)
         controller = find_controller(options.controller)
         self.settings = make_settings(options, controller)
+        # The lightest platform on the roughest floor is the stiffest plant.
+        ranges = self.randomization
+        lightest, roughest = (ranges.M or (self.capsule.M,))[0], (ranges.mu or (self.capsule.mu,))[-1]
+        check_step(self.capsule, lightest, roughest, self.settings)
         blocks = -(-self.num_envs // LANES)
         names = task.observation_names(self.settings.with_reference, self.settings.with_parameters)
         try:
@@ -264,7 +296,7 @@ class Simulation:
 
         Raises:
             TypeError: if a value is of the wrong type.
-            ValueError: if a value is out of range.
+            ValueError: if a value is out of range, or the law returned a torque that is not finite.
             IndexError: if there is no such environment.
         """
         schedules = [self._schedule(changes[n]) for n in range(len(rows))] if changes is not None else None
@@ -286,7 +318,9 @@ class Simulation:
             self._plan(rows, schedules)
         self._renew(rows, starts, self._episodes)
         self._everyone = False
-        self._run(begin=True)
+        broken = self._run(begin=True)
+        if broken >= 0:
+            self._report(broken)
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> None:
         """One agent step.
@@ -319,7 +353,7 @@ class Simulation:
             self._report(0)
 
     def _run(self, begin: bool) -> int:
-        """Runs the kernel on all environments; returns one whose numbers are no longer finite, or -1."""
+        """Runs the kernel on all environments; returns one whose law returned no finite torque, or -1."""
         if len(self._ranges) == 1:
             return self._advance(0, self.num_envs, begin)
         # A forked process inherits the pool, but none of its threads.
@@ -388,8 +422,9 @@ class Simulation:
         self._pool = None
 
     def _check_plant(self, M: float, mu: float) -> None:
-        """Refuses M and mu that are invalid, or outside the bounds of the observation that shows them."""
+        """Refuses M and mu that are invalid, too stiff for the step, or outside the observation that shows them."""
         self.capsule.check_plant(M, mu)
+        check_step(self.capsule, M, mu, self.settings)
         if self.settings.with_parameters:
             for name, value, largest in zip(("M", "mu"), (M, mu), self._largest, strict=True):
                 accepted = f"at most {largest:g} where observe_parameters shows it (a wider randomization shows more)"
@@ -397,7 +432,11 @@ class Simulation:
 
     def _check_state(self, state: Any, count: int) -> np.ndarray:
         """The states of `count` environments as float64, shape (count, 4)."""
-        accepted = "[theta, theta_dot, x, x_dot], finite, |theta| < pi/2"
+        _, *rest = task.LARGEST_STATE
+        accepted = (
+            "[theta, theta_dot, x, x_dot] with |theta| < pi/2, |theta_dot| <= {:g} rad/s, |x| <= {:g} m and |x_dot| "
+            "<= {:g} m/s"
+        ).format(*rest)
         try:
             array = np.asarray(state, dtype=np.float64)
         except OverflowError:
@@ -406,7 +445,8 @@ class Simulation:
             raise TypeError(f"options['state'] must be {accepted}, got {written(state)}") from None
         if array.shape not in ((4,), (count, 4)):
             raise ValueError(f"options['state'] must be {accepted}, got shape {array.shape}")
-        if not np.isfinite(array).all() or (np.abs(array[..., 0]) >= task.THETA_LIMIT).any():
+        inside = (np.abs(array) <= task.LARGEST_STATE).all() and (np.abs(array[..., 0]) < task.THETA_LIMIT).all()
+        if not inside:
             raise ValueError(f"options['state'] must be {accepted}, got {written(state)}")
         return np.broadcast_to(array, (count, 4))
 

@@ -25,6 +25,10 @@ ENERGY_WEIGHT = 0.1
 TERMINATION_PENALTY = 10.0
 THETA_LIMIT = math.pi / 2.0
 START_THETA = -math.pi / 3.0
+# What a reset may set: |theta| below THETA_LIMIT, and up to this |theta_dot| (rad/s), |x| (m) and |x_dot| (m/s).
+LARGEST_STATE = (THETA_LIMIT, 1e3, 1e6, 1e3)
+# |theta_dot| + |x_dot| (rad/s, m/s) that no motion has which the integrator resolves.
+RATE_LIMIT = 1e4
 
 # Bounds of the observation, which is clipped to them. Full torque switched in the worst phase gives 13 rad/s and
 # 1.2 m/s on the capsule of the paper; the rest is room for other capsules.
@@ -45,6 +49,7 @@ class Termination(IntEnum):
     none = 0
     pendulum = 1
     contact = 2
+    diverged = 3
 
 
 class Metrics(NamedTuple):
@@ -171,6 +176,12 @@ def termination(theta: float, normal_force: float) -> int:
     if normal_force <= 0.0:
         return 2
     return 0
+
+
+@inlined
+def bounded(theta_dot: float, x_dot: float) -> bool:
+    """Whether the rates are those of a motion that the integrator resolves; NaN is not."""
+    return abs(theta_dot) + abs(x_dot) <= RATE_LIMIT
 
 
 @inlined

@@ -67,7 +67,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     Raises:
         TypeError: if an argument is of the wrong type.
-        ValueError: if an argument is out of range.
+        ValueError: if an argument is out of range, or a plant admits Painleve's paradox or is too stiff for `physics_dt`.
     """
 
     # Gymnasium declares it as the instance's, and wrappers change it: each instance gets a copy.
@@ -182,7 +182,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             (num_envs,) bool, and infos.
 
         Raises:
-            ValueError: if the actions have another shape or are not finite.
+            ValueError: if the actions have another shape or are not finite, or the control law returned a torque that is
+                not finite.
             gymnasium.error.ResetNeeded: before every environment has been reset once.
         """
         if not self._started:

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from capsule_gym import CapsuleEnv, Controller
+from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Controller
 from capsule_gym.controller import find_controller
 from capsule_gym.kernels import ROWS
 
@@ -42,6 +42,53 @@ def test_a_law_that_is_not_finite_is_named():
     env.reset(seed=0)
     with pytest.raises(ValueError, match="control law 'nan' returned a torque that is not finite"):
         env.step(np.zeros(1, np.float32))
+
+
+def picky(theta, theta_dot, x, x_dot, memory, reference):
+    (count,) = memory
+    torque = 0.1
+    if x > 5.0:
+        torque = np.inf if count >= 30.0 else 0.1
+    if x < -5.0:
+        torque = np.nan
+    return torque, (count + 1.0,)
+
+
+def test_a_law_that_is_not_finite_is_named_with_the_state_that_it_was_asked_about():
+    env = CapsuleVectorEnv(70, controller=Controller("picky", picky, np.zeros((1, 2))))
+    sound = CapsuleVectorEnv(70, controller=Controller("picky", picky, np.zeros((1, 2))))
+    states = np.array([[-1.0, 0.0, 0.0, 0.0]] * 70)
+    sound.reset(seed=0, options={"state": states})
+    states[66, 2] = 5.5
+    env.reset(seed=0, options={"state": states})
+    zeros = np.zeros((70, 1), np.float32)
+    env.step(zeros)
+    sound.step(zeros)
+    said = (
+        r"^the control law 'picky' returned a torque that is not finite in environment 66 \(step 2, state .*'x': 5\.\d+"
+    )
+    for _ in range(2):
+        with pytest.raises(ValueError, match=said.replace("step 2", r"step \d")) as caught:
+            env.step(zeros)
+        sound.step(zeros)
+        assert "nan" not in str(caught.value)
+    # The others have gone on, and so does it after a reset.
+    others = np.arange(70) != 66
+    assert env.simulation.rows(0, 4)[:, others].tobytes() == sound.simulation.rows(0, 4)[:, others].tobytes()
+    env.reset(options={"reset_mask": ~others})
+    info = env.step(zeros)[4]
+    assert all(np.isfinite(value).all() for name, value in info.items() if name[0] != "_")
+    assert np.array_equal(info["state"][others], sound.step(zeros)[4]["state"][others])
+
+
+def test_a_law_that_is_not_finite_from_the_start_is_named_by_the_reset():
+    for env in (
+        CapsuleEnv(controller=Controller("picky", picky, np.zeros((1, 2)))),
+        CapsuleVectorEnv(3, controller=Controller("picky", picky, np.zeros((1, 2)))),
+    ):
+        with pytest.raises(ValueError, match=r"control law 'picky' .* in environment \d \(step 0, state .*'x': -6\.0"):
+            env.reset(seed=0, options={"state": [0.1, 0.0, -6.0, 0.0]})
+        assert np.all(env.reset()[1]["law_torque"] == 0.1)
 
 
 @pytest.mark.parametrize(

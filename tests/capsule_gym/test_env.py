@@ -208,6 +208,37 @@ def test_termination_pendulum_and_contact_are_named():
         env.unwrapped.step(np.array([0.0], np.float32))
 
 
+@pytest.mark.parametrize("signs", [(1, 1, 1), (-1, 1, -1), (1, -1, -1)])
+def test_the_largest_states_of_a_reset_stay_finite(signs):
+    env = CapsuleEnv(randomization="none")
+    state = [1.5, *np.array([1e3, 1e6, 1e3]) * signs]
+    _, info = env.reset(seed=0, options={"state": state})
+    assert info["state"].tolist() == state
+    observation, reward, terminated, _, info = env.step(np.ones(1, np.float32))
+    assert terminated and np.isfinite(reward) and env.observation_space.contains(observation)
+    assert all(np.isfinite(value).all() for value in info.values())
+
+
+def test_a_plant_that_the_step_does_not_resolve_ends_as_diverged():
+    # A ball of 1 mg: the torque of 1 N m takes it around thousands of times within a substep.
+    env = CapsuleEnv(capsule=Capsule(m=1e-6, k=0.0, c=0.0), randomization="none")
+    env.reset(seed=0)
+    observation, reward, terminated, _, info = env.step(np.ones(1, np.float32))
+    assert terminated and info["termination"] == Termination.diverged
+    # Nothing of the substep that was none is left.
+    assert info["state"].tolist() == [-np.pi / 3, 0.0, 0.0, 0.0]
+    assert reward == info["reward_termination"] == -10.0
+    assert info["energy"] == 0.0
+    assert 0.0 < info["normal_force"] < np.inf
+    assert env.observation_space.contains(observation)
+    metrics = env.episode_metrics()
+    assert metrics["failed"] == 1.0 and metrics["duration"] == 0.0
+    assert all(np.isfinite(value) for name, value in metrics.items() if name != "cost_of_transport")
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(np.zeros(1, np.float32))
+    assert not env.reset()[1]["termination"]
+
+
 def test_truncation_after_33_seconds():
     env = gym.make(ENV_ID)
     env.reset(seed=0)
@@ -533,6 +564,9 @@ def test_bad_arguments_are_named(kwargs, error, message):
         ({"changes": [JUMP, JUMP]}, ValueError, r"options\['changes'\]\[1\]\['t'\] must be later"),
         ({"changes": [{"t": 1.0, "M": -0.5, "mu": 0.01}]}, ValueError, r"options\['changes'\]\[0\]: M must be"),
         ({"changes": [{"t": 1.0, "M": 0.001, "mu": 2.0}]}, ValueError, r"options\['changes'\]\[0\]: .*Painleve"),
+        ({"state": [0.3, 1e120, 0.0, 0.0]}, ValueError, r"\|theta_dot\| <= 1000 rad/s"),
+        ({"state": [0.3, 0.0, -1.1e6, 0.0]}, ValueError, r"\|x\| <= 1e\+06 m"),
+        ({"state": [0.3, 0.0, 0.0, 1001.0]}, ValueError, r"\|x_dot\| <= 1000 m/s"),
     ],
 )
 def test_bad_options_are_named(options, error, message):

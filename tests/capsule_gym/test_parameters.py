@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from capsule_gym import dynamics
 from capsule_gym.parameters import RANDOMIZATIONS, Capsule, Plant, Randomization, check_contact_is_regular
 
 POSITIVE = ("M", "m", "l", "g", "backward_ratio")
@@ -57,6 +58,32 @@ def test_numpy_numbers_and_integers_become_floats_in_the_plant():
     plant = Capsule(M=1, mu=np.float32(0.25), k=np.int64(2)).plant()
     assert (plant.M, plant.mu, plant.k) == (1.0, 0.25, 2.0)
     assert all(type(value) is float for value in plant)
+
+
+@pytest.mark.parametrize("field", NUMBERS)
+@pytest.mark.parametrize("value", [1e13, 1e300])
+def test_constants_too_large_to_compute_with_are_refused(field, value):
+    with pytest.raises(ValueError, match=rf"^Capsule\.{field} must be a number from .* to 1e\+12, got 1"):
+        Capsule(**{field: value})
+
+
+@pytest.mark.parametrize("field", ["M", "m", "l", "backward_ratio"])
+def test_constants_too_small_to_divide_by_are_refused(field):
+    with pytest.raises(ValueError, match=rf"^Capsule\.{field} must be a number from 1e-12 to "):
+        Capsule(**{field: 1e-300})
+
+
+def test_the_sizes_hold_for_drawn_and_given_plants_too():
+    for arguments in ((1e300, 0.1), (1e-300, 0.0), (0.5, 1e300)):
+        with pytest.raises(ValueError, match="must be a number from"):
+            Capsule().check_plant(*arguments)
+    for randomization in (
+        Randomization(M=(0.1, 1e300)),
+        Randomization(M=(1e-300, 0.1)),
+        Randomization(mu=(0.0, 1e300)),
+    ):
+        with pytest.raises(ValueError, match=r"^Randomization\(.* must be a number from"):
+            randomization.check(Capsule())
 
 
 @pytest.mark.parametrize("value", ["Newton", "", None, 1, np.array(["newton"] * 2)])
@@ -126,6 +153,46 @@ def test_the_plant_takes_another_mass_and_friction_and_checks_them():
             Capsule().check_plant(arguments.get("M", 0.5), arguments.get("mu", 0.01))
     with pytest.raises(TypeError, match="mu must be a finite number"):
         Capsule().check_plant(0.5, "rough")
+
+
+def eigenvalue(theta: float, slip: float, plant: Plant) -> float:
+    """The larger one, by size, of the pendulum linearised at rest at that angle, where a torque holds it."""
+
+    def turn(theta: float, theta_dot: float, u: float) -> float:
+        return dynamics.pressed_accelerations(theta, theta_dot, slip, dynamics.kinetic_friction(slip, plant), u, plant)[
+            0
+        ]
+
+    free = turn(theta, 0.0, 0.0)
+    u = -free / (turn(theta, 0.0, 1.0) - free)
+    small = 1e-5
+    by_angle = (turn(theta + small, 0.0, u) - turn(theta - small, 0.0, u)) / (2.0 * small)
+    by_rate = (turn(theta, small, u) - turn(theta, -small, u)) / (2.0 * small)
+    return float(np.abs(np.linalg.eigvals([[0.0, 1.0], [by_angle, by_rate]])).max())
+
+
+@pytest.mark.parametrize(("normal_force", "close"), [("newton", 0.5), ("paper", 0.2)])
+def test_the_fastest_rate_bounds_every_eigenvalue_closely(normal_force, close):
+    rng = np.random.default_rng(7)
+    tested = 0
+    while tested < 40:
+        names = ("M", "m", "l", "k", "c", "mu", "backward_ratio")
+        fields = dict(zip(names, (10.0 ** rng.uniform(-1.5, 0.5, len(names))).tolist(), strict=True))
+        try:
+            capsule = Capsule(**fields, normal_force=normal_force)
+        except ValueError:  # Painleve
+            continue
+        tested += 1
+        rate = capsule.fastest_rate(capsule.M, capsule.mu)
+        angles = np.linspace(-1.57, 1.57, 80).tolist()
+        found = max(eigenvalue(theta, slip, capsule.plant()) for theta in angles for slip in (1.0, -1.0))
+        assert close * rate < found < rate * (1.0 + 1e-4), fields
+
+
+def test_the_fastest_rate_grows_with_a_lighter_platform_and_a_rougher_floor():
+    for capsule in (Capsule(), Capsule(c=20.0), Capsule(k=400.0), Capsule(k=0.0, c=0.0)):
+        rates = [[capsule.fastest_rate(M, mu) for M in (0.75, 0.5, 0.1)] for mu in (0.0, 0.3, 1.0)]
+        assert (np.diff(rates, axis=0) > 0.0).all() and (np.diff(rates, axis=1) > 0.0).all()
 
 
 @pytest.mark.parametrize("frozen", [Capsule(), Randomization(mu=(0.1, 0.2))])

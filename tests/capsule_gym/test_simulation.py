@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import copy
 import pickle
+import re
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from capsule_gym import Controller
+from capsule_gym import Capsule, Controller, Randomization
 from capsule_gym.kernels import ROWS, Row
 from capsule_gym.options import Options
-from capsule_gym.simulation import Simulation, divide
-from capsule_gym.task import METRICS
+from capsule_gym.simulation import STABLE, Simulation, divide
+from capsule_gym.task import METRICS, Termination
 from tests.capsule_gym.fakes import EPISODE_ROWS
 
 VARIANTS = [
@@ -146,6 +147,52 @@ def test_a_million_substeps_are_taken():
     simulation.reset(np.array([0]))
     simulation.step_one(0.0)
     assert simulation.row(Row.duration)[0] == pytest.approx(1.0)
+
+
+def test_the_integrator_is_stable_where_it_is_said_to_be():
+    z = STABLE * np.exp(1j * np.linspace(0.5 * np.pi, np.pi, 1001))
+    growth = np.abs(1.0 + z + z**2 / 2.0 + z**3 / 6.0 + z**4 / 24.0)
+    assert growth.max() < 1.0
+
+
+STIFF = {"damper": {"c": 20.0}, "spring": {"k": 40_000.0}, "light ball": {"m": 1e-4}, "short": {"l": 0.005}}
+
+
+@pytest.mark.parametrize("fields", STIFF.values(), ids=STIFF)
+def test_a_plant_too_stiff_for_the_step_is_refused_with_a_step_that_would_do(fields):
+    capsule = Capsule(**fields)
+    with pytest.raises(ValueError, match=r"^physics_dt must be at most \S+ s .* would do, got 0\.002 s$") as caught:
+        Simulation(1, Options(capsule=capsule))
+    would_do = float(re.search(r"physics_dt=(\S+) would do", str(caught.value))[1])
+    simulation = Simulation(1, Options(capsule=capsule, physics_dt=would_do))
+    # With that it runs, and with a quarter more it is refused.
+    simulation.reset(np.array([0]))
+    for _ in range(50):
+        simulation.step_one(0.0)
+        if simulation.row(Row.termination)[0] != 0.0:
+            break
+    assert simulation.row(Row.termination)[0] != Termination.diverged
+    with pytest.raises(ValueError, match=r"^physics_dt must be at most"):
+        Simulation(1, Options(capsule=capsule, control_dt=20.0 * would_do, physics_dt=1.25 * would_do))
+
+
+def test_a_plant_that_no_step_resolves_is_refused():
+    with pytest.raises(ValueError, match=r"^physics_dt must be at most .*; no step would do"):
+        Simulation(1, Options(capsule=Capsule(c=1e9)))
+
+
+def test_every_plant_of_an_episode_must_fit_the_step():
+    capsule = Capsule(c=8.0)
+    light = Randomization(M=(0.02, 0.5))
+    with pytest.raises(ValueError, match=r"^physics_dt must be at most .* with M=0\.02 kg and mu=0\.01"):
+        Simulation(1, Options(capsule=capsule, randomization=light))
+    with pytest.raises(ValueError, match=r"^physics_dt must be at most .* and mu=4, whose"):
+        Simulation(1, Options(capsule=capsule, randomization=Randomization(mu=(0.0, 4.0))))
+    simulation = Simulation(1, Options(capsule=capsule))
+    for given in ({"M": [0.02]}, {"mu": [4.0]}, {"changes": [[{"t": 1.0, "M": 0.02, "mu": 0.01}]]}):
+        with pytest.raises(ValueError, match="physics_dt must be at most"):
+            simulation.reset(np.array([0]), **given)
+    simulation.reset(np.array([0]), M=[0.4], mu=[0.3])
 
 
 @pytest.mark.parametrize("num_envs", [2**24 + 1, 10**12, 10**400])

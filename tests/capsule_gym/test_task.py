@@ -37,6 +37,23 @@ def test_termination_is_at_the_limit_itself(theta, normal_force, ends):
     assert task.termination(theta, normal_force) == ends
 
 
+@pytest.mark.parametrize(
+    ("theta_dot", "x_dot", "resolved"),
+    [
+        (0.0, 0.0, True),
+        (-1e3, 1e3, True),
+        (1e4, 0.0, True),
+        (0.0, -1.1e4, False),
+        (6e3, 6e3, False),
+        (math.inf, 0.0, False),
+        (math.nan, 0.0, False),
+        (0.0, math.nan, False),
+    ],
+)
+def test_rates_that_no_step_resolves_are_not_bounded(theta_dot, x_dot, resolved):
+    assert task.bounded(theta_dot, x_dot) is resolved
+
+
 def observe(with_reference: bool, with_parameters: bool, **values: float) -> dict[str, float]:
     """An observation by the names of its entries."""
     names = task.observation_names(with_reference, with_parameters)

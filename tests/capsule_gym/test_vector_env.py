@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from capsule_gym import Capsule, CapsuleVectorEnv
+from capsule_gym import Capsule, CapsuleVectorEnv, Controller
 from capsule_gym.kernels import ROWS, Row
 from capsule_gym.task import ENV_ID, METRICS, Termination
 from tests.capsule_gym.fakes import EPISODE_ROWS, layout
@@ -288,6 +288,45 @@ def test_infos_are_finite_at_every_reset_also_of_some(mode, controller):
             _, info = env.reset(options={"reset_mask": np.arange(70) % 2 == 0})
     assert resets >= 140
     env.close()
+
+
+def violent(theta, theta_dot, x, x_dot, memory, reference):
+    return (1e308 if x > 5.0 else 0.3 * theta), memory
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_one_environment_that_diverges_ends_alone(mode):
+    n, lost = 130, [3, 64, 129]
+    # A million N m, which a law may ask for where it is allowed, no step resolves.
+    kwargs = {
+        "controller": Controller("violent", violent, np.zeros((1, 2))),
+        "torque_limit": 1e6,
+        "residual_limit": 0.5,
+    }
+    envs = [CapsuleVectorEnv(n, autoreset_mode=mode, threads=2, **kwargs) for _ in range(2)]
+    states = np.tile([-1.0, 0.0, 0.0, 0.0], (n, 1))
+    envs[0].reset(seed=0, options={"state": states})
+    states[lost, 2] = 5.5
+    envs[1].reset(seed=0, options={"state": states})
+    others = ~np.isin(np.arange(n), lost)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (30, n, 1)).astype(np.float32)
+    for step, action in enumerate(actions):
+        calm, found = (env.step(action) for env in envs)
+        for ours, theirs in zip(found[:4], calm[:4], strict=True):
+            assert ours[others].tobytes() == theirs[others].tobytes()
+        info = found[4]["final_info"] if step == 0 and mode is AutoresetMode.SAME_STEP else found[4]
+        for name, value in info.items():
+            if name[0] != "_" and name not in ("metrics", "final_obs", "final_info"):
+                assert np.isfinite(value).all(), name
+        assert envs[1].observation_space.contains(found[0])
+        assert np.isfinite(found[1]).all()
+        if step == 0:
+            assert found[2][lost].all() and not found[3].any()
+            assert (info["termination"][lost] == Termination.diverged).all()
+            assert (info["state"][lost] == states[lost]).all()
+            assert (found[1][lost] == -10.0).all()
+    for env in envs:
+        env.close()
 
 
 def test_seeds_as_a_sequence():
