@@ -12,12 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym.parameters import check_number
+from capsule_gym.parameters import check_number, written
 
 Law = Callable[..., tuple[float, tuple[float, ...]]]
 
 LAW_DT = 1e-3
 _OWN = re.compile(r"baselines:[A-Za-z][A-Za-z0-9_]*")
+# Numbers in a reference table, 80 MB, and columns of one and cells of a memory: the compiler sees each of these.
+LARGEST_TABLE = 10_000_000
+MOST_COLUMNS = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +40,9 @@ class Controller:
         name: for messages and tables.
         law: the function above, plain or compiled with `numba.njit`.
         reference: shape (steps, columns), float64, one row per call over one cycle, repeated for ever. Column 0 is the
-            reference angle in rad and column 1 its rate in rad/s; further columns are the law's own.
-        memory: the law's memory at the start of an episode.
+            reference angle in rad and column 1 its rate in rad/s; further columns are the law's own. At most 256
+            columns and ten million numbers.
+        memory: the law's memory at the start of an episode, at most 256 numbers.
         dt: seconds between calls; a divisor of the agent step.
 
     Raises:
@@ -55,20 +59,8 @@ class Controller:
     def __post_init__(self) -> None:
         if not callable(self.law):
             raise TypeError(f"Controller.law must be a function, got {self.law!r}")
-        table = np.ascontiguousarray(self.reference, dtype=np.float64)
-        if table.ndim != 2 or table.shape[0] < 1 or table.shape[1] < 2:
-            raise ValueError(
-                "Controller.reference must have shape (steps >= 1, columns >= 2) with theta_d and theta_d_dot in "
-                f"front, got shape {table.shape}"
-            )
-        if not np.isfinite(table).all():
-            raise ValueError("Controller.reference must be finite, got NaN or infinity")
-        table.setflags(write=False)
-        object.__setattr__(self, "reference", table)
-        memory = tuple(check_number("Controller.memory", cell, "a tuple of finite numbers") for cell in self.memory)
-        if not memory:
-            raise ValueError("Controller.memory must hold at least one number; a law without memory carries (0.0,)")
-        object.__setattr__(self, "memory", memory)
+        object.__setattr__(self, "reference", _check_reference(self.reference))
+        object.__setattr__(self, "memory", _check_memory(self.memory))
         check_number("Controller.dt", self.dt, "a finite number > 0 (s)", 0.0, open_low=True)
         self._try_law()
 
@@ -78,7 +70,12 @@ class Controller:
         try:
             torque, memory = self.law(row[0], row[1], 0.0, 0.0, self.memory, row)
             values = (float(torque), *(float(cell) for cell in memory))
-        except (TypeError, ValueError) as error:
+        except ArithmeticError as error:
+            raise ValueError(
+                f"the control law of {self.name!r} must return finite numbers, but a trial call on its reference "
+                f"failed: {error}"
+            ) from error
+        except Exception as error:
             raise TypeError(
                 f"the control law of {self.name!r} must be law(theta, theta_dot, x, x_dot, memory, reference) -> "
                 f"(torque, memory), but a trial call failed: {error}"
@@ -92,6 +89,39 @@ class Controller:
             raise ValueError(
                 f"the control law of {self.name!r} must return finite numbers, got {values} on its reference"
             )
+
+
+def _check_reference(reference: Any) -> np.ndarray:
+    """A reference table as a read-only array of float64."""
+    accepted = (
+        f"a table of finite numbers of shape (steps >= 1, 2 <= columns <= {MOST_COLUMNS}) with theta_d and theta_d_dot "
+        f"in front, at most {LARGEST_TABLE} in all"
+    )
+    try:
+        shape = np.shape(reference)
+        # Before it is copied: an array can say that it is larger than any memory.
+        fits = len(shape) == 2 and shape[0] >= 1 and 2 <= shape[1] <= MOST_COLUMNS and math.prod(shape) <= LARGEST_TABLE
+        table = np.ascontiguousarray(reference, np.float64) if fits else None
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"Controller.reference must be {accepted}: {error}") from None
+    if table is None:
+        raise ValueError(f"Controller.reference must be {accepted}, got shape {shape}")
+    if not np.isfinite(table).all():
+        raise ValueError(f"Controller.reference must be {accepted}, got NaN or infinity")
+    table.setflags(write=False)
+    return table
+
+
+def _check_memory(memory: Any) -> tuple[float, ...]:
+    """A law's memory as a tuple of floats."""
+    accepted = f"a tuple of 1 to {MOST_COLUMNS} finite numbers; a law without memory carries (0.0,)"
+    try:
+        cells = tuple(memory)
+    except TypeError:
+        raise TypeError(f"Controller.memory must be {accepted}, got {written(memory)}") from None
+    if not 1 <= len(cells) <= MOST_COLUMNS:
+        raise ValueError(f"Controller.memory must be {accepted}, got {len(cells)}")
+    return tuple(check_number("Controller.memory", cell, accepted) for cell in cells)
 
 
 def is_own(controller: str | None) -> bool:

@@ -14,9 +14,9 @@ from capsule_gym import task
 from capsule_gym.controller import Controller
 from capsule_gym.kernels import Quantities, Row
 from capsule_gym.options import RENDER_MODES, Options
-from capsule_gym.parameters import Capsule, Randomization
+from capsule_gym.parameters import Capsule, Randomization, check_count, written
 from capsule_gym.rendering import Renderer
-from capsule_gym.simulation import Simulation
+from capsule_gym.simulation import Simulation, check_seed
 
 RESET_OPTIONS = ("M", "mu", "state", "changes")
 REWARD_TERMS = Quantities._fields[Row.reward_progress : Row.reward]
@@ -81,7 +81,10 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     | 7 | sine of the cycle's phase | -1 | 1 | with a controller |
     | 8 | cosine of the cycle's phase | -1 | 1 | with a controller |
     | 9 | the torque that the law asks for at this instant (N m) | -torque_limit | torque_limit | with a controller |
-    | last two | M (kg), mu | 0 | 4 Capsule.M, 1 | `observe_parameters=True` |
+    | last two | M (kg), mu | 0 | 4 Capsule.M, 1; or what `randomization` and `capsule` reach, where that is more | `observe_parameters=True` |
+
+    Where M and mu are observed, `reset(options=..)` refuses larger ones than these: a `Randomization` with wider ranges
+    makes room for them.
 
     The position x is not observed: the task does not depend on it. `info["state"]` holds it.
 
@@ -98,14 +101,17 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
     theta = -pi/3 (plus uniform noise of half width `initial_noise`), at rest, x = 0. `reset(options={"state": [theta,
     theta_dot, x, x_dot], "M": kg, "mu": ..})` sets what is given; `options={"changes": [{"t": s, "M": kg, "mu": ..}]}`
-    lets M and mu jump during the episode. The draws of M, mu and of the initial state come from separate random
+    lets M and mu jump during the episode. A state has |theta| < pi/2, |theta_dot| <= 1000 rad/s, |x| <= 1e6 m and
+    |x_dot| <= 1000 m/s. The draws of M, mu and of the initial state come from separate random
     streams.
 
     ## Episode End
 
     1. Termination "pendulum": |theta| reaches pi/2, where the ball meets the platform.
     2. Termination "contact": the normal force falls to zero, the capsule leaves the floor.
-    3. Truncation: after 1650 steps (33 s, the paper's five cycles of 6.6 s).
+    3. Termination "diverged": |theta_dot| + |x_dot| exceeds 1e4 rad/s and m/s, or is no number, which takes a plant or a
+       torque that the integrator's step does not resolve. The environment stays at the last state before that.
+    4. Truncation: after 1650 steps (33 s, the paper's five cycles of 6.6 s).
 
     A copy, `copy.deepcopy`'s or pickle's, goes on bit for bit with this episode and the next ones. Of the control law a
     pickle holds the argument `controller`, which must be picklable: an import string, or a function of a module.
@@ -117,8 +123,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
     The same keys and dtypes at every reset and step, as numbers and arrays of numpy: `state` (theta, theta_dot, x,
     x_dot), `stick`, `M`, `mu`, `torque` (the last torque applied, N m), `law_torque` (what the law asks for next, N m),
-    `normal_force` (the smallest in the step, N), `energy` (of the step, J), the reward terms, and `termination`
-    (`capsule_gym.task.Termination`: 0 while the episode goes on, 1 "pendulum", 2 "contact").
+    `normal_force` (the smallest in the step, N; after a reset the weight), `energy` (of the step, J), the reward terms, and `termination`
+    (`capsule_gym.task.Termination`: 0 while the episode goes on, 1 "pendulum", 2 "contact", 3 "diverged").
 
     ## Arguments
 
@@ -141,7 +147,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     | `termination_penalty` | `10` | centimetres that a failure costs |
     | `initial_noise` | `0` | half width of the uniform noise on the initial angle, rad |
     | `control_dt` | `0.02` | agent step, s |
-    | `physics_dt` | 2 ms, with a controller 1 ms | step of the fourth-order integrator, s |
+    | `physics_dt` | 2 ms, with a controller 1 ms | step of the fourth-order integrator, s; at most a million in an agent step |
     | `render_mode` | `None` | "human" or, also of a batch, "rgb_array" |
 
     Raises:
@@ -201,7 +207,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         """Begins a new episode.
 
         Args:
-            seed: starts the random streams anew; without one they go on, each episode with its own draw.
+            seed: starts the random streams anew, an integer in [0, 2**128); without one they go on, each episode with
+                its own draw.
             options: any of "M" (kg), "mu", "state" ([theta, theta_dot, x, x_dot]) and "changes" (a list of
                 `{"t": s, "M": kg, "mu": ..}` in order of time: jumps during the episode) override what would be drawn.
 
@@ -209,9 +216,11 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
             The observation and the info described above.
 
         Raises:
-            TypeError: if an option is of the wrong type.
-            ValueError: if an option is unknown or out of range.
+            TypeError: if the seed or an option is of the wrong type.
+            ValueError: if the seed is out of range, an option is unknown or out of range, or the control law returned a
+                torque that is not finite.
         """
+        seed = None if seed is None else check_seed(seed)
         fresh = seed is not None or self._np_random is None
         super().reset(seed=seed)
         if fresh:
@@ -244,15 +253,16 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
             Observation, reward, terminated, truncated (always False: gymnasium's TimeLimit truncates) and info.
 
         Raises:
-            ValueError: if the action has another shape or is not finite.
+            ValueError: if the action has another shape or is not finite, or the control law returned a torque that is
+                not finite.
             gymnasium.error.ResetNeeded: before the first reset, and after termination.
         """
         if not self._running:
             raise gym.error.ResetNeeded("call reset() before step(): there is no running episode")
         plain = type(action) is np.ndarray and action.dtype.char == "f"
-        array = action if plain else np.asarray(action, np.float32)
-        if array.shape != (1,) or not math.isfinite(value := array.item()):
-            raise ValueError(f"action must be one finite number of shape (1,) in [-1, 1], got {action!r}")
+        array = action if plain else as_actions(action)
+        if array is None or array.shape != (1,) or not math.isfinite(value := array.item()):
+            raise ValueError(f"action must be one finite number of shape (1,) in [-1, 1], got {written(action)}")
         self._advance(value)
         shown = self._shown.copy()
         info = show(shown)
@@ -269,7 +279,12 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
         Args:
             horizon: agent steps of a whole episode: a failed one has its mean speed over these.
+
+        Raises:
+            TypeError: if the horizon is no integer.
+            ValueError: if it is below 1.
         """
+        check_count("horizon", horizon)
         return {name: float(value[0]) for name, value in self.simulation.metrics(THE_ONE, horizon).items()}
 
     def render(self) -> np.ndarray | None:
@@ -310,9 +325,21 @@ def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:
     """The action and the observation space of one environment."""
     settings = simulation.settings
     low, high = task.observation_bounds(
-        settings.with_reference, settings.with_parameters, simulation.capsule, settings.torque_limit
+        settings.with_reference,
+        settings.with_parameters,
+        simulation.capsule,
+        simulation.randomization,
+        settings.torque_limit,
     )
     return spaces.Box(-1.0, 1.0, (1,), np.float32), spaces.Box(low, high, dtype=np.float32)
+
+
+def as_actions(actions: Any) -> np.ndarray | None:
+    """Actions as contiguous float32, or None where they are no numbers."""
+    try:
+        return np.asarray(actions, np.float32, order="C")
+    except (TypeError, ValueError, OverflowError):
+        return None
 
 
 def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 from numba import types
 from numba.core import cgutils
+from numba.core.errors import NumbaError
 from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
 
@@ -111,6 +112,8 @@ ROWS = len(Row)
 MEMORY = ROWS * LANES
 # The values of `Row.halt`: under way; stopped in the present substep, its law to be asked once more; and at rest.
 UNDER_WAY, ENDING, HALTED = 0.0, 1.0, 2.0
+# As a plain integer, which numba takes for a constant.
+DIVERGED = int(task.Termination.diverged)
 
 
 class Settings(NamedTuple):
@@ -132,7 +135,25 @@ def pack(plant: Plant, settings: Settings, reference: np.ndarray) -> np.ndarray:
 
     Numbers in a tuple, and every array more, would take longer to enter compiled code than a substep takes.
     """
-    return np.concatenate([[*plant, *settings], reference.ravel()])
+    # Named, since numpy makes objects of integers that fit none of its own: to the kernel these would be addresses.
+    return np.concatenate([np.array([*plant, *settings], np.float64), reference.ravel()], dtype=np.float64)
+
+
+def check_arrays(**arrays: tuple[Any, type, tuple[int | None, ...]]) -> None:
+    """Refuses what compiled code would read or write beyond: its raw entry points look at nothing of an array.
+
+    Args:
+        arrays: by name the array, its dtype, and its shape, with None for a length that does not matter.
+
+    Raises:
+        TypeError: if one is no contiguous, aligned array of that dtype and shape.
+    """
+    for name, (array, dtype, shape) in arrays.items():
+        sound = isinstance(array, np.ndarray) and array.dtype == dtype and array.ndim == len(shape)
+        sound = sound and all(size in (None, own) for size, own in zip(shape, array.shape, strict=True))
+        if not (sound and array.flags.c_contiguous and array.flags.aligned and array.dtype.isnative):
+            got = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+            raise TypeError(f"{name} must be a contiguous array of {dtype.__name__} of shape {shape}, got {got}")
 
 
 # Where `pack` begins with the settings, and with the controller's table.
@@ -230,18 +251,21 @@ def plant_of(block: np.ndarray, j: int, plant: Plant) -> Plant:
 
 
 @inlined
-def prepare(block: np.ndarray, n: int, plant: Plant) -> int:
-    """Begins an agent step of a block's environments; returns how many take part."""
+def prepare(block: np.ndarray, n: int, plant: Plant, begin: bool) -> int:
+    """Begins an agent step, or an episode, of a block's environments; returns how many take part."""
     use_widest_vectors()
     count = 0
     for j in range(n):
         active = block[AT.active + j] != 0.0
-        block[AT.halt + j] = UNDER_WAY if active else HALTED
+        # A law that has broken its contract, which left NaN, is asked no more until the next reset.
+        law_torque = block[AT.law_torque + j]
+        block[AT.halt + j] = UNDER_WAY if active and law_torque == law_torque else HALTED
         block[AT.action + j] = task.clip(block[AT.action + j], 1.0)
         block[AT.mass_ratio + j] = plant.m / (block[AT.M + j] + plant.m)
         block[AT.before_x + j] = block[AT.x + j]
         block[AT.energy + j] = 0.0 if active else block[AT.energy + j]
-        block[AT.normal_force + j] = math.inf if active else block[AT.normal_force + j]
+        # The smallest of the step is to come; an episode begins with what it is given.
+        block[AT.normal_force + j] = math.inf if active and not begin else block[AT.normal_force + j]
         count += active
     return count
 
@@ -292,7 +316,7 @@ def glide(block: np.ndarray, n: int, plant: Plant, h: float, may_stick: bool) ->
         block[AT.x_ddot + j], block[AT.first_normal_force + j] = x_ddot, normal
         block[AT.least_normal_force + j] = smallest
         going = block[AT.halt + j] == UNDER_WAY
-        smooth = lasts and task.termination(theta_1, normal) == 0
+        smooth = lasts and task.termination(theta_1, normal) == 0 and task.bounded(theta_dot_1, x_dot_1)
         block[AT.eventful + j] = 1.0 if going and not smooth else 0.0
         commit = going and smooth
         block[AT.theta + j] = theta_1 if commit else theta
@@ -327,6 +351,16 @@ def follow(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) ->
     else:
         whole = dynamics.piece(start, h)
     motion = dynamics.follow(start, whole)
+    whole_motion = motion.theta + motion.x + motion.swept + motion.normal_force
+    if not (task.bounded(motion.theta_dot, motion.x_dot) and math.isfinite(whole_motion)):
+        # The substep is none: the environment stays where it has begun.
+        normal = dynamics.accelerations(theta, theta_dot, slip, torque, p)[2]
+        block[AT.normal_force + j] = min(block[AT.normal_force + j], normal)
+        block[AT.termination + j] = DIVERGED
+        block[AT.halt + j] = ENDING
+        block[AT.elapsed + j] = elapsed - h
+        block[AT.slip + j] = 1.0
+        return -1 if slip == 0.0 else 0
     block[AT.theta + j], block[AT.theta_dot + j] = motion.theta, motion.theta_dot
     block[AT.x + j], block[AT.x_dot + j] = motion.x, motion.x_dot
     block[AT.energy + j] += abs(torque) * motion.swept
@@ -375,7 +409,8 @@ def consult(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, settings: 
         )
         halt = block[AT.halt + j]
         asked = halt != HALTED
-        # Infinity must not pass for a torque that was clipped: infinity minus itself is NaN.
+        # Infinity must not pass for a torque that was clipped: infinity minus itself is NaN. The state stays what the
+        # law was asked about.
         clipped = task.clip(torque, settings.torque_limit) + (torque - torque)
         block[AT.law_torque + j] = clipped if asked else block[AT.law_torque + j]
         store(block, MEMORY + j, LANES, renewed if asked else memory)
@@ -383,7 +418,7 @@ def consult(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, settings: 
         torque = block[AT.torque + j]
         block[AT.duration + j] += tick * elapsed
         block[AT.torque_squared + j] += tick * elapsed * torque * torque
-        block[AT.halt + j] = UNDER_WAY if halt == UNDER_WAY else HALTED
+        block[AT.halt + j] = UNDER_WAY if halt == UNDER_WAY and clipped == clipped else HALTED
 
 
 @inlined
@@ -451,7 +486,7 @@ def advance(
         observations: shape (environments, entries), float32; written.
 
     Returns:
-        Index of an environment whose state or torque is no longer finite, or -1.
+        Index of an environment whose law returned no finite torque, or -1.
     """
     plant, settings = unpack(fixed, PIVOT_TORQUE_ON_CONTACT)
     cycle = (fixed.size - CONSTANTS) // REFERENCE_SIZE
@@ -461,7 +496,7 @@ def advance(
         block = world[b]
         n = last - b * LANES
         n = n if n < LANES else LANES
-        if prepare(block, n, plant) == 0 and begin:
+        if prepare(block, n, plant, begin) == 0 and begin:
             continue
         for _ in range(1 if begin else settings.law_steps):
             if not begin:
@@ -479,7 +514,7 @@ def advance(
             settle(block, n, plant, settings)
         observe(block, n, begin, settings, cycle, observations[b * LANES :])
         for j in range(n):
-            if not math.isfinite(block[AT.theta_dot + j] + block[AT.law_torque + j] + block[AT.reward + j]):
+            if block[AT.active + j] != 0.0 and not math.isfinite(block[AT.law_torque + j]):
                 broken = b * LANES + j
     return broken
 
@@ -508,7 +543,10 @@ def build(
         memory_size: number of its memory cells.
         reference_size: number of columns of its reference table.
         pivot_torque_on_contact: 1.0 for the paper's normal force, 0.0 for Newton's.
-        name: of the law, for the message.
+        name: of the law, for the messages.
+
+    Raises:
+        TypeError: if the law is nothing that numba compiles.
     """
     source = law_function.py_func if isinstance(law_function, CPUDispatcher) else law_function
     shape = f"{memory_size}:{reference_size}:{pivot_torque_on_contact}"
@@ -524,7 +562,13 @@ def build(
         for function in (consult, observe):
             bindings[function.__name__] = inlined(rebound(function, f"{function.__name__}_{digest}", bindings))
         built = kernel(advance, digest, bindings)
-        compile_now(built, SIGNATURE, f"the physics with {name}")
+        try:
+            compile_now(built, SIGNATURE, f"the physics with {name}")
+        except (NumbaError, NotImplementedError, ValueError) as error:
+            raise TypeError(
+                f"{name} must be a function that numba compiles, of numbers and tuples of numbers, and return "
+                f"(torque, memory) with {memory_size} cells of memory; numba says: {error}"
+            ) from error
         _built[digest] = built
     return _built[digest]
 

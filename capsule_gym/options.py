@@ -19,6 +19,12 @@ from capsule_gym.parameters import RANDOMIZATIONS, Capsule, Randomization, check
 
 DIRECT_PHYSICS_DT = 2e-3
 LAW_PHYSICS_DT = LAW_DT
+# Steps of the integrator in a step of the agent: what takes a tenth of a second.
+MOST_SUBSTEPS = 1_000_000
+# N m, and cm: with these no sum of an episode leaves the floating-point numbers.
+LARGEST_TORQUE, LARGEST_COST = 1e6, 1e12
+# s. Steps of more digits than these would not divide each other, whatever they are.
+SHORTEST_STEP, LONGEST_STEP = 1e-9, 1e6
 RENDER_MODES = ("human", "rgb_array")
 
 Check = Callable[[str, Any], Any]
@@ -29,12 +35,18 @@ def _anything(name: str, value: Any) -> Any:
     return value
 
 
-def _positive(unit: str) -> Check:
-    return partial(check_number, accepted=f"a finite number > 0 ({unit})", low=0.0, open_low=True)
+def _positive(unit: str, most: float) -> Check:
+    accepted = f"a finite number > 0 ({unit}), at most {most:g}"
+    return partial(check_number, accepted=accepted, low=0.0, high=most, open_low=True)
 
 
-def _at_least_zero(unit: str) -> Check:
-    return partial(check_number, accepted=f"a finite number >= 0 ({unit})", low=0.0)
+def _is_step(name: str, value: Any) -> float:
+    accepted = f"a finite number of s in [{SHORTEST_STEP:g}, {LONGEST_STEP:g}]"
+    return check_number(name, value, accepted, SHORTEST_STEP, LONGEST_STEP)
+
+
+def _at_least_zero(unit: str, most: float) -> Check:
+    return partial(check_number, accepted=f"a finite number >= 0 ({unit}), at most {most:g}", low=0.0, high=most)
 
 
 def _or_none(check: Check) -> Check:
@@ -102,10 +114,12 @@ class Options:
     )
     residual_limit: float | None = field(
         default=None,
-        metadata=_about("torque of the action 1, N m", _or_none(_at_least_zero("N m")), "`torque_limit`"),
+        metadata=_about(
+            "torque of the action 1, N m", _or_none(_at_least_zero("N m", LARGEST_TORQUE)), "`torque_limit`"
+        ),
     )
     torque_limit: float = field(
-        default=task.TORQUE_LIMIT, metadata=_about("largest motor torque, N m", _positive("N m"))
+        default=task.TORQUE_LIMIT, metadata=_about("largest motor torque, N m", _positive("N m", LARGEST_TORQUE))
     )
     randomization: str | Randomization = field(
         default="paper",
@@ -121,20 +135,22 @@ class Options:
         default=False, metadata=_about("whether the observation ends with M and mu", _is_bool)
     )
     energy_weight: float = field(
-        default=task.ENERGY_WEIGHT, metadata=_about("centimetres that a joule costs", _at_least_zero("cm/J"))
+        default=task.ENERGY_WEIGHT,
+        metadata=_about("centimetres that a joule costs", _at_least_zero("cm/J", LARGEST_COST)),
     )
     termination_penalty: float = field(
-        default=task.TERMINATION_PENALTY, metadata=_about("centimetres that a failure costs", _at_least_zero("cm"))
+        default=task.TERMINATION_PENALTY,
+        metadata=_about("centimetres that a failure costs", _at_least_zero("cm", LARGEST_COST)),
     )
     initial_noise: float = field(
         default=0.0, metadata=_about("half width of the uniform noise on the initial angle, rad", _is_noise)
     )
-    control_dt: float = field(default=task.CONTROL_DT, metadata=_about("agent step, s", _positive("s")))
+    control_dt: float = field(default=task.CONTROL_DT, metadata=_about("agent step, s", _is_step))
     physics_dt: float | None = field(
         default=None,
         metadata=_about(
-            "step of the fourth-order integrator, s",
-            _or_none(_positive("s")),
+            "step of the fourth-order integrator, s; at most a million in an agent step",
+            _or_none(_is_step),
             f"{1e3 * DIRECT_PHYSICS_DT:g} ms, with a controller {1e3 * LAW_PHYSICS_DT:g} ms",
         ),
     )

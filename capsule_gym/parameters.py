@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -14,6 +15,9 @@ from capsule_gym.compilation import inlined
 from capsule_gym.exponential import exp, log
 
 NormalForce = Literal["newton", "paper"]
+
+# Sizes of a plant's constants, in SI units: within these every force and acceleration is a floating-point number.
+SMALLEST, LARGEST = 1e-12, 1e12
 
 
 class Plant(NamedTuple):
@@ -36,6 +40,14 @@ class Plant(NamedTuple):
     backward_ratio: float
 
 
+def written(value: Any) -> str:
+    """A value as a message shows it: Python writes no integer of thousands of digits out."""
+    try:
+        return repr(value)
+    except ValueError:
+        return f"{type(value).__name__} of more digits than can be shown"
+
+
 def check_number(
     name: str, value: Any, accepted: str, low: float = -math.inf, high: float = math.inf, *, open_low: bool = False
 ) -> float:
@@ -54,27 +66,29 @@ def check_number(
         ValueError: if it is not finite or outside the range.
     """
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise TypeError(f"{name} must be {accepted}, got {value!r} of type {type(value).__name__}")
+        raise TypeError(f"{name} must be {accepted}, got {written(value)} of type {type(value).__name__}")
     try:
         number = float(value)
     except OverflowError:  # an integer beyond the largest float
         number = math.inf
     if not math.isfinite(number) or number < low or number > high or (open_low and number == low):
-        raise ValueError(f"{name} must be {accepted}, got {value!r}")
+        raise ValueError(f"{name} must be {accepted}, got {written(value)}")
     return number
 
 
-def check_count(name: str, value: Any) -> int:
-    """Returns `value` as a positive int.
+def check_count(name: str, value: Any, most: int = sys.maxsize) -> int:
+    """Returns `value` as an int from 1 to `most`.
 
     Raises:
         TypeError: if it is no integer.
-        ValueError: if it is below 1.
+        ValueError: if it is below 1 or above `most`.
     """
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{name} must be an integer >= 1, got {value!r}")
     if value < 1:
-        raise ValueError(f"{name} must be an integer >= 1, got {value!r}")
+        raise ValueError(f"{name} must be an integer >= 1, got {written(value)}")
+    if value > most:
+        raise ValueError(f"{name} must be an integer <= {most}, got {written(value)}")
     return int(value)
 
 
@@ -94,12 +108,19 @@ def check_contact_is_regular(M: float, m: float, mu: float) -> None:
     """
     bound = (1.0 + math.sqrt(1.0 + mu * mu)) / 2.0
     if (M + m) / m <= bound:
-        largest = math.sqrt((2.0 * (M + m) / m - 1.0) ** 2 - 1.0)
+        ratio = 2.0 * (M + m) / m - 1.0
+        # As a product: a power that overflows is an exception in Python.
+        largest = math.sqrt(ratio * ratio - 1.0)
         raise ValueError(
             f"M={M!r}, m={m!r} and friction coefficient mu={mu!r} admit Painleve's paradox: the slip equations need "
             f"(M + m) / m > (1 + sqrt(1 + mu^2)) / 2 = {bound:.6g}, got {(M + m) / m:.6g}; with these masses "
             f"mu must stay below {largest:.6g}"
         )
+
+
+def _check_size(name: str, value: Any, smallest: float = 0.0) -> None:
+    """Refuses constants so large or small that forces between them are no floating-point numbers."""
+    check_number(name, value, f"a number from {smallest:g} to {LARGEST:g}", smallest, LARGEST)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +142,8 @@ class Capsule:
 
     Raises:
         TypeError: if a field is of the wrong type.
-        ValueError: if a field is out of range, or the plant admits Painleve's paradox.
+        ValueError: if a field is out of range, beyond 1e12 or positive below 1e-12 where it must be positive, or the
+            plant admits Painleve's paradox.
 
     >>> Capsule(mu=0.1).plant().mu
     0.1
@@ -150,6 +172,10 @@ class Capsule:
         check_number("Capsule.static_ratio", self.static_ratio, "a finite number >= 1", 1.0)
         if self.normal_force not in ("newton", "paper"):
             raise ValueError(f"Capsule.normal_force must be 'newton' or 'paper', got {self.normal_force!r}")
+        for name in ("M", "m", "l", "g", "backward_ratio", "static_ratio"):
+            _check_size(f"Capsule.{name}", getattr(self, name), SMALLEST)
+        for name in ("k", "c", "mu"):
+            _check_size(f"Capsule.{name}", getattr(self, name))
         self.check_plant(self.M, self.mu)
 
     def check_plant(self, M: float, mu: float) -> None:
@@ -165,6 +191,8 @@ class Capsule:
         """
         M = check_number("M", M, "a finite number > 0 (kg)", 0.0, open_low=True)
         mu = check_number("mu", mu, "a finite number >= 0", 0.0)
+        _check_size("M", M, SMALLEST)
+        _check_size("mu", mu)
         check_contact_is_regular(M, self.m, mu * max(1.0, self.backward_ratio) * self.static_ratio)
 
     def plant(self, M: float | None = None, mu: float | None = None) -> Plant:
@@ -278,11 +306,13 @@ class Randomization:
         """Refuses ranges in which some plant would be invalid, before any episode meets it.
 
         Raises:
-            ValueError: if the lightest platform with the largest friction admits Painleve's paradox.
+            ValueError: if the lightest platform with the largest friction admits Painleve's paradox, or a value is too
+                large or too small for a `Capsule`.
         """
         # Both the lightest platform and the roughest floor are the worst case of the condition, so one corner decides.
         try:
             capsule.check_plant(self.M[0] if self.M else capsule.M, self.mu[1] if self.mu else capsule.mu)
+            capsule.check_plant(self.M[1] if self.M else capsule.M, self.mu[0] if self.mu else capsule.mu)
         except ValueError as error:
             raise ValueError(f"Randomization(M={self.M}, mu={self.mu}): {error}") from None
 

@@ -49,7 +49,7 @@ def play(
         changes: shape (changes, 4), those of an environment in order of time; changed.
 
     Returns:
-        Index of an environment whose state or torque is no longer finite, or -1.
+        Index of an environment whose law returned no finite torque, or -1.
     """
     lanes = workspace(network)
     for b in range(first // LANES, (last + LANES - 1) // LANES):
@@ -122,6 +122,13 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
     ).reshape(-1, 4)
     fixed = kernels.pack(simulation.capsule.plant(), simulation.settings, simulation.reference)
     blocks = simulation.world.reshape(len(simulation.world), -1)
+    kernels.check_arrays(
+        world=(blocks, np.float64, (None, simulation.world[0].size)),
+        fixed=(fixed, np.float64, (kernels.CONSTANTS + simulation.reference.size,)),
+        observations=(simulation.observations, np.float32, (simulation.num_envs, entries)),
+        network=(policy._network, np.float64, (None,)),
+        changes=(changes, np.float64, (None, 4)),
+    )
     compiled = _compiled()
 
     def run(bounds: tuple[int, int]) -> int:

@@ -16,11 +16,13 @@ import numpy as np
 from capsule_gym import kernels, resets, task
 from capsule_gym.controller import Controller, find_controller
 from capsule_gym.kernels import LANES, Row
-from capsule_gym.options import DEFAULTS, DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, Options
-from capsule_gym.parameters import NOMINAL, Randomization, check_count, check_number
+from capsule_gym.options import DEFAULTS, DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, Options
+from capsule_gym.parameters import NOMINAL, Randomization, check_count, check_number, written
 
 # What acts where no controller does.
 NO_CONTROLLER = Controller("none", kernels.no_law, kernels.NO_REFERENCE)
+# Environments in a batch: some 7 GB.
+MOST_ENVS = 2**24
 
 # What a copy of a simulation makes anew.
 BOUND = frozenset({"controller", "reference", "memory"}) | {
@@ -31,13 +33,37 @@ BOUND = frozenset({"controller", "reference", "memory"}) | {
 CHANGE = ("t", "M", "mu")
 
 
+def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None") -> int:
+    """An environment's seed as an int.
+
+    Args:
+        seed: what the caller gave.
+        accepted: in words, for the message.
+
+    Raises:
+        TypeError: if it is no integer.
+        ValueError: if it is negative, or has more bits than a stream's key.
+    """
+    if isinstance(seed, (bool, np.bool_)) or not isinstance(seed, (int, np.integer)):
+        raise TypeError(f"seed must be {accepted}, got {written(seed)}")
+    if not 0 <= seed < 2**128:
+        raise ValueError(f"seed must be {accepted}, got {written(seed)}")
+    return int(seed)
+
+
 def divide(name: str, whole: float, part_name: str, part: float) -> int:
     """How often `part` fits into `whole`; both in seconds.
 
     Raises:
-        ValueError: if it does not fit a whole number of times.
+        ValueError: if it does not fit a whole number of times, or too often.
     """
-    count = round(whole / part)
+    ratio = whole / part
+    if ratio > MOST_SUBSTEPS:
+        raise ValueError(
+            f"{part_name} must divide {name}={whole!r} s at most {MOST_SUBSTEPS} times, got {part!r} s, which does "
+            f"{ratio:.6g} times"
+        )
+    count = round(ratio)
     if count < 1 or abs(count * part - whole) > 1e-9 * whole:
         raise ValueError(f"{part_name} must divide {name}={whole!r} s a whole number of times, got {part!r} s")
     return count
@@ -51,13 +77,18 @@ def make_settings(options: Options, controller: Controller | None) -> kernels.Se
         controller: the law inside the step, which `options` names.
 
     Raises:
-        ValueError: if the steps of the integrator, the law and the agent do not divide each other.
+        ValueError: if the steps of the integrator, the law and the agent do not divide each other, or are too many.
     """
     torque_limit, residual_limit = options.torque_limit, options.residual_limit
     physics_dt = options.physics_dt
     if physics_dt is None:
         physics_dt = LAW_PHYSICS_DT if controller else DIRECT_PHYSICS_DT
     law_dt = controller.dt if controller else options.control_dt
+    if options.control_dt / physics_dt > MOST_SUBSTEPS:
+        raise ValueError(
+            f"control_dt must be at most {MOST_SUBSTEPS} times physics_dt={physics_dt!r} s, "
+            f"got {options.control_dt!r} s"
+        )
     return kernels.Settings(
         torque_limit=torque_limit,
         residual_limit=torque_limit if residual_limit is None else residual_limit,
@@ -98,17 +129,22 @@ class Simulation:
     """
 
     def __init__(self, num_envs: int, options: Options = DEFAULTS) -> None:
-        self.num_envs = check_count("num_envs", num_envs)
+        self.num_envs = check_count("num_envs", num_envs, MOST_ENVS)
         self.options = options
         self.capsule = options.capsule or NOMINAL
         self.randomization = Randomization.named(options.randomization)
         self.randomization.check(self.capsule)
+        # M in kg and mu, where they are observed.
+        self._largest = task.parameter_bounds(self.capsule, self.randomization)
         controller = find_controller(options.controller)
         self.settings = make_settings(options, controller)
         blocks = -(-self.num_envs // LANES)
-        self.world = np.zeros((blocks, count_rows(controller), LANES))
         names = task.observation_names(self.settings.with_reference, self.settings.with_parameters)
-        self.observations = np.zeros((self.num_envs, len(names)), np.float32)
+        try:
+            self.world = np.zeros((blocks, count_rows(controller), LANES))
+            self.observations = np.zeros((self.num_envs, len(names)), np.float32)
+        except MemoryError as error:
+            raise ValueError(f"num_envs must be as many as there is memory for, got {self.num_envs}: {error}") from None
         self._keys = np.zeros((self.num_envs, 2), np.uint64)
         self._episodes = np.zeros(self.num_envs, np.int64)
         self._changes: dict[int, list[tuple[float, float, float]]] = {}
@@ -169,6 +205,11 @@ class Simulation:
         # are the arguments, where they are looked up each time.
         compiled: Callable[..., int] = next(iter(self._kernel.overloads.values())).entry_point
         fixed = (kernels.pack(plant, self.settings, self.reference), self.observations)
+        kernels.check_arrays(
+            world=(blocks, np.float64, (None, self.world[0].size)),
+            fixed=(fixed[0], np.float64, (kernels.CONSTANTS + self.reference.size,)),
+            observations=(self.observations, np.float32, (self.num_envs, None)),
+        )
         self._advance: Callable[[int, int, bool], int] = lambda first, last, begin: compiled(
             blocks, first, last, begin, *fixed
         )
@@ -223,7 +264,7 @@ class Simulation:
 
         Raises:
             TypeError: if a value is of the wrong type.
-            ValueError: if a value is out of range.
+            ValueError: if a value is out of range, or the law returned a torque that is not finite.
             IndexError: if there is no such environment.
         """
         schedules = [self._schedule(changes[n]) for n in range(len(rows))] if changes is not None else None
@@ -245,7 +286,9 @@ class Simulation:
             self._plan(rows, schedules)
         self._renew(rows, starts, self._episodes)
         self._everyone = False
-        self._run(begin=True)
+        broken = self._run(begin=True)
+        if broken >= 0:
+            self._report(broken)
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> None:
         """One agent step.
@@ -278,7 +321,7 @@ class Simulation:
             self._report(0)
 
     def _run(self, begin: bool) -> int:
-        """Runs the kernel on all environments; returns one whose numbers are no longer finite, or -1."""
+        """Runs the kernel on all environments; returns one whose law returned no finite torque, or -1."""
         if len(self._ranges) == 1:
             return self._advance(0, self.num_envs, begin)
         # A forked process inherits the pool, but none of its threads.
@@ -350,21 +393,27 @@ class Simulation:
         """Refuses M and mu that are invalid, or outside the bounds of the observation that shows them."""
         self.capsule.check_plant(M, mu)
         if self.settings.with_parameters:
-            check_number(
-                "M", M, f"at most {task.M_BOUND:g} x Capsule.M where observed", 0.0, task.M_BOUND * self.capsule.M
-            )
-            check_number("mu", mu, f"at most {task.MU_BOUND:g} where observed", 0.0, task.MU_BOUND)
+            for name, value, largest in zip(("M", "mu"), (M, mu), self._largest, strict=True):
+                accepted = f"at most {largest:g} where observe_parameters shows it (a wider randomization shows more)"
+                check_number(name, value, accepted, 0.0, largest)
 
     def _check_state(self, state: Any, count: int) -> np.ndarray:
         """The states of `count` environments as float64, shape (count, 4)."""
-        accepted = "[theta, theta_dot, x, x_dot], finite, |theta| < pi/2"
+        _, *rest = task.LARGEST_STATE
+        accepted = (
+            "[theta, theta_dot, x, x_dot] with |theta| < pi/2, |theta_dot| <= {:g} rad/s, |x| <= {:g} m and |x_dot| "
+            "<= {:g} m/s"
+        ).format(*rest)
         try:
             array = np.asarray(state, dtype=np.float64)
+        except OverflowError:
+            raise ValueError(f"options['state'] must be {accepted}, got {written(state)}") from None
         except (TypeError, ValueError):
-            raise TypeError(f"options['state'] must be {accepted}, got {state!r}") from None
+            raise TypeError(f"options['state'] must be {accepted}, got {written(state)}") from None
         if array.shape not in ((4,), (count, 4)):
             raise ValueError(f"options['state'] must be {accepted}, got shape {array.shape}")
-        if not np.isfinite(array).all() or (np.abs(array[..., 0]) >= task.THETA_LIMIT).any():
+        inside = (np.abs(array) <= task.LARGEST_STATE).all() and (np.abs(array[..., 0]) < task.THETA_LIMIT).all()
+        if not inside:
             raise ValueError(f"options['state'] must be {accepted}, got {state!r}")
         return np.broadcast_to(array, (count, 4))
 
@@ -372,17 +421,17 @@ class Simulation:
         """The jumps of one episode as (t, M, mu)."""
         accepted = "a list of dicts {'t': s, 'M': kg, 'mu': ..}, each later than the one before"
         if not isinstance(changes, (list, tuple)):
-            raise TypeError(f"options['changes'] must be {accepted}, got {changes!r}")
+            raise TypeError(f"options['changes'] must be {accepted}, got {written(changes)}")
         schedule: list[tuple[float, float, float]] = []
         for n, change in enumerate(changes):
             name = f"options['changes'][{n}]"
             if not isinstance(change, dict):
-                raise TypeError(f"{name} must be a dict with the keys {CHANGE}, got {change!r}")
+                raise TypeError(f"{name} must be a dict with the keys {CHANGE}, got {written(change)}")
             if set(change) != set(CHANGE):
                 missing = [key for key in CHANGE if key not in change]
                 unknown = [key for key in change if key not in CHANGE]
                 wrong = f"which lacks {missing}" if missing else f"where nobody reads {unknown}"
-                raise ValueError(f"{name} must have the keys {CHANGE}, got {change!r}, {wrong}")
+                raise ValueError(f"{name} must have the keys {CHANGE}, got {written(change)}, {wrong}")
             t = check_number(f"{name}['t']", change["t"], "a finite number >= 0 (s)", 0.0)
             if schedule and t <= schedule[-1][0]:
                 raise ValueError(f"{name}['t'] must be later than the one before, {schedule[-1][0]:g} s, got {t:g} s")

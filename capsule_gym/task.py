@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from capsule_gym.compilation import inlined
-from capsule_gym.parameters import Capsule
+from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.trigonometry import sincos
 
 ENV_ID = "CapsuleStickSlip-v0"
@@ -25,11 +25,16 @@ ENERGY_WEIGHT = 0.1
 TERMINATION_PENALTY = 10.0
 THETA_LIMIT = math.pi / 2.0
 START_THETA = -math.pi / 3.0
+# What a reset may set: |theta| below THETA_LIMIT, and up to this |theta_dot| (rad/s), |x| (m) and |x_dot| (m/s).
+LARGEST_STATE = (THETA_LIMIT, 1e3, 1e6, 1e3)
+# |theta_dot| + |x_dot| (rad/s, m/s) that no motion has which the integrator resolves.
+RATE_LIMIT = 1e4
 
 # Bounds of the observation, which is clipped to them. Full torque switched in the worst phase gives 13 rad/s and
 # 1.2 m/s on the capsule of the paper; the rest is room for other capsules.
 THETA_DOT_BOUND = 20.0
 X_DOT_BOUND = 2.0
+# Bounds of the observed M, in masses of the capsule's platform, and of mu; ranges that go further widen them.
 M_BOUND = 4.0
 MU_BOUND = 1.0
 
@@ -44,6 +49,7 @@ class Termination(IntEnum):
     none = 0
     pendulum = 1
     contact = 2
+    diverged = 3
 
 
 class Metrics(NamedTuple):
@@ -92,17 +98,33 @@ def observation_names(with_reference: bool, with_parameters: bool) -> tuple[str,
     )
 
 
+def parameter_bounds(capsule: Capsule, randomization: Randomization) -> tuple[float, float]:
+    """The largest M in kg and the largest mu of an environment that shows them: what a reset may set.
+
+    Args:
+        capsule: the capsule of the environment.
+        randomization: where M and mu of an episode come from.
+    """
+    # Room for the rounding of a draw, and of the observation to float32.
+    room = 1.0 + 1e-6
+    heaviest = randomization.M[1] if randomization.M else capsule.M
+    roughest = randomization.mu[1] if randomization.mu else capsule.mu
+    return max(M_BOUND * capsule.M, room * heaviest), max(MU_BOUND, room * roughest)
+
+
 def observation_bounds(
-    with_reference: bool, with_parameters: bool, capsule: Capsule, torque_limit: float
+    with_reference: bool, with_parameters: bool, capsule: Capsule, randomization: Randomization, torque_limit: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest observation, float32.
 
     Args:
         with_reference: whether a control law runs inside the step.
         with_parameters: whether M and mu are observed.
-        capsule: the capsule, for the scale of M.
+        capsule: the capsule, and the next where M and mu come from, for the bounds of these.
+        randomization: likewise.
         torque_limit: N m.
     """
+    largest_M, largest_mu = parameter_bounds(capsule, randomization)
     bounds = {
         "theta": (-THETA_LIMIT, THETA_LIMIT),
         "theta_dot": (-THETA_DOT_BOUND, THETA_DOT_BOUND),
@@ -114,8 +136,8 @@ def observation_bounds(
         "sin_phase": (-1.0, 1.0),
         "cos_phase": (-1.0, 1.0),
         "law_torque": (-torque_limit, torque_limit),
-        "M": (0.0, M_BOUND * capsule.M),
-        "mu": (0.0, MU_BOUND),
+        "M": (0.0, largest_M),
+        "mu": (0.0, largest_mu),
     }
     low, high = np.array([bounds[name] for name in observation_names(with_reference, with_parameters)], np.float32).T
     return low.copy(), high.copy()
@@ -154,6 +176,12 @@ def termination(theta: float, normal_force: float) -> int:
     if normal_force <= 0.0:
         return 2
     return 0
+
+
+@inlined
+def bounded(theta_dot: float, x_dot: float) -> bool:
+    """Whether the rates are those of a motion that the integrator resolves; NaN is not."""
+    return abs(theta_dot) + abs(x_dot) <= RATE_LIMIT
 
 
 @inlined

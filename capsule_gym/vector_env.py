@@ -14,12 +14,21 @@ from gymnasium.vector.utils import batch_space
 
 from capsule_gym import task
 from capsule_gym.controller import Controller
-from capsule_gym.env import RESET_OPTIONS, REWARD_TERMS, check_options, draw, make_spaces, options_among, show
+from capsule_gym.env import (
+    RESET_OPTIONS,
+    REWARD_TERMS,
+    as_actions,
+    check_options,
+    draw,
+    make_spaces,
+    options_among,
+    show,
+)
 from capsule_gym.kernels import Row
 from capsule_gym.options import Options
-from capsule_gym.parameters import Capsule, Randomization, check_count
+from capsule_gym.parameters import Capsule, Randomization, check_count, written
 from capsule_gym.rendering import Renderer
-from capsule_gym.simulation import Simulation
+from capsule_gym.simulation import Simulation, check_seed
 
 
 class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -52,7 +61,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         termination_penalty: centimetres that a failure costs.
         initial_noise: half width of the uniform noise on the initial angle, rad.
         control_dt: agent step, s.
-        physics_dt: step of the fourth-order integrator, s.
+        physics_dt: step of the fourth-order integrator, s; at most a million in an agent step.
         threads: threads that share a batch, from 64 environments each; the results do not depend on it.
         render_mode: "human" or, also of a batch, "rgb_array".
 
@@ -172,12 +181,17 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             (num_envs,) bool, and infos.
 
         Raises:
-            ValueError: if the actions have another shape or are not finite.
+            ValueError: if the actions have another shape or are not finite, or the control law returned a torque that is
+                not finite.
             gymnasium.error.ResetNeeded: before the first reset.
         """
         if not self._started:
             raise gym.error.ResetNeeded("call reset() before step(): there is no running episode")
-        array = np.ascontiguousarray(actions, np.float32)
+        array = as_actions(actions)
+        if array is None:
+            raise ValueError(
+                f"actions must be finite, in [-1, 1] and of shape ({self.num_envs}, 1), got {written(actions)}"
+            )
         if array.shape != (self.num_envs, 1) or not np.isfinite(array).all():
             raise ValueError(
                 f"actions must be finite, in [-1, 1] and of shape ({self.num_envs}, 1), got shape {array.shape} "
@@ -257,20 +271,21 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
         """Hands the seeds out: environment i of seed s gets s + i."""
-        if isinstance(seed, (int, np.integer)):
-            super().reset(seed=int(seed))
-        elif seed is None:
+        accepted = f"an integer in [0, 2**128), None, or a sequence of {self.num_envs} of these"
+        if seed is None:
             if self._np_random is not None:
                 return
+        elif not isinstance(seed, (Sequence, np.ndarray)):
+            super().reset(seed=check_seed(seed, accepted))
         else:
-            seeds = list(seed)
-            if len(seeds) != self.num_envs:
-                raise ValueError(f"seed must be an integer or a sequence of {self.num_envs}, got {len(seeds)} entries")
+            if (isinstance(seed, np.ndarray) and seed.ndim != 1) or len(seed) != self.num_envs:
+                raise ValueError(f"seed must be {accepted}, got {written(seed)}")
+            seeds = [None if own is None else check_seed(own, accepted) for own in seed]
             fresh = self._np_random is None
             first = self._first_seed()
             for i, own in enumerate(seeds):
                 if own is not None:
-                    self.simulation.seed(i, _check_seed(own))
+                    self.simulation.seed(i, own)
                 elif fresh:
                     self.simulation.seed(i, first + i)
             return
@@ -300,29 +315,24 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """One value per environment to be reset, from one for all or one for each of the batch."""
         if values is None:
             return None
-        if name != "changes" and np.ndim(values) == 0:
-            return [values] * len(rows)
         accepted = f"options[{name!r}] must have one entry per environment ({self.num_envs})"
-        if not hasattr(values, "__len__") or isinstance(values, dict):
-            raise TypeError(f"{accepted}, got {values!r}")
+        if not isinstance(values, (Sequence, np.ndarray)) or (isinstance(values, np.ndarray) and values.ndim == 0):
+            if name == "changes":
+                raise TypeError(f"{accepted}, got {written(values)}")
+            return [values] * len(rows)
         if len(values) != self.num_envs:
             raise ValueError(f"{accepted}, got {len(values)}")
         return [values[i] for i in rows]
 
     def _states(self, states: Any, rows: np.ndarray) -> Any:
         """The states of the environments to be reset, from one for all or one for each of the batch."""
-        if states is None or np.ndim(states) != 2 or len(states) != self.num_envs:
+        if not isinstance(states, (Sequence, np.ndarray)):
             return states
-        return np.asarray(states)[rows]
-
-
-def _check_seed(seed: Any) -> int:
-    """One environment's seed as an int."""
-    if isinstance(seed, (bool, np.bool_)) or not isinstance(seed, (int, np.integer)):
-        raise TypeError(f"seed must hold integers >= 0 or None, got {seed!r}")
-    if seed < 0:
-        raise ValueError(f"seed must hold integers >= 0 or None, got {seed!r}")
-    return int(seed)
+        try:
+            array = np.asarray(states)
+        except ValueError:  # rows of several lengths, which are refused where the others are
+            return states
+        return array[rows] if array.ndim == 2 and len(array) == self.num_envs else states
 
 
 def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from capsule_gym import CapsuleEnv, Controller
+from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Controller
 from capsule_gym.controller import find_controller
 from capsule_gym.kernels import ROWS
 
@@ -44,6 +44,53 @@ def test_a_law_that_is_not_finite_is_named():
         env.step(np.zeros(1, np.float32))
 
 
+def picky(theta, theta_dot, x, x_dot, memory, reference):
+    (count,) = memory
+    torque = 0.1
+    if x > 5.0:
+        torque = np.inf if count >= 30.0 else 0.1
+    if x < -5.0:
+        torque = np.nan
+    return torque, (count + 1.0,)
+
+
+def test_a_law_that_is_not_finite_is_named_with_the_state_that_it_was_asked_about():
+    env = CapsuleVectorEnv(70, controller=Controller("picky", picky, np.zeros((1, 2))))
+    sound = CapsuleVectorEnv(70, controller=Controller("picky", picky, np.zeros((1, 2))))
+    states = np.array([[-1.0, 0.0, 0.0, 0.0]] * 70)
+    sound.reset(seed=0, options={"state": states})
+    states[66, 2] = 5.5
+    env.reset(seed=0, options={"state": states})
+    zeros = np.zeros((70, 1), np.float32)
+    env.step(zeros)
+    sound.step(zeros)
+    said = (
+        r"^the control law 'picky' returned a torque that is not finite in environment 66 \(step 2, state .*'x': 5\.\d+"
+    )
+    for _ in range(2):
+        with pytest.raises(ValueError, match=said.replace("step 2", r"step \d")) as caught:
+            env.step(zeros)
+        sound.step(zeros)
+        assert "nan" not in str(caught.value)
+    # The others have gone on, and so does it after a reset.
+    others = np.arange(70) != 66
+    assert env.simulation.rows(0, 4)[:, others].tobytes() == sound.simulation.rows(0, 4)[:, others].tobytes()
+    env.reset(options={"reset_mask": ~others})
+    info = env.step(zeros)[4]
+    assert all(np.isfinite(value).all() for name, value in info.items() if name[0] != "_")
+    assert np.array_equal(info["state"][others], sound.step(zeros)[4]["state"][others])
+
+
+def test_a_law_that_is_not_finite_from_the_start_is_named_by_the_reset():
+    for env in (
+        CapsuleEnv(controller=Controller("picky", picky, np.zeros((1, 2)))),
+        CapsuleVectorEnv(3, controller=Controller("picky", picky, np.zeros((1, 2)))),
+    ):
+        with pytest.raises(ValueError, match=r"control law 'picky' .* in environment \d \(step 0, state .*'x': -6\.0"):
+            env.reset(seed=0, options={"state": [0.1, 0.0, -6.0, 0.0]})
+        assert np.all(env.reset()[1]["law_torque"] == 0.1)
+
+
 @pytest.mark.parametrize(
     ("law", "error"),
     [
@@ -59,10 +106,56 @@ def test_laws_that_break_the_contract_are_refused(law, error):
         Controller("bad", law, np.zeros((1, 2)))
 
 
-@pytest.mark.parametrize("reference", [np.zeros(3), np.zeros((0, 2)), np.zeros((4, 1)), np.full((2, 2), np.nan)])
+@pytest.mark.parametrize(
+    "reference",
+    [
+        np.zeros(3),
+        np.zeros((0, 2)),
+        np.zeros((4, 1)),
+        np.full((2, 2), np.nan),
+        np.zeros((2, 257)),
+        np.broadcast_to(np.zeros(2), (10**12, 2)),
+        [[0.0, 10**400]],
+        [["a", "b"]],
+        [[1.0], [1.0, 2.0]],
+        None,
+    ],
+)
 def test_references_that_break_the_contract_are_refused(reference):
-    with pytest.raises(ValueError, match=r"Controller\.reference"):
+    with pytest.raises(ValueError, match=r"^Controller\.reference must be a table of finite numbers"):
         Controller("bad", lambda *state: (0.0, state[4]), reference)
+
+
+@pytest.mark.parametrize(
+    ("memory", "error"),
+    [((), ValueError), ((0.0,) * 257, ValueError), ((10**400,), ValueError), (0.0, TypeError), (("a",), TypeError)],
+)
+def test_memories_that_break_the_contract_are_refused(memory, error):
+    with pytest.raises(error, match=r"^Controller\.memory must be a tuple of 1 to 256 finite numbers"):
+        Controller("bad", lambda *state: (0.0, state[4]), np.zeros((1, 2)), memory)
+
+
+def law_of(gain):
+    return lambda theta, theta_dot, x, x_dot, memory, reference: (gain * theta, memory)
+
+
+@pytest.mark.parametrize("gain", [2, True, np.float32(2.0), np.int8(2), np.array(2.0)])
+def test_the_constants_of_a_law_may_be_of_any_type_that_numba_knows(gain):
+    env = CapsuleEnv(controller=Controller("own", law_of(gain), np.zeros((1, 2))), torque_limit=5.0)
+    _, info = env.reset(seed=0)
+    assert info["law_torque"] == float(gain) * info["state"][0]
+
+
+@pytest.mark.parametrize("gain", [np.float16(2.0), 10**30, np.longdouble(2.0)])
+def test_a_law_that_does_not_compile_is_named(gain):
+    with pytest.raises(TypeError, match=r"^the control law 'odd' must be a function that numba compiles"):
+        CapsuleEnv(controller=Controller("odd", law_of(gain), np.zeros((1, 2))))
+
+
+@pytest.mark.parametrize(("gain", "error"), [(10**400, ValueError), (1j, TypeError), ([], TypeError)])
+def test_a_law_whose_trial_call_fails_is_named(gain, error):
+    with pytest.raises(error, match=r"^the control law of 'odd' must .* trial call"):
+        Controller("odd", law_of(gain), np.ones((1, 2)))
 
 
 def own() -> Controller:

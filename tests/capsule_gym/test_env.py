@@ -63,6 +63,36 @@ def test_observations_lie_within_tight_finite_bounds(kwargs):
     assert seen[:, 2].max() < space.high[2]
 
 
+@pytest.mark.parametrize(
+    "kwargs",
+    [
+        {"randomization": Randomization(M=(0.3, 9.0), mu=(0.001, 3.0))},
+        {"randomization": Randomization(M=(5.0, 5.0), mu=(0.1, 3.0), log_mu=True)},
+        {"capsule": Capsule(M=0.05)},
+        {"capsule": Capsule(mu=1.7), "randomization": "none"},
+        {"capsule": Capsule(M=0.1, mu=0.7)},
+    ],
+)
+def test_every_plant_that_can_occur_lies_in_the_observation_space(kwargs):
+    env = CapsuleEnv(observe_parameters=True, **kwargs)
+    space, none = env.observation_space, np.zeros(1, np.float32)
+    assert np.isfinite(space.high).all()
+    for seed in range(30):
+        observation, info = env.reset(seed=seed)
+        assert space.contains(observation)
+        np.testing.assert_allclose(observation[-2:], [info["M"], info["mu"]], rtol=1e-6)
+    # What a reset may set goes as far as the space, and no further.
+    M, mu = space.high[-2:].tolist()
+    largest = {"M": M * (1.0 - 1e-6), "mu": min(mu * (1.0 - 1e-6), 1.0)}
+    observation, _ = env.reset(options={**largest, "changes": [{"t": 0.0, "M": largest["M"], "mu": 0.0}]})
+    assert space.contains(observation)
+    assert space.contains(env.step(none)[0])
+    for beyond, message in (({"M": 1.01 * M}, "^M must be at most"), ({"M": M, "mu": 1.01 * mu}, "^mu must be at mo")):
+        for options in (beyond, {"changes": [{"t": 1.0, "M": 0.5, "mu": 0.0, **beyond}]}):
+            with pytest.raises(ValueError, match=message):
+                env.reset(options=options)
+
+
 @pytest.mark.parametrize("kwargs", VARIANTS)
 def test_same_seed_same_episodes(kwargs):
     first, second = (rollout(gym.make(ENV_ID, **kwargs), 7, 200) for _ in range(2))
@@ -131,6 +161,22 @@ def test_info_has_the_same_keys_and_dtypes_at_reset_step_and_termination(kwargs)
         assert terminated == (ends != Termination.none)
 
 
+LAWS = [None, *(f"baselines:{name}" for name in baselines.__all__)]
+
+
+@pytest.mark.parametrize("controller", LAWS)
+def test_info_is_finite_and_the_normal_force_of_a_reset_is_the_weight(controller):
+    env = CapsuleEnv(controller=controller)
+    for seed in range(3):
+        _, info = env.reset(seed=seed, options={"state": [0.4, 2.0 * seed, 0.0, -0.1]})
+        assert info["normal_force"] == pytest.approx((info["M"] + Capsule().m) * Capsule().g)
+        assert info["law_torque"] == 0.0 or controller is not None
+        for _ in range(3):
+            assert all(np.isfinite(value).all() for value in info.values()), info
+            info = env.step(np.zeros(1, np.float32))[4]
+            assert 0.0 < info["normal_force"] < 20.0
+
+
 def test_energy_is_the_integral_of_power_not_its_sample():
     coarse, fine = (CapsuleEnv(control_dt=dt, physics_dt=1e-3, randomization="none") for dt in (0.02, 0.001))
     coarse.reset(seed=0)
@@ -160,6 +206,37 @@ def test_termination_pendulum_and_contact_are_named():
     assert info["normal_force"] == 0.0
     with pytest.raises(gym.error.ResetNeeded):
         env.unwrapped.step(np.array([0.0], np.float32))
+
+
+@pytest.mark.parametrize("signs", [(1, 1, 1), (-1, 1, -1), (1, -1, -1)])
+def test_the_largest_states_of_a_reset_stay_finite(signs):
+    env = CapsuleEnv(randomization="none")
+    state = [1.5, *np.array([1e3, 1e6, 1e3]) * signs]
+    _, info = env.reset(seed=0, options={"state": state})
+    assert info["state"].tolist() == state
+    observation, reward, terminated, _, info = env.step(np.ones(1, np.float32))
+    assert terminated and np.isfinite(reward) and env.observation_space.contains(observation)
+    assert all(np.isfinite(value).all() for value in info.values())
+
+
+def test_a_plant_that_the_step_does_not_resolve_ends_as_diverged():
+    # A ball of 1 mg: the torque of 1 N m takes it around thousands of times within a substep.
+    env = CapsuleEnv(capsule=Capsule(m=1e-6, k=0.0, c=0.0), randomization="none")
+    env.reset(seed=0)
+    observation, reward, terminated, _, info = env.step(np.ones(1, np.float32))
+    assert terminated and info["termination"] == Termination.diverged
+    # Nothing of the substep that was none is left.
+    assert info["state"].tolist() == [-np.pi / 3, 0.0, 0.0, 0.0]
+    assert reward == info["reward_termination"] == -10.0
+    assert info["energy"] == 0.0
+    assert 0.0 < info["normal_force"] < np.inf
+    assert env.observation_space.contains(observation)
+    metrics = env.episode_metrics()
+    assert metrics["failed"] == 1.0 and metrics["duration"] == 0.0
+    assert all(np.isfinite(value) for name, value in metrics.items() if name != "cost_of_transport")
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(np.zeros(1, np.float32))
+    assert not env.reset()[1]["termination"]
 
 
 def test_truncation_after_33_seconds():
@@ -471,6 +548,9 @@ def test_bad_arguments_are_named(kwargs, error, message):
         ({"state": [2.0, 0.0, 0.0, 0.0]}, ValueError, "state"),
         ({"state": [float("nan"), 0.0, 0.0, 0.0]}, ValueError, "state"),
         ({"state": "here"}, TypeError, "state"),
+        ({"state": [0.3, 1e120, 0.0, 0.0]}, ValueError, r"\|theta_dot\| <= 1000 rad/s"),
+        ({"state": [0.3, 0.0, -1.1e6, 0.0]}, ValueError, r"\|x\| <= 1e\+06 m"),
+        ({"state": [0.3, 0.0, 0.0, 1001.0]}, ValueError, r"\|x_dot\| <= 1000 m/s"),
         ({"changes": 1.0}, TypeError, r"options\['changes'\] must be a list of dicts .*, got 1.0"),
         ({"changes": JUMP}, TypeError, r"options\['changes'\] must be a list of dicts"),
         ({"changes": [1.0]}, TypeError, r"options\['changes'\]\[0\].*, got 1.0"),
@@ -492,12 +572,54 @@ def test_bad_options_are_named(options, error, message):
         CapsuleEnv().reset(seed=0, options=options)
 
 
-@pytest.mark.parametrize("action", [np.zeros(2), np.array([np.nan]), np.zeros((1, 1)), 0.5, np.array([np.inf])])
+@pytest.mark.parametrize(
+    "action", [np.zeros(2), np.array([np.nan]), np.zeros((1, 1)), 0.5, np.array([np.inf]), ["a"], None, {}]
+)
 def test_bad_actions_are_named(action):
     env = CapsuleEnv()
     env.reset(seed=0)
     with pytest.raises(ValueError, match="action must be"):
         env.step(action)
+
+
+HUGE = 10**400
+LONGEST = 10**5000  # more digits than Python writes out
+
+
+@pytest.mark.parametrize("value", [HUGE, -HUGE, LONGEST], ids=["huge", "small", "longest"])
+def test_an_integer_beyond_every_float_is_refused_by_name_wherever_it_stands(value):
+    env = CapsuleEnv()
+    change = {"t": 1.0, "M": 0.5, "mu": 0.01}
+    for options, message in [
+        ({"M": value}, "^M must be"),
+        ({"mu": value}, "^mu must be"),
+        ({"state": [0.1, value, 0.0, 0.0]}, r"^options\['state'\] must be"),
+        *(({"changes": [{**change, name: value}]}, rf"{name}('\])? must be") for name in change),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            env.reset(seed=0, options=options)
+    with pytest.raises(ValueError, match=r"^seed must be"):
+        env.reset(seed=value)
+    env.reset(seed=0)
+    for action in ([value], value, np.array([value])):
+        with pytest.raises(ValueError, match=r"^action must be"):
+            env.step(action)
+    with pytest.raises(ValueError, match=r"^horizon must be"):
+        env.episode_metrics(value)
+
+
+@pytest.mark.parametrize(
+    ("seed", "error"), [(-1, ValueError), (2**128, ValueError), (1.0, TypeError), (True, TypeError), ("a", TypeError)]
+)
+def test_bad_seeds_are_named(seed, error):
+    with pytest.raises(error, match=r"^seed must be an integer in \[0, 2\*\*128\) or None, got"):
+        CapsuleEnv().reset(seed=seed)
+
+
+def test_seeds_are_integers_of_any_type_up_to_128_bits():
+    env = CapsuleEnv()
+    drawn = [env.reset(seed=seed)[1]["M"] for seed in (5, np.int64(5), 2**128 - 1)]
+    assert drawn[0] == drawn[1] != drawn[2]
 
 
 def test_step_before_reset_is_refused():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numba
 import numpy as np
+import pytest
 
 from capsule_gym import Capsule, kernels
 from capsule_gym.kernels import LANES, Row, Settings, pack, unpack
@@ -46,6 +47,33 @@ def test_plant_and_settings_survive_packing():
     assert plant == PLANT
     assert again == settings
     assert all(isinstance(value, (int, np.integer)) for value in (again.physics_steps, again.law_steps))
+
+
+def test_packed_numbers_are_float64_also_where_an_integer_fits_no_type_of_numpy():
+    fixed = pack(PLANT, Settings(1, 1, 1, 10**300, 1, 0, 0, False, False), np.zeros((3, 2), np.float32))
+    assert fixed.dtype == np.float64 and fixed.shape == (kernels.CONSTANTS + 6,)
+    with pytest.raises(OverflowError):
+        pack(PLANT, Settings(1, 1, 1, 10**400, 1, 0, 0, False, False), np.zeros((3, 2)))
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.zeros((4, 3), object),
+        np.zeros((4, 3), np.float32),
+        np.zeros((4, 3), np.dtype(np.float64).newbyteorder()),
+        np.zeros((4, 2)),
+        np.zeros(12),
+        np.zeros((3, 4)).T,
+        np.zeros((4, 6))[:, ::2],
+        np.zeros(97, np.uint8)[1:].view(np.float64).reshape(4, 3),
+        [[0.0] * 3] * 4,
+    ],
+)
+def test_arrays_that_compiled_code_would_misread_are_refused(array):
+    kernels.check_arrays(world=(np.zeros((4, 3)), np.float64, (None, 3)))
+    with pytest.raises(TypeError, match=r"^world must be a contiguous array of float64 of shape \(None, 3\), got "):
+        kernels.check_arrays(world=(array, np.float64, (None, 3)))
 
 
 def test_rows_lie_in_order():

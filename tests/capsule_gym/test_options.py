@@ -85,6 +85,12 @@ def test_numbers_out_of_range_are_refused_by_name_and_value(name, value):
     assert repr(value) in str(caught.value)
 
 
+@pytest.mark.parametrize("name", ["torque_limit", "residual_limit", "energy_weight", "termination_penalty"])
+def test_numbers_whose_sums_would_be_infinite_are_refused(name):
+    with pytest.raises(ValueError, match=rf"^{name} must be a finite number .*, at most 1e\+\d+, got 1e\+300"):
+        Options(**{name: 1e300})
+
+
 @pytest.mark.parametrize("name", [*NUMBERS, "observe_parameters", "capsule", "randomization", "threads"])
 @pytest.mark.parametrize("value", [[1.0], 1j, b"1"])
 def test_wrong_types_are_refused_by_name(name, value):

@@ -59,6 +59,32 @@ def test_numpy_numbers_and_integers_become_floats_in_the_plant():
     assert all(type(value) is float for value in plant)
 
 
+@pytest.mark.parametrize("field", NUMBERS)
+@pytest.mark.parametrize("value", [1e13, 1e300])
+def test_constants_too_large_to_compute_with_are_refused(field, value):
+    with pytest.raises(ValueError, match=rf"^Capsule\.{field} must be a number from .* to 1e\+12, got 1"):
+        Capsule(**{field: value})
+
+
+@pytest.mark.parametrize("field", POSITIVE)
+def test_constants_too_small_to_divide_by_are_refused(field):
+    with pytest.raises(ValueError, match=rf"^Capsule\.{field} must be a number from 1e-12 to "):
+        Capsule(**{field: 1e-300})
+
+
+def test_the_sizes_hold_for_drawn_and_given_plants_too():
+    for arguments in ((1e300, 0.1), (1e-300, 0.0), (0.5, 1e300)):
+        with pytest.raises(ValueError, match="must be a number from"):
+            Capsule().check_plant(*arguments)
+    for randomization in (
+        Randomization(M=(0.1, 1e300)),
+        Randomization(M=(1e-300, 0.1)),
+        Randomization(mu=(0.0, 1e300)),
+    ):
+        with pytest.raises(ValueError, match=r"^Randomization\(.* must be a number from"):
+            randomization.check(Capsule())
+
+
 @pytest.mark.parametrize("value", ["Newton", "", None, 1])
 def test_an_unknown_normal_force_is_refused(value):
     with pytest.raises(ValueError) as caught:
@@ -100,6 +126,11 @@ def test_the_message_says_up_to_which_friction_the_masses_are_valid():
     Capsule(M=0.05, mu=largest * 0.9999)
     with pytest.raises(ValueError, match="Painleve"):
         Capsule(M=0.05, mu=largest * 1.0001)
+
+
+def test_masses_and_frictions_as_large_as_floats_are_refused_like_others():
+    with pytest.raises(ValueError, match="Painleve"):
+        check_contact_is_regular(1e200, 0.1, 1e300)
 
 
 @pytest.mark.parametrize("ratios", [{"backward_ratio": 4.0}, {"static_ratio": 4.0}])

@@ -126,6 +126,15 @@ def test_threads_share_a_rollout(threads):
     shared.close()
 
 
+@pytest.mark.parametrize("name", ["world", "observations"])
+def test_arrays_of_another_kind_never_reach_compiled_code(name):
+    env, _ = begun(falling(), 3)
+    array = getattr(env.simulation, name)
+    setattr(env.simulation, name, array.astype(object))
+    with pytest.raises(TypeError, match=f"^{name} must be a contiguous array of float"):
+        rollout(env.simulation, falling(), 1)
+
+
 def test_the_horizon_of_the_metrics_is_the_rollouts():
     policy = falling()
     env, _ = begun(policy, 2)

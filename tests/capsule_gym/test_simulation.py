@@ -124,6 +124,45 @@ def test_steps_divide_each_other_or_say_which_does_not():
             divide("control_dt", 0.02, "physics_dt", part)
 
 
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"control_dt": 1e300}, r"^control_dt must be .*s in \[1e-09, 1e\+06\], got 1e\+300"),
+        ({"physics_dt": 1e-25}, r"^physics_dt must be .*s in \[1e-09, 1e\+06\], got 1e-25"),
+        ({"control_dt": 1e-320, "physics_dt": 1e-320}, "^control_dt must be .*, got 1e-320"),
+        ({"control_dt": 1e6}, r"^control_dt must be at most 1000000 times physics_dt=0\.002 s, got 1000000\.0 s"),
+        ({"physics_dt": 1e-9}, r"^control_dt must be at most 1000000 times physics_dt=1e-09 s, got 0\.02 s"),
+        ({"physics_dt": 1e-9, "controller": "baselines:adaptive"}, "^control_dt must be at most 1000000 times"),
+    ],
+)
+def test_more_substeps_than_a_kernel_should_take_are_refused(kwargs, message):
+    # Once counts that fit no integer made an array of objects, and the kernel wrote beyond it.
+    with pytest.raises(ValueError, match=message):
+        Simulation(1, Options(**kwargs))
+
+
+def test_a_million_substeps_are_taken():
+    simulation = Simulation(1, Options(control_dt=1.0, physics_dt=1e-6))
+    simulation.reset(np.array([0]))
+    simulation.step_one(0.0)
+    assert simulation.row(Row.duration)[0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("num_envs", [2**24 + 1, 10**12, 10**400])
+def test_a_batch_that_fits_no_memory_is_refused_before_it_takes_any(num_envs):
+    with pytest.raises(ValueError, match=f"^num_envs must be an integer <= 16777216, got {num_envs}"):
+        Simulation(num_envs)
+
+
+def test_a_batch_for_which_there_is_no_memory_says_so(monkeypatch):
+    def zeros(*arguments):
+        raise MemoryError("Unable to allocate 7 GiB")
+
+    monkeypatch.setattr(np, "zeros", zeros)
+    with pytest.raises(ValueError, match=r"^num_envs must be as many as there is memory for, got 99: Unable"):
+        Simulation(99)
+
+
 def test_rows_are_read_and_written_by_environments():
     simulation = Simulation(130)
     values = np.arange(130.0)

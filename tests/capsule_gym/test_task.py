@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from capsule_gym import Capsule, task
+from capsule_gym import Capsule, Randomization, task
 
 
 @pytest.mark.parametrize(("value", "limit", "expected"), [(3.0, 1.0, 1.0), (-3.0, 1.0, -1.0), (0.5, 1.0, 0.5)])
@@ -35,6 +35,23 @@ def test_reward_terms_are_centimetres_forward_minus_the_price_of_energy_and_fail
 )
 def test_termination_is_at_the_limit_itself(theta, normal_force, ends):
     assert task.termination(theta, normal_force) == ends
+
+
+@pytest.mark.parametrize(
+    ("theta_dot", "x_dot", "resolved"),
+    [
+        (0.0, 0.0, True),
+        (-1e3, 1e3, True),
+        (1e4, 0.0, True),
+        (0.0, -1.1e4, False),
+        (6e3, 6e3, False),
+        (math.inf, 0.0, False),
+        (math.nan, 0.0, False),
+        (0.0, math.nan, False),
+    ],
+)
+def test_rates_that_no_step_resolves_are_not_bounded(theta_dot, x_dot, resolved):
+    assert task.bounded(theta_dot, x_dot) is resolved
 
 
 def observe(with_reference: bool, with_parameters: bool, **values: float) -> dict[str, float]:
@@ -69,6 +86,14 @@ def test_every_entry_stands_where_its_name_does(with_reference, with_parameters)
         assert value == pytest.approx((own | derived)[name], abs=1e-6), name
 
 
+def test_the_bounds_of_the_parameters_are_those_of_the_capsule_unless_ranges_go_further():
+    paper, wide = Randomization.named("paper"), Randomization(M=(0.1, 9.0), mu=(0.0, 2.0))
+    assert task.parameter_bounds(Capsule(), paper) == (2.0, 1.0)
+    assert task.parameter_bounds(Capsule(), wide) == pytest.approx((9.0, 2.0), rel=1e-5)
+    assert task.parameter_bounds(Capsule(M=0.1), paper) == pytest.approx((0.55, 1.0), rel=1e-5)
+    assert task.parameter_bounds(Capsule(mu=1.5), Randomization(M=(0.1, 0.2))) == pytest.approx((2.0, 1.5), rel=1e-5)
+
+
 def test_only_a_platform_at_rest_sticks():
     assert observe(False, False, x_dot=0.0)["stick"] == 1.0
     assert observe(False, False, x_dot=-0.0)["stick"] == 1.0
@@ -77,7 +102,7 @@ def test_only_a_platform_at_rest_sticks():
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_observations_end_at_their_bounds(sign):
-    low, high = task.observation_bounds(True, True, Capsule(), task.TORQUE_LIMIT)
+    low, high = task.observation_bounds(True, True, Capsule(), Randomization(), task.TORQUE_LIMIT)
     bounds = dict(zip(task.observation_names(True, True), (high if sign > 0.0 else low).tolist(), strict=True))
     far = observe(
         True, True, **{name: sign * 1e9 for name in ("theta", "theta_dot", "x_dot", "theta_d", "theta_d_dot")}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from capsule_gym import CapsuleVectorEnv
+from capsule_gym import Capsule, CapsuleVectorEnv, Controller
 from capsule_gym.kernels import ROWS, Row
 from capsule_gym.task import ENV_ID, METRICS, Termination
 from tests.capsule_gym.fakes import EPISODE_ROWS, layout
@@ -261,6 +261,65 @@ def test_options_per_environment():
     assert info["M"].tolist() == [0.5, 0.8, 0.7]
 
 
+@pytest.mark.parametrize("mode", AutoresetMode)
+@pytest.mark.parametrize("controller", [None, "baselines:adaptive"])
+def test_infos_are_finite_at_every_reset_also_of_some(mode, controller):
+    env = CapsuleVectorEnv(70, max_episode_steps=3, autoreset_mode=mode, controller=controller)
+    _, info = env.reset(seed=0)
+    resets = 0
+    for step in range(9):
+        numbers = [value for name, value in info.items() if name[0] != "_" and not name.startswith("final")]
+        assert all(np.isfinite(value).all() for value in numbers), step
+        fresh = env.simulation.row(Row.steps) == 0.0
+        weight = (info["M"] + Capsule().m) * Capsule().g
+        assert np.array_equal(info["normal_force"] == weight, fresh), step
+        resets += np.count_nonzero(fresh)
+        info = env.step(np.full((70, 1), 0.3, np.float32))[4]
+        if mode is AutoresetMode.DISABLED and step % 3 == 2:
+            _, info = env.reset(options={"reset_mask": np.arange(70) % 2 == 0})
+    assert resets >= 140
+    env.close()
+
+
+def violent(theta, theta_dot, x, x_dot, memory, reference):
+    return (1e308 if x > 5.0 else 0.3 * theta), memory
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_one_environment_that_diverges_ends_alone(mode):
+    n, lost = 130, [3, 64, 129]
+    # A million N m, which a law may ask for where it is allowed, no step resolves.
+    kwargs = {
+        "controller": Controller("violent", violent, np.zeros((1, 2))),
+        "torque_limit": 1e6,
+        "residual_limit": 0.5,
+    }
+    envs = [CapsuleVectorEnv(n, autoreset_mode=mode, threads=2, **kwargs) for _ in range(2)]
+    states = np.tile([-1.0, 0.0, 0.0, 0.0], (n, 1))
+    envs[0].reset(seed=0, options={"state": states})
+    states[lost, 2] = 5.5
+    envs[1].reset(seed=0, options={"state": states})
+    others = ~np.isin(np.arange(n), lost)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (30, n, 1)).astype(np.float32)
+    for step, action in enumerate(actions):
+        calm, found = (env.step(action) for env in envs)
+        for ours, theirs in zip(found[:4], calm[:4], strict=True):
+            assert ours[others].tobytes() == theirs[others].tobytes()
+        info = found[4]["final_info"] if step == 0 and mode is AutoresetMode.SAME_STEP else found[4]
+        for name, value in info.items():
+            if name[0] != "_" and name not in ("metrics", "final_obs", "final_info"):
+                assert np.isfinite(value).all(), name
+        assert envs[1].observation_space.contains(found[0])
+        assert np.isfinite(found[1]).all()
+        if step == 0:
+            assert found[2][lost].all() and not found[3].any()
+            assert (info["termination"][lost] == Termination.diverged).all()
+            assert (info["state"][lost] == states[lost]).all()
+            assert (found[1][lost] == -10.0).all()
+    for env in envs:
+        env.close()
+
+
 def test_seeds_as_a_sequence():
     env, other = CapsuleVectorEnv(3), CapsuleVectorEnv(3)
     masses = env.reset(seed=[5, 9, 2])[1]["M"]
@@ -290,6 +349,7 @@ def test_nothing_handed_out_changes_later():
         ({"num_envs": 0}, ValueError, "num_envs must be"),
         ({"num_envs": 2.0}, TypeError, "num_envs must be"),
         ({"num_envs": 2, "max_episode_steps": 0}, ValueError, "max_episode_steps"),
+        ({"num_envs": 2, "max_episode_steps": 10**400}, ValueError, "^max_episode_steps must be"),
         ({"num_envs": 2, "threads": 0}, ValueError, "threads"),
         ({"num_envs": 2, "residual_limit": 0.0}, ValueError, "residual_limit must be > 0"),
         ({"num_envs": 2, "autoreset_mode": "LATER"}, ValueError, "autoreset_mode"),
@@ -307,6 +367,19 @@ def test_bad_arguments_are_named(kwargs, error, message):
         ([1], None, ValueError, "seed"),
         ([1, -1], None, ValueError, "seed"),
         ([1, 0.5], None, TypeError, "seed"),
+        ([1, 10**400], None, ValueError, r"^seed must be"),
+        (10**400, None, ValueError, r"^seed must be"),
+        (-1, None, ValueError, r"^seed must be"),
+        (0.5, None, TypeError, r"^seed must be"),
+        (True, None, TypeError, r"^seed must be"),
+        (np.array(1), None, ValueError, r"^seed must be"),
+        (0, {"M": 10**400}, ValueError, "^M must be"),
+        (0, {"mu": [0.1, 10**400]}, ValueError, "^mu must be"),
+        (0, {"M": [[0.5], [0.5, 0.5]]}, TypeError, "^M must be"),
+        (0, {"state": [[0.0, 10**400, 0.0, 0.0]] * 2}, ValueError, "state"),
+        (0, {"state": [[0.0], [0.0, 0.0]]}, TypeError, "state"),
+        (0, {"changes": 5}, TypeError, r"options\['changes'\] must have one entry per environment"),
+        (0, {"changes": [5, 5]}, TypeError, r"options\['changes'\] must be a list of dicts"),
         (0, {"M": [0.5]}, ValueError, "options\\['M'\\]"),
         (0, {"M": [0.5, -0.5]}, ValueError, "M must be"),
         (0, {"changes": 1.0}, TypeError, "options\\['changes'\\] must have one entry per environment .*, got 1.0"),
@@ -323,12 +396,25 @@ def test_bad_resets_are_named(seed, options, error, message):
         CapsuleVectorEnv(2).reset(seed=seed, options=options)
 
 
+@pytest.mark.parametrize("seed", [range(3, 5), (3, 4), [3, 4], np.array([3, 4]), 3, np.int64(3)])
+def test_seeds_come_in_every_form(seed):
+    masses = [CapsuleVectorEnv(2).reset(seed=given)[1]["M"].tolist() for given in (seed, 3)]
+    assert masses[0] == masses[1]
+
+
 def test_bad_actions_are_named():
     env = CapsuleVectorEnv(2)
     with pytest.raises(gym.error.ResetNeeded):
         env.step(np.zeros((2, 1), np.float32))
     env.reset(seed=0)
-    for actions in (np.zeros(2), np.zeros((3, 1)), np.array([[0.0], [np.nan]])):
+    for actions in (
+        np.zeros(2),
+        np.zeros((3, 1)),
+        np.array([[0.0], [np.nan]]),
+        [[0.0], [10**400]],
+        [["a"], ["b"]],
+        None,
+    ):
         with pytest.raises(ValueError, match="actions must be"):
             env.step(actions)
 
