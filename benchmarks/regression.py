@@ -5,9 +5,9 @@ longer vectorises a loop. What is compared takes turns, the processor's time cou
 other processes disturb both or neither; a ratio that misses its floor is measured again before it counts.
 
 Each floor is two thirds, or a little less, of the lowest ratio that was measured on processors with AVX2 and with
-AVX-512: 3.1, 1.27, 0.84, 0.68, 0.68, 0.98 and 0.82, in the order of the table; those of the resets, which are mostly
-Python, on one machine. Where no loop is vectorised the lanes are 1.2 to 1.3 times as fast as one environment at a time;
-where the law's alone is not, it falls to 0.7 to 0.8 of the physics.
+AVX-512: 3.1, 1.27, 0.84, 0.65, 0.65, 2.4, 0.98 and 0.82, in the order of the table; those of resets and episodes on one
+machine. Where no loop is vectorised the lanes are 1.2 to 1.3 times as fast as one environment at a time; where the
+law's alone is not, it falls to 0.7 to 0.8 of the physics.
 """
 
 from __future__ import annotations
@@ -23,22 +23,27 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
 from baselines.tables import markdown_table, text_table
 from benchmarks import native
 from benchmarks.contenders import ACTION_SCALE, DRAWS, LAW, SEED, SINGLE_PEER, THREADS, step_batch
 from benchmarks.machine import available_cores, describe, machine
 from benchmarks.output import Output
-from capsule_gym import ENV_ID
+from capsule_gym import ENV_ID, CapsuleVectorEnv, Policy, load_policy
 from capsule_gym.command_line import parse
 from capsule_gym.kernels import Row
 from capsule_gym.options import LAW_PHYSICS_DT
 from capsule_gym.options import Options as EnvOptions
+from capsule_gym.rollout import rollout
 from capsule_gym.simulation import Simulation
 
 COMMAND = "python -m benchmarks.regression"
 NUM_ENVS = 1024
 MANY = 16384
+# As many episodes as an evaluation set holds.
+EVALUATED, EVALUATED_STEPS = 100, 100
+EVALUATED_POLICY = "direct-ppo"
 TURNS = 15
 TURN_SECONDS = 0.04
 ATTEMPTS = 5
@@ -224,6 +229,47 @@ def resets(env_id: str, **kwargs: Any) -> Turn:
     return turn
 
 
+def episodes_in_one_call(policy: Policy) -> Turn:
+    """The first steps of episodes of a trained policy, compiled, as evaluations run them."""
+    simulation = seeded(EVALUATED, **policy.env_kwargs)
+
+    def turn() -> tuple[float, int]:
+        simulation.reset(np.arange(EVALUATED))
+        start = time.thread_time()
+        rollout(simulation, policy, EVALUATED_STEPS)
+        return time.thread_time() - start, EVALUATED * EVALUATED_STEPS
+
+    return turn
+
+
+def episodes_with_torch(policy: Policy) -> Turn:
+    """The same steps of the batch, one by one, with the network in torch and its normalisation in numpy."""
+    import torch
+    from torch import nn
+
+    torch.set_num_threads(1)
+    activation = {"tanh": nn.Tanh, "relu": nn.ReLU}[policy.activation]
+    modules: list[nn.Module] = []
+    for weights, bias in policy.layers:
+        modules += [nn.Linear(*weights.shape[::-1]), activation()]
+        modules[-2].load_state_dict({"weight": torch.from_numpy(weights), "bias": torch.from_numpy(bias)})
+    network = nn.Sequential(*modules[:-1])
+    env = CapsuleVectorEnv(EVALUATED, autoreset_mode=AutoresetMode.DISABLED, **policy.env_kwargs)
+    scale = np.sqrt(policy.variance + policy.epsilon)
+
+    def turn() -> tuple[float, int]:
+        observations, _ = env.reset(seed=SEED)
+        start = time.thread_time()
+        with torch.no_grad():
+            for _ in range(EVALUATED_STEPS):
+                scaled = np.clip((observations - policy.mean) / scale, -policy.clip, policy.clip).astype(np.float32)
+                actions = network(torch.from_numpy(scaled)).numpy()
+                observations = env.step(np.clip(actions, -1.0, 1.0))[0]
+        return time.thread_time() - start, EVALUATED * EVALUATED_STEPS
+
+    return turn
+
+
 def guards() -> list[Guard]:
     """Everything that is measured here."""
     direct, at_1_ms = ours(NUM_ENVS), ours(NUM_ENVS, physics_dt=LAW_PHYSICS_DT)
@@ -235,6 +281,9 @@ def guards() -> list[Guard]:
         Guard(f"reset of one environment against {SINGLE_PEER}'s", 0.4, resets(ENV_ID), resets(SINGLE_PEER)),
         Guard("the same with the adaptive law", 0.4, resets(ENV_ID, **LAW), resets(SINGLE_PEER)),
     ]
+    policy = load_policy(EVALUATED_POLICY)
+    name = f"episodes of {policy.name} in one call against a batch with torch"
+    found.append(Guard(name, 1.5, episodes_in_one_call(policy), episodes_with_torch(policy)))
     if native.available():
         many = ours(MANY)
         found.append(Guard(f"kernel against C, gcc {' '.join(native.STRICT)}", 0.65, many, in_c(native.STRICT)))

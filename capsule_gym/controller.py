@@ -17,10 +17,10 @@ from capsule_gym.parameters import check_number, written
 Law = Callable[..., tuple[float, tuple[float, ...]]]
 
 LAW_DT = 1e-3
+_OWN = re.compile(r"baselines:[A-Za-z][A-Za-z0-9_]*")
 # Numbers in a reference table, 80 MB, and columns of one and cells of a memory: the compiler sees each of these.
 LARGEST_TABLE = 10_000_000
 MOST_COLUMNS = 256
-_OWN = re.compile(r"baselines:[A-Za-z][A-Za-z0-9_]*")
 
 
 @dataclass(frozen=True, eq=False)

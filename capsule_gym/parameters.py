@@ -45,7 +45,7 @@ def written(value: Any) -> str:
     try:
         return repr(value)
     except ValueError:
-        return f"a {type(value).__name__} too long to show"
+        return f"{type(value).__name__} of more digits than can be shown"
 
 
 def check_number(

@@ -59,7 +59,8 @@ def test_the_command_fails_where_a_ratio_is_below_its_floor(
 
 def test_the_page_shows_the_guards_and_their_floors(monkeypatch: pytest.MonkeyPatch) -> None:
     # The guards without what they measure.
-    for name in ("ours", "one_at_a_time", "whole_steps", "resets", "in_c"):
+    measured = ("ours", "one_at_a_time", "whole_steps", "resets", "in_c", "episodes_in_one_call", "episodes_with_torch")
+    for name in measured:
         monkeypatch.setattr(regression, name, lambda *_, **__: turn(1.0))
     monkeypatch.setattr(regression.native, "available", lambda: True)
     monkeypatch.setattr(regression, "available_cores", lambda: 2)

@@ -62,8 +62,8 @@ def functions_of(module: ModuleType) -> dict[str, FunctionType]:
 
 # What runs in Python alone, and the physics' own way through a whole step, of which the kernel takes the parts.
 NOT_COMPILED = {
-    "pack", "build", "_own_fingerprint", "observation_names", "observation_bounds", "step",
-    "parameter_bounds", "check_arrays", "arccos", "sines_and_cosines", "_evaluate", "_compiled",
+    "pack", "build", "_own_fingerprint", "observation_names", "observation_bounds", "parameter_bounds", "check_arrays",
+    "step", "arccos", "sines_and_cosines", "_evaluate", "_compiled",
 }  # fmt: skip
 
 

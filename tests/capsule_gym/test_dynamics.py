@@ -108,7 +108,7 @@ def test_property_2_the_matrix_of_the_coriolis_terms_is_skew_symmetric():
     # of, no spring, no damper, no friction, no torque. Then q'^T M(q) q'' + q'^T M' q' / 2 = 0 at every state.
     rng = np.random.default_rng(2)
     for _ in range(200):
-        capsule = random_plant(rng, k=0.0, c=0.0, mu=0.0, g=1e-300, normal_force="newton")
+        capsule = random_plant(rng, k=0.0, c=0.0, mu=0.0, g=1e-12, normal_force="newton")
         theta, theta_dot, x_dot = rng.uniform(-3, 3), rng.uniform(-9, 9), rng.uniform(-1, 1)
         a, b, _ = dynamics.accelerations(theta, theta_dot, 1.0, 0.0, capsule.plant())
         ml, s, c = capsule.m * capsule.l, math.sin(theta), math.cos(theta)
@@ -559,3 +559,24 @@ def test_the_step_does_not_depend_on_where_the_platform_is_and_mirrors():
         if motion.backward == 0.0 and motion.stuck == 0.0:
             # What only acts backwards cannot show while the platform moves forwards.
             assert driver.step(*state, u, rough_backwards, 0.005) == motion
+
+
+def test_an_end_that_is_corrected_follows_the_motion():
+    plant = Capsule(mu=0.1).plant()
+    start = dynamics.Phase(-0.7, 3.0, 0.1, 0.2, 1.0, 0.4, plant)
+    end, correction = dynamics.piece(start, 1e-3), 1e-6
+    shifted, exact = dynamics._shifted(end, correction), dynamics.piece(start, 1e-3 + correction)
+    assert shifted.tau == exact.tau
+    for name in ("theta", "theta_dot", "x", "x_dot"):
+        moved = abs(getattr(exact, name) - getattr(end, name))
+        assert abs(getattr(shifted, name) - getattr(exact, name)) < 1e-3 * moved, name
+    # There the boundary is met, whatever rounding leaves of it.
+    assert shifted.boundary == 0.0
+
+
+def test_a_crossing_is_suspected_by_its_end_or_by_the_tangent_at_its_start():
+    assert dynamics.crosses(1.0, 0.0, -1e-9, 1e-3)
+    assert dynamics.crosses(1e-3, -10.0, 1e-3, 2e-3)
+    assert not dynamics.crosses(1.0, -10.0, 1.0, 2e-3)
+    # A phase that starts on its boundary has no bracket to dip out of.
+    assert not dynamics.crosses(0.0, -1.0, 1e-3, 2e-3)

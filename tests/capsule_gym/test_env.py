@@ -549,6 +549,9 @@ def test_bad_arguments_are_named(kwargs, error, message):
         ({"state": [2.0, 0.0, 0.0, 0.0]}, ValueError, "state"),
         ({"state": [float("nan"), 0.0, 0.0, 0.0]}, ValueError, "state"),
         ({"state": "here"}, TypeError, "state"),
+        ({"state": [0.3, 1e120, 0.0, 0.0]}, ValueError, r"\|theta_dot\| <= 1000 rad/s"),
+        ({"state": [0.3, 0.0, -1.1e6, 0.0]}, ValueError, r"\|x\| <= 1e\+06 m"),
+        ({"state": [0.3, 0.0, 0.0, 1001.0]}, ValueError, r"\|x_dot\| <= 1000 m/s"),
         ({"changes": 1.0}, TypeError, r"options\['changes'\] must be a list of dicts .*, got 1.0"),
         ({"changes": JUMP}, TypeError, r"options\['changes'\] must be a list of dicts"),
         ({"changes": [1.0]}, TypeError, r"options\['changes'\]\[0\].*, got 1.0"),
@@ -564,9 +567,6 @@ def test_bad_arguments_are_named(kwargs, error, message):
         ({"changes": [JUMP, JUMP]}, ValueError, r"options\['changes'\]\[1\]\['t'\] must be later"),
         ({"changes": [{"t": 1.0, "M": -0.5, "mu": 0.01}]}, ValueError, r"options\['changes'\]\[0\]: M must be"),
         ({"changes": [{"t": 1.0, "M": 0.001, "mu": 2.0}]}, ValueError, r"options\['changes'\]\[0\]: .*Painleve"),
-        ({"state": [0.3, 1e120, 0.0, 0.0]}, ValueError, r"\|theta_dot\| <= 1000 rad/s"),
-        ({"state": [0.3, 0.0, -1.1e6, 0.0]}, ValueError, r"\|x\| <= 1e\+06 m"),
-        ({"state": [0.3, 0.0, 0.0, 1001.0]}, ValueError, r"\|x_dot\| <= 1000 m/s"),
     ],
 )
 def test_bad_options_are_named(options, error, message):
@@ -596,7 +596,7 @@ def test_an_integer_beyond_every_float_is_refused_by_name_wherever_it_stands(val
         ({"M": value}, "^M must be"),
         ({"mu": value}, "^mu must be"),
         ({"state": [0.1, value, 0.0, 0.0]}, r"^options\['state'\] must be"),
-        *(({"changes": [{**change, name: value}]}, rf"\b{name}\b.* must be") for name in change),
+        *(({"changes": [{**change, name: value}]}, rf"{name}('\])? must be") for name in change),
     ]:
         with pytest.raises(ValueError, match=message):
             env.reset(seed=0, options=options)

@@ -388,6 +388,7 @@ def test_bad_arguments_are_named(kwargs, error, message):
         (0, {"M": [[0.5], [0.5, 0.5]]}, TypeError, "^M must be"),
         (0, {"state": [[0.0, 10**400, 0.0, 0.0]] * 2}, ValueError, "state"),
         (0, {"state": [[0.0], [0.0, 0.0]]}, TypeError, "state"),
+        (0, {"changes": 5}, TypeError, r"options\['changes'\] must have one entry per environment"),
         (0, {"changes": [5, 5]}, TypeError, r"options\['changes'\] must be a list of dicts"),
         (0, {"M": [0.5]}, ValueError, "options\\['M'\\]"),
         (0, {"M": [0.5, -0.5]}, ValueError, "M must be"),
