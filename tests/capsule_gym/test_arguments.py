@@ -1,0 +1,145 @@
+"""Whatever an argument is: it is refused by its name, or what follows is finite and lies in its space."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization
+from capsule_gym.simulation import CHANGE, MOST_ENVS
+from tests.fuzz.cases import check_finite, check_inside
+
+# The same values on every machine, and no folder of them.
+SOME = settings(derandomize=True, deadline=None, database=None, max_examples=20)
+
+numbers = st.floats() | st.integers() | st.sampled_from([10**400, -(10**400), 5e-324, np.float32(0.1)])
+scalars = numbers | st.none() | st.booleans() | st.text(max_size=3) | st.binary(max_size=3) | st.complex_numbers()
+some_arrays = arrays.arrays(arrays.scalar_dtypes(), arrays.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=4))
+anything = st.recursive(
+    scalars | some_arrays | st.builds(object),
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(CHANGE), inner) | st.tuples(inner, inner)
+    ),
+    max_leaves=8,
+)
+# Numbers of which some are taken.
+likely = st.floats(1e-12, 1e12) | st.floats(0.0, 2.0) | st.integers(0, 3)
+states = st.lists(st.floats(-1.6, 1.6) | st.floats(-2e6, 2e6), min_size=4, max_size=4)
+changes = st.lists(st.fixed_dictionaries(dict.fromkeys(CHANGE, likely)), max_size=3)
+
+
+def taken(names: tuple[str, ...], function: Callable[..., Any], **arguments: Any) -> Any:
+    """What a call returns; None where it is refused by one of the names."""
+    try:
+        return function(**arguments)
+    except (TypeError, ValueError) as error:
+        assert re.search(rf"\b({'|'.join(names)})\b", str(error)), str(error)
+        return None
+
+
+def check_reset(env: Any, names: tuple[str, ...] = (), **arguments: Any) -> None:
+    """Resets, where the arguments are not refused."""
+    result = taken(names, env.reset, **arguments)
+    if result is not None:
+        check_inside(env.observation_space, result[0])
+        check_finite("info", result[1])
+
+
+def names_of(kind: type) -> list[str]:
+    return list(inspect.signature(kind).parameters)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), [(kind, name) for kind in (CapsuleEnv, CapsuleVectorEnv) for name in names_of(kind)]
+)
+@SOME
+@given(value=anything | likely)
+def test_an_argument_of_an_environment(kind, name, value):
+    # So many would be taken, and fill the memory.
+    if name != "num_envs" or not isinstance(value, int) or not 1000 < value <= MOST_ENVS:
+        env = taken((name,), kind, **{name: value})
+        if env is not None:
+            check_reset(env, seed=0)
+
+
+@pytest.mark.parametrize("name", names_of(Capsule))
+@SOME
+@given(value=anything | likely)
+def test_a_constant_of_a_capsule(name, value):
+    # A mass or a friction may admit Painleve's paradox with others.
+    capsule = taken((name, "mu"), Capsule, **{name: value})
+    if capsule is not None:
+        env = taken(("physics_dt",), CapsuleEnv, capsule=capsule, randomization="none", observe_parameters=True)
+        if env is not None:
+            check_reset(env, seed=0)
+
+
+@pytest.mark.parametrize("name", names_of(Randomization))
+@SOME
+@given(value=anything | st.tuples(likely, likely) | st.tuples(likely, likely).map(sorted), log_mu=st.booleans())
+def test_a_range_of_a_randomization(name, value, log_mu):
+    randomization = taken((name,), Randomization, **{"log_mu": log_mu, name: value})
+    if randomization is not None:
+        names = ("Randomization", "physics_dt")
+        env = taken(names, CapsuleEnv, randomization=randomization, observe_parameters=True)
+        if env is not None:
+            check_reset(env, seed=0)
+
+
+@lru_cache
+def made(batch: bool) -> Any:
+    """What is reset again and again."""
+    return CapsuleVectorEnv(3) if batch else CapsuleEnv()
+
+
+OPTIONS = {
+    "M": likely | st.lists(likely, min_size=3, max_size=3),
+    "mu": likely | st.lists(likely, min_size=3, max_size=3),
+    "state": states | st.lists(states, min_size=3, max_size=3),
+    "changes": changes | st.lists(changes, min_size=3, max_size=3),
+    "reset_mask": st.lists(st.booleans(), min_size=3, max_size=3).map(np.array),
+}
+
+
+@pytest.mark.parametrize("batch", [False, True])
+@pytest.mark.parametrize("name", OPTIONS)
+@SOME
+@given(data=st.data())
+def test_an_option_of_a_reset(batch, name, data):
+    value = data.draw(anything | OPTIONS[name])
+    check_reset(made(batch), (name, "physics_dt"), seed=0, options={name: value})
+
+
+@pytest.mark.parametrize("batch", [False, True])
+@SOME
+@given(options=anything | st.dictionaries(st.text(max_size=3), scalars))
+def test_options_of_a_reset(batch, options):
+    check_reset(made(batch), ("options", *OPTIONS), options=options)
+
+
+@pytest.mark.parametrize("batch", [False, True])
+@SOME
+@given(seed=anything | st.integers(0) | st.lists(st.integers(0) | st.none(), min_size=3, max_size=3))
+def test_a_seed_of_a_reset(batch, seed):
+    check_reset(made(batch), ("seed",), seed=seed)
+
+
+@pytest.mark.parametrize("batch", [False, True])
+@SOME
+@given(actions=anything | arrays.arrays(np.float32, st.sampled_from([(1,), (3, 1)])))
+def test_the_actions_of_a_step(batch, actions):
+    env = made(batch)
+    env.reset(seed=0)
+    result = taken(("action", "actions"), env.step, **{"actions" if batch else "action": actions})
+    if result is not None:
+        check_inside(env.observation_space, result[0])
+        check_finite("info", result[4])
