@@ -7,7 +7,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help train test coverage venv lint types docs leaderboard leaderboard-check regression faults bits check clean
+.PHONY: help train test coverage venv lint types docs leaderboard leaderboard-check regression faults fuzz bits check clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
@@ -53,11 +53,14 @@ regression: $(STAMP)  ## Fail where a kernel has become slower against what it i
 faults: $(STAMP)  ## Kill, stop and starve trainings, and damage caches; fail where something is lost
 	$(BIN)/python -m tests.faults --short
 
+fuzz: $(STAMP)  ## Throw anything at the environments; fail where something breaks
+	$(BIN)/python -m tests.fuzz --short
+
 bits: $(STAMP)  ## Compare the bits of whole episodes with the committed ones, on every processor this one can stand for
 	$(BIN)/python -m tests.bits --variants
 
-check: lint types docs leaderboard-check regression faults bits  ## All checks but the tests
+check: lint types docs leaderboard-check regression faults fuzz bits  ## All checks but the tests
 
 clean:  ## Remove caches and build outputs; keeps .venv and runs/
-	rm -rf build dist site *.egg-info .pytest_cache .ruff_cache .mypy_cache .coverage*
+	rm -rf build dist site *.egg-info .hypothesis .pytest_cache .ruff_cache .mypy_cache .coverage*
 	find . -path ./.venv -prune -o -type d -name __pycache__ -exec rm -rf {} +

@@ -16,7 +16,7 @@ from capsule_gym.command_line import Count, parse
 from tests.fuzz.cases import Case, run
 from tests.fuzz.workers import CONTEXT, Tally, fuzz
 
-SHORT_STEPS = 250_000
+SHORT_STEPS = 500_000
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Options:
     """agent steps, over all environments"""
 
     short: bool = False
-    """what CI runs: a quarter of that"""
+    """what CI runs: half of that"""
 
     first: Count = 0
     """number of the first case: other numbers, other cases"""

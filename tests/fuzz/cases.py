@@ -149,7 +149,8 @@ class Case:
             name = values.one(self.rng, list(pools))
             arguments[name] = values.one(self.rng, values.HOSTILE_ARGUMENTS.get(name, values.HOSTILE))
         kind = CapsuleVectorEnv if self._batch else CapsuleEnv
-        self._env = self.call(arguments, kind.__name__, kind, **arguments)
+        # The defaults of the last two need not go with what is given.
+        self._env = self.call([*arguments, "randomization", "physics_dt"], kind.__name__, kind, **arguments)
         return self._env is not None
 
     def _options(self) -> dict[str, Any]:
