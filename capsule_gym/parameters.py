@@ -92,7 +92,8 @@ def check_contact_is_regular(M: float, m: float, mu: float) -> None:
     """
     bound = (1.0 + math.sqrt(1.0 + mu * mu)) / 2.0
     if (M + m) / m <= bound:
-        largest = math.sqrt((2.0 * (M + m) / m - 1.0) ** 2 - 1.0)
+        ratio = 2.0 * (M + m) / m - 1.0
+        largest = math.sqrt(ratio * ratio - 1.0)
         raise ValueError(
             f"M={M!r}, m={m!r} and friction coefficient mu={mu!r} admit Painleve's paradox: the slip equations need "
             f"(M + m) / m > (1 + sqrt(1 + mu^2)) / 2 = {bound:.6g}, got {(M + m) / m:.6g}; with these masses "

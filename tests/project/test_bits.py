@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import platform
 import subprocess
 import sys
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -14,6 +17,22 @@ from tests import bits
 # Two kernels, the network and the compiled rollout, which is what there is time for: `python -m tests.bits --variants`
 # takes everything to all processors.
 SUBJECTS = ("plant", "law adaptive", "policy residual-ppo/seed-0")
+ROOT = Path(__file__).resolve().parents[2]
+# What episodes and their numbers depend on; pictures, the search for gaits and the paper's tables are left out.
+MODULES = [
+    *(f"capsule_gym/{name}.py" for name in ("controller", "dynamics", "env", "exponential", "kernels", "network")),
+    *(f"capsule_gym/{name}.py" for name in ("options", "parameters", "policy", "rollout", "simulation", "task")),
+    *("capsule_gym/trigonometry.py", "capsule_gym/vector_env.py", "baselines/policies.py"),
+    *(path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "baselines" / "laws").glob("*.py"))),
+    *(f"baselines/gaits/{name}.py" for name in ("archive", "families", "performance")),
+    *(f"agents/evaluation/{name}.py" for name in ("episodes", "statistics")),
+]
+# Functions whose last digit is the library's, and sums whose order or whose fused products are the processor's.
+FOREIGN = set(
+    "sin cos tan asin acos atan atan2 arcsin arccos arctan arctan2 sinh cosh tanh arcsinh arccosh arctanh asinh acosh "
+    "atanh exp exp2 expm1 log log2 log10 log1p pow power float_power hypot cbrt gamma lgamma erf erfc dist logspace "
+    "geomspace interp dot vdot vecdot inner matmul matvec vecmat einsum tensordot linalg fft convolve correlate".split()
+)
 SAMPLE = """
 import hashlib, math, numpy as np
 x = np.linspace(0.1, 9.0, 10_000)
@@ -31,6 +50,32 @@ def test_bits_do_not_depend_on_the_processor():
         pytest.skip("the names of processors are those of x86")
     done = bits.run(bits.processors()["generic"], *SUBJECTS)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def foreign(source: str) -> Iterator[str]:
+    """Where a module takes what is not the same everywhere, one line each."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.attr in FOREIGN:
+            if node.value.id in ("math", "cmath", "np", "numpy"):
+                yield f"line {node.lineno}: {node.value.id}.{node.attr}"
+        if isinstance(node, ast.ImportFrom) and node.module in ("math", "cmath", "numpy"):
+            yield from (f"line {node.lineno}: {each.name}" for each in node.names if each.name in FOREIGN)
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
+            yield f"line {node.lineno}: @"
+        # A power of two is exact.
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow):
+            if not (isinstance(node.left, ast.Constant) and node.left.value == 2):
+                yield f"line {node.lineno}: **"
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_episodes_take_no_functions_of_other_libraries(name):
+    assert not list(foreign((ROOT / name).read_text(encoding="utf-8")))
+
+
+def test_functions_of_other_libraries_are_found():
+    source = "from math import tanh\nx = np.sin(y)\nz = math.exp(x)\nw = a @ b\nv = x**2 + 2.0**52\nsin(x)\n"
+    assert list(foreign(source)) == ["line 1: tanh", "line 4: @", "line 2: np.sin", "line 3: math.exp", "line 5: **"]
 
 
 def both_libraries() -> dict[str, str]:
