@@ -109,8 +109,9 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
     1. Termination "pendulum": |theta| reaches pi/2, where the ball meets the platform.
     2. Termination "contact": the normal force falls to zero, the capsule leaves the floor.
-    3. Termination "diverged": |theta_dot| + |x_dot| exceeds 1e4 rad/s and m/s, or is no number, which takes a plant or
-       a torque that the integrator's step does not resolve. The environment stays at the last state before that.
+    3. Termination "diverged": a step of the integrator returns no number, or meets one of these ends or a change of
+       the contact at |theta_dot| + |x_dot| beyond 1e4 rad/s and m/s, which takes a plant or a torque that it does not
+       resolve. The environment stays at the last state before that.
     4. Truncation: after 1650 steps (33 s, the paper's five cycles of 6.6 s).
 
     A copy, `copy.deepcopy`'s or pickle's, goes on bit for bit with this episode and the next ones. Of the control law a

@@ -316,7 +316,7 @@ def glide(block: np.ndarray, n: int, plant: Plant, h: float, may_stick: bool) ->
         block[AT.x_ddot + j], block[AT.first_normal_force + j] = x_ddot, normal
         block[AT.least_normal_force + j] = smallest
         going = block[AT.halt + j] == UNDER_WAY
-        smooth = lasts and task.termination(theta_1, normal) == 0 and task.bounded(theta_dot_1, x_dot_1)
+        smooth = lasts and task.continues(theta_1, normal)
         block[AT.eventful + j] = 1.0 if going and not smooth else 0.0
         commit = going and smooth
         block[AT.theta + j] = theta_1 if commit else theta
@@ -353,7 +353,7 @@ def follow(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) ->
     motion = dynamics.follow(start, whole)
     whole_motion = motion.theta + motion.x + motion.swept + motion.normal_force
     if not (task.bounded(motion.theta_dot, motion.x_dot) and math.isfinite(whole_motion)):
-        # The substep is none: the environment stays where it has begun.
+        # The substep is none: the environment stays where that has begun.
         normal = dynamics.accelerations(theta, theta_dot, slip, torque, p)[2]
         block[AT.normal_force + j] = min(block[AT.normal_force + j], normal)
         block[AT.termination + j] = DIVERGED

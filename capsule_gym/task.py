@@ -27,7 +27,7 @@ THETA_LIMIT = math.pi / 2.0
 START_THETA = -math.pi / 3.0
 # What a reset may set: |theta| below THETA_LIMIT, and up to this |theta_dot| (rad/s), |x| (m) and |x_dot| (m/s).
 LARGEST_STATE = (THETA_LIMIT, 1e3, 1e6, 1e3)
-# |theta_dot| + |x_dot| (rad/s, m/s) that no motion has which the integrator resolves.
+# |theta_dot| + |x_dot| (rad/s, m/s) at an event, such as the end of an episode, beyond which the motion counts as lost.
 RATE_LIMIT = 1e4
 
 # Bounds of the observation, which is clipped to them. Full torque switched in the worst phase gives 13 rad/s and
@@ -176,6 +176,17 @@ def termination(theta: float, normal_force: float) -> int:
     if normal_force <= 0.0:
         return 2
     return 0
+
+
+@inlined
+def continues(theta: float, normal_force: float) -> bool:
+    """Whether `termination` is 0 and both are numbers.
+
+    That finds every step that has left the numbers: with the sizes that a plant and a torque may have, accelerations
+    that overflow grow so fast from stage to stage that none cancels another in theta. A comparison more would be a
+    tenth of the kernel's time.
+    """
+    return abs(theta) < THETA_LIMIT and normal_force > 0.0
 
 
 @inlined

@@ -35,6 +35,12 @@ def test_reward_terms_are_centimetres_forward_minus_the_price_of_energy_and_fail
 )
 def test_termination_is_at_the_limit_itself(theta, normal_force, ends):
     assert task.termination(theta, normal_force) == ends
+    assert task.continues(theta, normal_force) == (ends == task.Termination.none)
+
+
+@pytest.mark.parametrize(("theta", "normal_force"), [(math.nan, 5.0), (math.inf, 5.0), (0.0, math.nan)])
+def test_what_is_no_number_does_not_continue(theta, normal_force):
+    assert not task.continues(theta, normal_force)
 
 
 @pytest.mark.parametrize(
