@@ -370,6 +370,10 @@ class Simulation:
         name = self.controller.name if self.controller else "none"
         column = self.columns(np.array([broken]))[:, 0]
         state = dict(zip(("theta", "theta_dot", "x", "x_dot"), column[:4].tolist(), strict=True))
+        # A reset of other environments shows these too.
+        lost = np.flatnonzero(~np.isfinite(self.row(Row.law_torque)))
+        self.world[lost // LANES, Row.law_torque, lost % LANES] = 0.0
+        self.observations[lost] = np.nan_to_num(self.observations[lost])
         raise ValueError(
             f"the control law {name!r} returned a torque that is not finite in environment {broken} "
             f"(step {column[Row.steps]:.0f}, state {state}); a law must return finite numbers"
