@@ -109,8 +109,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
     1. Termination "pendulum": |theta| reaches pi/2, where the ball meets the platform.
     2. Termination "contact": the normal force falls to zero, the capsule leaves the floor.
-    3. Termination "diverged": |theta_dot| + |x_dot| exceeds 1e4 rad/s and m/s, or is no number, which takes a plant or a
-       torque that the integrator's step does not resolve. The environment stays at the last state before that.
+    3. Termination "diverged": |theta_dot| + |x_dot| exceeds 1e4 rad/s and m/s, or is no number, which takes a plant or
+       a torque that the integrator's step does not resolve. The environment stays at the last state before that.
     4. Truncation: after 1650 steps (33 s, the paper's five cycles of 6.6 s).
 
     A copy, `copy.deepcopy`'s or pickle's, goes on bit for bit with this episode and the next ones. Of the control law a
@@ -123,8 +123,9 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
     The same keys and dtypes at every reset and step, as numbers and arrays of numpy: `state` (theta, theta_dot, x,
     x_dot), `stick`, `M`, `mu`, `torque` (the last torque applied, N m), `law_torque` (what the law asks for next, N m),
-    `normal_force` (the smallest in the step, N; after a reset the weight), `energy` (of the step, J), the reward terms, and `termination`
-    (`capsule_gym.task.Termination`: 0 while the episode goes on, 1 "pendulum", 2 "contact", 3 "diverged").
+    `normal_force` (the smallest in the step, N; after a reset the weight), `energy` (of the step, J), the reward terms,
+    and `termination` (`capsule_gym.task.Termination`: 0 while the episode goes on, 1 "pendulum", 2 "contact",
+    3 "diverged").
 
     ## Arguments
 
@@ -152,7 +153,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
     Raises:
         TypeError: if an argument is of the wrong type.
-        ValueError: if an argument is out of range, or a plant admits Painleve's paradox or is too stiff for `physics_dt`.
+        ValueError: if an argument is out of range, or a plant admits Painleve's paradox or is too stiff for
+            `physics_dt`.
 
     ## Version History
 

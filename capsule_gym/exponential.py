@@ -19,7 +19,7 @@ from capsule_gym.compilation import compile_cached, inlined
 from capsule_gym.trigonometry import ROUNDING, fma
 
 # The logarithm of 2 to twice the precision of a double.
-LN_2 = math.log(2.0)
+LN_2 = 0.6931471805599453
 LN_2_REST = 2.3190468138462996e-17
 LOG2_E = 1.0 / LN_2
 
