@@ -268,4 +268,4 @@ def test_a_pickle_whose_law_has_another_memory_now_is_refused(monkeypatch):
 
 def test_a_given_plant_may_be_of_narrow_numbers():
     env = CapsuleEnv(capsule=Capsule(m=0.00126), controller="baselines:adaptive")
-    assert env.reset(options={"mu": np.float16(0.1), "M": np.float32(0.5)})[1]["mu"] == float(np.float16(0.1))
+    assert env.reset(options={"mu": np.float16(0.1)})[1]["mu"] == float(np.float16(0.1))
