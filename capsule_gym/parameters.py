@@ -165,11 +165,17 @@ class Capsule:
     normal_force: NormalForce = "newton"
 
     def __post_init__(self) -> None:
-        for name in ("M", "m", "l", "g", "backward_ratio"):
-            check_number(f"Capsule.{name}", getattr(self, name), "a finite number > 0", 0.0, open_low=True)
-        for name in ("k", "c", "mu"):
-            check_number(f"Capsule.{name}", getattr(self, name), "a finite number >= 0", 0.0)
-        check_number("Capsule.static_ratio", self.static_ratio, "a finite number >= 1", 1.0)
+        lowest: dict[str, tuple[str, float, bool]] = {
+            **dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), ("> 0", 0.0, True)),
+            **dict.fromkeys(("k", "c", "mu"), (">= 0", 0.0, False)),
+            "static_ratio": (">= 1", 1.0, False),
+        }
+        for name, (words, low, open_low) in lowest.items():
+            value = check_number(
+                f"Capsule.{name}", getattr(self, name), f"a finite number {words}", low, open_low=open_low
+            )
+            # What is worked out of numpy's narrow numbers would be as coarse as they are, or overflow.
+            object.__setattr__(self, name, value)
         if not isinstance(self.normal_force, str) or self.normal_force not in ("newton", "paper"):
             raise ValueError(f"Capsule.normal_force must be 'newton' or 'paper', got {written(self.normal_force)}")
         for name in ("M", "m", "l", "backward_ratio", "static_ratio"):

@@ -88,7 +88,7 @@ def check_step(capsule: Capsule, M: float, mu: float, settings: kernels.Settings
     if rate * h <= STABLE:
         return
     held, longest = settings.physics_steps * h, STABLE / rate
-    enough = held / longest * (1.0 + 1e-9)
+    enough = held * rate / STABLE * (1.0 + 1e-9)
     fits = enough * settings.law_steps < MOST_SUBSTEPS
     would_do = f"physics_dt={held / math.ceil(enough)!r} would do" if fits else "no step would do"
     raise ValueError(
@@ -370,6 +370,10 @@ class Simulation:
         name = self.controller.name if self.controller else "none"
         column = self.columns(np.array([broken]))[:, 0]
         state = dict(zip(("theta", "theta_dot", "x", "x_dot"), column[:4].tolist(), strict=True))
+        # A reset of other environments shows these too.
+        lost = np.flatnonzero(~np.isfinite(self.row(Row.law_torque)))
+        self.world[lost // LANES, Row.law_torque, lost % LANES] = 0.0
+        self.observations[lost] = np.nan_to_num(self.observations[lost])
         raise ValueError(
             f"the control law {name!r} returned a torque that is not finite in environment {broken} "
             f"(step {column[Row.steps]:.0f}, state {state}); a law must return finite numbers"
@@ -424,7 +428,7 @@ class Simulation:
     def _check_plant(self, M: float, mu: float) -> None:
         """Refuses M and mu that are invalid, too stiff for the step, or outside the observation that shows them."""
         self.capsule.check_plant(M, mu)
-        check_step(self.capsule, M, mu, self.settings)
+        check_step(self.capsule, float(M), float(mu), self.settings)
         if self.settings.with_parameters:
             for name, value, largest in zip(("M", "mu"), (M, mu), self._largest, strict=True):
                 accepted = f"at most {largest:g} where observe_parameters shows it (a wider randomization shows more)"

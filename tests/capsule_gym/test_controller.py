@@ -72,6 +72,10 @@ def test_a_law_that_is_not_finite_is_named_with_the_state_that_it_was_asked_abou
             env.step(zeros)
         sound.step(zeros)
         assert "nan" not in str(caught.value)
+    observations, info = env.reset(options={"reset_mask": np.arange(70) == 3})
+    assert env.observation_space.contains(observations)
+    assert np.isfinite(info["law_torque"]).all()
+    sound.reset(options={"reset_mask": np.arange(70) == 3})
     # The others have gone on, and so does it after a reset.
     others = np.arange(70) != 66
     assert env.simulation.rows(0, 4)[:, others].tobytes() == sound.simulation.rows(0, 4)[:, others].tobytes()

@@ -86,6 +86,13 @@ def test_the_sizes_hold_for_drawn_and_given_plants_too():
             randomization.check(Capsule())
 
 
+def test_what_is_worked_out_of_narrow_numbers_is_not_narrow():
+    narrow = {"M": np.float16(0.5), "m": np.float16(0.1), "l": np.float32(0.3), "c": np.float16(0.01)}
+    wide = {name: float(value) for name, value in narrow.items()}
+    assert Capsule(**narrow).plant() == Capsule(**wide).plant()
+    assert Capsule(**narrow).fastest_rate(0.5, 0.1) == Capsule(**wide).fastest_rate(0.5, 0.1)
+
+
 @pytest.mark.parametrize("value", ["Newton", "", None, 1, np.array(["newton"] * 2)])
 def test_an_unknown_normal_force_is_refused(value):
     with pytest.raises(ValueError) as caught:

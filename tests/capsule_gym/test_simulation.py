@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from capsule_gym import Capsule, Controller, Randomization
+from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization
 from capsule_gym.kernels import ROWS, Row
 from capsule_gym.options import Options
 from capsule_gym.simulation import STABLE, Simulation, divide
@@ -264,3 +264,8 @@ def test_a_pickle_whose_law_has_another_memory_now_is_refused(monkeypatch):
     monkeypatch.setitem(globals(), "short", longer)
     with pytest.raises(ValueError, match=r"controller='.*:short' must be as it was"):
         pickle.loads(packed)
+
+
+def test_a_given_plant_may_be_of_narrow_numbers():
+    env = CapsuleEnv(capsule=Capsule(m=0.00126), controller="baselines:adaptive")
+    assert env.reset(options={"mu": np.float16(0.1)})[1]["mu"] == float(np.float16(0.1))

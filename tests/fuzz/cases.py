@@ -140,7 +140,7 @@ class Case:
         arguments = {"num_envs": 2} if self._batch else {}
         arguments |= {name: draw(self.rng) for name, draw in pools.items() if self.chance(0.4)}
         for name, value in arguments.items():
-            # A capsule and ranges, which may be none.
+            # What is made of values that may be refused.
             if isinstance(value, partial):
                 arguments[name] = self.call(value.keywords, value.func.__name__, value.func, **value.keywords)
         if arguments.get("randomization", "") is None:

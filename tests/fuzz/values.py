@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import partial
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from capsule_gym import Capsule, Randomization
+from capsule_gym import Capsule, Controller, Randomization
 from capsule_gym.simulation import CHANGE
 
 Rng = np.random.Generator
@@ -97,8 +98,24 @@ def randomization(rng: Rng) -> Any:
     return one(rng, ("none", "paper", "wide", own, partial(Randomization, mu=(0.0, 0.0))))
 
 
+def moody(
+    theta: float, theta_dot: float, x: float, x_dot: float, memory: tuple[float, ...], reference: tuple[float, ...]
+) -> tuple[float, tuple[float, ...]]:
+    """A law that tracks badly, and breaks at high speed."""
+    if theta_dot > 15.0:
+        return math.nan, memory
+    return 10.0 * (reference[0] - theta) + memory[0], (0.9 * memory[0] + reference[1],)
+
+
+def controller(rng: Rng) -> Any:
+    """None, the name of a law, or one of the user's own."""
+    table = rng.uniform(-1.0, 1.0, (int(rng.integers(1, 50)), 2)) * 10.0 ** float(rng.choice([0, 0, 0, 3, 300]))
+    own = partial(Controller, name="moody", law=moody, reference=table, dt=one(rng, (1e-3, 2e-3, 5e-3, 0.01, 0.007)))
+    return one(rng, (None, None, None, "baselines:adaptive", "baselines:compliant", "baselines:epc", own))
+
+
 ARGUMENTS: dict[str, Draw] = {
-    "controller": among(None, None, "baselines:adaptive", "baselines:compliant", "baselines:epc"),
+    "controller": controller,
     "residual_limit": among(None, 0.5, 1.5, 3, 30.0, 1e-6),
     "torque_limit": among(0.1, 1.5, 1, 3.0, 50.0),
     "randomization": randomization,
