@@ -257,9 +257,7 @@ def prepare(block: np.ndarray, n: int, plant: Plant, begin: bool) -> int:
     count = 0
     for j in range(n):
         active = block[AT.active + j] != 0.0
-        # A law that has broken its contract, which left NaN, is asked no more until the next reset.
-        law_torque = block[AT.law_torque + j]
-        block[AT.halt + j] = UNDER_WAY if active and law_torque == law_torque else HALTED
+        block[AT.halt + j] = UNDER_WAY if active else HALTED
         block[AT.action + j] = task.clip(block[AT.action + j], 1.0)
         block[AT.mass_ratio + j] = plant.m / (block[AT.M + j] + plant.m)
         block[AT.before_x + j] = block[AT.x + j]

@@ -38,6 +38,11 @@ def test_termination_is_at_the_limit_itself(theta, normal_force, ends):
     assert task.continues(theta, normal_force) == (ends == task.Termination.none)
 
 
+def test_the_codes_of_infos_are_those_that_the_reference_says():
+    codes = {"none": 0, "pendulum": 1, "contact": 2, "diverged": 3}
+    assert {kind.name: int(kind) for kind in task.Termination} == codes
+
+
 @pytest.mark.parametrize(("theta", "normal_force"), [(math.nan, 5.0), (math.inf, 5.0), (0.0, math.nan)])
 def test_what_is_no_number_does_not_continue(theta, normal_force):
     assert not task.continues(theta, normal_force)
@@ -109,6 +114,8 @@ def test_only_a_platform_at_rest_sticks():
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_observations_end_at_their_bounds(sign):
     low, high = task.observation_bounds(True, True, Capsule(), Randomization(), task.TORQUE_LIMIT)
+    # No wider than what can be.
+    assert low.tolist()[7:9] == [-1.0, -1.0] and high.tolist()[7:9] == [1.0, 1.0]
     bounds = dict(zip(task.observation_names(True, True), (high if sign > 0.0 else low).tolist(), strict=True))
     far = observe(
         True, True, **{name: sign * 1e9 for name in ("theta", "theta_dot", "x_dot", "theta_d", "theta_d_dot")}
