@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +96,25 @@ class Events(TensorBoardOutputFormat):
     def __init__(self, folder: Path, until: int) -> None:
         self.writer = SummaryWriter(folder, purge_step=until + 1)
         self._is_closed = False
+
+
+@contextmanager
+def told_once() -> Iterator[None]:
+    """While the block runs, an error of the system in TensorBoard's thread prints no traceback.
+
+    The thread keeps it, and whoever writes next raises it.
+    """
+    before = threading.excepthook
+
+    def hook(failure: threading.ExceptHookArgs) -> None:
+        if not (isinstance(failure.exc_value, OSError) and type(failure.thread).__module__.startswith("tensorboard.")):
+            before(failure)
+
+    threading.excepthook = hook
+    try:
+        yield
+    finally:
+        threading.excepthook = before
 
 
 def make_logger(run: Path, until: int) -> Logger:

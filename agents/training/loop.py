@@ -30,7 +30,7 @@ from agents.training.checkpoint import Progress
 from agents.training.errors import RunError
 from agents.training.export import export
 from agents.training.lock import locked
-from agents.training.logs import EVALUATED, EVALUATIONS, Table, make_logger
+from agents.training.logs import EVALUATED, EVALUATIONS, Table, make_logger, told_once
 from agents.training.presets import BEST, CONFIG, Config, PPOConfig, SACConfig, read_config
 from agents.training.runs import git_revision, save
 from agents.training.sac import LeanSAC
@@ -289,7 +289,7 @@ def train(run: Path, config: Config) -> bool:
         OSError: if the folder cannot be written to; what it held is still there.
     """
     torch.set_num_threads(config.torch_threads)
-    with naming(run), locked(run):
+    with naming(run), locked(run), told_once():
         revision = note_changes(run, config)
         checkpoint.clean_up(run)
         latest = checkpoint.newest_whole(run)
