@@ -192,7 +192,9 @@ class Cache(FunctionCache):
 
     def _file(self, sig: Any, codegen: Any) -> Path:
         """Where the code of a signature lies for this processor and this version of numba and of the sources."""
-        key = (self._index_key(sig, codegen), self._impl.locator.get_source_stamp(), numba.__version__)
+        # Without the last, code that was compiled without checks would be run where they are asked for.
+        stamp = self._impl.locator.get_source_stamp()
+        key = (self._index_key(sig, codegen), stamp, numba.__version__, numba.config.BOUNDSCHECK)
         digest = hashlib.sha256(repr(key).encode()).hexdigest()[:16]
         return Path(self.cache_path) / f"{self._impl.filename_base}.{digest}.nbc"
 

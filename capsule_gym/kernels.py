@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from itertools import repeat
 from typing import Any, NamedTuple, get_type_hints
@@ -168,6 +168,19 @@ def no_law(
     return 0.0, memory
 
 
+def _places(context: Any, builder: Any, kind: Any, array: Any, start: Any, stride: int, count: int) -> Iterator[Any]:
+    """Where `count` entries of a contiguous array lie, from `start` on, in steps of `stride`.
+
+    NUMBA_BOUNDSCHECK has them checked like what is indexed (`make boundscheck`).
+    """
+    own = context.make_array(kind)(context, builder, array)
+    for n in range(count):
+        offset = builder.add(start, context.get_constant(types.intp, n * stride))
+        if context.enable_boundscheck:
+            cgutils.do_boundscheck(context, builder, offset, own.nitems)
+        yield builder.gep(own.data, [offset])
+
+
 @intrinsic(prefer_literal=True)
 def load(typing_context: Any, array: Any, start: Any, stride: Any, count: Any) -> Any:
     """The tuple of `count` entries of a contiguous float64 array from `start` on, in steps of `stride`; unchecked.
@@ -178,10 +191,8 @@ def load(typing_context: Any, array: Any, start: Any, stride: Any, count: Any) -
     size, step = count.literal_value, stride.literal_value
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        offsets = (builder.add(arguments[1], context.get_constant(types.intp, n * step)) for n in range(size))
-        entries = [builder.load(builder.gep(data, [offset])) for offset in offsets]
-        return context.make_tuple(builder, signature.return_type, entries)
+        places = _places(context, builder, signature.args[0], arguments[0], arguments[1], step, size)
+        return context.make_tuple(builder, signature.return_type, [builder.load(place) for place in places])
 
     return types.UniTuple(types.float64, size)(array, types.intp, stride, count), generate
 
@@ -192,10 +203,10 @@ def store(typing_context: Any, array: Any, start: Any, stride: Any, values: Any)
     step = stride.literal_value
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        for n, entry in enumerate(cgutils.unpack_tuple(builder, arguments[3])):
-            offset = builder.add(arguments[1], context.get_constant(types.intp, n * step))
-            builder.store(entry, builder.gep(data, [offset]))
+        entries = cgutils.unpack_tuple(builder, arguments[3])
+        places = _places(context, builder, signature.args[0], arguments[0], arguments[1], step, len(entries))
+        for entry, place in zip(entries, places, strict=True):
+            builder.store(entry, place)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, stride, types.UniTuple(types.float64, len(values))), generate
@@ -216,9 +227,8 @@ def record(typing_context: Any, array: Any, start: Any, kind: Any) -> Any:
         result = types.NamedTuple(fields, kind.instance_class)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        offsets = (builder.add(arguments[1], context.get_constant(types.intp, n)) for n in range(len(fields)))
-        entries = [builder.load(builder.gep(data, [offset])) for offset in offsets]
+        places = _places(context, builder, signature.args[0], arguments[0], arguments[1], 1, len(fields))
+        entries = [builder.load(place) for place in places]
         values = map(context.cast, repeat(builder), entries, repeat(types.float64), fields)
         return context.make_tuple(builder, result, list(values))
 

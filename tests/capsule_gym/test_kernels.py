@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from capsule_gym import Capsule, kernels
+from capsule_gym.compilation import OPTIONS, compile_cached
 from capsule_gym.kernels import LANES, Row, Settings, pack, unpack
 from tests.capsule_gym.fakes import helper, make_law
 
@@ -26,6 +27,39 @@ def test_kernels_of_the_same_law_are_built_once():
     assert kernels.build(make_law(0.5, numba.njit(helper)), 1, 2, 0.0) is not kernels.build(
         make_law(0.5, numba.njit(helper)), 1, 2, 1.0
     )
+
+
+def three_from(array: np.ndarray, start: int) -> tuple[float, ...]:
+    return kernels.load(array, start, 2, 3)
+
+
+def two_to(array: np.ndarray, start: int) -> None:
+    kernels.store(array, start, 1, (1.0, 2.0))
+
+
+def settings_at(array: np.ndarray, start: int) -> Settings:
+    return kernels.record(array, start, Settings)
+
+
+@pytest.mark.parametrize(
+    ("function", "last"), [(three_from, 7), (two_to, 10), (settings_at, 12 - len(Settings._fields))]
+)
+def test_numbas_boundscheck_reaches_what_is_read_and_written_by_offset(function, last, monkeypatch):
+    monkeypatch.setattr(numba.config, "BOUNDSCHECK", 1)
+    compiled = numba.njit(function, **OPTIONS)
+    compiled(np.zeros(12), last)
+    for start in (last + 1, -1):
+        with pytest.raises(IndexError):
+            compiled(np.zeros(12), start)
+
+
+def test_checked_code_is_kept_apart(monkeypatch, tmp_path):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    array = np.arange(12.0)
+    for boundscheck in (None, 1, None):
+        monkeypatch.setattr(numba.config, "BOUNDSCHECK", boundscheck)
+        assert compile_cached(three_from)(array, 1) == (1.0, 3.0, 5.0)
+    assert len(list(tmp_path.rglob("*.nbc"))) == 2
 
 
 def test_laws_of_one_factory_never_share_a_symbol():
