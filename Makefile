@@ -7,7 +7,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help train test coverage venv lint types docs leaderboard leaderboard-check regression faults fuzz bits check clean
+.PHONY: help train test coverage venv lint types docs leaderboard leaderboard-check regression faults fuzz bits boundscheck check clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
@@ -59,7 +59,15 @@ fuzz: $(STAMP)  ## Throw anything at the environments; fail where something brea
 bits: $(STAMP)  ## Compare the bits of whole episodes with the committed ones, on every processor this one can stand for
 	$(BIN)/python -m tests.bits --variants
 
-check: lint types docs leaderboard-check regression faults fuzz bits  ## All checks but the tests
+# What asks whether kernels compiled for other processors agree would compile them a second time.
+CHECKED := $(addprefix tests/capsule_gym/test_,$(addsuffix .py,kernels dynamics simulation resets network rollout env \
+	vector_env)) tests/baselines/laws
+boundscheck: export NUMBA_BOUNDSCHECK = 1
+boundscheck: $(STAMP)  ## Run the kernels with every index checked: their tests, and the episodes whose bits are committed
+	$(BIN)/python -m pytest -n 2 $(CHECKED) -k "not instruction_set and not libraries_do"
+	$(BIN)/python -m tests.bits
+
+check: lint types docs leaderboard-check regression faults fuzz bits boundscheck  ## All checks but the tests
 
 clean:  ## Remove caches and build outputs; keeps .venv and runs/
 	rm -rf build dist site *.egg-info .hypothesis .pytest_cache .ruff_cache .mypy_cache .coverage*
