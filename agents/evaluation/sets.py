@@ -45,6 +45,7 @@ from typing import Any
 import numpy as np
 
 from capsule_gym.command_line import parse
+from capsule_gym.exponential import exp, log
 from capsule_gym.files import canonical_hash, write_atomically
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, check_number
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA, THETA_LIMIT
@@ -149,7 +150,7 @@ def _uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    return low * (high / low) ** float(rng.random())
+    return float(low * exp(float(rng.random()) * log(high / low)))
 
 
 def _drawn(rng: np.random.Generator, randomization: str) -> tuple[float, float]:
