@@ -64,7 +64,7 @@ CHECKED := $(addprefix tests/capsule_gym/test_,$(addsuffix .py,kernels dynamics 
 	vector_env)) tests/baselines/laws
 boundscheck: export NUMBA_BOUNDSCHECK = 1
 boundscheck: $(STAMP)  ## Run the kernels with every index checked: their tests, and the episodes whose bits are committed
-	$(BIN)/python -m pytest -n 2 $(CHECKED) -k "not instruction_set and not libraries_do"
+	$(BIN)/python -m pytest -n 2 $(CHECKED) -k "not libraries"
 	$(BIN)/python -m tests.bits
 
 check: lint types docs leaderboard-check regression faults fuzz bits boundscheck  ## All checks but the tests
