@@ -8,14 +8,12 @@ several environments at once, and one environment gives the bits of a batch.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import Any
 
-import numpy as np
 from numba import njit, types
 from numba.extending import intrinsic
 
-from capsule_gym.compilation import compile_cached, inlined
+from capsule_gym.compilation import inlined
 from capsule_gym.trigonometry import ROUNDING, fma
 
 # The logarithm of 2 to twice the precision of a double.
@@ -100,23 +98,3 @@ def log(x: float) -> float:
         power = exp(y)
         y += 2.0 * (x - power) / (x + power)
     return y
-
-
-def exponentials(exponents: np.ndarray) -> np.ndarray:
-    """`exp` of every entry of a float64 array, in an array of its shape: the same bits as one by one."""
-    values = np.ascontiguousarray(exponents, np.float64)
-    found = np.empty_like(values)
-    _compiled()(values.reshape(-1), found.reshape(-1))
-    return found.reshape(np.shape(exponents))
-
-
-def _evaluate(exponents: np.ndarray, found: np.ndarray) -> None:
-    """Writes `exp` of every exponent."""
-    for i in range(exponents.size):
-        found[i] = exp(exponents[i])
-
-
-@lru_cache(maxsize=1)
-def _compiled() -> Any:
-    """The function above, compiled."""
-    return compile_cached(_evaluate)

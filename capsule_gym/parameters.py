@@ -6,7 +6,6 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -278,8 +277,6 @@ def _check_range(name: str, value: Any, *, positive: bool) -> tuple[float, float
 
 # What the package's own exponential can take.
 LARGEST_RATIO = 1e300
-# Every episode asks for the same one.
-_log = lru_cache(maxsize=16)(log)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -361,7 +358,7 @@ class Randomization:
             capsule: where what is not drawn comes from.
         """
         M, mu = self.M or (capsule.M, capsule.M), self.mu or (capsule.mu, capsule.mu)
-        growth = _log(mu[1] / mu[0]) if self.mu and self.log_mu else 0.0
+        growth = log(mu[1] / mu[0]) if self.mu and self.log_mu else 0.0
         return float(M[0]), float(M[1] - M[0]), float(mu[0]), float(mu[1] - mu[0]), growth
 
     def __str__(self) -> str:

@@ -10,7 +10,7 @@ from numba import njit
 
 from capsule_gym import exponential
 from capsule_gym.compilation import fingerprint
-from capsule_gym.exponential import exp, exponentials, log, power_of_two, tanh
+from capsule_gym.exponential import exp, log, power_of_two, tanh
 from capsule_gym.trigonometry import ROUNDING
 
 mpmath = pytest.importorskip("mpmath", exc_type=ImportError)
@@ -82,14 +82,6 @@ def test_powers_of_two_are_exact():
 def test_compiled_and_interpreted_functions_are_equal_bit_for_bit():
     for x in [*numbers(7, -30.0, 30.0, 2000), *numbers(8, -1.0, 1.0, 2000), 0.0, -0.0, 1e-310]:
         assert np.array([exp(x), tanh(x)]).tobytes() == np.array([compiled_exp(x), compiled_tanh(x)]).tobytes()
-
-
-def test_arrays_give_the_bits_of_single_numbers():
-    values = np.array(numbers(9, -700.0, 700.0, 999)).reshape(3, 333)
-    assert exponentials(values).tobytes() == np.array([exp(x) for x in values.ravel().tolist()]).tobytes()
-    assert exponentials(values).shape == values.shape
-    assert exponentials(values.T[::2]).tolist() == exponentials(values).T[::2].tolist()
-    assert exponentials(np.float64(0.0)).shape == ()
 
 
 def test_the_coefficients_are_the_interpolation_that_the_module_names():
