@@ -24,14 +24,20 @@ class Run:
     Attributes:
         name: of the candidate it belongs to.
         policy: what acts.
-        training_seed: None for a scripted policy.
-        revision: the git revision it was trained at; None for a scripted policy.
     """
 
     name: str
     policy: Policy
-    training_seed: int | None = None
-    revision: str | None = None
+
+    @property
+    def training_seed(self) -> int | None:
+        """None for a scripted policy."""
+        return self.policy.training_seed if isinstance(self.policy, capsule_gym.Policy) else None
+
+    @property
+    def revision(self) -> str | None:
+        """The git revision it was trained at; None for a scripted policy."""
+        return self.policy.revision if isinstance(self.policy, capsule_gym.Policy) else None
 
     def evaluate(self, evaluation_set: EvaluationSet, horizon: float = HORIZON) -> list[Episode]:
         """Runs the policy on a set; the episodes of a training run carry its `training_seed`."""
@@ -71,8 +77,7 @@ def _candidate(name: str, folder: Path, paths: Sequence[Path], trust_controller:
     descriptions = dict.fromkeys(policy.description for policy in loaded)
     if len(descriptions) > 1:
         raise ValueError(f"{folder} must hold runs of one kind, got: {'; '.join(descriptions)}")
-    in_order = sorted(range(len(loaded)), key=seeds.__getitem__)
-    runs = tuple(Run(name, loaded[i], seeds[i], loaded[i].revision) for i in in_order)
+    runs = tuple(Run(name, policy) for policy in sorted(loaded, key=lambda policy: policy.training_seed))
     return Candidate(name, runs, next(iter(descriptions)), folder)
 
 
