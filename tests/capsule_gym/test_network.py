@@ -15,6 +15,7 @@ from capsule_gym import network
 from capsule_gym.compilation import fingerprint
 from capsule_gym.kernels import LANES
 from capsule_gym.network import FEW, TILE, decide, decision, filled, pack
+from tests import bits
 
 ROOT = Path(__file__).parents[2]
 
@@ -154,11 +155,7 @@ print(digest.hexdigest())
 """
 
 
-# What numpy has other code for, by the names of its versions.
-NUMPY_FEATURES = "AVX2 FMA3 AVX512F AVX512_SKX X86_V3 X86_V4"
-
-
-def bits(cache: Path | None, **variables: str) -> str:
+def answers(cache: Path | None, **variables: str) -> str:
     """The hash from a process of its own; without a folder for a cache it shares this one's."""
     own = {} if cache is None else {"NUMBA_CACHE_DIR": str(cache)}
     environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1", **own, **variables}
@@ -168,12 +165,7 @@ def bits(cache: Path | None, **variables: str) -> str:
 
 
 def test_neither_the_processor_nor_the_libraries_matter(tmp_path):
-    # `make bits` takes whole episodes to more processors. Neither glibc's choice of functions for the processor (its
-    # `fma` is a program then) nor numpy's.
-    libraries = {
-        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX2_Usable,-FMA_Usable",
-        "NPY_DISABLE_CPU_FEATURES": NUMPY_FEATURES,
-    }
-    other = bits(tmp_path, NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES="", **libraries)
+    # `make bits` takes whole episodes to more processors.
+    other = answers(tmp_path, **bits.both_libraries(), **bits.processors().get("generic", {}))
     assert len(other) == 64
-    assert other == bits(None)
+    assert other == answers(None)

@@ -79,13 +79,8 @@ def test_functions_of_other_libraries_are_found():
     assert list(foreign(source)) == ["line 1: tanh", "line 4: @", "line 2: np.sin", "line 3: math.exp", "line 5: **"]
 
 
-def both_libraries() -> dict[str, str]:
-    """The environment variables of all of them together."""
-    return {name: value for variables in bits.libraries().values() for name, value in variables.items()}
-
-
 def test_bits_do_not_depend_on_the_libraries_of_elementary_functions():
-    done = bits.run(both_libraries())
+    done = bits.run(bits.both_libraries())
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -103,7 +98,7 @@ def test_those_libraries_compute_other_functions_and_the_same_statistics():
             text=True,
             check=True,
         ).stdout.splitlines()
-        for variables in ({}, both_libraries())
+        for variables in ({}, bits.both_libraries())
     )
     assert own[0] == other[0], "the statistics, in which numpy does nothing but add, sort and divide"
     assert own[1] != other[1], "numpy's exponential"
