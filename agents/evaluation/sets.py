@@ -23,12 +23,13 @@ roughest floor is far from Painleve's paradox ((M + m) / m = 2.81, the bound is 
 half (5.5 to 11 s), the second from that of its second half (22 to 27.5 s), so that no plant rules for less than 5.5 s.
 Times are multiples of the agent's step.
 
-Numbers are rounded (M to 0.1 g, mu to five digits), so that the files do not depend on the last digit of some
-machine's `exp`. Every set has a random seed of its own; the plants' own seeds are 0, 1, ..
+Numbers are rounded (M to 0.1 g, mu to five digits). Every set has a random seed of its own; the plants' own seeds are
+0, 1, ..
 
 A set's hash (`EvaluationSet.hash`) is the sha256 of its name and plants as JSON with sorted keys and no white space:
 the file's layout does not matter, every number does. It stands in every result and in leaderboard.json; results
-compare only where it is the same. So a set never changes: another one gets another name.
+compare only where it is the same. So a set does not change: another one gets another name. `nominal` alone has, once:
+in 0.1.0 it was a single episode.
 """
 
 from __future__ import annotations
