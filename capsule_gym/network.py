@@ -1,4 +1,4 @@
-"""The network of a trained policy in strict float64, for any number of environments.
+"""A trained policy in strict float64, for any number of environments: what it is given, its network, its action.
 
 An environment is a lane, as in `capsule_gym.kernels`: every loop runs over LANES of them, of which the compiler takes
 several at once. Each unit adds its inputs in their order, bias first, one fused multiply-add after the other, so that
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
@@ -17,7 +17,8 @@ from numba import types
 from capsule_gym import task
 from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, jitable, kernel, use_widest_vectors
 from capsule_gym.exponential import tanh
-from capsule_gym.kernels import LANES, load, store
+from capsule_gym.identification import CELLS, ESTIMATES, estimates, identify
+from capsule_gym.kernels import LANES, load, record, store
 from capsule_gym.trigonometry import fma
 
 # Units that are computed together, and inputs that are added to them at once: the registers of AVX2 and AVX-512 hold
@@ -27,10 +28,64 @@ TILE = 4
 FEW = 8
 # Float64 in a cache line.
 LINE = 8
-# Where the widths begin in a packed network.
-HEADER = 4
-
 Layer = tuple[np.ndarray, np.ndarray]
+
+
+class Header(NamedTuple):
+    """What a packed network begins with; SI units.
+
+    Attributes:
+        layers: how many.
+        relu: whether max(0, .) follows the hidden layers, else tanh.
+        tanh_squashing: whether tanh brings the last output to [-1, 1], else it is clipped.
+        clip: largest size of a normalised input.
+        inputs: how many numbers the network is given.
+        observed: how many of them are the environment's observation.
+        identifies: whether the estimates of M and mu follow it.
+        told_energy_weight: whether the energy weight follows.
+        energy_weight: of the environment, cm/J.
+        wants_torque: whether the output is the wanted torque, which the action makes of the law's.
+        torque_limit: N m.
+        residual_limit: N m.
+        m: mass of the ball, kg.
+        l: length of the pendulum, m.
+        g: gravitational acceleration, m/s^2.
+        dt: between two actions, s.
+    """
+
+    layers: int
+    relu: bool
+    tanh_squashing: bool
+    clip: float
+    inputs: int
+    observed: int
+    identifies: bool
+    told_energy_weight: bool
+    energy_weight: float
+    wants_torque: bool
+    torque_limit: float
+    residual_limit: float
+    m: float
+    l: float
+    g: float
+    dt: float
+
+
+# Where the widths begin in a packed network.
+HEADER = len(Header._fields)
+LAW_TORQUE = task.observation_names(True, False).index("law_torque")
+# From this wanted torque on, in torque limits, the whole residual is asked for: the law's torque may change before the
+# next action, and the limit then keeps the sum where it is wanted.
+FULL = 0.999
+
+
+def input_names(observation: Sequence[str], identifies: bool, told_energy_weight: bool) -> tuple[str, ...]:
+    """What a network is given, in order: the environment's observation and what the policy adds to it."""
+    return (
+        *observation,
+        *(ESTIMATES if identifies else ()),
+        *(("energy_weight",) if told_energy_weight else ()),
+    )
 
 
 def filled(width: int) -> int:
@@ -38,28 +93,23 @@ def filled(width: int) -> int:
     return -(-width // TILE) * TILE
 
 
-def pack(
-    layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, clip: float, *, relu: bool, tanh_squashing: bool
-) -> np.ndarray:
+def pack(layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, header: Header) -> np.ndarray:
     """A network in one array, which is all that compiled code needs to be given.
 
     Args:
         layers: weights (outputs, inputs) and biases (outputs,) of each layer, in order; the last has one output.
-        mean: what is subtracted from an observation, shape (entries,).
+        mean: what is subtracted from an input, shape (inputs,).
         scale: what the difference is multiplied with, likewise.
-        clip: largest size of what comes out of that.
-        relu: whether max(0, .) follows the hidden layers, else tanh.
-        tanh_squashing: whether tanh brings the last output to [-1, 1], else it is clipped.
+        header: the rest.
 
     Returns:
-        Float64: number of layers, the two switches, clip, the filled widths, mean, scale, and each layer's biases and
-        weights, row by row.
+        Float64: the header, the filled widths, mean, scale, and each layer's biases and weights, row by row.
     """
     entries = len(mean)
     widths = [filled(entries), *(filled(len(bias)) for _, bias in layers)]
     normalisation = np.zeros((2, widths[0]))
     normalisation[0, :entries], normalisation[1, :entries] = mean, scale
-    parts = [np.array([len(layers), relu, tanh_squashing, clip, *widths], np.float64), normalisation.ravel()]
+    parts = [np.array([*header, *widths], np.float64), normalisation.ravel()]
     for (weights, bias), inputs, outputs in zip(layers, widths[:-1], widths[1:], strict=True):
         biases, matrix = np.zeros(outputs), np.zeros((outputs, inputs))
         biases[: len(bias)] = bias
@@ -72,7 +122,7 @@ def pack(
 def workspace(network: np.ndarray) -> np.ndarray:
     """What `think` works in, shape (2, units of the widest layer times LANES)."""
     widest = 0
-    for layer in range(int(network[0]) + 1):
+    for layer in range(record(network, 0, Header).layers + 1):
         widest = max(widest, int(network[HEADER + layer]))
     size = widest * LANES
     room = np.zeros(2 * size + LINE)
@@ -82,13 +132,14 @@ def workspace(network: np.ndarray) -> np.ndarray:
 
 
 @inlined
-def normalise(network: np.ndarray, observations: np.ndarray, first: int, n: int, given: np.ndarray) -> None:
-    """Writes the normalised observations first..first + n - 1 into the lanes; what fills up their width stays zero."""
-    widths, clip, width = int(network[0]) + 1, network[3], int(network[HEADER])
-    for i in range(observations.shape[1]):
+def normalise(network: np.ndarray, inputs: np.ndarray, first: int, n: int, given: np.ndarray) -> None:
+    """Writes the normalised inputs first..first + n - 1 into the lanes; what fills up their width stays zero."""
+    header = record(network, 0, Header)
+    widths, width = header.layers + 1, int(network[HEADER])
+    for i in range(header.inputs):
         mean, scale = network[HEADER + widths + i], network[HEADER + widths + width + i]
         for j in range(n):
-            given[i * LANES + j] = task.clip((observations[first + j, i] - mean) * scale, clip)
+            given[i * LANES + j] = task.clip((inputs[first + j, i] - mean) * scale, header.clip)
 
 
 @inlined
@@ -146,7 +197,97 @@ def activate(sums: np.ndarray, units: int, n: int, relu: bool) -> None:
 connect_apart = inner(connect)
 
 
-def think(network: np.ndarray, observations: np.ndarray, first: int, n: int, lanes: np.ndarray) -> np.ndarray:
+def think(network: np.ndarray, inputs: np.ndarray, first: int, n: int, lanes: np.ndarray) -> np.ndarray:
+    """The outputs for up to LANES environments.
+
+    Args:
+        network: from `pack`.
+        inputs: shape (environments, at least so many inputs), float32.
+        first: first environment.
+        n: how many.
+        lanes: from `workspace`; changed.
+
+    Returns:
+        The n outputs, a part of `lanes`: float64; within [-1, 1] where tanh brings them there.
+    """
+    header = record(network, 0, Header)
+    layers = header.layers
+    given, sums = lanes[0], lanes[1]
+    normalise(network, inputs, first, n, given)
+    at = HEADER + layers + 1 + 2 * int(network[HEADER])
+    for layer in range(layers):
+        width, outputs = int(network[HEADER + layer]), int(network[HEADER + layer + 1])
+        end = at + outputs + outputs * width
+        connect_apart(network[at : at + outputs], network[at + outputs : end], n, given, sums)
+        if layer < layers - 1:
+            activate(sums, outputs, n, header.relu)
+        given, sums = sums, given
+        at = end
+    if header.tanh_squashing:
+        activate(given, 1, n, False)
+    return given[:n]
+
+
+def perceive(
+    network: np.ndarray, observations: np.ndarray, first: int, n: int, memory: np.ndarray, inputs: np.ndarray
+) -> None:
+    """Writes what the network is given of environments first..first + n - 1 into the same rows of `inputs`.
+
+    Args:
+        network: from `pack`.
+        observations: shape (environments, entries), float32.
+        first: first environment.
+        n: how many.
+        memory: shape (environments * CELLS,), float64, changed; any where nothing is identified.
+        inputs: shape (environments, at least so many inputs), float32; written.
+    """
+    header = record(network, 0, Header)
+    for i in range(first, first + n):
+        column = header.observed
+        for k in range(column):
+            inputs[i, k] = observations[i, k]
+        if header.identifies:
+            cells = load(memory, i * CELLS, 1, CELLS)
+            theta, theta_dot, x_dot = observations[i, 0], observations[i, 1], observations[i, 2]
+            cells = identify(cells, theta, theta_dot, x_dot, header.m, header.l, header.g, header.dt)
+            store(memory, i * CELLS, 1, cells)
+            for value in estimates(cells):
+                inputs[i, column] = value
+                column += 1
+        if header.told_energy_weight:
+            inputs[i, column] = header.energy_weight
+
+
+@inlined
+def to_action(header: Header, output: float, law_torque: float) -> float:
+    """The action in [-1, 1] that a network's output means.
+
+    Args:
+        header: of the network.
+        output: the action or, where that is what the network wants, the torque in torque limits.
+        law_torque: of the law under the action at this instant, N m.
+    """
+    wanted = task.clip(output, 1.0)
+    if not header.wants_torque:
+        return wanted
+    if abs(wanted) > FULL:
+        return 1.0 if wanted > 0.0 else -1.0
+    return task.clip((header.torque_limit * wanted - law_torque) / header.residual_limit, 1.0)
+
+
+think_apart = inner(think)
+perceive_apart = inner(perceive)
+
+
+def act(
+    network: np.ndarray,
+    observations: np.ndarray,
+    first: int,
+    n: int,
+    memory: np.ndarray,
+    inputs: np.ndarray,
+    lanes: np.ndarray,
+) -> np.ndarray:
     """The actions of up to LANES environments.
 
     Args:
@@ -154,45 +295,44 @@ def think(network: np.ndarray, observations: np.ndarray, first: int, n: int, lan
         observations: shape (environments, entries), float32.
         first: first environment.
         n: how many.
+        memory: as `perceive` takes it; changed.
+        inputs: likewise; written where the policy adds to the observation.
         lanes: from `workspace`; changed.
 
     Returns:
         The n actions, a part of `lanes`: float64, in [-1, 1].
     """
-    layers, relu, tanh_squashing = int(network[0]), network[1] != 0.0, network[2] != 0.0
-    given, sums = lanes[0], lanes[1]
-    normalise(network, observations, first, n, given)
-    at = HEADER + layers + 1 + 2 * int(network[HEADER])
-    for layer in range(layers):
-        inputs, outputs = int(network[HEADER + layer]), int(network[HEADER + layer + 1])
-        end = at + outputs + outputs * inputs
-        connect_apart(network[at : at + outputs], network[at + outputs : end], n, given, sums)
-        if layer < layers - 1:
-            activate(sums, outputs, n, relu)
-        given, sums = sums, given
-        at = end
-    if tanh_squashing:
-        activate(given, 1, n, False)
+    header = record(network, 0, Header)
+    if header.identifies or header.told_energy_weight:
+        perceive_apart(network, observations, first, n, memory, inputs)
+        outputs = think_apart(network, inputs, first, n, lanes)
+    else:
+        outputs = think_apart(network, observations, first, n, lanes)
     for j in range(n):
-        given[j] = task.clip(given[j], 1.0)
-    return given[:n]
+        law_torque = observations[first + j, LAW_TORQUE] if header.wants_torque else 0.0
+        outputs[j] = to_action(header, outputs[j], law_torque)
+    return outputs
 
 
-think_apart = inner(think)
+act_apart = inner(act)
 
 
-def decide(network: np.ndarray, observations: np.ndarray, actions: np.ndarray) -> None:
+def decide(
+    network: np.ndarray, observations: np.ndarray, memory: np.ndarray, inputs: np.ndarray, actions: np.ndarray
+) -> None:
     """The actions of any number of environments.
 
     Args:
         network: from `pack`.
         observations: shape (n, entries), float32.
+        memory: as `perceive` takes it; changed.
+        inputs: likewise; written.
         actions: shape (n, 1), float32; written.
     """
     lanes = workspace(network)
     for first in range(0, len(observations), LANES):
         n = min(LANES, len(observations) - first)
-        found = think_apart(network, observations, first, n, lanes)
+        found = act_apart(network, observations, first, n, memory, inputs, lanes)
         for j in range(n):
             actions[first + j, 0] = found[j]
 
@@ -201,7 +341,8 @@ def decide(network: np.ndarray, observations: np.ndarray, actions: np.ndarray) -
 def decision() -> Any:
     """`decide` as compiled code: it checks neither dtype nor shape nor contiguity of what it is given."""
     compiled = kernel(decide, fingerprint(decide)[:16], {})
-    signature = (types.float64[::1], types.float32[:, ::1], types.float32[:, ::1])
+    rows = types.float32[:, ::1]
+    signature = (types.float64[::1], rows, types.float64[::1], rows, rows)
     compile_now(compiled, signature, "the network of trained policies")
     # Read-only arrays are another type to numba, and would be compiled for anew.
     return next(iter(compiled.overloads.values())).entry_point

@@ -6,15 +6,18 @@ A file is in the safetensors format:
 |---|---|---|
 | `layers.0.weight`, `layers.1.weight`, .. | float32, as trained | (outputs, inputs) |
 | `layers.0.bias`, `layers.1.bias`, .. | float32 | (outputs,) |
-| `observation.mean`, `observation.variance` | float64 | (entries,) |
+| `inputs.mean`, `inputs.variance` | float64 | (inputs,) |
 
 | metadata | meaning |
 |---|---|
-| `format`, `format_version` | "capsule_gym policy", "1" |
+| `format`, `format_version` | "capsule_gym policy", "2" |
 | `algorithm` | what trained it: "ppo", "sac" |
 | `activation` | after the hidden layers: "tanh" or "relu" |
 | `squashing` | of the last output to [-1, 1]: "clip" or "tanh" |
-| `clip`, `epsilon` | an observation o becomes (o - mean) / sqrt(variance + epsilon), kept within +-clip |
+| `output` | what that is: the "action", or the "torque" in torque limits, of which the action is what the law lacks |
+| `identifies` | whether M and mu, identified on line, follow the observation among the inputs: "true" or "false" |
+| `told_energy_weight` | whether the environment's energy weight follows among the inputs |
+| `clip`, `epsilon` | an input i becomes (i - mean) / sqrt(variance + epsilon), kept within +-clip |
 | `env_kwargs` | JSON: the arguments of the environment that it was trained in |
 | `training_seed`, `revision` | the seed of the training run, and the git revision that it ran at |
 """
@@ -25,8 +28,8 @@ import difflib
 import json
 import os
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -35,18 +38,17 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from capsule_gym import task
+from capsule_gym import identification, task
 from capsule_gym.controller import is_own
 from capsule_gym.files import write_bytes_atomically
-from capsule_gym.network import Layer, decision, pack
+from capsule_gym.network import Header, Layer, decision, input_names, pack
 from capsule_gym.options import Options
 from capsule_gym.parameters import Capsule, Randomization, check_number
 
-Act = Callable[[np.ndarray], np.ndarray]
 
 POLICY = "policy.safetensors"
-FORMAT, FORMAT_VERSION = "capsule_gym policy", "1"
-ACTIVATIONS, SQUASHINGS = ("tanh", "relu"), ("clip", "tanh")
+FORMAT, FORMAT_VERSION = "capsule_gym policy", "2"
+ACTIVATIONS, SQUASHINGS, OUTPUTS = ("tanh", "relu"), ("clip", "tanh"), ("action", "torque")
 # No float32 weights give a sum beyond float64 in so many layers of so many units, and no finite observation a NaN.
 MOST_LAYERS, MOST_UNITS, LARGEST_CLIP = 6, 1024, 1e6
 # Nothing larger is read: more than the layers above can fill, many times what a policy takes.
@@ -58,9 +60,45 @@ SEED_FOLDER = re.compile(r"seed-([0-9]{1,18})")
 FOLDERS = (Path(__file__).with_name("checkpoints"), Path(__file__).parents[1] / "agents" / "checkpoints")
 
 
+class Actor:
+    """A policy in a batch of episodes, from their beginnings on: the function from observations to actions.
+
+    Args:
+        policy: what acts.
+        count: how many episodes.
+    """
+
+    def __init__(self, policy: Policy, count: int) -> None:
+        self.policy = policy
+        self._memory = np.zeros(count * identification.CELLS if policy.identifies else 0)
+        self._count = count
+
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        """The actions of the next step.
+
+        Args:
+            observations: shape (episodes, entries), finite; of a single episode also (entries,).
+
+        Returns:
+            Shape (episodes, 1), or (1,), float32, in [-1, 1].
+
+        Raises:
+            ValueError: if the observations have another shape or are not finite.
+        """
+        array = self.policy._checked(observations)
+        rows = array.reshape(-1, array.shape[-1])
+        if len(rows) != self._count:
+            raise ValueError(f"observations must be of {self._count} episodes, one a row, got {len(rows)} rows")
+        actions = self.policy._decide(rows, self._memory)
+        return actions if array.ndim == 2 else actions[0]
+
+
 @dataclass(frozen=True, eq=False)
 class Policy:
     """A trained network that acts deterministically: `policy(observation)` is the action.
+
+    One that identifies M and mu remembers what it has seen, from the beginning of an episode on, and so acts through
+    `act = policy.start([0])`, then `act(observation)` at every step.
 
     The arithmetic is strict float64 in a fixed order: the action for an observation is the same bits alone, in any
     batch, and on any instruction set.
@@ -71,14 +109,19 @@ class Policy:
         layers: weights (outputs, inputs) and biases (outputs,) of each layer, float32; the last has one output.
         activation: after the hidden layers, "tanh" or "relu".
         squashing: of the last output to [-1, 1], "clip" or "tanh".
-        mean: of the observations in training, shape (entries,), float64.
+        mean: of the inputs in training, shape (inputs,), float64: the observation and what the fields below add.
         variance: likewise.
-        clip: largest size of a normalised observation.
+        clip: largest size of a normalised input.
         epsilon: added to the variance.
         env_kwargs: the arguments of the environment that it was trained in, for
             `gym.make("CapsuleStickSlip-v0", **policy.env_kwargs)`.
         training_seed: the seed of its training run.
         revision: the git revision of the code that trained it.
+        output: what the network puts out: the "action", or the wanted "torque" in torque limits, whatever the law under
+            the action asks for.
+        identifies: whether M, log(mu) and their standard deviations, as `capsule_gym.identification` finds them on
+            line, follow the observation among the inputs.
+        told_energy_weight: whether the `energy_weight` of `env_kwargs` follows among the inputs.
 
     Raises:
         TypeError: if a field is of the wrong type.
@@ -97,12 +140,20 @@ class Policy:
     env_kwargs: dict[str, Any]
     training_seed: int
     revision: str
+    output: str = "action"
+    identifies: bool = False
+    told_energy_weight: bool = False
+    entries: int = field(init=False)
+    """How many entries an observation has."""
     _network: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name, value, accepted in (
             ("activation", self.activation, ACTIVATIONS),
             ("squashing", self.squashing, SQUASHINGS),
+            ("output", self.output, OUTPUTS),
+            ("identifies", self.identifies, (False, True)),
+            ("told_energy_weight", self.told_energy_weight, (False, True)),
         ):
             if value not in accepted:
                 raise ValueError(f"{name} must be one of {accepted}, got {value!r}")
@@ -113,28 +164,52 @@ class Policy:
             raise ValueError(f"training_seed must be an integer >= 0, got {self.training_seed!r}")
         check_number("clip", self.clip, f"a number in (0, {LARGEST_CLIP:g}]", 0.0, LARGEST_CLIP, open_low=True)
         check_number("epsilon", self.epsilon, "a finite number >= 0", 0.0)
-        entries = _entries(self.env_kwargs)
-        widths = _widths([(weights.shape, bias.shape) for weights, bias in self.layers])
-        if widths[0] != entries:
+        options = _options(self.env_kwargs)
+        if self.output == "torque" and (options.controller is None or not self._residual_limit(options) > 0.0):
             raise ValueError(
-                f"layers.0.weight must have as many columns as the observation that env_kwargs give has entries, "
-                f"{entries}, got {widths[0]}"
+                "output must be 'action' where env_kwargs give no controller and no residual_limit > 0, got 'torque'"
+            )
+        inputs = len(input_names(_observed(options), self.identifies, self.told_energy_weight))
+        widths = _widths([(weights.shape, bias.shape) for weights, bias in self.layers])
+        if widths[0] != inputs:
+            raise ValueError(
+                f"layers.0.weight must have as many columns as there are inputs, by env_kwargs, identifies and "
+                f"told_energy_weight {inputs}, got {widths[0]}"
             )
         for n, layer in enumerate(self.layers):
             for kind, array in zip(("weight", "bias"), layer, strict=True):
                 _check_array(f"layers.{n}.{kind}", array, np.float32)
-        for name, array in (("observation.mean", self.mean), ("observation.variance", self.variance)):
-            _check_array(name, array, np.float64, (entries,))
+        for name, array in (("inputs.mean", self.mean), ("inputs.variance", self.variance)):
+            _check_array(name, array, np.float64, (inputs,))
         if (self.variance < 0.0).any() or (self.variance + self.epsilon < 1e-300).any():
-            raise ValueError(f"observation.variance must be >= 0, and with epsilon > 0, got {self.variance}")
+            raise ValueError(f"inputs.variance must be >= 0, and with epsilon > 0, got {self.variance}")
         scale = 1.0 / np.sqrt(self.variance + self.epsilon)
-        switches = {"relu": self.activation == "relu", "tanh_squashing": self.squashing == "tanh"}
-        object.__setattr__(self, "_network", pack(self.layers, self.mean, scale, self.clip, **switches))
+        capsule = options.capsule or Capsule()
+        header = Header(
+            layers=len(self.layers),
+            relu=self.activation == "relu",
+            tanh_squashing=self.squashing == "tanh",
+            clip=self.clip,
+            inputs=inputs,
+            observed=len(_observed(options)),
+            identifies=self.identifies,
+            told_energy_weight=self.told_energy_weight,
+            energy_weight=options.energy_weight,
+            wants_torque=self.output == "torque",
+            torque_limit=options.torque_limit,
+            residual_limit=self._residual_limit(options),
+            m=capsule.m,
+            l=capsule.l,
+            g=capsule.g,
+            dt=options.control_dt,
+        )
+        object.__setattr__(self, "entries", header.observed)
+        object.__setattr__(self, "_network", pack(self.layers, self.mean, scale, header))
 
-    @property
-    def entries(self) -> int:
-        """How many entries an observation has."""
-        return len(self.mean)
+    @staticmethod
+    def _residual_limit(options: Options) -> float:
+        """The torque of the action 1, N m."""
+        return options.torque_limit if options.residual_limit is None else options.residual_limit
 
     @property
     def description(self) -> str:
@@ -157,8 +232,20 @@ class Policy:
             Shape (1,) or (n, 1), float32, in [-1, 1].
 
         Raises:
+            TypeError: if the policy identifies the plant, and so has to be begun.
             ValueError: if the observation has another shape or is not finite.
         """
+        if self.identifies:
+            raise TypeError(
+                f"{self.name!r} identifies M and mu from one observation to the next: act = policy.start([0]) at the "
+                "beginning of an episode, then act(observation) at every step"
+            )
+        array = self._checked(observation)
+        actions = self._decide(array.reshape(-1, self.entries), np.zeros(0))
+        return actions if array.ndim == 2 else actions[0]
+
+    def _checked(self, observation: Any) -> np.ndarray:
+        """One observation, or many, as compiled code can read it."""
         try:
             array = np.require(observation, np.float32, ["C", "A"])
         except (TypeError, ValueError, OverflowError) as error:
@@ -167,25 +254,38 @@ class Policy:
             raise ValueError(
                 f"observation must be finite and of shape ({self.entries},) or (n, {self.entries}), got {observation!r}"
             )
-        rows = array.reshape(-1, self.entries)
-        actions = np.empty((len(rows), 1), np.float32)
-        decision()(self._network, rows, actions)
-        return actions if array.ndim == 2 else actions[0]
+        return array
 
-    def start(self, seeds: Sequence[int]) -> Act:
+    def _decide(self, rows: np.ndarray, memory: np.ndarray) -> np.ndarray:
+        """The actions for observations (n, entries) and what is remembered of these episodes, which changes."""
+        actions = np.empty((len(rows), 1), np.float32)
+        decision()(self._network, rows, memory, np.empty((len(rows), len(self.mean)), np.float32), actions)
+        return actions
+
+    def start(self, seeds: Sequence[int]) -> Actor:
         """Begins a batch of episodes, as scripted policies do.
 
         Args:
-            seeds: one per episode; the policy draws no random numbers and needs none.
+            seeds: one per episode; the policy draws no random numbers and counts them only.
 
         Returns:
-            The function from observations (n, entries) to actions (n, 1), float32: the policy itself.
+            The function from observations (n, entries) to actions (n, 1), float32, to be called once per step.
         """
-        return self
+        return Actor(self, len(seeds))
+
+    def with_energy_weight(self, energy_weight: float) -> Policy:
+        """The same policy told another energy weight, in cm/J.
+
+        Raises:
+            ValueError: if it is told none, or the weight is out of range.
+        """
+        if not self.told_energy_weight:
+            raise ValueError(f"{self.name!r} is told no energy weight: it acts the same whatever that is")
+        return replace(self, env_kwargs={**self.env_kwargs, "energy_weight": energy_weight})
 
     def save(self, path: str | Path) -> None:
         """Writes the file, whole or not at all; the same policy gives the same bytes."""
-        tensors = {"observation.mean": self.mean, "observation.variance": self.variance}
+        tensors = {"inputs.mean": self.mean, "inputs.variance": self.variance}
         for n, (weights, bias) in enumerate(self.layers):
             tensors |= {f"layers.{n}.weight": weights, f"layers.{n}.bias": bias}
         plain = {
@@ -198,6 +298,9 @@ class Policy:
             "algorithm": self.algorithm,
             "activation": self.activation,
             "squashing": self.squashing,
+            "output": self.output,
+            "identifies": json.dumps(self.identifies),
+            "told_energy_weight": json.dumps(self.told_energy_weight),
             "clip": repr(float(self.clip)),
             "epsilon": repr(float(self.epsilon)),
             "env_kwargs": json.dumps(plain, sort_keys=True, allow_nan=False),
@@ -269,8 +372,8 @@ def _committed() -> dict[str, Path]:
     return found
 
 
-def _entries(env_kwargs: Any) -> int:
-    """How many entries the observation has that an environment with these arguments gives."""
+def _options(env_kwargs: Any) -> Options:
+    """The options of the environment that these arguments make."""
     if not isinstance(env_kwargs, dict):
         raise TypeError(f"env_kwargs must be a dict, got {env_kwargs!r}")
     unknown = sorted(set(env_kwargs) - set(ENV_ARGUMENTS))
@@ -279,7 +382,12 @@ def _entries(env_kwargs: Any) -> int:
     options = Options(**env_kwargs)
     if options.controller is not None and not isinstance(options.controller, str):
         raise TypeError(f"env_kwargs['controller'] must be None or an import string, got {options.controller!r}")
-    return len(task.observation_names(options.controller is not None, options.observe_parameters))
+    return options
+
+
+def _observed(options: Options) -> tuple[str, ...]:
+    """The entries of the observation of such an environment."""
+    return task.observation_names(options.controller is not None, options.observe_parameters)
 
 
 def _widths(shapes: Sequence[tuple[Sequence[int], Sequence[int]]]) -> list[int]:
@@ -353,7 +461,7 @@ def _parse(name: str, path: Path) -> Policy:
         names = set(file.keys())
         count = sum(tensor.endswith(".weight") for tensor in names)
         layers = [(f"layers.{n}.weight", f"layers.{n}.bias") for n in range(min(count, MOST_LAYERS + 1))]
-        expected = {"observation.mean", "observation.variance"}.union(*layers)
+        expected = {"inputs.mean", "inputs.variance"}.union(*layers)
         if names != expected:
             raise ValueError(f"it must hold the tensors {sorted(expected)}, got {sorted(names)[:20]}")
         parts = {tensor: file.get_slice(tensor) for tensor in names}
@@ -369,8 +477,11 @@ def _parse(name: str, path: Path) -> Policy:
         layers=tuple((arrays[weights], arrays[bias]) for weights, bias in layers),
         activation=_text(metadata, "activation"),
         squashing=_text(metadata, "squashing"),
-        mean=arrays["observation.mean"],
-        variance=arrays["observation.variance"],
+        output=_text(metadata, "output"),
+        identifies=_switch(metadata, "identifies"),
+        told_energy_weight=_switch(metadata, "told_energy_weight"),
+        mean=arrays["inputs.mean"],
+        variance=arrays["inputs.variance"],
         clip=_number(metadata, "clip"),
         epsilon=_number(metadata, "epsilon"),
         env_kwargs=_env_kwargs(_text(metadata, "env_kwargs")),
@@ -393,6 +504,14 @@ def _number(metadata: dict[str, str], key: str) -> float:
         return float(text)
     except ValueError:
         raise ValueError(f"{key} must be a number, got {text[:50]!r}") from None
+
+
+def _switch(metadata: dict[str, str], key: str) -> bool:
+    """An entry of the metadata that is true or false."""
+    text = _text(metadata, key)
+    if text not in ("true", "false"):
+        raise ValueError(f"{key} must be 'true' or 'false', got {text[:50]!r}")
+    return text == "true"
 
 
 def _seed(text: str) -> int:

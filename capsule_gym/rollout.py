@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from capsule_gym import kernels
+from capsule_gym import identification, kernels
 from capsule_gym.compilation import compile_now, fingerprint, kernel
 from capsule_gym.kernels import AT, LANES
-from capsule_gym.network import think_apart, workspace
+from capsule_gym.network import act_apart, workspace
 from capsule_gym.parameters import check_count
 from capsule_gym.policy import Policy
 from capsule_gym.simulation import Simulation
@@ -32,6 +32,8 @@ def play(
     fixed: np.ndarray,
     observations: np.ndarray,
     network: np.ndarray,
+    memory: np.ndarray,
+    inputs: np.ndarray,
     changes: np.ndarray,
 ) -> int:
     """Takes the environments first..last-1 through agent steps, each until its episode ends.
@@ -46,6 +48,8 @@ def play(
         fixed: plant, settings and the controller's table.
         observations: shape (environments, entries), float32; changed.
         network: from `network.pack`.
+        memory: as `network.perceive` takes it; changed.
+        inputs: likewise.
         changes: shape (changes, 4), those of an environment in order of time; changed.
 
     Returns:
@@ -61,7 +65,7 @@ def play(
                 active = block[AT.termination + j] == 0.0
                 block[AT.active + j] = 1.0 if active else 0.0
                 going += active
-            actions = think_apart(network, observations, start, n, lanes)
+            actions = act_apart(network, observations, start, n, memory, inputs, lanes)
             for j in range(n):
                 # As coarse as an action that is handed to the environment.
                 block[AT.action + j] = np.float32(actions[j])
@@ -85,8 +89,9 @@ def _compiled() -> Any:
     compiled = kernel(play, fingerprint(play)[:16], {})
     world, first, last, _, fixed, observations = kernels.SIGNATURE
     step = types.FunctionType(types.int64(*kernels.SIGNATURE))
-    network, changes = types.float64[::1], types.float64[:, ::1]
-    signature = (step, world, first, last, types.int64, types.float64, fixed, observations, network, changes)
+    numbers, changes = types.float64[::1], types.float64[:, ::1]
+    policy = (numbers, numbers, observations)
+    signature = (step, world, first, last, types.int64, types.float64, fixed, observations, *policy, changes)
     compile_now(compiled, signature, "the episodes of trained policies")
     # numba's dispatcher would compile it anew for the type of every law's step.
     return next(iter(compiled.overloads.values())).entry_point
@@ -96,7 +101,7 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
     """Runs a policy in every environment of a simulation, whose episodes have begun.
 
     An environment whose episode ends stands still from then on. The bits are those of a batch that is stepped with
-    `policy(observations)`.
+    `policy.start(..)`.
 
     Args:
         simulation: after `reset`; changed. Its threads share the environments.
@@ -121,6 +126,8 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
         [(i, *change) for i, schedule in simulation._changes.items() for change in schedule], np.float64
     ).reshape(-1, 4)
     fixed = kernels.pack(simulation.capsule.plant(), simulation.settings, simulation.reference)
+    memory = np.zeros(simulation.num_envs * identification.CELLS if policy.identifies else 0)
+    inputs = np.empty((simulation.num_envs, len(policy.mean)), np.float32)
     blocks = simulation.world.reshape(len(simulation.world), -1)
     kernels.check_arrays(
         world=(blocks, np.float64, (None, simulation.world[0].size)),
@@ -141,6 +148,8 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
             fixed,
             simulation.observations,
             policy._network,
+            memory,
+            inputs,
             changes,
         )
         return broken

@@ -136,6 +136,45 @@ def count_rows(controller: Controller | None) -> int:
     return kernels.ROWS + len(acting.memory) + acting.reference.shape[1]
 
 
+def episode_metrics(world: np.ndarray, horizon: float | None) -> dict[str, np.ndarray]:
+    """The numbers that episodes are judged by.
+
+    Args:
+        world: shape (rows, n), one column per episode, the rows those of `Row`.
+        horizon: length of a whole episode, s; None takes the time that has passed.
+
+    Returns:
+        One float64 array of shape (n,) for each field of `task.Metrics`.
+    """
+    duration, energy = world[Row.duration], world[Row.episode_energy]
+    failed = world[Row.termination] != 0
+    distance = world[Row.x] - world[Row.start_x]
+    # Before the first step every integral is 0, and so is every ratio.
+    elapsed = np.where(duration > 0.0, duration, 1.0)
+    whole = elapsed if horizon is None else np.where(failed, horizon, elapsed)
+    moved = world[Row.weight_distance]
+    transport = np.divide(energy, moved, out=np.full(len(moved), math.inf), where=moved > 0.0)
+    forward, backward = world[Row.forward], world[Row.backward]
+    nowhere = np.where(backward > 0.0, math.inf, 0.0)
+    backward_ratio = np.divide(backward, forward, out=nowhere, where=forward > 0.0)
+    metrics = task.Metrics(
+        mean_speed=100.0 * distance / whole,
+        cost_of_transport=transport,
+        peak_torque=world[Row.peak_torque],
+        rms_torque=np.sqrt(world[Row.torque_squared] / elapsed),
+        backward_ratio=backward_ratio,
+        stuck_fraction=world[Row.stuck] / elapsed,
+        smallest_normal_ratio=world[Row.smallest_normal_ratio],
+        largest_theta=world[Row.largest_theta],
+        largest_theta_dot=world[Row.largest_theta_dot],
+        distance=distance,
+        energy=energy,
+        duration=duration,
+        failed=failed.astype(np.float64),
+    )
+    return metrics._asdict()
+
+
 class Simulation:
     """The state of N environments and its evolution; everything is float64 and in SI units.
 
@@ -390,34 +429,7 @@ class Simulation:
         Returns:
             One float64 array of shape (n,) for each field of `task.Metrics`.
         """
-        world = self.columns(rows)
-        duration, energy = world[Row.duration], world[Row.episode_energy]
-        failed = world[Row.termination] != 0
-        distance = world[Row.x] - world[Row.start_x]
-        # Before the first step every integral is 0, and so is every ratio.
-        elapsed = np.where(duration > 0.0, duration, 1.0)
-        whole = np.where(failed, horizon * self.options.control_dt, elapsed) if horizon else elapsed
-        moved = world[Row.weight_distance]
-        transport = np.divide(energy, moved, out=np.full(len(rows), math.inf), where=moved > 0.0)
-        forward, backward = world[Row.forward], world[Row.backward]
-        nowhere = np.where(backward > 0.0, math.inf, 0.0)
-        backward_ratio = np.divide(backward, forward, out=nowhere, where=forward > 0.0)
-        metrics = task.Metrics(
-            mean_speed=100.0 * distance / whole,
-            cost_of_transport=transport,
-            peak_torque=world[Row.peak_torque],
-            rms_torque=np.sqrt(world[Row.torque_squared] / elapsed),
-            backward_ratio=backward_ratio,
-            stuck_fraction=world[Row.stuck] / elapsed,
-            smallest_normal_ratio=world[Row.smallest_normal_ratio],
-            largest_theta=world[Row.largest_theta],
-            largest_theta_dot=world[Row.largest_theta_dot],
-            distance=distance,
-            energy=energy,
-            duration=duration,
-            failed=failed.astype(np.float64),
-        )
-        return metrics._asdict()
+        return episode_metrics(self.columns(rows), horizon * self.options.control_dt if horizon else None)
 
     def close(self) -> None:
         """Ends the threads."""

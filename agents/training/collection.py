@@ -1,0 +1,389 @@
+"""Whole rollouts in one compiled call: policy, control law, physics and resets, with noise that is drawn before."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium import spaces
+from numba import types
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+
+from agents.training.vec_env import CapsuleSB3VecEnv
+from capsule_gym import kernels, resets
+from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, kernel
+from capsule_gym.exponential import exp, log
+from capsule_gym.identification import CELLS
+from capsule_gym.kernels import AT, LANES, record
+from capsule_gym.network import LAW_TORQUE, Header, perceive_apart, think_apart, to_action, workspace
+from capsule_gym.parameters import plant_at
+from capsule_gym.resets import Stream, draw_two, random_stream
+from capsule_gym.simulation import episode_metrics
+
+# What the critic may be told beside the policy's inputs.
+PRIVILEGED = ("M", "log_mu")
+# Episodes of a rollout that are told of, where more end than are cut off.
+MOST_ENDED = 1024
+DISTURBANCES = np.uint64(Stream.disturbances)
+
+
+class Course(NamedTuple):
+    """How episodes of training go.
+
+    Attributes:
+        steps: of an episode, agent steps.
+        privileged: whether M and log(mu) follow the policy's inputs.
+        told: whether the last of those inputs is an energy weight, which every episode draws anew.
+        least_weight: cm/J; weights are drawn log-uniformly from here ..
+        most_weight: .. to here.
+        jump: probability of a step that M and mu are drawn anew.
+    """
+
+    steps: int
+    privileged: bool
+    told: bool
+    least_weight: float
+    most_weight: float
+    jump: float
+
+
+draw_apart, renew_apart = inner(resets.draw), inner(resets.renew)
+
+
+@inlined
+def complete(
+    course: Course, block: np.ndarray, j: int, weights: np.ndarray, i: int, columns: int, inputs: np.ndarray
+) -> None:
+    """Writes what the environment's own observation does not hold, at the end of an environment's inputs."""
+    if course.told:
+        inputs[i, columns - 1] = log(weights[i])
+    if course.privileged:
+        inputs[i, columns] = block[AT.M + j]
+        inputs[i, columns + 1] = log(block[AT.mu + j])
+
+
+def collect(
+    advance: Any,
+    world: np.ndarray,
+    fixed: np.ndarray,
+    observations: np.ndarray,
+    course: np.ndarray,
+    lines: np.ndarray,
+    start_noise: float,
+    keys: np.ndarray,
+    episodes: np.ndarray,
+    law_memory: np.ndarray,
+    network: np.ndarray,
+    memory: np.ndarray,
+    weights: np.ndarray,
+    inputs: np.ndarray,
+    fresh: bool,
+    deviation: float,
+    noise: np.ndarray,
+    chances: np.ndarray,
+    returns: np.ndarray,
+    seen: np.ndarray,
+    actions: np.ndarray,
+    rewards: np.ndarray,
+    ends: np.ndarray,
+    cut: np.ndarray,
+    cut_inputs: np.ndarray,
+    ended: np.ndarray,
+) -> tuple[int, int, int]:
+    """Takes every environment through as many agent steps as there is noise for; who ends begins anew at once.
+
+    Args:
+        advance: `kernels.advance`, compiled with the law.
+        world: with the next two as `kernels.advance` takes it; changed.
+        fixed: likewise.
+        observations: likewise.
+        course: the fields of `Course`.
+        lines: with the next three as `resets.draw` takes them.
+        start_noise: likewise.
+        keys: likewise.
+        episodes: likewise; changed.
+        law_memory: of the law at the start of an episode.
+        network: from `network.pack`.
+        memory: as `network.perceive` takes it; changed.
+        weights: energy weights of the running episodes, shape (environments,), cm/J; changed.
+        inputs: shape (environments, inputs and what is privileged), float32: of the present state; changed.
+        fresh: whether the episodes have just begun, and the inputs are not there yet.
+        deviation: standard deviation of the actions.
+        noise: standard normal, shape (steps, environments).
+        chances: uniform in [0, 1), shape (steps, environments, 3); an empty first axis where nothing jumps.
+        returns: sums of rewards of the running episodes, shape (environments,); changed.
+        seen: written: the inputs at every step, shape (steps, environments, columns), float32.
+        actions: written: what was drawn, before it is clipped, shape (steps, environments), float32.
+        rewards: written, likewise.
+        ends: written, likewise: 0.0 where the episode goes on after the step, 1.0 where it ends.
+        cut: written: step and environment of the episodes that were cut off, not failed; shape (rows, 2), int64.
+        cut_inputs: written: their last inputs, shape (rows, columns), float32.
+        ended: written: of episodes that ended return and the rows of `world`; shape (rows, 1 + kernels.ROWS).
+
+    Returns:
+        How many rows of `cut` and of `ended` are written; and an environment whose law returned no finite torque, or -1.
+    """
+    header = record(network, 0, Header)
+    steps, privileged, told = int(course[0]), course[1] != 0.0, course[2] != 0.0
+    way = Course(steps, privileged, told, course[3], course[4], course[5])
+    plant, settings = kernels.unpack(fixed, 0.0)
+    lanes = workspace(network)
+    count = len(observations)
+    row, starts = np.empty(1, np.int64), np.empty((kernels.Row.torque, 1))
+    cuts = endings = 0
+    for b in range(len(world)):
+        block, first = world[b], b * LANES
+        n = min(LANES, count - first)
+        if fresh:
+            perceive_apart(network, observations, first, n, memory, inputs)
+            for j in range(n):
+                complete(way, block, j, weights, first + j, header.inputs, inputs)
+        for t in range(len(noise)):
+            for j in range(n):
+                for k in range(inputs.shape[1]):
+                    seen[t, first + j, k] = inputs[first + j, k]
+            outputs = think_apart(network, inputs, first, n, lanes)
+            for j in range(n):
+                i = first + j
+                drawn = np.float32(outputs[j] + deviation * noise[t, i])
+                actions[t, i] = drawn
+                law_torque = observations[i, LAW_TORQUE] if header.wants_torque else 0.0
+                block[AT.action + j] = np.float32(to_action(header, drawn, law_torque))
+                block[AT.active + j] = 1.0
+                if len(chances) > 0 and chances[t, i, 0] < way.jump:
+                    block[AT.M + j], block[AT.mu + j] = plant_at(lines, chances[t, i, 1], chances[t, i, 2])
+            broken = advance(world, first, first + n, False, fixed, observations)
+            if broken >= 0:
+                return cuts, endings, broken
+            begun = 0
+            for j in range(n):
+                i = first + j
+                reward = block[AT.reward + j]
+                if told:
+                    reward += (weights[i] - settings.energy_weight) * -block[AT.energy + j]
+                rewards[t, i] = reward
+                returns[i] += reward
+                failed = block[AT.termination + j] != 0.0
+                over = failed or block[AT.steps + j] >= steps
+                ends[t, i] = 1.0 if over else 0.0
+                if not over:
+                    continue
+                if not failed:
+                    perceive_apart(network, observations, i, 1, memory, inputs)
+                    complete(way, block, j, weights, i, header.inputs, inputs)
+                    cut[cuts, 0], cut[cuts, 1] = t, i
+                    cut_inputs[cuts] = inputs[i]
+                    cuts += 1
+                if endings < len(ended):
+                    ended[endings, 0] = returns[i]
+                    for k in range(kernels.ROWS):
+                        ended[endings, 1 + k] = block[k * LANES + j]
+                    endings += 1
+                row[0] = i
+                share, _ = draw_two(keys[i, 0], keys[i, 1], DISTURBANCES, np.uint64(episodes[i]))
+                if told:
+                    weights[i] = way.least_weight * exp(share * log(way.most_weight / way.least_weight))
+                draw_apart(lines, start_noise, row, keys, episodes, starts)
+                renew_apart(world[b : b + 1], law_memory, plant.m, plant.g, row - first, starts, episodes[first:])
+                # `renew` leaves the others out: who has begun already has taken its zeroth step by then.
+                broken = advance(world, first, first + n, True, fixed, observations)
+                if broken >= 0:
+                    return cuts, endings, broken
+                returns[i] = 0.0
+                for k in range(CELLS if header.identifies else 0):
+                    memory[i * CELLS + k] = 0.0
+                begun += 1
+            perceive_apart(network, observations, first, n, memory, inputs)
+            for j in range(n):
+                complete(way, block, j, weights, first + j, header.inputs, inputs)
+    return cuts, endings, -1
+
+
+@lru_cache(maxsize=1)
+def _compiled() -> Any:
+    """`collect`, which is compiled once for all laws: it is given their steps as functions."""
+    compiled = kernel(collect, fingerprint(collect)[:16], {})
+    world, _, _, _, fixed, observations = kernels.SIGNATURE
+    step = types.FunctionType(types.int64(*kernels.SIGNATURE))
+    numbers, rows, indices = types.float64[::1], types.float64[:, ::1], types.int64[::1]
+    many, cube = types.float32[:, ::1], types.float32[:, :, ::1]
+    simulation = (step, world, fixed, observations, numbers, numbers, types.float64, types.uint64[:, ::1], indices, numbers)
+    policy = (numbers, numbers, numbers, many, types.boolean, types.float64, rows, types.float64[:, :, ::1])
+    written = (numbers, cube, many, many, many, types.int64[:, ::1], many, rows)
+    compile_now(compiled, (*simulation, *policy, *written), "the rollouts of training")
+    return next(iter(compiled.overloads.values())).entry_point
+
+
+class Rollout(NamedTuple):
+    """What `RolloutVecEnv.collect` returns; T agent steps of N environments.
+
+    Attributes:
+        inputs: of the policy at every step and what is privileged, shape (T, N, columns), float32.
+        actions: what was drawn, before it is clipped, shape (T, N), float32.
+        rewards: shape (T, N), float32.
+        starts: 1.0 at the first step of an episode, shape (T, N), float32.
+        cut: step and environment of the episodes that were cut off, not failed; shape (n, 2), int64.
+        cut_inputs: the inputs after their last step, shape (n, columns), float32.
+        last: inputs of the present state, shape (N, columns), float32.
+        over: 1.0 where that begins an episode, shape (N,), float32.
+        infos: of the episodes that ended, as SB3 has them: "episode" and "metrics".
+    """
+
+    inputs: np.ndarray
+    actions: np.ndarray
+    rewards: np.ndarray
+    starts: np.ndarray
+    cut: np.ndarray
+    cut_inputs: np.ndarray
+    last: np.ndarray
+    over: np.ndarray
+    infos: list[dict[str, Any]]
+
+
+class RolloutVecEnv(CapsuleSB3VecEnv):
+    """The native batch as something that collects whole rollouts, for `agents.training.ppo.CapsulePPO`.
+
+    An observation is here what the policy and its critic are given: the environment's own, then what the policy adds to
+    it (`capsule_gym.network.input_names`), then what the critic alone may know. Where nothing is added it also steps as
+    any other `VecEnv`.
+
+    Args:
+        num_envs: number of environments.
+        seed: environment i gets seed + i.
+        episode_steps: of an episode of training, agent steps.
+        identifies: whether the policy identifies M and mu.
+        privileged: whether the critic is told them.
+        energy_weights: lowest and highest energy weight (cm/J) that the policy is told, drawn anew for every episode;
+            None for the environment's own, which it is not told.
+        jump: probability of a step that M and mu are drawn anew.
+        **env_kwargs: what `CapsuleVectorEnv` takes.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        seed: int | None = None,
+        *,
+        episode_steps: int,
+        identifies: bool = False,
+        privileged: bool = False,
+        energy_weights: tuple[float, float] | None = None,
+        jump: float = 0.0,
+        **env_kwargs: Any,
+    ) -> None:
+        super().__init__(num_envs, seed, max_episode_steps=episode_steps, **env_kwargs)
+        low, high = energy_weights or (1.0, 1.0)
+        self.course = Course(episode_steps, privileged, energy_weights is not None, low, high, jump)
+        self.columns = self.batch.simulation.observations.shape[1]
+        added = 4 * identifies + self.course.told
+        self.policy_inputs = self.columns + added
+        self.columns = self.policy_inputs + len(PRIVILEGED) * privileged
+        if self.columns > self.observation_space.shape[0]:
+            self.observation_space = spaces.Box(-np.inf, np.inf, (self.columns,), np.float32)
+        self.memory = np.zeros(num_envs * CELLS if identifies else 0)
+        self.weights = np.ones(num_envs)
+        self.inputs = np.zeros((num_envs, self.columns), np.float32)
+        self.fresh = True
+        self.over = np.ones(num_envs, np.float32)
+
+    def reset(self) -> VecEnvObs:
+        """Begins new episodes everywhere; what is added to the observations is there when rollouts are collected."""
+        observations = super().reset()
+        assert isinstance(observations, np.ndarray)
+        self.fresh = True
+        self.memory[:] = 0.0
+        self.over[:] = 1.0
+        simulation = self.batch.simulation
+        if self.course.told:
+            low, high = self.course.least_weight, self.course.most_weight
+            streams = (random_stream(int(key[0]), 0, Stream.disturbances) for key in simulation._keys)
+            self.weights[:] = [low * (high / low) ** stream.random() for stream in streams]
+        return np.pad(observations, ((0, 0), (0, self.columns - observations.shape[1])))
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """One step, for algorithms that collect by themselves.
+
+        Raises:
+            RuntimeError: if something is added to the observations.
+        """
+        if self.columns > self.batch.simulation.observations.shape[1]:
+            raise RuntimeError("step() knows nothing of what is added to the observations: collect() rollouts instead")
+        return super().step_wait()
+
+    def collect(
+        self, network: np.ndarray, deviation: float, noise: np.ndarray, chances: np.ndarray | None = None
+    ) -> Rollout:
+        """Takes every environment through a rollout, whose length is that of the noise.
+
+        Args:
+            network: from `network.pack`.
+            deviation: standard deviation of the actions.
+            noise: standard normal, shape (T, N), float64.
+            chances: uniform in [0, 1), shape (T, N, 3), float64, where M and mu may jump.
+
+        Raises:
+            ValueError: if a user's control law returned a torque that is not finite.
+        """
+        simulation = self.batch.simulation
+        steps, count = noise.shape
+        if chances is None:
+            chances = np.zeros((0, count, 3))
+        blocks = simulation.world.reshape(len(simulation.world), -1)
+        fixed = kernels.pack(simulation.capsule.plant(), simulation.settings, simulation.reference)
+        seen = np.empty((steps, count, self.columns), np.float32)
+        actions, rewards, ends = (np.empty((steps, count), np.float32) for _ in range(3))
+        # In a rollout an environment's episode is cut off at most so often.
+        most = count * (steps // self.course.steps + 1)
+        cut, cut_inputs = np.empty((most, 2), np.int64), np.empty((most, self.columns), np.float32)
+        ended = np.empty((max(most, MOST_ENDED), 1 + kernels.ROWS))
+        cuts, endings, broken = _compiled()(
+            simulation._kernel,
+            blocks,
+            fixed,
+            simulation.observations,
+            np.array(self.course, np.float64),
+            np.array(simulation.randomization.lines(simulation.capsule)),
+            simulation.options.initial_noise,
+            simulation._keys,
+            simulation._episodes,
+            np.array(simulation.memory),
+            network,
+            self.memory,
+            self.weights,
+            self.inputs,
+            self.fresh,
+            deviation,
+            noise,
+            chances,
+            self._returns,
+            seen,
+            actions,
+            rewards,
+            ends,
+            cut,
+            cut_inputs,
+            ended,
+        )
+        if broken >= 0:
+            simulation._report(broken)
+        simulation._everyone = False
+        self.fresh = False
+        starts = np.concatenate([self.over[None], ends[:-1]])
+        self.over = ends[-1].copy()
+        return Rollout(
+            *(seen, actions, rewards, starts, cut[:cuts], cut_inputs[:cuts], self.inputs, self.over),
+            self._infos(ended[:endings]),
+        )
+
+    def _infos(self, ended: np.ndarray) -> list[dict[str, Any]]:
+        """What SB3 is told of episodes that have ended."""
+        world = ended[:, 1:].T
+        metrics = episode_metrics(world, self.course.steps * self.batch.simulation.options.control_dt)
+        return [
+            {
+                "episode": {"r": float(ended[n, 0]), "l": int(world[kernels.Row.steps, n])},
+                "metrics": {name: float(values[n]) for name, values in metrics.items()},
+            }
+            for n in range(len(ended))
+        ]

@@ -1,0 +1,243 @@
+"""Proximal policy optimisation of Stable-Baselines3, collecting in compiled code and updating in fewer calls."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3 import PPO
+from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.distributions import Distribution
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.torch_layers import MlpExtractor
+from stable_baselines3.common.utils import explained_variance
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from torch import nn
+
+from agents.training.collection import Rollout, RolloutVecEnv
+
+HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
+# Of glibc's mallopt.
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, LARGEST = -1, -3, 2**30
+
+
+class FastTanh(nn.Tanh):
+    """The hyperbolic tangent by way of the logistic function: torch's own takes several times as long."""
+
+    def forward(self, input: torch.Tensor) -> torch.Tensor:
+        """tanh(input) = 2 / (1 + exp(-2 input)) - 1, to float32's rounding."""
+        return 2.0 * torch.sigmoid(2.0 * input) - 1.0
+
+
+class ActorCritic(ActorCriticPolicy):
+    """A policy and a critic of their own networks, of which the critic may see more.
+
+    Args:
+        observation_space: of what both are given.
+        action_space: one action.
+        lr_schedule: as SB3's.
+        policy_inputs: how many of the first entries the policy sees; the critic sees all.
+        tanh_mean: whether tanh brings the mean to [-1, 1].
+        least_log_std: floor of the logarithm of the standard deviation.
+        **kwargs: as SB3's.
+    """
+
+    def __init__(
+        self,
+        observation_space: spaces.Space,
+        action_space: spaces.Space,
+        lr_schedule: Callable[[float], float],
+        *,
+        policy_inputs: int,
+        tanh_mean: bool = False,
+        least_log_std: float = -20.0,
+        **kwargs: Any,
+    ) -> None:
+        self.policy_inputs, self.tanh_mean, self.least_log_std = policy_inputs, tanh_mean, least_log_std
+        super().__init__(observation_space, action_space, lr_schedule, **kwargs)
+'''
+
+    def _build_mlp_extractor(self) -> None:
+        """The hidden layers, of which the policy's see less."""
+        shape = {"net_arch": self.net_arch, "activation_fn": self.activation_fn, "device": self.device}
+        self.mlp_extractor = Extractor(self.policy_inputs, self.features_dim, **shape)
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        own = ("policy_inputs", "tanh_mean", "least_log_std")
+        return {**super()._get_constructor_parameters(), **{name: getattr(self, name) for name in own}}
+
+    def mean_and_log_std(self, latent: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Of the action's distribution, each of shape (n, 1), out of what the policy's hidden layers make of an input."""
+        mean = self.action_net(latent)
+        return FastTanh()(mean) if self.tanh_mean else mean, self.log_std.clamp_min(self.least_log_std)
+
+    def _get_action_dist_from_latent(self, latent_pi: torch.Tensor) -> Distribution:
+        return self.action_dist.proba_distribution(*self.mean_and_log_std(latent_pi))
+
+
+class Extractor(MlpExtractor):
+    """SB3's hidden layers, the policy's of the first features alone.
+
+    Args:
+        policy_inputs: how many these are.
+        features: how many there are.
+        **kwargs: as SB3's.
+    """
+
+    def __init__(self, policy_inputs: int, features: int, **kwargs: Any) -> None:
+        super().__init__(features, **kwargs)
+        self.policy_inputs = policy_inputs
+        self.policy_net = MlpExtractor(policy_inputs, **kwargs).policy_net
+
+    def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
+        """What the policy's layers make of the features."""
+        return self.policy_net(features[..., : self.policy_inputs])
+
+
+def keep_memory() -> None:
+    """Has the C library keep what is freed, where that can be said to it: every minibatch asks for the same again.
+
+    Pages that are given back and asked for anew cost a fifth of an update.
+    """
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):
+            mallopt = ctypes.CDLL(None).mallopt
+            mallopt(M_MMAP_THRESHOLD, LARGEST)
+            mallopt(M_TRIM_THRESHOLD, LARGEST)
+
+
+class CapsulePPO(PPO):
+    """PPO that collects whole rollouts in compiled code and updates in fewer calls.
+
+    The algorithm is SB3's, with one difference: the statistics that normalise observations are those of the rollouts
+    before, the same for a whole rollout and its update. Those of the first come from a rollout that nothing is learnt
+    of.
+
+    Only what this project uses is there: `RolloutVecEnv` in a `VecNormalize`, `ActorCritic`, one action, no gSDE, no
+    clipping of the value function, no limit of the divergence.
+    """
+
+    policy: ActorCritic
+
+    def collect_rollouts(
+        self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_rollout_steps: int
+    ) -> bool:
+        """Fills the rollout buffer; returns whether to go on."""
+        assert isinstance(env, VecNormalize) and isinstance(env.venv, RolloutVecEnv)
+        self.policy.set_training_mode(False)
+        callback.on_rollout_start()
+        if self.num_timesteps == 0:
+            rollout = self._collect(env, n_rollout_steps)
+            env.obs_rms = RunningMeanStd(shape=env.venv.observation_space.shape)
+            env.obs_rms.update(rollout.inputs.reshape(-1, env.venv.columns))
+            if not self._count(rollout, callback):
+                return False
+        rollout = self._collect(env, n_rollout_steps)
+        going_on = self._count(rollout, callback)
+        self._fill(env, rollout, rollout_buffer)
+        env.obs_rms.update(rollout.inputs.reshape(-1, env.venv.columns))
+        callback.on_rollout_end()
+        return going_on
+
+    def _collect(self, env: VecNormalize, steps: int) -> Rollout:
+        """A rollout by the present policy."""
+        venv: Any = env.venv
+        network = self.network_of(self)
+        noise = torch.randn(steps, self.n_envs).double().numpy()
+        chances = torch.rand(steps, self.n_envs, 3).double().numpy() if venv.course.jump > 0.0 else None
+        deviation = float(self.policy.log_std.detach().clamp_min(self.policy.least_log_std).exp())
+        rollout: Rollout = venv.collect(network, deviation, noise, chances)
+        return rollout
+
+    def _count(self, rollout: Rollout, callback: BaseCallback) -> bool:
+        """Counts a rollout's steps and tells of its episodes; returns whether to go on."""
+        self.num_timesteps += rollout.rewards.size
+        infos = rollout.infos
+        self._update_info_buffer(infos)
+        callback.update_locals(locals())
+        return callback.on_step()
+
+    @torch.no_grad()
+    def _fill(self, env: VecNormalize, rollout: Rollout, buffer: RolloutBuffer) -> None:
+        """Values, log probabilities, returns and advantages of a rollout."""
+        steps, count, columns = rollout.inputs.shape
+        inputs = torch.from_numpy(env.normalize_obs(rollout.inputs.reshape(-1, columns)))
+        values = self._values(inputs).numpy().reshape(steps, count)
+        rewards = rollout.rewards
+        if len(rollout.cut):
+            beyond = self._values(torch.from_numpy(env.normalize_obs(rollout.cut_inputs))).numpy()
+            rewards[rollout.cut[:, 0], rollout.cut[:, 1]] += self.gamma * beyond
+        buffer.values, buffer.rewards, buffer.episode_starts = values, rewards, rollout.starts
+        buffer.advantages = np.empty_like(values)
+        last = self._values(torch.from_numpy(env.normalize_obs(rollout.last)))
+        buffer.compute_returns_and_advantage(last, rollout.over)
+        actions = torch.from_numpy(rollout.actions.reshape(-1, 1))
+        mean, log_std = self._distribution(inputs)
+        self._samples = (
+            inputs,
+            actions,
+            log_density(actions, mean, log_std),
+            torch.from_numpy(buffer.advantages.reshape(-1, 1)),
+            torch.from_numpy(buffer.returns.reshape(-1, 1)),
+        )
+
+    def _values(self, inputs: torch.Tensor) -> torch.Tensor:
+        """The critic's values of normalised inputs, shape (n,)."""
+        policy = self.policy
+        return policy.value_net(policy.mlp_extractor.forward_critic(inputs)).flatten()
+
+    def _distribution(self, inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Mean and logarithm of the standard deviation of the action for normalised inputs."""
+        return self.policy.mean_and_log_std(self.policy.mlp_extractor.forward_actor(inputs))
+
+    def train(self) -> None:
+        """Makes `n_epochs` passes over the rollout."""
+        self.policy.set_training_mode(True)
+        self._update_learning_rate(self.policy.optimizer)
+        clip_range = self.clip_range(self._current_progress_remaining)  # type: ignore[operator]
+        parameters = list(self.policy.parameters())
+        losses = []
+        for _ in range(self.n_epochs):
+            order = torch.randperm(len(self._samples[0]))
+            for chosen in order.split(self.batch_size):
+                inputs, actions, old_log_prob, advantages, returns = (each[chosen] for each in self._samples)
+                if self.normalize_advantage and len(advantages) > 1:
+                    advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+                mean, log_std = self._distribution(inputs)
+                log_ratio = log_density(actions, mean, log_std) - old_log_prob
+                ratio = log_ratio.exp()
+                gain = torch.min(advantages * ratio, advantages * ratio.clamp(1.0 - clip_range, 1.0 + clip_range))
+                policy_loss = -gain.mean()
+                value_loss = nn.functional.mse_loss(self._values(inputs), returns.flatten())
+                entropy = log_std.sum() + HALF_LOG_2_PI + 0.5
+                loss = policy_loss - self.ent_coef * entropy + self.vf_coef * value_loss
+                for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
+                    parameter.grad = gradient
+                nn.utils.clip_grad_norm_(parameters, self.max_grad_norm)
+                self.policy.optimizer.step()
+                with torch.no_grad():
+                    clipped = ((ratio - 1.0).abs() > clip_range).float().mean()
+                    divergence = (ratio - 1.0 - log_ratio).mean()
+                    losses.append(torch.stack([policy_loss, value_loss, -entropy, divergence, clipped]))
+            self._n_updates += 1
+        names = ("policy_gradient_loss", "value_loss", "entropy_loss", "approx_kl", "clip_fraction")
+        for name, value in zip(names, torch.stack(losses).mean(dim=0).tolist(), strict=True):
+            self.logger.record(f"train/{name}", value)
+        buffer = self.rollout_buffer
+        self.logger.record("train/explained_variance", explained_variance(buffer.values.ravel(), buffer.returns.ravel()))
+        self.logger.record("train/std", self.policy.log_std.exp().item())
+        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
+
+
+def log_density(actions: torch.Tensor, mean: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:
+    """The logarithm of a normal density."""
+    return -0.5 * ((actions - mean) * (-log_std).exp()).square() - log_std - HALF_LOG_2_PI
