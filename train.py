@@ -23,11 +23,13 @@ from agents.training.presets import (  # noqa: E402
     BEST,
     CONFIG,
     PRESETS,
+    ROWS,
     Algorithm,
     Config,
     PPOConfig,
     Task,
     read_config,
+    row_settings,
 )
 from capsule_gym.command_line import parse, parse_some, refuse  # noqa: E402
 from capsule_gym.controller import is_own  # noqa: E402
@@ -46,6 +48,7 @@ class Choice:
     """Residual torque on a control law, or direct torque."""
     algo: Algorithm = "ppo"
     """Algorithm of Stable-Baselines3."""
+    row: Annotated[str | None, tyro.conf.arg(metavar="NAME", help=f"Row of the leaderboard: {', '.join(ROWS)}.")] = None
     resume: Folder = None
     """Go on with the run in this folder, from its last checkpoint; only --total-steps may be changed."""
 
@@ -54,11 +57,13 @@ class Choice:
 class Options(Choice):
     """Trains an agent and compares it with the paper's adaptive controller on the set 'paper'.
 
-    The hyperparameters below are those of the chosen --task and --algo, with the preset as their defaults. Ctrl-C saves
-    and stops; --resume DIR goes on, also after a crash. Checkpoints contain pickles: resume only runs of your own.
+    The hyperparameters below are those of the chosen --task and --algo, with the preset as their defaults; --row begins
+    from what a row of the leaderboard is trained with. Ctrl-C saves and stops; --resume DIR goes on, also after a
+    crash. Checkpoints contain pickles: resume only runs of your own.
 
     Examples:
       python train.py --task direct --randomization wide --seed 1
+      python train.py --row direct-ppo-wide --seed 1
       python train.py --algo sac --total-steps 8e5 --run runs/mine
       python train.py --resume runs/mine --total-steps 2e6
     """
@@ -79,33 +84,50 @@ def read_options(arguments: Sequence[str] | None = None) -> Options:
         The options; `hyperparameters` are the new run's or, with --resume, those of the run that goes on.
     """
     choice = parse_some(Choice, PROG, arguments)
-    if choice.resume is None:
+    if choice.resume is not None:
+        return _read_resumed(choice.resume, arguments)
+    if choice.row is None:
         preset = PRESETS[choice.task, choice.algo]
         return parse(Options, PROG, arguments, default=Options(choice.task, choice.algo, hyperparameters=preset))
     try:
-        before = read_config(choice.resume)
+        settings = row_settings(choice.row)
+    except ValueError as error:
+        refuse(PROG, f"--row: {error}")
+    default = Options(settings.task, settings.algo, choice.row, hyperparameters=settings)
+    options = parse(Options, PROG, arguments, default=default)
+    _refuse_another_kind(default, options, f"--row {choice.row}")
+    return options
+
+
+def _read_resumed(run: Path, arguments: Sequence[str] | None) -> Options:
+    """The options of a run that goes on."""
+    try:
+        before = read_config(run)
     except RunError as error:
         refuse(PROG, str(error))
-    default = Options(before.task, before.algo, choice.resume, hyperparameters=before)
+    default = Options(before.task, before.algo, None, run, hyperparameters=before)
     options = parse(Options, PROG, arguments, default=default)
-    _refuse_changes(default, options)
+    for option, given in (("--run", options.run), ("--row", options.row)):
+        if given is not None:
+            refuse(PROG, f"{option} must not be given with --resume, got {str(given)!r}")
+    _refuse_another_kind(default, options, "--resume")
+    old, new = before.to_dict(), options.hyperparameters.to_dict()
+    for name in (name for name in old if name != "total_steps" and old[name] != new[name]):
+        option = "--" + name.replace("_", "-")
+        must = f"{option} must stay {old[name]} with --resume"
+        refuse(PROG, f"{must}, got {new[name]}; only --total-steps may be changed")
     if not (options.trust_controller or is_own(before.controller)):
-        path = choice.resume / CONFIG
+        path = run / CONFIG
         refuse(PROG, f"{path} names the control law {before.controller!r}: --trust-controller if its code may run")
     return options
 
 
-def _refuse_changes(before: Options, options: Options) -> None:
-    """Ends the command where it would change what a run has begun with."""
-    if options.run is not None:
-        refuse(PROG, f"--run must not be given with --resume, got {str(options.run)!r}")
-    changed = [(name, getattr(before, name), getattr(options, name)) for name in ("task", "algo")]
-    old, new = before.hyperparameters.to_dict(), options.hyperparameters.to_dict()
-    changed += [(name, old[name], new[name]) for name in old if name != "total_steps"]
-    for name, was, given in changed:
+def _refuse_another_kind(before: Options, options: Options, chosen_by: str) -> None:
+    """Ends the command where it names another task or algorithm than the run or the row that decides them."""
+    for name in ("task", "algo"):
+        was, given = getattr(before, name), getattr(options, name)
         if was != given:
-            option = "--" + name.replace("_", "-")
-            refuse(PROG, f"{option} must stay {was} with --resume, got {given}; only --total-steps may be changed")
+            refuse(PROG, f"--{name} must stay {was} with {chosen_by}, got {given}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -122,7 +144,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"Going on with {run} (seed {config.seed}) towards {config.total_steps:,} steps.")
         else:
             stamp = time.strftime("%Y%m%d-%H%M%S")
-            run = options.run or RUNS / f"{config.task}-{config.algo}-seed{config.seed}-{stamp}"
+            kind = options.row or f"{config.task}-{config.algo}"
+            run = options.run or RUNS / f"{kind}-seed{config.seed}-{stamp}"
             begin(run, config)
             print(f"Training {config.algo.upper()} on the {config.task} task, seed {config.seed}, in {run}.")
         LEAVING.message = f"Stopped. To go on: python train.py --resume {run}"

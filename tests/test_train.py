@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import train
-from agents.training.presets import PRESETS
+from agents.training.presets import PRESETS, ROWS
 
 
 @pytest.mark.parametrize(
@@ -25,6 +25,9 @@ from agents.training.presets import PRESETS
         (["--n-steps", "-4"], "--n-steps"),
         (["--observe-parameters", "perhaps"], "perhaps"),
         (["--resume", "nowhere"], "nowhere"),
+        (["--row", "fastest"], "--row: a row must be one of residual-ppo, "),
+        (["--row", "direct-ppo", "--task", "residual"], "--task must stay direct with --row direct-ppo, got residual"),
+        (["--row", "direct-sac", "--algo", "ppo"], "--algo must stay sac with --row direct-sac, got ppo"),
     ],
 )
 def test_bad_options_are_named(arguments, message, capsys):
@@ -41,6 +44,13 @@ def test_presets_are_the_defaults(task, algo):
     options = train.read_options(["--algo", algo, "--task", task])
     assert options.hyperparameters == PRESETS[task, algo]
     assert (options.task, options.algo, options.run, options.resume) == (task, algo, None, None)
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_a_rows_settings_are_defaults_that_options_change(row):
+    options = train.read_options(["--row", row, "--seed", "3", "--gamma", "0.9"])
+    assert options.hyperparameters == dataclasses.replace(ROWS[row], seed=3, gamma=0.9)
+    assert (options.task, options.algo) == (ROWS[row].task, ROWS[row].algo)
 
 
 @pytest.mark.parametrize(
@@ -120,6 +130,7 @@ def test_resume_asks_before_it_runs_the_code_of_a_law_from_elsewhere(tmp_path, c
         (["--algo", "ppo"], "--algo must stay sac with --resume, got ppo"),
         (["--learning-rate", "0.1"], "--learning-rate must stay 0.0007"),
         (["--run", "elsewhere"], "--run must not be given with --resume, got 'elsewhere'"),
+        (["--row", "direct-ppo"], "--row must not be given with --resume, got 'direct-ppo'"),
         (["--n-steps", "3"], "Unrecognized options: --n-steps, 3"),
     ],
 )

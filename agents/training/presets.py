@@ -1,6 +1,7 @@
 """What a run is begun with. Hyperparameters: a small dataclass per algorithm, a tuned instance per algorithm and task.
 
-The fields are the command line of train.py, the text under each is its help. Nothing here imports torch.
+`ROWS` holds what the trained rows of the leaderboard are trained with, and is the one place that says so. The fields
+of a class are the command line of train.py, the text under each is its help. Nothing here imports torch.
 """
 
 from __future__ import annotations
@@ -192,6 +193,29 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("residual", "sac"): SACConfig(),
     ("direct", "sac"): SACConfig(task="direct", controller=None),
 }
+
+# By the names of the folders in agents/checkpoints; the seed is a run's own.
+ROWS: dict[str, Config] = {
+    "residual-ppo": PRESETS["residual", "ppo"],
+    "residual-ppo-compliant": PPOConfig(controller="baselines:compliant"),
+    "direct-ppo": PRESETS["direct", "ppo"],
+    "direct-ppo-wide": PPOConfig(task="direct", controller=None, randomization="wide"),
+    "direct-sac": PRESETS["direct", "sac"],
+}
+
+
+def row_settings(name: str) -> Config:
+    """What a row of the leaderboard is trained with; its seed is 0.
+
+    Args:
+        name: a key of `ROWS`.
+
+    Raises:
+        ValueError: if there is no such row.
+    """
+    if name not in ROWS:
+        raise ValueError(f"a row must be one of {', '.join(ROWS)}, got {name!r}")
+    return ROWS[name]
 
 
 def read_config(run: Path) -> Config:

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from typing import get_args, get_type_hints
 
-from agents.training.presets import PPOConfig
+import pytest
+
+import train
+from agents.evaluation.candidates import CHECKPOINTS, checkpoint_names, find_candidate
+from agents.training.presets import PRESETS, ROWS, PPOConfig
 from capsule_gym.options import DOCS, Options
 from capsule_gym.parameters import RANDOMIZATIONS
 
@@ -22,3 +27,36 @@ def test_the_command_line_of_a_training_run_takes_its_words_and_defaults_from_th
         (about,) = hints[name].__metadata__
         assert DOCS[name][1:] in about.help
     assert get_args(hints["randomization"]) == tuple(RANDOMIZATIONS)
+
+
+def test_every_committed_policy_has_a_row_of_settings():
+    assert sorted(ROWS) == checkpoint_names()
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_a_committed_policy_acts_as_its_rows_settings_say(name):
+    settings = ROWS[name]
+    settings.check()
+    assert settings.seed == 0
+    for run in find_candidate(name).runs:
+        policy = run.policy
+        assert policy.env_kwargs == settings.env_kwargs()
+        assert policy.algorithm == settings.algo
+        assert [bias.size for _, bias in policy.layers] == [settings.hidden, settings.hidden, 1]
+
+
+def test_rows_that_are_presets_are_the_same_instances():
+    assert ROWS["residual-ppo"] is PRESETS["residual", "ppo"]
+    assert ROWS["direct-sac"] is PRESETS["direct", "sac"]
+
+
+def test_the_table_of_commands_names_every_row_and_its_seeds():
+    page = (CHECKPOINTS / "README.md").read_text(encoding="utf-8")
+    lines = re.findall(r"^\| `([\w-]+)` \| (\d+)(?: to (\d+))? \| `python (.*)` \|$", page, re.MULTILINE)
+    assert sorted(name for name, *_ in lines) == sorted(ROWS)
+    for name, first, last, command in lines:
+        seeds = [run.training_seed for run in find_candidate(name).runs]
+        assert seeds == list(range(int(first), int(last or first) + 1))
+        program, *words = command.replace(" N", " 7").split()
+        assert program == "train.py"
+        assert train.read_options(words).hyperparameters == dataclasses.replace(ROWS[name], seed=7)
