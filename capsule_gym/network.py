@@ -42,8 +42,8 @@ class Header(NamedTuple):
         inputs: how many numbers the network is given.
         observed: how many of them are the environment's observation.
         identifies: whether the estimates of M and mu follow it.
-        told_energy_weight: whether the energy weight follows.
-        energy_weight: of the environment, cm/J.
+        told_energy_weight: whether the logarithm of the energy weight follows.
+        log_energy_weight: that logarithm, of a weight in cm/J; 0.0 where it is told none.
         wants_torque: whether the output is the wanted torque, which the action makes of the law's.
         torque_limit: N m.
         residual_limit: N m.
@@ -61,7 +61,7 @@ class Header(NamedTuple):
     observed: int
     identifies: bool
     told_energy_weight: bool
-    energy_weight: float
+    log_energy_weight: float
     wants_torque: bool
     torque_limit: float
     residual_limit: float
@@ -84,7 +84,7 @@ def input_names(observation: Sequence[str], identifies: bool, told_energy_weight
     return (
         *observation,
         *(ESTIMATES if identifies else ()),
-        *(("energy_weight",) if told_energy_weight else ()),
+        *(("log_energy_weight",) if told_energy_weight else ()),
     )
 
 
@@ -255,7 +255,7 @@ def perceive(
                 inputs[i, column] = value
                 column += 1
         if header.told_energy_weight:
-            inputs[i, column] = header.energy_weight
+            inputs[i, column] = header.log_energy_weight
 
 
 @inlined

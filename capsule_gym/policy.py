@@ -40,6 +40,7 @@ from safetensors.numpy import save
 
 from capsule_gym import identification, task
 from capsule_gym.controller import is_own
+from capsule_gym.exponential import log
 from capsule_gym.files import write_bytes_atomically
 from capsule_gym.network import Header, Layer, decision, input_names, pack
 from capsule_gym.options import Options
@@ -165,10 +166,12 @@ class Policy:
         check_number("clip", self.clip, f"a number in (0, {LARGEST_CLIP:g}]", 0.0, LARGEST_CLIP, open_low=True)
         check_number("epsilon", self.epsilon, "a finite number >= 0", 0.0)
         options = _options(self.env_kwargs)
-        if self.output == "torque" and (options.controller is None or not self._residual_limit(options) > 0.0):
+        if self.output == "torque" and (options.controller is None or not _residual_limit(options) > 0.0):
             raise ValueError(
                 "output must be 'action' where env_kwargs give no controller and no residual_limit > 0, got 'torque'"
             )
+        if self.told_energy_weight:
+            check_number("env_kwargs['energy_weight']", options.energy_weight, "> 0 where it is told", 0.0, open_low=True)
         inputs = len(input_names(_observed(options), self.identifies, self.told_energy_weight))
         widths = _widths([(weights.shape, bias.shape) for weights, bias in self.layers])
         if widths[0] != inputs:
@@ -184,32 +187,18 @@ class Policy:
         if (self.variance < 0.0).any() or (self.variance + self.epsilon < 1e-300).any():
             raise ValueError(f"inputs.variance must be >= 0, and with epsilon > 0, got {self.variance}")
         scale = 1.0 / np.sqrt(self.variance + self.epsilon)
-        capsule = options.capsule or Capsule()
-        header = Header(
+        header = make_header(
+            options,
             layers=len(self.layers),
             relu=self.activation == "relu",
             tanh_squashing=self.squashing == "tanh",
             clip=self.clip,
-            inputs=inputs,
-            observed=len(_observed(options)),
             identifies=self.identifies,
             told_energy_weight=self.told_energy_weight,
-            energy_weight=options.energy_weight,
             wants_torque=self.output == "torque",
-            torque_limit=options.torque_limit,
-            residual_limit=self._residual_limit(options),
-            m=capsule.m,
-            l=capsule.l,
-            g=capsule.g,
-            dt=options.control_dt,
         )
         object.__setattr__(self, "entries", header.observed)
         object.__setattr__(self, "_network", pack(self.layers, self.mean, scale, header))
-
-    @staticmethod
-    def _residual_limit(options: Options) -> float:
-        """The torque of the action 1, N m."""
-        return options.torque_limit if options.residual_limit is None else options.residual_limit
 
     @property
     def description(self) -> str:
@@ -388,6 +377,55 @@ def _options(env_kwargs: Any) -> Options:
 def _observed(options: Options) -> tuple[str, ...]:
     """The entries of the observation of such an environment."""
     return task.observation_names(options.controller is not None, options.observe_parameters)
+
+
+def _residual_limit(options: Options) -> float:
+    """The torque of the action 1, N m."""
+    return options.torque_limit if options.residual_limit is None else options.residual_limit
+
+
+def make_header(
+    options: Options,
+    *,
+    layers: int,
+    relu: bool,
+    tanh_squashing: bool,
+    clip: float,
+    identifies: bool,
+    told_energy_weight: bool,
+    wants_torque: bool,
+) -> Header:
+    """What a packed network begins with; see `capsule_gym.network.Header`.
+
+    Args:
+        options: of the environment that it acts in.
+        layers: as in the header, and so the rest.
+        relu: likewise.
+        tanh_squashing: likewise.
+        clip: likewise.
+        identifies: likewise.
+        told_energy_weight: likewise.
+        wants_torque: likewise.
+    """
+    capsule, observed = options.capsule or Capsule(), _observed(options)
+    return Header(
+        layers=layers,
+        relu=relu,
+        tanh_squashing=tanh_squashing,
+        clip=clip,
+        inputs=len(input_names(observed, identifies, told_energy_weight)),
+        observed=len(observed),
+        identifies=identifies,
+        told_energy_weight=told_energy_weight,
+        log_energy_weight=log(options.energy_weight) if told_energy_weight else 0.0,
+        wants_torque=wants_torque,
+        torque_limit=options.torque_limit,
+        residual_limit=_residual_limit(options),
+        m=capsule.m,
+        l=capsule.l,
+        g=capsule.g,
+        dt=options.control_dt,
+    )
 
 
 def _widths(shapes: Sequence[tuple[Sequence[int], Sequence[int]]]) -> list[int]:

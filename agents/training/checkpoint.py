@@ -38,7 +38,7 @@ from agents.training.runs import archive, unarchive
 from capsule_gym.files import file_hash, naming, synchronise, to_json, write_bytes_atomically
 
 MANIFEST, STATE, REPLAY_BUFFER, PROGRESS = "manifest.json", "state.pkl", "replay_buffer.pkl", "progress.json"
-FORMAT = 2
+FORMAT = 3
 # Ends of the names of folders that are not there yet, or no longer.
 PARTIAL, DISCARDED = ".partial", ".discarded"
 
@@ -51,7 +51,8 @@ class Progress:
         total_steps: the end that the learning rate's schedule leads to.
         elapsed: seconds of training.
         evaluated_at: agent steps at the last evaluation.
-        best_speed: the best evaluation so far, cm/s.
+        stage: of the run's configuration.
+        best_score: of the best evaluation of the stage so far, cm/s.
         resumed_at: agent steps at which the run was gone on with.
         speeds: mean speeds of the last episodes, cm/s.
         failed: whether each of them failed.
@@ -60,7 +61,8 @@ class Progress:
     total_steps: int
     elapsed: float = 0.0
     evaluated_at: int = 0
-    best_speed: float | None = None
+    stage: int = 0
+    best_score: float | None = None
     resumed_at: list[int] = field(default_factory=list)
     speeds: list[float] = field(default_factory=list)
     failed: list[float] = field(default_factory=list)
@@ -289,6 +291,7 @@ def _restore_streams(model: BaseAlgorithm, state: dict[str, Any]) -> None:
 _SIMULATION = ("_keys", "_episodes", "_changes", "_due", "_everyone")
 _BATCH = ("_ended", "_started", "_np_random", "_np_random_seed")
 _VEC_ENV = ("_returns", "_lengths", "_seed")
+_ROLLOUT_VEC_ENV = ("memory", "log_weights", "inputs", "fresh", "over")
 _NORMALIZE = ("obs_rms", "ret_rms", "returns", "old_obs", "old_reward")
 
 
@@ -301,7 +304,7 @@ def _environments(env: VecNormalize) -> dict[str, Any]:
         "observations": simulation.observations,
         "simulation": {name: getattr(simulation, name) for name in _SIMULATION},
         "batch": {name: getattr(venv.batch, name) for name in _BATCH},
-        "vec_env": {name: getattr(venv, name) for name in _VEC_ENV},
+        "vec_env": {name: getattr(venv, name) for name in (*_VEC_ENV, *_ROLLOUT_VEC_ENV) if hasattr(venv, name)},
         "normalize": {name: getattr(env, name) for name in _NORMALIZE},
     }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -13,13 +14,15 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 from agents.training.vec_env import CapsuleSB3VecEnv
 from capsule_gym import kernels, resets
 from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, kernel
-from capsule_gym.exponential import exp, log
+from capsule_gym.exponential import exp
 from capsule_gym.identification import CELLS
 from capsule_gym.kernels import AT, LANES, record
-from capsule_gym.network import LAW_TORQUE, Header, perceive_apart, think_apart, to_action, workspace
+from capsule_gym.network import LAW_TORQUE, Header, input_names, perceive_apart, think_apart, to_action, workspace
 from capsule_gym.parameters import plant_at
+from capsule_gym.policy import make_header
 from capsule_gym.resets import Stream, draw_two, random_stream
 from capsule_gym.simulation import episode_metrics
+from capsule_gym.task import observation_names
 
 # What the critic may be told beside the policy's inputs.
 PRIVILEGED = ("M", "log_mu")
@@ -34,17 +37,17 @@ class Course(NamedTuple):
     Attributes:
         steps: of an episode, agent steps.
         privileged: whether M and log(mu) follow the policy's inputs.
-        told: whether the last of those inputs is an energy weight, which every episode draws anew.
-        least_weight: cm/J; weights are drawn log-uniformly from here ..
-        most_weight: .. to here.
+        told: whether the last of those inputs is the logarithm of an energy weight, which every episode draws anew.
+        least: of these logarithms, of weights in cm/J; they are drawn uniformly from here ..
+        most: .. to here.
         jump: probability of a step that M and mu are drawn anew.
     """
 
     steps: int
     privileged: bool
     told: bool
-    least_weight: float
-    most_weight: float
+    least: float
+    most: float
     jump: float
 
 
@@ -53,14 +56,14 @@ draw_apart, renew_apart = inner(resets.draw), inner(resets.renew)
 
 @inlined
 def complete(
-    course: Course, block: np.ndarray, j: int, weights: np.ndarray, i: int, columns: int, inputs: np.ndarray
+    course: Course, block: np.ndarray, j: int, log_weights: np.ndarray, i: int, columns: int, inputs: np.ndarray
 ) -> None:
     """Writes what the environment's own observation does not hold, at the end of an environment's inputs."""
     if course.told:
-        inputs[i, columns - 1] = log(weights[i])
+        inputs[i, columns - 1] = log_weights[i]
     if course.privileged:
         inputs[i, columns] = block[AT.M + j]
-        inputs[i, columns + 1] = log(block[AT.mu + j])
+        inputs[i, columns + 1] = math.log(block[AT.mu + j])
 
 
 def collect(
@@ -76,7 +79,7 @@ def collect(
     law_memory: np.ndarray,
     network: np.ndarray,
     memory: np.ndarray,
-    weights: np.ndarray,
+    log_weights: np.ndarray,
     inputs: np.ndarray,
     fresh: bool,
     deviation: float,
@@ -106,7 +109,7 @@ def collect(
         law_memory: of the law at the start of an episode.
         network: from `network.pack`.
         memory: as `network.perceive` takes it; changed.
-        weights: energy weights of the running episodes, shape (environments,), cm/J; changed.
+        log_weights: logarithms of the energy weights of the running episodes, shape (environments,); changed.
         inputs: shape (environments, inputs and what is privileged), float32: of the present state; changed.
         fresh: whether the episodes have just begun, and the inputs are not there yet.
         deviation: standard deviation of the actions.
@@ -138,7 +141,7 @@ def collect(
         if fresh:
             perceive_apart(network, observations, first, n, memory, inputs)
             for j in range(n):
-                complete(way, block, j, weights, first + j, header.inputs, inputs)
+                complete(way, block, j, log_weights, first + j, header.inputs, inputs)
         for t in range(len(noise)):
             for j in range(n):
                 for k in range(inputs.shape[1]):
@@ -161,7 +164,7 @@ def collect(
                 i = first + j
                 reward = block[AT.reward + j]
                 if told:
-                    reward += (weights[i] - settings.energy_weight) * -block[AT.energy + j]
+                    reward -= (exp(log_weights[i]) - settings.energy_weight) * block[AT.energy + j]
                 rewards[t, i] = reward
                 returns[i] += reward
                 failed = block[AT.termination + j] != 0.0
@@ -171,7 +174,7 @@ def collect(
                     continue
                 if not failed:
                     perceive_apart(network, observations, i, 1, memory, inputs)
-                    complete(way, block, j, weights, i, header.inputs, inputs)
+                    complete(way, block, j, log_weights, i, header.inputs, inputs)
                     cut[cuts, 0], cut[cuts, 1] = t, i
                     cut_inputs[cuts] = inputs[i]
                     cuts += 1
@@ -183,7 +186,7 @@ def collect(
                 row[0] = i
                 share, _ = draw_two(keys[i, 0], keys[i, 1], DISTURBANCES, np.uint64(episodes[i]))
                 if told:
-                    weights[i] = way.least_weight * exp(share * log(way.most_weight / way.least_weight))
+                    log_weights[i] = way.least + share * (way.most - way.least)
                 draw_apart(lines, start_noise, row, keys, episodes, starts)
                 renew_apart(world[b : b + 1], law_memory, plant.m, plant.g, row - first, starts, episodes[first:])
                 # `renew` leaves the others out: who has begun already has taken its zeroth step by then.
@@ -196,7 +199,7 @@ def collect(
                 begun += 1
             perceive_apart(network, observations, first, n, memory, inputs)
             for j in range(n):
-                complete(way, block, j, weights, first + j, header.inputs, inputs)
+                complete(way, block, j, log_weights, first + j, header.inputs, inputs)
     return cuts, endings, -1
 
 
@@ -257,7 +260,13 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         energy_weights: lowest and highest energy weight (cm/J) that the policy is told, drawn anew for every episode;
             None for the environment's own, which it is not told.
         jump: probability of a step that M and mu are drawn anew.
+        wants_torque: whether the policy puts out the wanted torque.
         **env_kwargs: what `CapsuleVectorEnv` takes.
+
+    Attributes:
+        header: what a packed network begins with, but for what the network itself says.
+        names: of the entries of an observation.
+        columns: how many they are.
     """
 
     def __init__(
@@ -270,19 +279,30 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         privileged: bool = False,
         energy_weights: tuple[float, float] | None = None,
         jump: float = 0.0,
+        wants_torque: bool = False,
         **env_kwargs: Any,
     ) -> None:
         super().__init__(num_envs, seed, max_episode_steps=episode_steps, **env_kwargs)
         low, high = energy_weights or (1.0, 1.0)
-        self.course = Course(episode_steps, privileged, energy_weights is not None, low, high, jump)
-        self.columns = self.batch.simulation.observations.shape[1]
-        added = 4 * identifies + self.course.told
-        self.policy_inputs = self.columns + added
-        self.columns = self.policy_inputs + len(PRIVILEGED) * privileged
-        if self.columns > self.observation_space.shape[0]:
+        told = energy_weights is not None
+        self.course = Course(episode_steps, privileged, told, math.log(low), math.log(high), jump)
+        self.header = make_header(
+            self.batch.simulation.options,
+            layers=0,
+            relu=False,
+            tanh_squashing=False,
+            clip=0.0,
+            identifies=identifies,
+            told_energy_weight=self.course.told,
+            wants_torque=wants_torque,
+        )
+        observed = observation_names(self.batch.simulation.settings.with_reference, self.batch.simulation.settings.with_parameters)
+        self.names = (*input_names(observed, identifies, self.course.told), *(PRIVILEGED if privileged else ()))
+        self.columns = len(self.names)
+        if self.columns > self.header.observed:
             self.observation_space = spaces.Box(-np.inf, np.inf, (self.columns,), np.float32)
         self.memory = np.zeros(num_envs * CELLS if identifies else 0)
-        self.weights = np.ones(num_envs)
+        self.log_weights = np.zeros(num_envs)
         self.inputs = np.zeros((num_envs, self.columns), np.float32)
         self.fresh = True
         self.over = np.ones(num_envs, np.float32)
@@ -296,9 +316,9 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         self.over[:] = 1.0
         simulation = self.batch.simulation
         if self.course.told:
-            low, high = self.course.least_weight, self.course.most_weight
+            low, high = self.course.least, self.course.most
             streams = (random_stream(int(key[0]), 0, Stream.disturbances) for key in simulation._keys)
-            self.weights[:] = [low * (high / low) ** stream.random() for stream in streams]
+            self.log_weights[:] = [low + (high - low) * stream.random() for stream in streams]
         return np.pad(observations, ((0, 0), (0, self.columns - observations.shape[1])))
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -307,7 +327,7 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         Raises:
             RuntimeError: if something is added to the observations.
         """
-        if self.columns > self.batch.simulation.observations.shape[1]:
+        if self.columns > self.header.observed:
             raise RuntimeError("step() knows nothing of what is added to the observations: collect() rollouts instead")
         return super().step_wait()
 
@@ -350,7 +370,7 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
             np.array(simulation.memory),
             network,
             self.memory,
-            self.weights,
+            self.log_weights,
             self.inputs,
             self.fresh,
             deviation,

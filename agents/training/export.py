@@ -9,10 +9,12 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
+from agents.training.collection import RolloutVecEnv
+from agents.training.ppo import ActorCritic, FastTanh
 from agents.training.runs import Normalisation
 from capsule_gym import Policy
 
-ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
+ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", FastTanh: "tanh", nn.ReLU: "relu"}
 
 
 def export(
@@ -37,7 +39,8 @@ def export(
         ValueError: if the agent is of another kind.
     """
     if isinstance(model, PPO):
-        algorithm, squashing = "ppo", "clip"
+        own = isinstance(model.policy, ActorCritic)
+        algorithm, squashing = "ppo", "tanh" if own and model.policy.tanh_mean else "clip"
         hidden, last = model.policy.mlp_extractor.policy_net, model.policy.action_net
         squashed = model.policy.squash_output or model.use_sde
     elif isinstance(model, SAC):
@@ -57,14 +60,20 @@ def export(
         )
     (activation,) = kinds
     normalisation = Normalisation.of(model)
+    venv: Any = model.get_env().venv
+    added = venv.header if isinstance(venv, RolloutVecEnv) else None
+    inputs = linear[0].in_features
     return Policy(
         name=name,
         algorithm=algorithm,
         layers=tuple((_array(layer.weight), _array(layer.bias)) for layer in linear),
         activation=str(activation),
         squashing=squashing,
-        mean=normalisation.mean.astype(np.float64),
-        variance=normalisation.var.astype(np.float64),
+        output="torque" if added and added.wants_torque else "action",
+        identifies=bool(added and added.identifies),
+        told_energy_weight=bool(added and added.told_energy_weight),
+        mean=normalisation.mean[:inputs].astype(np.float64),
+        variance=normalisation.var[:inputs].astype(np.float64),
         clip=float(normalisation.clip),
         epsilon=float(normalisation.epsilon),
         env_kwargs=env_kwargs,

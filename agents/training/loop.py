@@ -9,16 +9,18 @@ import shutil
 import sys
 import time
 import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3 import PPO, SAC
+from stable_baselines3 import SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecNormalize
+from torch import nn
 from tqdm import tqdm
 
 from agents.evaluation.candidates import BASELINE
@@ -27,10 +29,12 @@ from agents.evaluation.sets import EvaluationSet, PlantSpec
 from agents.evaluation.statistics import interquartile_mean
 from agents.training import checkpoint
 from agents.training.checkpoint import Progress
+from agents.training.collection import RolloutVecEnv
 from agents.training.errors import RunError
 from agents.training.export import export
 from agents.training.lock import locked
 from agents.training.logs import EVALUATED, EVALUATIONS, Table, make_logger, told_once
+from agents.training.ppo import ActorCritic, CapsulePPO, FastTanh, keep_memory, transfer
 from agents.training.presets import BEST, CONFIG, Config, PPOConfig, SACConfig, read_config
 from agents.training.runs import git_revision, save
 from agents.training.sac import LeanSAC
@@ -43,8 +47,29 @@ from capsule_gym.resets import Stream, random_stream
 
 # Far from the seeds 0, 1, .. that training runs and evaluation sets use: model selection sees draws of its own.
 SELECTION_SEED = 1_000_000
+# What the best model is chosen by: its mean speed less so many cm/s times the share of its episodes that fail.
+FAILURE_COST = 30.0
 # Episodes that the progress bar's mean speed is over.
 RECENT = 128
+
+
+@dataclass(frozen=True)
+class Falling:
+    """A learning rate that falls linearly, as SB3 asks for one.
+
+    Attributes:
+        start: at the start of the stage.
+        end: at the end of the run.
+        share: of the run, that is left when the stage begins.
+    """
+
+    start: float
+    end: float
+    share: float
+
+    def __call__(self, left: float) -> float:
+        """The rate where that share of the run is left."""
+        return self.end + (self.start - self.end) * min(1.0, left / self.share)
 
 
 def own_draws(config: Config) -> EvaluationSet:
@@ -60,7 +85,21 @@ def own_draws(config: Config) -> EvaluationSet:
 
 def make_env(config: Config, seed: int) -> VecNormalize:
     """The training environments with their observations normalised."""
-    batch = CapsuleSB3VecEnv(config.num_envs, seed=seed, threads=config.env_threads, **config.env_kwargs())
+    shared = {"seed": seed, "threads": config.env_threads, **config.env_kwargs()}
+    batch: CapsuleSB3VecEnv
+    if isinstance(config, PPOConfig):
+        batch = RolloutVecEnv(
+            config.num_envs,
+            episode_steps=max(1, round(config.episode_seconds / config.control_dt)),
+            identifies=config.identifies,
+            privileged=config.privileged_critic,
+            energy_weights=config.energy_weights,
+            jump=config.jump_rate * config.control_dt,
+            wants_torque=config.output == "torque",
+            **shared,
+        )
+    else:
+        batch = CapsuleSB3VecEnv(config.num_envs, **shared)
     return VecNormalize(batch, norm_obs=True, norm_reward=False, gamma=config.gamma)
 
 
@@ -71,25 +110,36 @@ def make_model(config: Config, env: VecNormalize, sac: type[SAC] = LeanSAC, fuse
         config: its hyperparameters.
         env: what it trains in.
         sac: the class that SAC is made of.
-        fused: whether SAC's steps of Adam are one call each; PPO's minibatches are too large to notice.
+        fused: whether steps of Adam are one call each.
     """
     network: dict[str, Any] = {"net_arch": [config.hidden, config.hidden]}
+    # What is left of the run when a stage begins falls to 0 as the learning rate reaches its end.
+    begun = sum(stage.total_steps for stage in config.stages()[:-1]) / config.total_steps
     shared: dict[str, Any] = {
-        "learning_rate": LinearSchedule(config.learning_rate, config.final_learning_rate, 1.0),
+        "learning_rate": Falling(config.learning_rate, config.final_learning_rate, 1.0 - begun),
         "batch_size": config.batch_size,
         "gamma": config.gamma,
         "seed": config.seed,
         "device": "cpu",
     }
     if isinstance(config, PPOConfig):
-        return PPO(
-            "MlpPolicy",
+        venv: Any = env.venv
+        return CapsulePPO(
+            ActorCritic,
             env,
             n_steps=config.n_steps,
             n_epochs=config.n_epochs,
             gae_lambda=config.gae_lambda,
             ent_coef=config.ent_coef,
-            policy_kwargs={**network, "log_std_init": config.log_std_init},
+            policy_kwargs={
+                **network,
+                "policy_inputs": venv.header.inputs,
+                "log_std_init": config.log_std_init,
+                "least_log_std": config.least_log_std,
+                "tanh_mean": config.tanh_mean,
+                "activation_fn": {"tanh": FastTanh, "relu": nn.ReLU}[config.activation],
+                "optimizer_kwargs": {"eps": 1e-5, "fused": fused},
+            },
             **shared,
         )
     assert isinstance(config, SACConfig)
@@ -187,6 +237,7 @@ class Monitor(BaseCallback):
         episodes = evaluate(policy, self.draws)
         speed = float(interquartile_mean(scores(episodes, "mean_speed"))[0])
         failed = float(scores(episodes, "failed").mean())
+        score = float(scores(episodes, "mean_speed").mean()) - FAILURE_COST * failed
         self.progress.evaluated_at = self.num_timesteps
         self.logger.record("evaluation/mean_speed", speed)
         self.logger.record("evaluation/failed", failed)
@@ -199,8 +250,8 @@ class Monitor(BaseCallback):
                 "baseline_mean_speed_cm_s": f"{self.baseline_speed:.4f}",
             }
         )
-        if self.progress.best_speed is None or speed > self.progress.best_speed:
-            self.progress.best_speed = speed
+        if self.progress.best_score is None or score > self.progress.best_score:
+            self.progress.best_score = score
             save(self.run / BEST, self.model, policy)
         self.checkpoint()
 
@@ -289,36 +340,63 @@ def train(run: Path, config: Config) -> bool:
         OSError: if the folder cannot be written to; what it held is still there.
     """
     torch.set_num_threads(config.torch_threads)
+    keep_memory()
     with naming(run), locked(run), told_once():
         revision = note_changes(run, config)
         checkpoint.clean_up(run)
         latest = checkpoint.newest_whole(run)
         checkpoint.restore_best(latest, run)
-        env = make_env(config, config.seed)
-        if latest is None:
-            model, progress = make_model(config, env), Progress(config.total_steps)
-        else:
-            model, set_streams = checkpoint.restore(latest, config.algo, env)
-            progress = Progress.read(latest)
-            progress.resumed_at.append(model.num_timesteps)
+        progress = Progress(config.total_steps) if latest is None else Progress.read(latest)
         stop = Stop()
         monitor = Monitor(run, config, progress, latest, stop, revision)
-        model.set_logger(make_logger(run, model.num_timesteps))
-        remaining = config.total_steps - model.num_timesteps
-        try:
-            if latest is not None:
-                set_streams()
-            if remaining > 0:
-                with stop:
-                    model.learn(remaining, callback=monitor, reset_num_timesteps=latest is None)
-        except Stopped:
-            monitor.checkpoint()
-        finally:
-            monitor.bar.close()
-            model.logger.close()
-            env.close()
-        save(run, model, policy_of(run, config, revision, model))
+        stages = config.stages()
+        model: BaseAlgorithm | None = None
+        with stop:
+            while True:
+                model, done = _train_stage(run, stages, monitor, model)
+                if not done or progress.stage == len(stages) - 1:
+                    break
+                progress.stage, progress.best_score, monitor.latest = progress.stage + 1, None, None
+        save(run, model, policy_of(run, stages[progress.stage], revision, model))
         return not stop.requested
+
+
+def _train_stage(
+    run: Path, stages: Sequence[Config], monitor: Monitor, before: BaseAlgorithm | None
+) -> tuple[BaseAlgorithm, bool]:
+    """Trains the stage that a run has come to, from its checkpoint or from the agent of the stage before.
+
+    Returns:
+        The agent, and whether the stage is complete.
+    """
+    progress, latest = monitor.progress, monitor.latest
+    config = stages[progress.stage]
+    env = make_env(config, config.seed)
+    if before is None and latest is not None:
+        model, set_streams = checkpoint.restore(latest, config.algo, env)
+        progress.resumed_at.append(model.num_timesteps)
+    else:
+        model = make_model(config, env)
+        if before is not None:
+            transfer(before, model)
+    monitor.config = config
+    model.set_logger(make_logger(run, model.num_timesteps))
+    # The last stage's end is the run's.
+    earlier = sum(stage.total_steps for stage in stages[: progress.stage]) if progress.stage < len(stages) - 1 else 0
+    remaining = earlier + config.total_steps - model.num_timesteps
+    try:
+        if before is None and latest is not None:
+            set_streams()
+        if remaining > 0:
+            model.learn(remaining, callback=monitor, reset_num_timesteps=model.num_timesteps == 0)
+    except Stopped:
+        monitor.checkpoint()
+        return model, False
+    finally:
+        monitor.bar.close()
+        model.logger.close()
+        env.close()
+    return model, True
 
 
 def note_changes(run: Path, config: Config) -> str:

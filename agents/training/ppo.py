@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from stable_baselines3 import PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.distributions import Distribution
@@ -24,18 +25,35 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from torch import nn
 
 from agents.training.collection import Rollout, RolloutVecEnv
+from capsule_gym.network import Layer, pack
+from capsule_gym.task import BASE_OBSERVATION
 
 HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 # Of glibc's mallopt.
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, LARGEST = -1, -3, 2**30
 
 
+class _Tanh(torch.autograd.Function):
+    """tanh(x) = 2 / (1 + exp(-2 x)) - 1, to float32's rounding."""
+
+    @staticmethod
+    def forward(ctx: Any, x: torch.Tensor) -> torch.Tensor:
+        y = torch.mul(x, 2.0).sigmoid_().mul_(2.0).sub_(1.0)
+        ctx.save_for_backward(y)
+        return y
+
+    @staticmethod
+    def backward(ctx: Any, slope: torch.Tensor) -> torch.Tensor:
+        (y,) = ctx.saved_tensors
+        return torch.ops.aten.tanh_backward(slope, y)
+
+
 class FastTanh(nn.Tanh):
     """The hyperbolic tangent by way of the logistic function: torch's own takes several times as long."""
 
     def forward(self, input: torch.Tensor) -> torch.Tensor:
-        """tanh(input) = 2 / (1 + exp(-2 input)) - 1, to float32's rounding."""
-        return 2.0 * torch.sigmoid(2.0 * input) - 1.0
+        """The tangent of every entry."""
+        return _Tanh.apply(input)
 
 
 class ActorCritic(ActorCriticPolicy):
@@ -64,7 +82,6 @@ class ActorCritic(ActorCriticPolicy):
     ) -> None:
         self.policy_inputs, self.tanh_mean, self.least_log_std = policy_inputs, tanh_mean, least_log_std
         super().__init__(observation_space, action_space, lr_schedule, **kwargs)
-'''
 
     def _build_mlp_extractor(self) -> None:
         """The hidden layers, of which the policy's see less."""
@@ -128,6 +145,14 @@ class CapsulePPO(PPO):
 
     policy: ActorCritic
 
+    def _setup_model(self) -> None:
+        super()._setup_model()
+        # Which inputs have no statistics yet.
+        self.unseen: np.ndarray | None = np.ones(self.observation_space.shape, np.bool_)
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "_samples"]
+
     def collect_rollouts(
         self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_rollout_steps: int
     ) -> bool:
@@ -135,10 +160,16 @@ class CapsulePPO(PPO):
         assert isinstance(env, VecNormalize) and isinstance(env.venv, RolloutVecEnv)
         self.policy.set_training_mode(False)
         callback.on_rollout_start()
-        if self.num_timesteps == 0:
+        if self.unseen is not None:
             rollout = self._collect(env, n_rollout_steps)
-            env.obs_rms = RunningMeanStd(shape=env.venv.observation_space.shape)
-            env.obs_rms.update(rollout.inputs.reshape(-1, env.venv.columns))
+            found = RunningMeanStd(shape=self.unseen.shape)
+            found.update(rollout.inputs.reshape(-1, env.venv.columns))
+            rms: Any = env.obs_rms
+            rms.mean, rms.var = (
+                np.where(self.unseen, new, old) for new, old in ((found.mean, rms.mean), (found.var, rms.var))
+            )
+            rms.count = max(rms.count, found.count)
+            self.unseen = None
             if not self._count(rollout, callback):
                 return False
         rollout = self._collect(env, n_rollout_steps)
@@ -151,12 +182,26 @@ class CapsulePPO(PPO):
     def _collect(self, env: VecNormalize, steps: int) -> Rollout:
         """A rollout by the present policy."""
         venv: Any = env.venv
-        network = self.network_of(self)
+        network = self._network(env)
         noise = torch.randn(steps, self.n_envs).double().numpy()
         chances = torch.rand(steps, self.n_envs, 3).double().numpy() if venv.course.jump > 0.0 else None
         deviation = float(self.policy.log_std.detach().clamp_min(self.policy.least_log_std).exp())
         rollout: Rollout = venv.collect(network, deviation, noise, chances)
         return rollout
+
+    def _network(self, env: VecNormalize) -> np.ndarray:
+        """The present policy, packed."""
+        venv: Any = env.venv
+        rms: Any = env.obs_rms
+        layers = linear_layers(self.policy)
+        header = venv.header._replace(
+            layers=len(layers),
+            relu=self.policy.activation_fn is nn.ReLU,
+            tanh_squashing=self.policy.tanh_mean,
+            clip=env.clip_obs,
+        )
+        mean, variance = rms.mean[: header.inputs], rms.var[: header.inputs]
+        return pack(layers, mean, 1.0 / np.sqrt(variance + env.epsilon), header)
 
     def _count(self, rollout: Rollout, callback: BaseCallback) -> bool:
         """Counts a rollout's steps and tells of its episodes; returns whether to go on."""
@@ -236,6 +281,46 @@ class CapsulePPO(PPO):
         self.logger.record("train/explained_variance", explained_variance(buffer.values.ravel(), buffer.returns.ravel()))
         self.logger.record("train/std", self.policy.log_std.exp().item())
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
+
+
+def transfer(before: BaseAlgorithm, model: BaseAlgorithm) -> None:
+    """Gives a fresh agent what another has learnt in the direct task, as far as they observe the same.
+
+    The last action is not the same: there it is a torque, here a residual one. What the one has not observed begins
+    with weights of zero.
+
+    Args:
+        before: what has learnt.
+        model: what goes on; its count of steps becomes the other's.
+    """
+    assert isinstance(before, CapsulePPO) and isinstance(model, CapsulePPO)
+    old, new = before.get_vec_normalize_env(), model.get_vec_normalize_env()
+    assert old is not None and new is not None
+    pairs = [(i, new.venv.names.index(name)) for i, name in enumerate(old.venv.names) if name in new.venv.names]
+    last = BASE_OBSERVATION.index("last_action")
+    kept = [(i, j) for i, j in pairs if i != last]
+    state = before.policy.state_dict()
+    for name, value in model.policy.state_dict().items():
+        if name.endswith("_net.0.weight"):
+            first = torch.zeros_like(value)
+            for i, j in kept:
+                first[:, j] = state[name][:, i]
+            state[name] = first
+        elif name == "log_std":
+            state[name] = value
+    model.policy.load_state_dict(state)
+    unseen = np.ones(len(new.venv.names), np.bool_)
+    rms: Any = new.obs_rms
+    for i, j in kept:
+        rms.mean[j], rms.var[j], unseen[j] = old.obs_rms.mean[i], old.obs_rms.var[i], False
+    rms.count = old.obs_rms.count
+    model.unseen, model.num_timesteps = unseen, before.num_timesteps
+
+
+def linear_layers(policy: ActorCritic) -> list[Layer]:
+    """Weights and biases of the layers that a policy acts by, copied, float32."""
+    layers: Any = [*policy.mlp_extractor.policy_net[::2], policy.action_net]
+    return [(layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in layers]
 
 
 def log_density(actions: torch.Tensor, mean: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:

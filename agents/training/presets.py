@@ -14,12 +14,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+import tyro
 from tyro.conf import Fixed, Suppress
 
 from agents.training.errors import RunError
 from capsule_gym.command_line import Count, described
 from capsule_gym.options import DOCS, Options
 from capsule_gym.parameters import check_number
+from capsule_gym.task import HORIZON
 
 # Of numpy's generators, which SB3 seeds.
 LARGEST_SEED = 2**32 - 1
@@ -72,7 +74,7 @@ class Config:
     """Samples in a gradient step."""
     evaluate_every: Count = 500_000
     """Environment steps between evaluations and checkpoints."""
-    evaluation_episodes: Count = 32
+    evaluation_episodes: Count = 128
     """Episodes in each of them, with draws of their own."""
     torch_threads: Count = 1
     """Threads of torch."""
@@ -83,6 +85,10 @@ class Config:
         """The arguments of the environment that this run trains in."""
         kwargs = {name: getattr(self, name) for name in DOCS if hasattr(self, name)}
         return kwargs | {"controller": None, "residual_limit": self.torque_limit} if self.task == "direct" else kwargs
+
+    def stages(self) -> list[Config]:
+        """What is trained, one after the other; the last is the configuration itself."""
+        return [self]
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""
@@ -141,10 +147,47 @@ class PPOConfig(Config):
     """Weight of the entropy bonus."""
     log_std_init: float = -0.5
     """Logarithm of the initial standard deviation of the action."""
+    least_log_std: float = -20.0
+    """Floor of that logarithm."""
+    tanh_mean: bool = False
+    """Whether tanh brings the mean of the action to [-1, 1]; else it is clipped."""
+    activation: Literal["tanh", "relu"] = "tanh"
+    """After the hidden layers."""
+    control_dt: Annotated[float, _option("control_dt")] = Options.control_dt
+    episode_seconds: float = HORIZON
+    """Length of an episode of training, s."""
+    jump_rate: float = 0.0
+    """How often M and mu are drawn anew within an episode of training, 1/s."""
+    identifies: bool = False
+    """Whether the policy identifies M and mu on line."""
+    privileged_critic: bool = False
+    """Whether the critic is told M and mu."""
+    energy_weights: tuple[float, float] | None = None
+    """Range of energy weights (cm/J), of which every episode of training draws one that the policy is told."""
+    output: Literal["action", "torque"] = "action"
+    """What the network puts out: the action, or the wanted torque, whatever the law asks for."""
+    direct_steps: Annotated[int, tyro.conf.arg(metavar="INT")] = 0
+    """Environment steps in the direct task before, from whose network the run then goes on."""
+
+    def stages(self) -> list[Config]:
+        """As for all; before it the direct task, where the run begins there."""
+        if not self.direct_steps:
+            return [self]
+        shared = {name: getattr(self, name) for name in ("seed", "randomization", "torque_limit", "activation", "hidden")}
+        direct = dataclasses.replace(PRESETS["direct", "ppo"], **shared, total_steps=self.direct_steps)
+        return [direct, self]
 
     def check(self) -> None:
         """As for all; and a rollout must hold the two samples that advantages are normalised over."""
         super().check()
+        self._check_counts("direct_steps", least=0, most=self.total_steps)
+        self._check_range("episode_seconds", "a finite number > 0 (s)", 0.0, open_low=True)
+        self._check_range("jump_rate", "a finite number >= 0 (1/s)", 0.0)
+        self._check_range("least_log_std", "a number in [-20, 2]", -20.0, 2.0)
+        if self.energy_weights is not None:
+            low, high = self.energy_weights
+            check_number("energy_weights[0]", low, "a finite number > 0 (cm/J)", 0.0, open_low=True)
+            check_number("energy_weights[1]", high, f"a finite number >= {low!r} (cm/J)", low)
         self._check_counts("n_steps", "n_epochs")
         if self.n_steps * self.num_envs < 2:
             raise ValueError(f"n_steps must be >= 2 where num_envs is 1, got {self.n_steps!r}")
@@ -188,7 +231,19 @@ class SACConfig(Config):
 
 
 PRESETS: dict[tuple[Task, Algorithm], Config] = {
-    ("residual", "ppo"): PPOConfig(),
+    ("residual", "ppo"): PPOConfig(
+        total_steps=5_000_000,
+        direct_steps=3_000_000,
+        output="torque",
+        control_dt=0.01,
+        gamma=0.9975,
+        gae_lambda=0.99,
+        num_envs=256,
+        n_steps=128,
+        learning_rate=3e-4,
+        final_learning_rate=3e-5,
+        log_std_init=-2.5,
+    ),
     ("direct", "ppo"): PPOConfig(task="direct", controller=None),
     ("residual", "sac"): SACConfig(),
     ("direct", "sac"): SACConfig(task="direct", controller=None),
@@ -201,6 +256,20 @@ ROWS: dict[str, Config] = {
     "direct-ppo": PRESETS["direct", "ppo"],
     "direct-ppo-wide": PPOConfig(task="direct", controller=None, randomization="wide"),
     "direct-sac": PRESETS["direct", "sac"],
+    "robust": PPOConfig(
+        task="direct",
+        controller=None,
+        randomization="wide",
+        num_envs=256,
+        n_steps=64,
+        final_learning_rate=5e-5,
+        termination_penalty=100.0,
+        tanh_mean=True,
+        least_log_std=-2.6,
+        episode_seconds=6.0,
+        identifies=True,
+        privileged_critic=True,
+    ),
 }
 
 

@@ -25,19 +25,19 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium import spaces
-from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecNormalize
 
+from agents.training.ppo import CapsulePPO
 from agents.training.presets import MODEL
 from agents.training.sac import LeanSAC
 from capsule_gym import Policy
 from capsule_gym.files import write_bytes_atomically
 from capsule_gym.policy import POLICY
 
-ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": LeanSAC}
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": CapsulePPO, "sac": LeanSAC}
 
 
 @dataclass(frozen=True)
