@@ -45,6 +45,7 @@ class Header(NamedTuple):
         told_energy_weight: whether the logarithm of the energy weight follows.
         log_energy_weight: that logarithm, of a weight in cm/J; 0.0 where it is told none.
         wants_torque: whether the output is the wanted torque, which the action makes of the law's.
+        under_law: whether there is a law whose torque it has to be made of.
         torque_limit: N m.
         residual_limit: N m.
         m: mass of the ball, kg.
@@ -63,6 +64,7 @@ class Header(NamedTuple):
     told_energy_weight: bool
     log_energy_weight: float
     wants_torque: bool
+    under_law: bool
     torque_limit: float
     residual_limit: float
     m: float
@@ -76,7 +78,7 @@ HEADER = len(Header._fields)
 LAW_TORQUE = task.observation_names(True, False).index("law_torque")
 # From this wanted torque on, in torque limits, the whole residual is asked for: the law's torque may change before the
 # next action, and the limit then keeps the sum where it is wanted.
-FULL = 0.999
+FULL = 0.9
 
 
 def input_names(observation: Sequence[str], identifies: bool, told_energy_weight: bool) -> tuple[str, ...]:
@@ -309,7 +311,7 @@ def act(
     else:
         outputs = think_apart(network, observations, first, n, lanes)
     for j in range(n):
-        law_torque = observations[first + j, LAW_TORQUE] if header.wants_torque else 0.0
+        law_torque = observations[first + j, LAW_TORQUE] if header.under_law else 0.0
         outputs[j] = to_action(header, outputs[j], law_torque)
     return outputs
 

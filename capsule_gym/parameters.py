@@ -378,4 +378,5 @@ RANDOMIZATIONS = {
     "none": Randomization(),
     "paper": Randomization(M=(0.45, 0.55), mu=(0.009, 0.011)),
     "wide": Randomization(M=(0.35, 0.75), mu=(0.005, 0.3), log_mu=True),
+    "broad": Randomization(M=(0.25, 1.2), mu=(0.002, 0.6), log_mu=True),
 }

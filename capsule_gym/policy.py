@@ -166,10 +166,8 @@ class Policy:
         check_number("clip", self.clip, f"a number in (0, {LARGEST_CLIP:g}]", 0.0, LARGEST_CLIP, open_low=True)
         check_number("epsilon", self.epsilon, "a finite number >= 0", 0.0)
         options = _options(self.env_kwargs)
-        if self.output == "torque" and (options.controller is None or not _residual_limit(options) > 0.0):
-            raise ValueError(
-                "output must be 'action' where env_kwargs give no controller and no residual_limit > 0, got 'torque'"
-            )
+        if self.output == "torque" and not _residual_limit(options) > 0.0:
+            raise ValueError("output must be 'action' where env_kwargs give no residual_limit > 0, got 'torque'")
         if self.told_energy_weight:
             check_number("env_kwargs['energy_weight']", options.energy_weight, "> 0 where it is told", 0.0, open_low=True)
         inputs = len(input_names(_observed(options), self.identifies, self.told_energy_weight))
@@ -419,6 +417,7 @@ def make_header(
         told_energy_weight=told_energy_weight,
         log_energy_weight=log(options.energy_weight) if told_energy_weight else 0.0,
         wants_torque=wants_torque,
+        under_law=wants_torque and options.controller is not None,
         torque_limit=options.torque_limit,
         residual_limit=_residual_limit(options),
         m=capsule.m,

@@ -151,7 +151,7 @@ def collect(
                 i = first + j
                 drawn = np.float32(outputs[j] + deviation * noise[t, i])
                 actions[t, i] = drawn
-                law_torque = observations[i, LAW_TORQUE] if header.wants_torque else 0.0
+                law_torque = observations[i, LAW_TORQUE] if header.under_law else 0.0
                 block[AT.action + j] = np.float32(to_action(header, drawn, law_torque))
                 block[AT.active + j] = 1.0
                 if len(chances) > 0 and chances[t, i, 0] < way.jump:
@@ -315,6 +315,8 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         self.memory[:] = 0.0
         self.over[:] = 1.0
         simulation = self.batch.simulation
+        # Apart from each other in time: a rollout is to hold every part of an episode.
+        simulation.write(kernels.Row.steps, np.arange(self.num_envs) * self.course.steps // self.num_envs)
         if self.course.told:
             low, high = self.course.least, self.course.most
             streams = (random_stream(int(key[0]), 0, Stream.disturbances) for key in simulation._keys)

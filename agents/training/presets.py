@@ -57,7 +57,7 @@ class Config:
         2.0 * Options.torque_limit
     )
     torque_limit: Annotated[float, _option("torque_limit")] = Options.torque_limit
-    randomization: Literal["none", "paper", "wide"] = "paper"
+    randomization: Literal["none", "paper", "wide", "broad"] = "paper"
     """Where M and mu of an episode come from."""
     observe_parameters: Annotated[bool, _option("observe_parameters")] = Options.observe_parameters
     energy_weight: Annotated[float, _option("energy_weight")] = Options.energy_weight
@@ -174,7 +174,9 @@ class PPOConfig(Config):
         if not self.direct_steps:
             return [self]
         shared = {name: getattr(self, name) for name in ("seed", "randomization", "torque_limit", "activation", "hidden")}
-        direct = dataclasses.replace(PRESETS["direct", "ppo"], **shared, total_steps=self.direct_steps)
+        direct = dataclasses.replace(
+            PRESETS["direct", "ppo"], **shared, output=self.output, total_steps=self.direct_steps
+        )
         return [direct, self]
 
     def check(self) -> None:
