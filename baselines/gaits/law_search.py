@@ -1,9 +1,10 @@
 """Searches the parameters of `baselines:gait`, a law that is told nothing of the plant, all over `wide`.
 
 A CMA-ES starts from the tolerant gait of the nominal plant. Each of its generations draws plants anew, evenly over M
-and log(mu), lets every one of them jump to another half-way, and nudges every second one by a random residual torque:
-what is fast must also bear a change, and a policy on top. At regular intervals the mean of its distribution runs whole
-episodes on plants that stay the same; the best of these is kept, and written where it beats the one on file.
+and log(mu), lets every one of them jump twice to another, and nudges every second one by a random residual torque: what
+is fast must also bear a change, and a policy on top. At regular intervals the mean of its distribution runs whole
+episodes on plants and under nudges that stay the same; the best of these is kept, and written where it beats the one on
+file.
 
 All candidates run in one batch: what is the law's closure in `baselines.laws.gait` is its memory here.
 """
@@ -44,12 +45,14 @@ START_GUARD = (0.05, 0.8 * (LIGHTEST + NOMINAL.m) * NOMINAL.g / (NOMINAL.m * NOM
 POPULATION = 24
 PLANTS = 64
 TRIAL = 12.0
+# Parts of an episode, each with a plant of its own.
+PARTS = 3
 CONTROL_DT = 0.1
 # N m; of the random residual torque, held for an agent step.
-NUDGE = 0.15
+NUDGE = 0.3
 LOOK_EVERY = 50
-LOOK_PLANTS = 512
-# Of the plants on which the search chooses, whatever seed it has itself.
+LOOK_EPISODES = 512
+# Of the episodes by which the search chooses, whatever seed it has itself.
 LOOK_SEED = (20186, 1)
 
 
@@ -81,21 +84,21 @@ class Trials:
             threads=threads,
         )
 
-    def run(
-        self, parameters: np.ndarray, before: np.ndarray, after: np.ndarray, actions: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def run(self, parameters: np.ndarray, plants: np.ndarray, actions: np.ndarray) -> dict[str, np.ndarray]:
         """The metrics of one episode each, shape (n,).
 
         Args:
             parameters: shape (n, size), in the order of `PARAMETERS`.
-            before: M in kg and mu in the first half of the episode, shape (2, n).
-            after: likewise in the second half.
+            plants: M in kg and mu of each part of the episode, shape (parts, 2, n).
             actions: shape (steps, n).
         """
         steps = len(actions)
-        t = 0.5 * steps * CONTROL_DT
-        changes = [[{"t": t, "M": M, "mu": mu}] for M, mu in after.T.tolist()]
-        self.env.reset(seed=0, options={"M": before[0], "mu": before[1], "changes": changes})
+        times = [steps * CONTROL_DT * part / len(plants) for part in range(1, len(plants))]
+        changes = [
+            [{"t": t, "M": M, "mu": mu} for t, (M, mu) in zip(times, later, strict=True)]
+            for later in plants[1:].transpose(2, 0, 1).tolist()
+        ]
+        self.env.reset(seed=0, options={"M": plants[0, 0], "mu": plants[0, 1], "changes": changes})
         simulation = self.env.simulation
         for cell, column in enumerate(parameters.T):
             simulation.write(ROWS + cell, column)
@@ -111,8 +114,24 @@ def draw_plants(rng: np.random.Generator, count: int) -> np.ndarray:
     return np.array([plant_at(lines, *pair) for pair in np.transpose(shares).tolist()]).T
 
 
+def draw_episodes(
+    rng: np.random.Generator, count: int, horizon: float, repeats: int = 1
+) -> tuple[np.ndarray, np.ndarray]:
+    """The plants and the actions of as many episodes, every second of which is nudged, as `Trials.run` takes them.
+
+    Args:
+        rng: where they come from.
+        count: of different sequences of plants.
+        horizon: length of an episode, s.
+        repeats: how often they follow each other; the nudges differ.
+    """
+    plants = np.tile([draw_plants(rng, count) for _ in range(PARTS)], repeats)
+    nudged = np.tile(np.arange(count) % 2, repeats)
+    return plants, nudged * rng.uniform(-1.0, 1.0, (round(horizon / CONTROL_DT), nudged.size))
+
+
 class Search:
-    """The search; `best` holds the parameters with the best score so far, on plants that stay the same.
+    """The search; `best` holds the parameters with the best score so far, in episodes that stay the same.
 
     Args:
         seed: of the search.
@@ -131,7 +150,7 @@ class Search:
         }
         self.strategy = import_cma().CMAEvolutionStrategy(start, FIRST_STEP, options)
         self.trials = Trials(POPULATION * PLANTS, threads)
-        self.looks = Trials(LOOK_PLANTS, threads)
+        self.looks = Trials(LOOK_EPISODES, threads)
         self.generation = 0
         self.best: tuple[float, int, np.ndarray] = (-math.inf, 0, self.parameters(start))
 
@@ -145,18 +164,16 @@ class Search:
     def advance(self) -> float:
         """One generation; returns the best of its scores."""
         points = self.strategy.ask()
-        before, after = (np.tile(draw_plants(self.rng, PLANTS), POPULATION) for _ in range(2))
-        nudged = np.tile(np.arange(PLANTS) % 2, POPULATION)
-        actions = nudged * self.rng.uniform(-1.0, 1.0, (round(TRIAL / CONTROL_DT), nudged.size))
+        plants, actions = draw_episodes(self.rng, PLANTS, TRIAL, POPULATION)
         parameters = np.repeat([self.parameters(point) for point in points], PLANTS, axis=0)
-        scores = _scores(self.trials.run(parameters, before, after, actions), TRIAL)
+        scores = _scores(self.trials.run(parameters, plants, actions), TRIAL)
         means = scores.reshape(POPULATION, PLANTS).mean(axis=1)
         self.strategy.tell(points, (-means).tolist())
         self.generation += 1
         return float(means.max())
 
     def look(self) -> dict[str, Any]:
-        """Runs the mean of the distribution on the plants that stay the same, and keeps it where it is the best."""
+        """Runs the mean of the distribution in the episodes that stay the same, and keeps it where it is the best."""
         found = self.parameters(self.strategy.mean)
         score, summary = judge(self.looks, found)
         if score > self.best[0]:
@@ -170,21 +187,19 @@ def _scores(metrics: dict[str, np.ndarray], horizon: float) -> np.ndarray:
 
 
 def judge(trials: Trials, parameters: np.ndarray) -> tuple[float, dict[str, Any]]:
-    """The mean score over whole episodes on `LOOK_PLANTS` plants, all of which jump once, and a summary.
+    """The mean score over `LOOK_EPISODES` whole episodes, with jumps and nudges as in the search, and a summary.
 
     Args:
-        trials: of `LOOK_PLANTS` environments.
+        trials: of `LOOK_EPISODES` environments.
         parameters: in the order of `PARAMETERS`.
     """
-    rng = np.random.default_rng(LOOK_SEED)
-    before, after = draw_plants(rng, LOOK_PLANTS), draw_plants(rng, LOOK_PLANTS)
-    at_rest = np.zeros((round(HORIZON / CONTROL_DT), LOOK_PLANTS))
-    metrics = trials.run(np.tile(parameters, (LOOK_PLANTS, 1)), before, after, at_rest)
+    plants, actions = draw_episodes(np.random.default_rng(LOOK_SEED), LOOK_EPISODES, HORIZON)
+    metrics = trials.run(np.tile(parameters, (LOOK_EPISODES, 1)), plants, actions)
     value = float(_scores(metrics, HORIZON).mean())
     return value, {
         "mean_speed": round(float(metrics["mean_speed"].mean()), 4),
         "failures": int(metrics["failed"].sum()),
-        "plants": LOOK_PLANTS,
+        "episodes": LOOK_EPISODES,
     }
 
 
@@ -205,7 +220,7 @@ class Options:
 
     seed: int = 0
     """Of the search."""
-    generations: Count = 1000
+    generations: Count = 700
     """Of the CMA-ES."""
     threads: int = os.cpu_count() or 1
     """For the batch."""
@@ -226,7 +241,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 summary = search.look()
                 print(
                     f"generation {search.generation}/{options.generations}, {perf_counter() - began:.0f} s: best "
-                    f"{fastest:.2f}; mean of all on {summary['plants']} plants: {summary['mean_speed']:.2f} cm/s, "
+                    f"{fastest:.2f}; mean of all in {summary['episodes']} episodes: {summary['mean_speed']:.2f} cm/s, "
                     f"{summary['failures']} failed",
                     flush=True,
                 )

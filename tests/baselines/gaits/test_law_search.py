@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 
 from baselines.gaits import law_search
-from baselines.gaits.law_search import Search, Trials, draw_plants, main
+from baselines.gaits.law_search import Search, Trials, draw_episodes, draw_plants, main
 from baselines.laws.gait import PARAMETERS, gait, known_parameters
 from capsule_gym import CapsuleVectorEnv
+from capsule_gym.kernels import Row
 
 
 @pytest.fixture
 def quick(monkeypatch):
     """A search of seconds: few candidates, few plants, short episodes."""
     pytest.importorskip("cma")
-    sizes = {"POPULATION": 4, "PLANTS": 4, "LOOK_PLANTS": 4, "TRIAL": 0.4, "HORIZON": 0.4, "LOOK_EVERY": 2}
+    sizes = {"POPULATION": 4, "PLANTS": 4, "LOOK_EPISODES": 4, "TRIAL": 0.4, "HORIZON": 0.4, "LOOK_EVERY": 2}
     for name, value in sizes.items():
         monkeypatch.setattr(law_search, name, value)
 
@@ -31,13 +32,23 @@ def test_draws_lie_evenly_over_wide():
 def test_a_candidate_moves_as_the_law_with_its_parameters():
     plants = np.array([[0.5, 0.4], [0.01, 0.2]])
     parameters = np.tile(known_parameters(), (2, 1))
-    found = Trials(2, 1).run(parameters, plants, plants, np.zeros((20, 2)))
+    found = Trials(2, 1).run(parameters, plants[None], np.zeros((20, 2)))
     env = CapsuleVectorEnv(2, controller=gait(), control_dt=0.1, autoreset_mode="DISABLED")
     env.reset(seed=0, options={"M": plants[0], "mu": plants[1]})
     for _ in range(20):
         env.step(np.zeros((2, 1), np.float32))
     # But for the first millisecond, in which a candidate has no torque.
     np.testing.assert_allclose(found["mean_speed"], env.episode_metrics()["mean_speed"], rtol=0.05)
+
+
+def test_the_plants_of_an_episode_follow_each_other_in_equal_parts():
+    plants, actions = draw_episodes(np.random.default_rng(0), 4, 0.6, repeats=2)
+    assert (plants.shape, actions.shape) == ((3, 2, 8), (6, 8))
+    assert (plants[..., :4] == plants[..., 4:]).all()
+    assert (actions[:, ::2] == 0.0).all() and (actions[:, 1::2] != 0.0).all()
+    trials = Trials(8, 1)
+    trials.run(np.tile(known_parameters(), (8, 1)), plants, actions)
+    np.testing.assert_array_equal(trials.env.simulation.rows(Row.M, Row.mu + 1), plants[-1])
 
 
 def test_a_search_is_that_of_its_seed(quick):
