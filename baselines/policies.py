@@ -64,6 +64,9 @@ SCRIPTED = {
         ),
         _with_law("compliant", "compliant", "the paper's profile (9), adaptive law (39) with low gains"),
         _with_law("epc", "epc", "the EPC profile, feedback linearisation (35)"),
+        _with_law(
+            "gait-guarded", "gait", "a gait at 1 kHz that is told nothing of the plant, with a guard of the contact"
+        ),
         ScriptedPolicy(
             "gait-nominal",
             "the tolerant gait of the nominal plant, whatever the plant; torque every 10 ms",

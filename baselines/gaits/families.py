@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from baselines.laws.gait import COEFFICIENTS, cubic
 from capsule_gym.trigonometry import sines_and_cosines
 
 # The torque of many candidates at once: parameters of shape (size, n), time in s, observations of shape (n, entries).
@@ -30,9 +31,6 @@ GAIT_DT = 0.01
 HARMONICS = 4
 
 FEEDBACK = ("theta", "theta_dot", "x_dot")
-# Scales in rad, rad/s and m/s that make the polynomial's coefficients comparable.
-STATE_SCALE = (1.0, 5.0, 0.3)
-EXPONENTS = tuple((i, j, k) for i in range(4) for j in range(4) for k in range(4) if i + j + k <= 3)
 
 
 def _feedback(gains: np.ndarray, observations: np.ndarray) -> np.ndarray:
@@ -73,14 +71,8 @@ def _bang_bang(parameters: np.ndarray, time: float, observations: np.ndarray) ->
 
 
 def _phase_space(parameters: np.ndarray, time: float, observations: np.ndarray) -> np.ndarray:
-    powers = []
-    for i, scale in enumerate(STATE_SCALE):
-        value = observations[:, i] / scale
-        powers.append((1.0, value, value * value, value * value * value))
-    theta, theta_dot, x_dot = powers
-    torque = parameters[-1] * np.sign(observations[:, 2])
-    for coefficient, (i, j, k) in zip(parameters, EXPONENTS, strict=False):
-        torque += coefficient * theta[i] * theta_dot[j] * x_dot[k]
+    theta, theta_dot, x_dot = observations[:, 0], observations[:, 1], observations[:, 2]
+    torque: np.ndarray = cubic(tuple(parameters), theta, theta_dot, x_dot, np.sign(x_dot))
     return torque
 
 
@@ -108,9 +100,8 @@ class Family:
 def _families() -> dict[str, Family]:
     series = (*(f"cos_{k}" for k in range(1, HARMONICS + 1)), *(f"sin_{k}" for k in range(1, HARMONICS + 1)))
     gains, gain_units = tuple(f"gain_{name}" for name in FEEDBACK), (1.0, 0.1, 1.0)
-    terms = tuple("phi_" + "".join(str(e) for e in exponents) for exponents in EXPONENTS)
     # Positive feedback of theta_dot starts an oscillation by itself.
-    excited = tuple(1.0 if exponents == (0, 1, 0) else 0.0 for exponents in EXPONENTS)
+    excited = tuple(1.0 if name == "phi_010" else 0.0 for name in COEFFICIENTS)
     steps, durations = ("push_1", "pull_1", "push_2", "pull_2"), (0.25, 0.1, 0.1, 0.25)
     families = (
         Family(
@@ -131,10 +122,10 @@ def _families() -> dict[str, Family]:
         ),
         Family(
             "phase-space",
-            (*terms, "sign_x_dot"),
-            tuple(1.0 for _ in (*terms, "sign")),
-            (*excited, 0.0),
-            tuple(0.7 for _ in (*terms, "sign")),
+            COEFFICIENTS,
+            tuple(1.0 for _ in COEFFICIENTS),
+            excited,
+            tuple(0.7 for _ in COEFFICIENTS),
             _phase_space,
         ),
     )

@@ -54,12 +54,16 @@ class Performance:
         return out
 
 
-def start_nominal(seeds: Sequence[int]) -> Act:
-    """The tolerant gait of the nominal plant, on every plant; the fastest one fails where M is 5 % off."""
+def tolerant_nominal() -> Gait:
+    """The tolerant gait of the nominal plant; the fastest one fails where M is 5 % off."""
     nominal = Capsule()
     tolerant = [gait for gait in known_gaits().tolerant if (gait.M, gait.mu) == (nominal.M, nominal.mu)]
-    gait = max(tolerant, key=lambda gait: gait.tolerance)
-    return Performance([gait] * len(seeds)).act
+    return max(tolerant, key=lambda gait: gait.tolerance)
+
+
+def start_nominal(seeds: Sequence[int]) -> Act:
+    """The tolerant gait of the nominal plant, on every plant."""
+    return Performance([tolerant_nominal()] * len(seeds)).act
 
 
 @dataclass(frozen=True)

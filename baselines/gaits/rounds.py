@@ -105,7 +105,12 @@ def score(results: dict[str, np.ndarray], horizon: float, goals: np.ndarray | No
     return np.where(results["failed"] > 0.0, FAILURE * (2.0 - results["duration"] / horizon), value)
 
 
-def _import_cma() -> Any:
+def import_cma() -> Any:
+    """The package cma.
+
+    Raises:
+        ImportError: if it is not installed, with what would install it.
+    """
     try:
         return importlib.import_module("cma")
     except ImportError as error:
@@ -145,7 +150,7 @@ class Search:
         self.threads = threads
         self.report = report
         self.command = command
-        self.cma = _import_cma()
+        self.cma = import_cma()
         self.began = perf_counter()
         self.deadline = math.inf
         self.steps = 0

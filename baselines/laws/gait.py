@@ -1,0 +1,126 @@
+"""A gait without a clock as a `Controller`: the torque is a polynomial of the state, and a guard keeps the contact.
+
+The law is told nothing of the plant and follows no reference. `python -m baselines.gaits.law_search` has found the
+numbers in `gait.json`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from capsule_gym.compilation import inlined
+from capsule_gym.controller import Controller, Law
+from capsule_gym.parameters import check_number, written
+from capsule_gym.task import TORQUE_LIMIT, clip
+from capsule_gym.trigonometry import sincos
+
+FILE = Path(__file__).with_name("gait.json")
+# Scales in rad, rad/s and m/s that make the polynomial's coefficients comparable.
+STATE_SCALE = (1.0, 5.0, 0.3)
+# phi_ijk stands before theta^i theta_dot^j x_dot^k, each in its scale.
+COEFFICIENTS = (
+    *(f"phi_{i}{j}{k}" for i in range(4) for j in range(4) for k in range(4) if i + j + k <= 3),
+    "sign_x_dot",
+)
+# The guard's gain in N m s^2, and the theta_dot^2 cos(theta), 1/s^2, from which it acts.
+PARAMETERS = (*COEFFICIENTS, "guard_gain", "guard_from")
+# Both entries of the observation that show a reference stay 0, and so does the phase.
+NO_REFERENCE = np.zeros((1, 2))
+
+
+@inlined
+def cubic(coefficients: tuple[Any, ...], theta: Any, theta_dot: Any, x_dot: Any, sign: Any) -> Any:
+    """The cubic polynomial of the state plus a step in the direction of slip.
+
+    Args:
+        coefficients: in the order of `COEFFICIENTS`; numbers, or arrays of a shape of their own.
+        theta: rad; like the next three a number, or an array of that shape.
+        theta_dot: rad/s.
+        x_dot: m/s.
+        sign: of x_dot.
+    """
+    a, b, c = theta / STATE_SCALE[0], theta_dot / STATE_SCALE[1], x_dot / STATE_SCALE[2]
+    aa, bb, cc = a * a, b * b, c * c
+    p000, p001, p002, p003, p010, p011, p012, p020, p021, p030 = coefficients[:10]
+    p100, p101, p102, p110, p111, p120, p200, p201, p210, p300, step = coefficients[10:]
+    torque = step * sign + p000 + p001 * c + p002 * cc + p003 * (cc * c)
+    torque = torque + p010 * b + p011 * b * c + p012 * b * cc + p020 * bb + p021 * bb * c + p030 * (bb * b)
+    torque = torque + p100 * a + p101 * a * c + p102 * a * cc + p110 * a * b + p111 * a * b * c + p120 * a * bb
+    return torque + p200 * aa + p201 * aa * c + p210 * aa * b + p300 * (aa * a)
+
+
+@inlined
+def guarded_torque(theta: float, theta_dot: float, x_dot: float, parameters: tuple[float, ...]) -> float:
+    """The gait's torque within the limit, less the guard's, in N m.
+
+    The normal force is N = (M + m) g - m l (theta_dot^2 cos(theta) + theta_dot_dot sin(theta)): a pendulum that is fast
+    while it is upright lifts the platform, in either direction. The guard brakes it before it is too fast.
+
+    Args:
+        theta: rad.
+        theta_dot: rad/s.
+        x_dot: m/s; exactly 0.0 in stick.
+        parameters: in the order of `PARAMETERS`.
+    """
+    sign = 1.0 if x_dot > 0.0 else -1.0 if x_dot < 0.0 else 0.0
+    torque = clip(TORQUE_LIMIT * cubic(parameters[:-2], theta, theta_dot, x_dot, sign), TORQUE_LIMIT)
+    cos = sincos(theta)[1]
+    excess = max(0.0, theta_dot * theta_dot * cos - parameters[-1])
+    brake = parameters[-2] * excess
+    return torque - (brake if theta_dot > 0.0 else -brake)
+
+
+def gait_law(parameters: tuple[float, ...]) -> Law:
+    """The law with its parameters in its closure, where the compiler sees them; in the order of `PARAMETERS`."""
+
+    def law(
+        theta: float, theta_dot: float, x: float, x_dot: float, memory: tuple[float, ...], reference: tuple[float, ...]
+    ) -> tuple[float, tuple[float, ...]]:
+        return guarded_torque(theta, theta_dot, x_dot, parameters), memory
+
+    return law
+
+
+@lru_cache(maxsize=1)
+def known_parameters() -> tuple[float, ...]:
+    """The committed parameters, in the order of `PARAMETERS`, read once.
+
+    Raises:
+        ValueError: if the file does not name each of them.
+    """
+    try:
+        content = json.loads(FILE.read_text(encoding="utf-8"))["parameters"]
+        return tuple(float(content[name]) for name in PARAMETERS)
+    except (KeyError, TypeError, ValueError, FileNotFoundError) as error:
+        raise ValueError(
+            f"{FILE} must be what `python -m baselines.gaits.law_search` writes, got {type(error).__name__}: {error}"
+        ) from error
+
+
+def gait(parameters: Sequence[float] | None = None) -> Controller:
+    """A gait that is told nothing of the plant: its torque follows from theta, theta_dot and x_dot alone.
+
+    Args:
+        parameters: in the order of `PARAMETERS`; None takes the committed ones.
+
+    Raises:
+        TypeError: if one is no number.
+        ValueError: if one is not finite, or there are more or fewer.
+    """
+    if parameters is None:
+        return Controller("gait", gait_law(known_parameters()), NO_REFERENCE)
+    if len(parameters) != len(PARAMETERS):
+        raise ValueError(
+            f"parameters must be {len(PARAMETERS)} numbers, {', '.join(PARAMETERS)}, got {written(parameters)}"
+        )
+    checked = [
+        check_number(f"parameters, {name},", value, "a finite number")
+        for name, value in zip(PARAMETERS, parameters, strict=True)
+    ]
+    return Controller("gait", gait_law(tuple(checked)), NO_REFERENCE)
