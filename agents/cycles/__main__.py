@@ -140,7 +140,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ValueError as error:
         refuse(PROG, str(error))
     shapes, phases = tables(cycles)
-    print(text_table(shapes, left=1), text_table(phases, left=2, last_left=False), sep="\n\n")
+    # Written before anything is printed: a closed pipe must not cost the result.
     if options.markdown is not None:
         parts = [f"<!-- Written by {PROG}: do not edit. -->"]
         for name, table in (("shapes", shapes), ("phases", phases)):
@@ -149,6 +149,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.figure is not None:
         with style():
             save(draw_cycles(cycles), options.figure.with_suffix(""))
+    print(text_table(shapes, left=1), text_table(phases, left=2, last_left=False), sep="\n\n")
     return 0
 
 

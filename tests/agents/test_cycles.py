@@ -106,8 +106,9 @@ def test_the_balance_of_a_steady_cycle_closes():
         own = found.phases[phase]
         expected = sign * 0.01 * own.press * weight * own.time * found.period
         assert own.impulse == pytest.approx(expected, rel=0.02)
-    # The profile brings everything to rest before the next stroke.
-    assert found.glide[0] == pytest.approx(0.0, abs=0.5) and found.glide[1] > 3.0
+    # Friction brakes the stroke by so much, and the profile brings everything to rest before the next.
+    assert found.glide[0] == pytest.approx(100.0 * found.phases[FORWARD].impulse / 0.638, abs=0.1)
+    assert cycle.course.x_dot[0] == 0.0 == cycle.course.x_dot[-1]
     # Over a cycle the floor carries the weight.
     assert sum(each.time * each.press for each in found.phases.values()) == pytest.approx(1.0, abs=2e-3)
     # And in stick nothing moves.
