@@ -118,8 +118,9 @@ def read_learning(folder: Path) -> Learning:
     for path in sorted(folder.glob(f"seed-*/{EVALUATIONS}")):
         try:
             with path.open(newline="", encoding="utf-8") as file:
-                lines = [(int(line["steps"]), float(line["mean_speed_cm_s"])) for line in csv.DictReader(file)]
-            steps, speeds = np.array(lines, np.float64).T
+                # Where a stage of a run ends it may be evaluated twice: the last line counts.
+                lines = {int(line["steps"]): float(line["mean_speed_cm_s"]) for line in csv.DictReader(file)}
+            steps, speeds = np.array(sorted(lines.items()), np.float64).T
             seeds[int(path.parent.name.removeprefix("seed-"))] = (steps, speeds)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(

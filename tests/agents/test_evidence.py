@@ -157,6 +157,14 @@ def test_fronts_rise_with_their_cost():
         assert (np.diff(costs) >= 0.0).all() and (np.diff(speeds) >= 0.0).all()
 
 
+def test_the_last_of_two_evaluations_at_the_same_step_counts(tmp_path):
+    write_evaluations(tmp_path, 3, [1.0, 2.0])
+    with (tmp_path / "seed-3" / "evaluations.csv").open("a") as file:
+        file.write("200,5.0,0.0\n")
+    steps, speeds = read_learning(tmp_path).seeds[3]
+    assert (steps.tolist(), speeds.tolist()) == ([100, 200], [1.0, 5.0])
+
+
 def test_broken_evaluations_are_named(tmp_path):
     write_evaluations(tmp_path / "learnt", 0, [])
     with pytest.raises(ValueError, match=r"evaluations\.csv must be what a training run writes"):
