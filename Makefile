@@ -43,11 +43,13 @@ types: $(STAMP)  ## Check types
 docs: $(STAMP)  ## Build the documentation into site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-leaderboard: $(STAMP)  ## Rewrite LEADERBOARD.md and leaderboard.json
+leaderboard: $(STAMP)  ## Evaluate all policies, and rewrite the leaderboard and the evidence
 	$(BIN)/python -m agents.leaderboard
+	$(BIN)/python -m agents.evidence
 
-leaderboard-check: $(STAMP)  ## Fail where LEADERBOARD.md or leaderboard.json is stale
+leaderboard-check: $(STAMP)  ## Fail where the leaderboard or the evidence is stale
 	$(BIN)/python -m agents.leaderboard --check
+	$(BIN)/python -m agents.evidence --check
 
 regression: $(STAMP)  ## Fail where a kernel has become slower against what it is compared with
 	$(BIN)/python -m benchmarks.regression

@@ -12,7 +12,8 @@ from typing import Annotated
 from tqdm import tqdm
 from tyro.conf import arg
 
-from agents.evaluation.candidates import BASELINE, Candidate, checkpoint_names, find_candidate
+from agents.evaluation import outside
+from agents.evaluation.candidates import BASELINE, Candidate, checkpoint_names
 from agents.evaluation.episodes import Episode, difference, failures, make_result, scores, summarise
 from agents.evaluation.sets import SET_NAMES, EvaluationSet, load_set
 from agents.evaluation.statistics import interquartile_mean
@@ -40,10 +41,12 @@ class Options:
       python -m agents.evaluate adaptive --set paper
       python -m agents.evaluate residual-ppo --set drift --seed-runs
       python -m agents.evaluate runs/my-run --set wide --json result.json
+      python -m agents.evaluate my_module:policy --trust
     """
 
     policy: Annotated[Positional[str], arg(metavar="NAME_OR_PATH")]
-    """A scripted policy, a checkpoint (all training seeds; one as NAME/seed-0), or the path of a run or policy file."""
+    """A scripted policy, a checkpoint (all training seeds; one as NAME/seed-0), the path of a run or policy file, or
+    module:attribute for a policy from outside."""
     set: Annotated[str, arg(metavar="NAME_OR_PATH")] = "paper"
     """A frozen set, or the path of a JSON file of the same form."""
     against: Annotated[str, arg(metavar="NAME_OR_PATH")] = BASELINE
@@ -54,6 +57,8 @@ class Options:
     """Write the result, with all episodes, to this file."""
     overwrite: bool = False
     """Let --json replace an existing file."""
+    trust: bool = False
+    """Accept a policy given as module:attribute: importing it runs its code."""
     trust_controller: bool = False
     """Accept a policy with a control law from elsewhere: importing it runs its code."""
 
@@ -118,8 +123,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse(Options, PROG, arguments)
     try:
         evaluation_set = load_set(options.set)
-        trust = options.trust_controller
-        candidate, reference = (find_candidate(n, trust_controller=trust) for n in (options.policy, options.against))
+        candidate, reference = (
+            outside.find(name, trust=options.trust, trust_controller=options.trust_controller)
+            for name in (options.policy, options.against)
+        )
     except ValueError as error:
         refuse(PROG, str(error))
     episodes = run_all(candidate, evaluation_set)

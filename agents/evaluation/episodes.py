@@ -75,7 +75,21 @@ def evaluate(policy: Policy, evaluation_set: EvaluationSet, *, horizon: float = 
     """
     settings: dict[str, Any] = {**policy.env_kwargs, **EPISODE_SETTINGS}
     metrics = _run(policy, settings, evaluation_set.plants, round(horizon / settings.get("control_dt", CONTROL_DT)))
-    shared = has_best_known(evaluation_set) and settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
+    limited = settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
+    return as_episodes(evaluation_set, metrics, shared=limited)
+
+
+def as_episodes(
+    evaluation_set: EvaluationSet, metrics: Mapping[str, np.ndarray], *, shared: bool = True
+) -> list[Episode]:
+    """The episodes of a set as `evaluate` returns them.
+
+    Args:
+        evaluation_set: the plants.
+        metrics: by name, each of shape (plants,).
+        shared: whether a share of the best-known speed belongs to them, where `has_best_known` says so as well.
+    """
+    shared = shared and has_best_known(evaluation_set)
     episodes = []
     for i, plant in enumerate(evaluation_set.plants):
         values = {name: float(column[i]) for name, column in metrics.items()}

@@ -1,4 +1,4 @@
-"""Interquartile means with bootstrap intervals.
+"""Interquartile means, probabilities of improvement, profiles and learning curves, with bootstrap intervals.
 
 Scores have the shape (training seeds, episodes): every seed is judged on the same episodes. A scripted policy has
 one row.
@@ -16,7 +16,7 @@ the true median with a probability of 75 % (two seeds: 50 %, five: 94 %), not 95
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike
 RESAMPLES = 4000
 CONFIDENCE = 0.95
 BOOTSTRAP_SEED = 2018
+AT_ONCE = 100
 
 Unit = Literal["seeds", "episodes", "nothing"]
 
@@ -35,7 +36,7 @@ class Estimate:
     """A summary with its interval.
 
     Attributes:
-        value: the interquartile mean.
+        value: the interquartile mean, or the probability.
         low: lower end of the 95 % interval.
         high: upper end.
         resampled: what the bootstrap drew with replacement.
@@ -88,7 +89,9 @@ def _seed_percentiles(statistic: Callable[[np.ndarray], np.ndarray], *draws: np.
     # The order of seeds does not matter, which leaves few distinct draws (ten for three seeds): each is computed once.
     in_order = np.hstack([np.sort(draw, axis=1) for draw in draws])
     distinct, inverse = np.unique(in_order, axis=0, return_inverse=True)
-    return _percentiles(statistic(distinct)[inverse.reshape(-1)])
+    # In parts: all draws of ten seeds at once would fill hundreds of megabytes.
+    parts = [statistic(distinct[first : first + AT_ONCE]) for first in range(0, len(distinct), AT_ONCE)]
+    return _percentiles(np.concatenate(parts)[inverse.reshape(-1)])
 
 
 def _checked(name: str, scores: ArrayLike) -> np.ndarray:
@@ -109,16 +112,29 @@ def estimate(scores: ArrayLike, *, resamples: int = RESAMPLES, seed: int = BOOTS
     Raises:
         ValueError: if the scores are not of that shape.
     """
-    array = _checked("scores", scores)
+    return _over_seeds(_checked("scores", scores), interquartile_mean, resamples, seed)
+
+
+def _over_seeds(
+    array: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray], resamples: int, seed: int
+) -> Estimate:
+    """A statistic of all scores, with its interval.
+
+    Args:
+        array: scores, shape (training seeds, episodes).
+        statistic: over the last axis.
+        resamples: number of bootstrap resamples.
+        seed: of the resampling.
+    """
     seeds, episodes = array.shape
-    value = float(interquartile_mean(array.reshape(-1)))
+    value = float(statistic(array.reshape(-1)))
     rng = np.random.default_rng(seed)
     if seeds > 1:
         draws = _draw(rng, seeds, resamples)
-        low, high = _seed_percentiles(lambda rows: interquartile_mean(array[rows].reshape(len(rows), -1)), draws)
+        low, high = _seed_percentiles(lambda rows: statistic(array[rows].reshape(len(rows), -1)), draws)
         return Estimate(value, low, high, "seeds")
     if episodes > 1:
-        low, high = _percentiles(interquartile_mean(array[0][_draw(rng, episodes, resamples)]))
+        low, high = _percentiles(statistic(array[0][_draw(rng, episodes, resamples)]))
         return Estimate(value, low, high, "episodes")
     return Estimate(value, float("nan"), float("nan"), "nothing")
 
@@ -141,22 +157,159 @@ def paired_difference(
     Raises:
         ValueError: if the scores are not of these shapes.
     """
+    array, other = _same_episodes(scores, reference)
+    # Infinite in both: undefined, and NaN says so.
+    with np.errstate(invalid="ignore"):
+        differences = array[:, None, :] - other[None, :, :]
+    return _over_pairs(differences, interquartile_mean, resamples, seed)
+
+
+def _same_episodes(scores: ArrayLike, reference: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Both as arrays, after a check that they hold the same episodes."""
     array, other = _checked("scores", scores), _checked("reference", reference)
     if array.shape[1] != other.shape[1]:
         raise ValueError(
             f"scores and reference must hold the same episodes, got {array.shape[1]} and {other.shape[1]} of them"
         )
-    # Infinite in both: undefined, and NaN says so.
-    with np.errstate(invalid="ignore"):
-        differences = array[:, None, :] - other[None, :, :]
-    rows, columns, episodes = differences.shape
+    return array, other
+
+
+def _over_pairs(
+    pairs: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray], resamples: int, seed: int
+) -> Estimate:
+    """A statistic of pairs of seeds, with its interval.
+
+    Args:
+        pairs: shape (seeds of the one, seeds of the other, episodes).
+        statistic: over the last axis.
+        resamples: number of bootstrap resamples.
+        seed: of the resampling.
+    """
+    rows, columns, episodes = pairs.shape
     if rows == 1 or columns == 1:
-        return estimate(differences.reshape(-1, episodes), resamples=resamples, seed=seed)
+        return _over_seeds(pairs.reshape(-1, episodes), statistic, resamples, seed)
     rng = np.random.default_rng(seed)
 
-    def statistic(drawn: np.ndarray) -> np.ndarray:
-        pairs = differences[drawn[:, :rows, None], drawn[:, None, rows:]]
-        return interquartile_mean(pairs.reshape(len(drawn), -1))
+    def drawn_statistic(drawn: np.ndarray) -> np.ndarray:
+        chosen = pairs[drawn[:, :rows, None], drawn[:, None, rows:]]
+        return statistic(chosen.reshape(len(drawn), -1))
 
-    low, high = _seed_percentiles(statistic, _draw(rng, rows, resamples), _draw(rng, columns, resamples))
-    return Estimate(float(interquartile_mean(differences.reshape(-1))), low, high, "seeds")
+    low, high = _seed_percentiles(drawn_statistic, _draw(rng, rows, resamples), _draw(rng, columns, resamples))
+    return Estimate(float(statistic(pairs.reshape(-1))), low, high, "seeds")
+
+
+def probability_of_improvement(
+    scores: ArrayLike, reference: ArrayLike, *, resamples: int = RESAMPLES, seed: int = BOOTSTRAP_SEED
+) -> Estimate:
+    """How probable it is that one policy scores more than another on the same episode, a tie counting half.
+
+    For every episode the share of pairs of training seeds, one of each policy, in which the first scores more (the
+    statistic U of Mann and Whitney over the number of pairs), averaged over the episodes; rliable's definition with
+    episodes as tasks. What is resampled is as for `paired_difference`.
+
+    Args:
+        scores: shape (training seeds, episodes).
+        reference: shape (training seeds of the reference, episodes), of the same episodes in the same order.
+        resamples: number of bootstrap resamples.
+        seed: of the resampling.
+
+    Raises:
+        ValueError: if the scores are not of these shapes.
+    """
+    array, other = _same_episodes(scores, reference)
+    won = array[:, None, :] > other[None, :, :]
+    tied = array[:, None, :] == other[None, :, :]
+    return _over_pairs(_means_of_seeds(won + 0.5 * tied), _mean, resamples, seed)
+
+
+def _mean(values: np.ndarray) -> np.ndarray:
+    return np.asarray(values.mean(axis=-1))
+
+
+def _means_of_seeds(values: np.ndarray) -> np.ndarray:
+    """The means over the last axis, kept, where seeds are resampled: of a mean nothing else is needed."""
+    return values if values[..., 0].size == 1 else values.mean(axis=-1, keepdims=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A course with its pointwise 95 % intervals.
+
+    Attributes:
+        x: what it is a course over, ascending, shape (n,).
+        value: shape (n,).
+        low: lower ends of the intervals, shape (n,).
+        high: upper ends, shape (n,).
+        resampled: what the bootstrap drew with replacement.
+    """
+
+    x: np.ndarray
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    resampled: Unit
+
+
+def performance_profile(
+    scores: ArrayLike, thresholds: ArrayLike, *, resamples: int = RESAMPLES, seed: int = BOOTSTRAP_SEED
+) -> Curve:
+    """The share of all episodes of all training seeds that score more than a threshold, over the threshold.
+
+    Rliable's run-score distribution; what is resampled is as for `estimate`. The area under it, from 0 on, is the mean
+    of scores that are not negative.
+
+    Args:
+        scores: shape (training seeds, episodes).
+        thresholds: ascending, shape (n,).
+        resamples: number of bootstrap resamples.
+        seed: of the resampling.
+
+    Raises:
+        ValueError: if the scores are not of that shape, or the thresholds do not ascend.
+    """
+    array, x = _checked("scores", scores), np.asarray(thresholds, dtype=np.float64)
+    if x.ndim != 1 or not x.size or not (x[1:] > x[:-1]).all():
+        raise ValueError(f"thresholds must be ascending numbers of shape (n >= 1,), got {thresholds!r}")
+    above = [_means_of_seeds((array > threshold).astype(np.float64)) for threshold in x]
+    found = [_over_seeds(each, _mean, resamples, seed) for each in above]
+    return _curve(x, found)
+
+
+def learning_curve(
+    runs: Sequence[tuple[ArrayLike, ArrayLike]], *, resamples: int = RESAMPLES, seed: int = BOOTSTRAP_SEED
+) -> Curve:
+    """The interquartile mean over training seeds of what each had come to, over the steps of training.
+
+    A run counts with its last evaluation so far, never with a later one; the course begins where all runs have been
+    evaluated once, and ends with the shortest.
+
+    Args:
+        runs: of each seed the steps of its evaluations, ascending, and what they came to; both of shape (evaluations,).
+        resamples: number of bootstrap resamples.
+        seed: of the resampling.
+
+    Raises:
+        ValueError: if there is no run, a run's arrays do not fit each other, its steps do not ascend, or the runs have
+            no steps in common.
+    """
+    checked = [(np.asarray(steps, np.float64), np.asarray(values, np.float64)) for steps, values in runs]
+    for steps, values in checked:
+        if steps.ndim != 1 or not steps.size or steps.shape != values.shape or not (steps[1:] > steps[:-1]).all():
+            raise ValueError(
+                "runs must hold ascending steps and as many values, both of shape (evaluations >= 1,), got "
+                f"{steps!r} and {values!r}"
+            )
+    if not checked:
+        raise ValueError("runs must hold at least one run, got none")
+    first, last = max(steps[0] for steps, _ in checked), min(steps[-1] for steps, _ in checked)
+    if first > last:
+        raise ValueError(f"runs must overlap, got one that begins at {first:g} steps and one that ends at {last:g}")
+    every = np.unique(np.concatenate([steps for steps, _ in checked]))
+    x = every[(every >= first) & (every <= last)]
+    held = np.stack([values[np.searchsorted(steps, x, side="right") - 1] for steps, values in checked])
+    return _curve(x, [estimate(column[:, None], resamples=resamples, seed=seed) for column in held.T])
+
+
+def _curve(x: np.ndarray, found: Sequence[Estimate]) -> Curve:
+    value, low, high = (np.array([getattr(each, name) for each in found]) for name in ("value", "low", "high"))
+    return Curve(x, value, low, high, found[0].resampled)

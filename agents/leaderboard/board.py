@@ -1,32 +1,30 @@
-"""The content of leaderboard.json: every policy evaluated on every frozen set, and how chaotic it is."""
+"""Evaluates policies, row by row, and makes the content of leaderboard.json of the rows."""
 
 from __future__ import annotations
 
 import multiprocessing
+import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from tqdm import tqdm
 
-from agents.evaluation.candidates import Candidate, Run
-from agents.evaluation.episodes import Episode, summarise, versions
+from agents.evaluation.candidates import CHECKPOINTS, Candidate, Run
+from agents.evaluation.episodes import Episode, summarise
 from agents.evaluation.sets import EvaluationSet
 from agents.evaluation.tables import MEASURES, SHARE
 from agents.leaderboard import chaos
 from agents.leaderboard.page import rank, render, with_head
-from capsule_gym.files import file_hash, to_json, without_nonfinite, write_atomically
-from capsule_gym.policy import POLICY
+from agents.leaderboard.rows import Row, evaluate_run, make_row
+from capsule_gym.files import to_json, without_nonfinite, write_atomically
 from capsule_gym.task import HORIZON
 
-T = TypeVar("T")
-
-
-def _evaluate_run(run: Run, sets: Sequence[EvaluationSet], horizon: float) -> list[list[Episode]]:
-    return [run.evaluate(evaluation_set, horizon) for evaluation_set in sets]
+# A line of the table in agents/checkpoints/README.md.
+TRAINED = re.compile(r"^\| `([\w-]+)` \|[^|]*\| `([^`]+)` \|$", re.MULTILINE)
 
 
 @contextmanager
@@ -37,26 +35,37 @@ def _pool(jobs: int) -> Iterator[Any]:
         return
     # Spawned and not forked, which Python warns of where there are threads.
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as executor:
-        yield executor.map
+        try:
+            yield executor.map
+        except BaseException:
+            # What has not begun would be waited for.
+            executor.shutdown(cancel_futures=True)
+            raise
 
 
-def _with_progress(doing: str, results: Iterable[T], count: int) -> list[T]:
-    """All results, with a progress bar on a terminal."""
-    return list(tqdm(results, doing, count, file=sys.stderr, disable=None))
+def _work(item: Run | Candidate, sets: Sequence[EvaluationSet], horizon: float) -> Any:
+    """One run on all sets, or how chaotic a policy is."""
+    return evaluate_run(item, sets, horizon) if isinstance(item, Run) else chaos.measure(item, horizon)
 
 
-def static_row(candidate: Candidate) -> dict[str, Any]:
-    """What a row says before anything is evaluated."""
-    revisions = dict.fromkeys(run.revision for run in candidate.runs if run.revision)
-    folder = candidate.folder
-    paths = sorted(folder.rglob(POLICY)) if folder else []
-    return {
-        "policy": candidate.name,
-        "description": candidate.description,
-        "training_seeds": [run.training_seed for run in candidate.runs if run.training_seed is not None],
-        "revision": ", ".join(revisions) or None,
-        "files": {path.relative_to(folder).as_posix(): file_hash(path) for path in paths if folder},
-    }
+def evaluate(
+    candidates: Sequence[Candidate], sets: Sequence[EvaluationSet], *, jobs: int = 1, horizon: float = HORIZON
+) -> Iterator[Row]:
+    """Evaluates policies, with a progress bar on a terminal; gives each row as soon as it is there.
+
+    Args:
+        candidates: the rows.
+        sets: what they are evaluated on.
+        jobs: number of processes.
+        horizon: length of an episode in s.
+    """
+    work = [item for candidate in candidates for item in (*candidate.runs, candidate)]
+    with _pool(jobs) as pool_map:
+        found = pool_map(_work, work, [sets] * len(work), [horizon] * len(work))
+        found = iter(tqdm(found, "evaluating", len(work), file=sys.stderr, disable=None))
+        for candidate in candidates:
+            runs = [next(found) for _ in candidate.runs]
+            yield make_row(candidate, sets, runs, next(found))
 
 
 def _rounded(value: Any, digits: int) -> Any:
@@ -73,30 +82,41 @@ def _summary(episodes: Sequence[Episode]) -> dict[str, Any]:
     return {name: _rounded(summary[name], 6) for name in shown if name in summary}
 
 
-def build(
-    candidates: Sequence[Candidate], sets: Sequence[EvaluationSet], *, jobs: int = 1, horizon: float = HORIZON
-) -> dict[str, Any]:
-    """Evaluates everything: the content of leaderboard.json.
+def training_commands() -> dict[str, str]:
+    """The command that trains each checkpoint, from the table in its README."""
+    path = CHECKPOINTS / "README.md"
+    return dict(TRAINED.findall(path.read_text(encoding="utf-8"))) if path.is_file() else {}
+
+
+def build(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> dict[str, Any]:
+    """The content of leaderboard.json, from the rows alone.
 
     Args:
-        candidates: the rows.
+        rows: in any order.
         sets: the columns; one of them is the ranking set.
-        jobs: number of processes.
-        horizon: length of an episode in s.
+
+    Raises:
+        ValueError: if a row was evaluated on other sets.
     """
-    runs = [run for candidate in candidates for run in candidate.runs]
-    with _pool(jobs) as run_map:
-        evaluated = run_map(_evaluate_run, runs, [sets] * len(runs), [horizon] * len(runs))
-        disturbed = run_map(chaos.measure, candidates, [horizon] * len(candidates))
-        results = iter(_with_progress("evaluating", evaluated, len(runs)))
-        ranges = _with_progress("disturbing", disturbed, len(candidates))
-    rows = []
-    for candidate, speeds in zip(candidates, ranges, strict=True):
-        own = [next(results) for _ in candidate.runs]
-        summaries = {s.name: _summary([episode for run in own for episode in run[i]]) for i, s in enumerate(sets)}
-        rows.append({**static_row(candidate), "results": summaries, "disturbed": _rounded(speeds, 6)})
-    board = {"sets": {s.name: s.hash for s in sets}, "versions": versions(), "rows": rank(rows)}
+    trained = training_commands()
+    content = []
+    for row in rows:
+        entry = {name: row.header[name] for name in ("policy", "description", "training_seeds", "revision", "files")}
+        if row.trained:
+            entry |= {"base": row.header["base"], "trained_by": trained.get(row.name)}
+        summaries = {each.name: _summary(row.episodes(each)) for each in sets}
+        content.append({**entry, "results": summaries, "disturbed": _rounded(row.header["disturbed"], 6)})
+    board = {"sets": {each.name: each.hash for each in sets}, "versions": _versions(rows), "rows": rank(content)}
     return without_nonfinite(board)
+
+
+def _versions(rows: Sequence[Row]) -> dict[str, str]:
+    """The versions that the rows were evaluated with; where they differ, all of them."""
+    found: dict[str, set[str]] = {}
+    for row in rows:
+        for package, number in row.header["versions"].items():
+            found.setdefault(package, set()).add(number)
+    return {package: ", ".join(sorted(numbers)) for package, numbers in found.items()}
 
 
 def write(root: Path, board: Mapping[str, Any]) -> None:

@@ -3,77 +3,130 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from agents.evaluation.candidates import Candidate
 from agents.evaluation.sets import EvaluationSet
-from agents.leaderboard.board import build, static_row
+from agents.leaderboard.board import build, evaluate, training_commands
 from agents.leaderboard.page import render, with_head
+from agents.leaderboard.rows import RESULTS, Row, load_rows, static_header
+from capsule_gym.files import to_json
 from capsule_gym.task import HORIZON
-
-EXACT_FIELDS = ("description", "training_seeds", "revision", "files")
 
 
 def _numbers(where: str, value: Any) -> dict[str, Any]:
-    """Nested numbers by where they stand, in words."""
+    """What stands in nested dicts, by where it stands, in words."""
     if not isinstance(value, dict):
         return {where: value}
     return {key: each for name, entry in value.items() for key, each in _numbers(f"{where} {name}", entry).items()}
 
 
-def _stale_numbers(where: str, recorded: Any, found: Any) -> list[str]:
-    """Compares nested numbers to the last of their digits: the same code gives the same bits on every machine."""
+def _differences(where: str, recorded: Any, found: Any, places: tuple[str, str]) -> list[str]:
+    """Compares nested numbers to the last of their digits."""
     old, new = _numbers(where, recorded), _numbers(where, found)
     return [
-        f"{key} is {old.get(key, 'absent')!r} in leaderboard.json and {new.get(key, 'absent')!r} now"
+        f"{key} is {old.get(key, 'absent')!r} {places[0]} and {new.get(key, 'absent')!r} {places[1]}"
         for key in dict.fromkeys([*old, *new])
         if key not in old or key not in new or old[key] != new[key]
     ]
 
 
-def _stale_rows(recorded: Mapping[str, Any], candidates: Sequence[Candidate]) -> list[str]:
-    """Compares what needs no evaluation."""
-    old = {row["policy"]: row for row in recorded["rows"]}
-    new = {candidate.name: static_row(candidate) for candidate in candidates}
-    stale = [f"{name}: is in leaderboard.json and does not exist" for name in old if name not in new]
-    stale += [f"{name}: exists and is not in leaderboard.json" for name in new if name not in old]
-    for name in (name for name in old if name in new):
-        for field in EXACT_FIELDS:
-            before, after = old[name].get(field), new[name][field]
-            if before == after:
+def _stale_headers(folder: Path, rows: Sequence[Row], candidates: Sequence[Candidate]) -> list[str]:
+    """Compares what needs no evaluation: what each row was evaluated from, and which rows there are."""
+    names = [candidate.name for candidate in candidates]
+    strays = sorted(path.stem for path in folder.glob("*.npz") if path.stem not in names)
+    stale = [f"{name}: has results and does not exist" for name in strays]
+    commands = training_commands()
+    for row, candidate in zip(rows, candidates, strict=True):
+        for field, now in static_header(candidate).items():
+            before = row.header[field]
+            if before == now:
                 continue
             if field == "files":
-                before, after = before or {}, after or {}
-                changed = sorted(path for path in {*before, *after} if before.get(path) != after.get(path))
-                stale.append(f"{name}: files have changed: {', '.join(changed)}")
+                changed = sorted(path for path in {*before, *now} if before.get(path) != now.get(path))
+                stale.append(f"{row.name}: files have changed: {', '.join(changed)}")
             else:
-                stale.append(f"{name}: {field} is {before!r} in leaderboard.json and {after!r} now")
+                stale.append(f"{row.name}: {field} is {before!r} in its results and {now!r} now")
+        if row.trained and row.name not in commands:
+            stale.append(f"{row.name}: the table in agents/checkpoints/README.md has no command that trains it")
     return stale
 
 
-def _stale_sets(recorded: Mapping[str, Any], sets: Sequence[EvaluationSet]) -> list[str]:
-    old, new = recorded["sets"], {s.name: s.hash for s in sets}
-    return [
-        f"set {name}: hash is {old.get(name)} in leaderboard.json and {new.get(name)} now"
-        for name in dict.fromkeys([*old, *new])
-        if old.get(name) != new.get(name)
-    ]
+def _stale_sets(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> Iterator[str]:
+    for row in rows:
+        for each in sets:
+            try:
+                row.check_set(each)
+            except ValueError as error:
+                yield str(error)
+        for name in row.header["sets"]:
+            if name not in [each.name for each in sets]:
+                yield f"{row.name}: the set {name} is in its results and does not exist"
 
 
-def _stale_pages(root: Path, recorded: Mapping[str, Any]) -> list[str]:
-    """Compares the rendered pages with leaderboard.json."""
+def _stale_board(root: Path, board: dict[str, Any]) -> list[str]:
+    """Compares leaderboard.json with what the results give."""
+    path = root / "leaderboard.json"
+    if not path.is_file():
+        return ["leaderboard.json is missing"]
+    text = path.read_text(encoding="utf-8")
+    if text == to_json(board):
+        return []
+    try:
+        recorded = json.loads(text)
+        old, new = ({row["policy"]: row for row in each["rows"]} for each in (recorded, board))
+        stale = [
+            line
+            for key in dict.fromkeys([*old, *new])
+            for line in _differences(f"{key}:", old.get(key), new.get(key), ("in leaderboard.json", "by the results"))
+        ]
+    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+        return [f"leaderboard.json is malformed: {type(error).__name__}: {error}"]
+    return stale or ["leaderboard.json is not what the results give"]
+
+
+def _stale_pages(root: Path, board: dict[str, Any]) -> list[str]:
+    """Compares the rendered pages with what the results give."""
     stale = []
     page = root / "LEADERBOARD.md"
-    if not page.is_file() or page.read_text(encoding="utf-8") != render(recorded):
-        stale.append("LEADERBOARD.md is not what leaderboard.json renders to")
+    if not page.is_file() or page.read_text(encoding="utf-8") != render(board):
+        stale.append("LEADERBOARD.md is not what the results give")
     readme = root / "README.md"
     if readme.is_file():
         text = readme.read_text(encoding="utf-8")
-        if with_head(text, recorded) != text:
-            stale.append("README.md: the leaderboard's head is not what leaderboard.json renders to")
+        try:
+            if with_head(text, board) != text:
+                stale.append("README.md: the leaderboard's head is not what the results give")
+        except ValueError as error:
+            stale.append(str(error))
     return stale
+
+
+def _stale_episodes(recorded: Row, found: Row) -> Iterator[str]:
+    """Compares every number of every episode, bit for bit; of a metric the first that differs is named."""
+    seeds = recorded.header["training_seeds"]
+    for set_name, values in recorded.scores.items():
+        now = found.scores[set_name]
+        if values.shape != now.shape or recorded.header["metrics"] != found.header["metrics"]:
+            yield f"{recorded.name} on {set_name}: holds arrays of {values.shape}, now of {now.shape}"
+            continue
+        for name, before, after in zip(found.header["metrics"], values, now, strict=True):
+            differs = np.argwhere(before.view(np.uint64) != after.view(np.uint64))
+            if differs.size:
+                run, episode = differs[0].tolist()
+                where = f"training seed {seeds[run]}, episode {episode}" if seeds else f"episode {episode}"
+                yield (
+                    f"{recorded.name} on {set_name}: {name} is {before[run, episode].item()!r} in its results and "
+                    f"{after[run, episode].item()!r} now ({where}; {len(differs)} of {before.size} differ)"
+                )
+    places = ("in its results", "now")
+    yield from _differences(
+        f"{recorded.name} disturbed:", recorded.header["disturbed"], found.header["disturbed"], places
+    )
 
 
 def check(
@@ -81,35 +134,32 @@ def check(
     candidates: Sequence[Candidate],
     sets: Sequence[EvaluationSet],
     *,
+    evaluated: Sequence[Candidate] | None = None,
     jobs: int = 1,
     horizon: float = HORIZON,
 ) -> list[str]:
     """What is stale, one line each.
 
     Args:
-        root: the folder of leaderboard.json, LEADERBOARD.md and README.md.
+        root: the project's folder, with leaderboard.json, LEADERBOARD.md, README.md and the results.
         candidates: the rows that should be there.
         sets: the sets that they should be evaluated on.
+        evaluated: the rows to evaluate again; None for all.
         jobs: number of processes.
         horizon: length of an episode in s.
     """
+    evaluated = candidates if evaluated is None else evaluated
     try:
-        recorded = json.loads((root / "leaderboard.json").read_text(encoding="utf-8"))
         # What needs no evaluation comes first: whoever has to write the leaderboard anew learns it at once.
-        stale = _stale_sets(recorded, sets) + _stale_rows(recorded, candidates) + _stale_pages(root, recorded)
-    except FileNotFoundError:
-        return ["leaderboard.json is missing"]
-    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
-        return [f"leaderboard.json is malformed: {type(error).__name__}: {error}"]
+        rows = load_rows(root / RESULTS, [candidate.name for candidate in candidates])
     except ValueError as error:
         return [str(error)]
+    stale = _stale_headers(root / RESULTS, rows, candidates) + list(_stale_sets(rows, sets))
+    if not stale:
+        board = build(rows, sets)
+        stale = _stale_board(root, board) + _stale_pages(root, board)
     if stale:
-        return [*stale, "the numbers were not evaluated again"]
-    board = build(candidates, sets, jobs=jobs, horizon=horizon)
-    found = {row["policy"]: row for row in board["rows"]}
-    for row in recorded["rows"]:
-        name, now = row["policy"], found[row["policy"]]
-        for set_name, summary in now["results"].items():
-            stale += _stale_numbers(f"{name} on {set_name}:", row["results"].get(set_name), summary)
-        stale += _stale_numbers(f"{name} disturbed:", row.get("disturbed"), now["disturbed"])
-    return stale
+        return [*stale, *(["the numbers were not evaluated again"] if evaluated else [])]
+    recorded = {row.name: row for row in rows}
+    found = evaluate(evaluated, sets, jobs=jobs, horizon=horizon)
+    return [line for row in found for line in _stale_episodes(recorded[row.name], row)]

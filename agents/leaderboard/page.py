@@ -1,6 +1,6 @@
-"""Renders leaderboard.json as LEADERBOARD.md, and its head into the README.
+"""Renders the content of leaderboard.json as LEADERBOARD.md, and its head into the README.
 
-Rendering uses nothing but the JSON's content, so that the page can be checked without a simulation.
+Rendering uses nothing but that content, so that the page can be checked without a simulation.
 """
 
 from __future__ import annotations
@@ -106,6 +106,12 @@ def _chaos_table(board: Mapping[str, Any]) -> str:
     return markdown_table(table)
 
 
+def _policy(row: Mapping[str, Any]) -> str:
+    """What a policy is, and the command that trains it."""
+    trained = f". Trained by `{row['trained_by']}`" if row.get("trained_by") else ""
+    return f"- `{row['policy']}`: {row['description']}{trained}"
+
+
 def _notes(board: Mapping[str, Any]) -> list[str]:
     """What the numbers mean and what they were computed with."""
     hashes = ", ".join(f"`{name}` {value[:12]}" for name, value in board["sets"].items())
@@ -135,9 +141,9 @@ def render(board: Mapping[str, Any]) -> str:
     lines = [
         "# Leaderboard",
         "",
-        f"Written by `{COMMAND}` from `leaderboard.json`; do not edit. `{COMMAND} --check` evaluates every row again, "
-        "and fails where any digit of a number, a set or a checkpoint is not what stands here: the same code gives the "
-        "same bits on every machine.",
+        f"Written by `{COMMAND}` from the results of all episodes (`agents/leaderboard/results`); do not edit. "
+        f"`{COMMAND} --check` evaluates every row again, and fails where any digit of an episode, a set or a "
+        "checkpoint is not what it was: the same code gives the same bits on every machine.",
         "",
         "Every policy runs the same frozen episodes: 33 s from rest (on `nominal` the paper's plant from 100 angles, "
         "on the other sets 100 plants from one). Numbers are interquartile means (the middle half "
@@ -173,7 +179,7 @@ def render(board: Mapping[str, Any]) -> str:
         "",
         "## The policies",
         "",
-        *(f"- `{row['policy']}`: {row['description']}" for row in rank(board["rows"])),
+        *(_policy(row) for row in rank(board["rows"])),
         "",
         "## Notes",
         "",

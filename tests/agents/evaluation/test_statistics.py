@@ -1,8 +1,16 @@
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.integrate import trapezoid
 
-from agents.evaluation.statistics import estimate, interquartile_mean, paired_difference
+from agents.evaluation.statistics import (
+    estimate,
+    interquartile_mean,
+    learning_curve,
+    paired_difference,
+    performance_profile,
+    probability_of_improvement,
+)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 7, 8, 99, 100, 101, 300])
@@ -105,6 +113,89 @@ def test_paired_difference_known_answers():
     with np.errstate(all="raise"):
         undefined = paired_difference([[np.inf] * 4], [[np.inf] * 4])
     assert np.isnan(undefined.value)
+
+
+def test_probability_of_improvement_is_mann_and_whitneys_u():
+    rng = np.random.default_rng(5)
+    ours, theirs = (rng.integers(0, 6, size=(seeds, 12)).astype(float) for seeds in (4, 7))
+    u = [stats.mannwhitneyu(ours[:, i], theirs[:, i]).statistic / (4 * 7) for i in range(12)]
+    assert probability_of_improvement(ours, theirs).value == pytest.approx(np.mean(u))
+
+
+def test_probability_of_improvement_known_answers():
+    zeros = np.zeros((3, 8))
+    assert probability_of_improvement(zeros + 1.0, zeros).to_dict() == {"iqm": 1.0, "low": 1.0, "high": 1.0}
+    assert probability_of_improvement(zeros - 1.0, zeros).value == 0.0
+    assert probability_of_improvement(zeros, zeros).value == 0.5
+    assert probability_of_improvement([[np.inf]], [[np.inf]]).value == 0.5
+    # One seed of three is better everywhere: 1/3, and between none and all of the seeds drawn are that one.
+    one = probability_of_improvement(np.repeat([[1.0], [-1.0], [-1.0]], 8, axis=1), zeros[:1])
+    assert one.value == pytest.approx(1.0 / 3.0)
+    assert (one.low, one.high, one.resampled) == (0.0, 1.0, "seeds")
+    # The binomial of eight episodes of which six are won.
+    single = probability_of_improvement([[1.0] * 6 + [-1.0] * 2], zeros[:1])
+    assert (single.value, single.resampled) == (0.75, "episodes")
+    assert single.low == stats.binom.ppf(0.025, 8, 0.75) / 8.0
+    assert single.high == stats.binom.ppf(0.975, 8, 0.75) / 8.0
+
+
+def test_probabilities_of_both_ways_sum_to_one():
+    rng = np.random.default_rng(6)
+    ours, theirs = rng.normal(size=(5, 30)), rng.normal(size=(4, 30))
+    there, back = probability_of_improvement(ours, theirs), probability_of_improvement(theirs, ours)
+    assert there.value + back.value == pytest.approx(1.0)
+    assert there.low < there.value < there.high
+
+
+def test_performance_profile_known_answers():
+    scores = np.array([[0.0, 1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 0.0]])
+    profile = performance_profile(scores, [-1.0, 0.0, 1.0, 2.5, 3.0])
+    np.testing.assert_array_equal(profile.value, [1.0, 0.375, 0.25, 0.125, 0.0])
+    # Both seeds the worse, or both the better.
+    np.testing.assert_array_equal(profile.low, [1.0, 0.0, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(profile.high, [1.0, 0.75, 0.5, 0.25, 0.0])
+    assert profile.resampled == "seeds"
+    assert performance_profile(scores[:1], [0.5]).resampled == "episodes"
+
+
+def test_the_area_under_a_performance_profile_is_the_mean():
+    scores = np.random.default_rng(7).gamma(3.0, size=(4, 50))
+    thresholds = np.linspace(0.0, scores.max(), 4001)
+    assert trapezoid(performance_profile(scores, thresholds, resamples=2).value, thresholds) == pytest.approx(
+        scores.mean(), rel=1e-3
+    )
+
+
+def test_learning_curves_hold_the_last_evaluation_and_never_a_later_one():
+    curve = learning_curve([([10, 20, 30], [1.0, 2.0, 3.0]), ([5, 25, 40], [4.0, 6.0, 8.0])])
+    np.testing.assert_array_equal(curve.x, [10, 20, 25, 30])
+    np.testing.assert_array_equal(curve.value, [2.5, 3.0, 4.0, 4.5])
+    np.testing.assert_array_equal(curve.low, [1.0, 2.0, 2.0, 3.0])
+    np.testing.assert_array_equal(curve.high, [4.0, 4.0, 6.0, 6.0])
+    assert curve.resampled == "seeds"
+    alone = learning_curve([([1, 2], [1.0, 2.0])])
+    assert alone.resampled == "nothing" and np.isnan(alone.low).all()
+
+
+def test_learning_curves_are_interquartile_means_over_seeds():
+    runs = np.random.default_rng(8).normal(size=(10, 3))
+    curve = learning_curve([([1, 2, 3], run) for run in runs])
+    np.testing.assert_allclose(curve.value, stats.trim_mean(runs, 0.25, axis=0))
+
+
+def test_malformed_curves_are_refused():
+    for thresholds in ([], [1.0, 1.0], [[1.0]], [np.nan, 1.0]):
+        with pytest.raises(ValueError, match="thresholds must be ascending"):
+            performance_profile([[1.0]], thresholds)
+    with pytest.raises(ValueError, match="at least one run"):
+        learning_curve([])
+    for run in (([], []), ([2, 1], [0.0, 0.0]), ([1, 2], [0.0])):
+        with pytest.raises(ValueError, match="ascending steps and as many values"):
+            learning_curve([run])
+    with pytest.raises(ValueError, match="begins at 5 steps and one that ends at 2"):
+        learning_curve([([1, 2], [0.0, 0.0]), ([5, 6], [0.0, 0.0])])
+    with pytest.raises(ValueError, match="same episodes, got 3 and 2"):
+        probability_of_improvement([[1.0, 2.0, 3.0]], [[1.0, 2.0]])
 
 
 def test_malformed_scores_are_refused():

@@ -1,12 +1,10 @@
 import pytest
 
 from agents.evaluation import candidates
-from agents.evaluation.candidates import all_candidates
-from agents.leaderboard import chaos
-from agents.leaderboard.board import build, write
+from agents.leaderboard import board, chaos, rows
 from agents.leaderboard.page import END, START
 from tests.agents.fakes import Sine, Twitch, write_run
-from tests.agents.leaderboard.world import HORIZON, SETS
+from tests.agents.leaderboard.world import write_all
 
 README = f"# Title\n\nBefore.\n\n{START}\n{END}\n\nAfter.\n"
 
@@ -17,16 +15,19 @@ def world(tmp_path, monkeypatch):
     known = {name: Sine(amplitude, name=name) for name, amplitude in (("adaptive", 0.3), ("bold", 0.6))}
     known["wild"] = Sine(1.5, period=10.0, name="wild")
     known["twitch"] = Twitch()
-    monkeypatch.setattr(candidates, "SCRIPTED", known)
-    monkeypatch.setattr(candidates, "CHECKPOINTS", tmp_path / "checkpoints")
+    for module in (candidates, rows):
+        monkeypatch.setattr(module, "SCRIPTED", known)
+    for module in (candidates, board):
+        monkeypatch.setattr(module, "CHECKPOINTS", tmp_path / "checkpoints")
     monkeypatch.setattr(chaos, "COPIES", 20)
     for seed in (0, 1):
         write_run(tmp_path / "checkpoints" / "learnt" / f"seed-{seed}", seed)
+    (tmp_path / "checkpoints" / "README.md").write_text("| `learnt` | 0 to 1 | `python train.py --seed N` |\n")
     (tmp_path / "README.md").write_text(README)
     return tmp_path
 
 
 @pytest.fixture
 def written(world):
-    write(world, build(all_candidates(), SETS, horizon=HORIZON))
+    write_all(world)
     return world

@@ -1,13 +1,15 @@
 import json
 
+import numpy as np
 import pytest
 
-from agents.evaluation.candidates import all_candidates
+from agents.evaluation.candidates import all_candidates, checkpoint_names, find_candidate
 from agents.evaluation.sets import parse_set
-from agents.leaderboard.board import build
+from agents.leaderboard.board import build, evaluate, training_commands
 from agents.leaderboard.page import render
+from agents.leaderboard.rows import static_header
 from baselines.gaits.archive import best_known_speed
-from tests.agents.leaderboard.world import HORIZON, SETS, make_set, read, row_of, table
+from tests.agents.leaderboard.world import SETS, board_of, make_set, read, row_of, table
 
 
 def test_board(written):
@@ -47,13 +49,45 @@ def test_no_share_outside_the_table_of_gaits(world):
     drift = parse_set({"name": "drift", "plants": [{"M": 0.5, "mu": 0.01, "seed": 0, "changes": [jump]}]})
     start = parse_set({"name": "start", "plants": [{"M": 0.5, "mu": 0.01, "seed": 0, "theta": 0.0}]})
     sets = [SETS[1], make_set("far", (0.5, 0.01), (0.5, 0.6)), drift, start]
-    board = build(all_candidates(), sets, horizon=HORIZON)
+    board = board_of(all_candidates(), sets)
     for row in board["rows"]:
         assert ["share_of_best_known" in summary for summary in row["results"].values()] == [True, False, False, False]
     assert table(render(board), "## Share")[0] == ["policy", "paper"]
 
 
+def test_rows_say_what_trained_them_and_what_they_build_on(written):
+    board = read(written)
+    assert row_of(board, "learnt")["trained_by"] == "python train.py --seed N"
+    assert row_of(board, "learnt")["base"] is None
+    assert "trained_by" not in row_of(board, "bold")
+    assert "- `learnt`: PPO, the whole torque, trained with randomization wide. Trained by `python" in render(board)
+
+
+def test_the_base_of_a_residual_is_the_policy_of_its_law_alone():
+    names = ("adaptive", "residual-ppo", "residual-ppo-compliant", "direct-ppo")
+    bases = {each.name: static_header(each)["base"] for each in map(find_candidate, names)}
+    assert bases == {
+        "adaptive": None,
+        "residual-ppo": "adaptive",
+        "residual-ppo-compliant": "compliant",
+        "direct-ppo": None,
+    }
+
+
+def test_versions_that_differ_between_rows_are_all_said():
+    adaptive, zero = evaluate([find_candidate(name) for name in ("adaptive", "zero")], SETS, horizon=0.1)
+    zero.header["versions"] = {**zero.header["versions"], "numpy": "1.0", "new": "2.0"}
+    found = build([adaptive, zero], SETS)["versions"]
+    assert found == {**adaptive.header["versions"], "numpy": f"1.0, {np.__version__}", "new": "2.0"}
+
+
+def test_every_committed_checkpoint_has_its_command():
+    assert set(checkpoint_names()) <= set(training_commands())
+
+
 def test_processes_give_the_same():
     # Spawned workers import everything anew.
-    real = [c for c in all_candidates() if c.name in ("zero", "direct-sac")]
-    assert build(real, SETS, jobs=2, horizon=0.1) == build(real, SETS, horizon=0.1)
+    real = [find_candidate(name) for name in ("zero", "direct-sac")]
+    alone, shared = (list(evaluate(real, SETS, jobs=jobs, horizon=0.1)) for jobs in (1, 2))
+    assert [row.name for row in alone] == ["zero", "direct-sac"]
+    assert all(one.same_as(other) for one, other in zip(alone, shared, strict=True))

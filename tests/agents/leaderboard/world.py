@@ -1,11 +1,13 @@
 """What the tests of the leaderboard share: sets of a few short episodes, and how to read and change what is written."""
 
+import dataclasses
 import json
 
 from agents.evaluation.candidates import all_candidates
 from agents.evaluation.sets import parse_set
-from agents.leaderboard.board import write
+from agents.leaderboard.board import build, evaluate, write
 from agents.leaderboard.check import check
+from agents.leaderboard.rows import RESULTS, load_row, path_of, save_row
 
 HORIZON = 0.6
 
@@ -17,22 +19,40 @@ def make_set(name, *plants):
 SETS = [make_set("nominal", (0.5, 0.01)), make_set("paper", (0.5, 0.01), (0.55, 0.011), (0.45, 0.009))]
 
 
-def checked(root, sets=SETS):
-    return check(root, all_candidates(), sets, horizon=HORIZON)
+def board_of(candidates, sets=SETS):
+    return build(list(evaluate(candidates, sets, horizon=HORIZON)), sets)
+
+
+def write_all(root):
+    """What `python -m agents.leaderboard` writes."""
+    rows = list(evaluate(all_candidates(), SETS, horizon=HORIZON))
+    for row in rows:
+        save_row(root / RESULTS, row)
+    write(root, build(rows, SETS))
+
+
+def checked(root, sets=SETS, **more):
+    return check(root, all_candidates(), sets, horizon=HORIZON, **more)
 
 
 def read(root):
     return json.loads((root / "leaderboard.json").read_text())
 
 
-def edit(root, change, *, pages=True):
-    """Changes leaderboard.json, and renders the pages from it unless they should stay behind."""
+def edit(root, change):
+    """Changes leaderboard.json."""
     board = read(root)
     change(board)
-    if pages:
-        write(root, board)
-    else:
-        (root / "leaderboard.json").write_text(json.dumps(board))
+    (root / "leaderboard.json").write_text(json.dumps(board))
+
+
+def edit_row(root, name, change):
+    """Changes a row's results, and writes what is made of them."""
+    row = load_row(path_of(root / RESULTS, name))
+    row = dataclasses.replace(row, scores={name: values.copy() for name, values in row.scores.items()})
+    change(row)
+    save_row(root / RESULTS, row)
+    write(root, build([load_row(path_of(root / RESULTS, each.name)) for each in all_candidates()], SETS))
 
 
 def row_of(board, name):

@@ -1,0 +1,1 @@
+"""What the results of the leaderboard show, and how surely: `python -m agents.evidence`."""
