@@ -149,9 +149,9 @@ def distinct(function: Any, digest: str, outer: tuple[Any, ...] = ()) -> Any:
     return rebound(function, f"{function.__name__}_{digest}", names, cells or None)
 
 
-def inner(function: Any) -> Any:
-    """Compiles a function that kernels call."""
-    return numba.njit(function, **OPTIONS, **_NO_WRAPPERS)
+def inner(function: Any, **options: Any) -> Any:
+    """Compiles a function that kernels call, with more of numba's options."""
+    return numba.njit(function, **OPTIONS, **_NO_WRAPPERS, **options)
 
 
 def kernel(function: Callable[..., Any], digest: str, bindings: dict[str, Any]) -> Any:

@@ -1,4 +1,4 @@
-"""Proximal policy optimisation of Stable-Baselines3, collecting in compiled code and updating in fewer calls."""
+"""Proximal policy optimisation of Stable-Baselines3, collecting and updating in compiled code."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from torch import nn
 
 from agents.training.collection import Rollout, RolloutVecEnv
+from agents.training.update import LOSSES, Numbers, Settings, make_steps
 from capsule_gym.network import Layer, pack
 from capsule_gym.task import BASE_OBSERVATION
 
@@ -133,7 +134,7 @@ def keep_memory() -> None:
 
 
 class CapsulePPO(PPO):
-    """PPO that collects whole rollouts in compiled code and updates in fewer calls.
+    """PPO that collects a whole rollout in one compiled call, and makes an update in another.
 
     The algorithm is SB3's, with one difference: the statistics that normalise observations are those of the rollouts
     before, the same for a whole rollout and its update. Those of the first come from a rollout that nothing is learnt
@@ -248,39 +249,62 @@ class CapsulePPO(PPO):
         """Makes `n_epochs` passes over the rollout."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
-        clip_range = self.clip_range(self._current_progress_remaining)  # type: ignore[operator]
-        parameters = list(self.policy.parameters())
-        losses = []
-        for _ in range(self.n_epochs):
-            order = torch.randperm(len(self._samples[0]))
-            for chosen in order.split(self.batch_size):
-                inputs, actions, old_log_prob, advantages, returns = (each[chosen] for each in self._samples)
-                if self.normalize_advantage and len(advantages) > 1:
-                    advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
-                mean, log_std = self._distribution(inputs)
-                log_ratio = log_density(actions, mean, log_std) - old_log_prob
-                ratio = log_ratio.exp()
-                gain = torch.min(advantages * ratio, advantages * ratio.clamp(1.0 - clip_range, 1.0 + clip_range))
-                policy_loss = -gain.mean()
-                value_loss = nn.functional.mse_loss(self._values(inputs), returns.flatten())
-                entropy = log_std.sum() + HALF_LOG_2_PI + 0.5
-                loss = policy_loss - self.ent_coef * entropy + self.vf_coef * value_loss
-                for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
-                    parameter.grad = gradient
-                nn.utils.clip_grad_norm_(parameters, self.max_grad_norm)
-                self.policy.optimizer.step()
-                with torch.no_grad():
-                    clipped = ((ratio - 1.0).abs() > clip_range).float().mean()
-                    divergence = (ratio - 1.0 - log_ratio).mean()
-                    losses.append(torch.stack([policy_loss, value_loss, -entropy, divergence, clipped]))
-            self._n_updates += 1
-        names = ("policy_gradient_loss", "value_loss", "entropy_loss", "approx_kl", "clip_fraction")
-        for name, value in zip(names, torch.stack(losses).mean(dim=0).tolist(), strict=True):
+        clip_range: Any = self.clip_range
+        adam: Any = self.policy.optimizer.param_groups[0]
+        inputs, *others = (each.numpy() for each in self._samples)
+        orders = torch.stack([torch.randperm(len(inputs)) for _ in range(self.n_epochs)]).numpy()
+        states = self._states()
+        beta_1, beta_2 = adam["betas"]
+        settings = Settings(
+            batch_size=self.batch_size,
+            normalises=self.normalize_advantage,
+            clip_range=clip_range(self._current_progress_remaining),
+            ent_coef=self.ent_coef,
+            vf_coef=self.vf_coef,
+            max_grad_norm=self.max_grad_norm,
+            learning_rate=adam["lr"],
+            beta_1=beta_1,
+            beta_2=beta_2,
+            eps=adam["eps"],
+            step=int(states[self.policy.log_std]["step"]),
+            relu=self.policy.activation_fn is nn.ReLU,
+            tanh_mean=self.policy.tanh_mean,
+            least_log_std=self.policy.least_log_std,
+        )
+        changed = [
+            self._numbers({parameter: parameter.detach() for parameter in states}),
+            *(self._numbers({key: state[name] for key, state in states.items()}) for name in ("exp_avg", "exp_avg_sq")),
+        ]
+        losses = make_steps(settings, changed, orders, inputs, *(each.ravel() for each in others))
+        for state in states.values():
+            state["step"] += self.n_epochs * -(-len(inputs) // self.batch_size)
+        self._n_updates += self.n_epochs
+        for name, value in zip(LOSSES, losses.tolist(), strict=True):
             self.logger.record(f"train/{name}", value)
         buffer = self.rollout_buffer
-        self.logger.record("train/explained_variance", explained_variance(buffer.values.ravel(), buffer.returns.ravel()))
+        explained = explained_variance(buffer.values.ravel(), buffer.returns.ravel())
+        self.logger.record("train/explained_variance", explained)
         self.logger.record("train/std", self.policy.log_std.exp().item())
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
+
+    def _states(self) -> dict[torch.Tensor, dict[str, torch.Tensor]]:
+        """What Adam remembers of every parameter, begun where it has made no step."""
+        states: Any = self.policy.optimizer.state
+        for parameter in self.policy.parameters():
+            if not states[parameter]:
+                moments = {name: torch.zeros_like(parameter.detach()) for name in ("exp_avg", "exp_avg_sq")}
+                states[parameter] = {"step": torch.zeros(()), **moments}
+        return states
+
+    def _numbers(self, of: dict[torch.Tensor, torch.Tensor]) -> Numbers:
+        """What belongs to the parameters, in the memory of torch."""
+        policy: Any = self.policy
+        hidden = policy.mlp_extractor
+        networks = ([*hidden.policy_net[::2], policy.action_net], [*hidden.value_net[::2], policy.value_net])
+        actor, critic = (
+            [(of[layer.weight].numpy(), of[layer.bias].numpy()) for layer in layers] for layers in networks
+        )
+        return Numbers(actor, critic, of[policy.log_std].numpy())
 
 
 def transfer(before: BaseAlgorithm, model: BaseAlgorithm) -> None:

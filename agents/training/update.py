@@ -1,0 +1,763 @@
+"""PPO's whole update in one compiled call: every epoch and minibatch, both networks forward and backward, and Adam.
+
+A sample is a lane. Minibatches are taken LANES samples at a time, whose numbers lie side by side, row by row, in the
+processor's nearest caches. The three products that all the time goes into (a layer forward, back to what it was given,
+and the gradients of its weights) are made of tiles that keep their sums in registers.
+
+Arithmetic is float32, and the compiler may fuse and reorder it: like torch's, an update is the same for the same start
+on one machine, not from one kind of processor to another.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from itertools import chain
+from typing import Any, NamedTuple
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, jitable, kernel, use_widest_vectors
+from capsule_gym.kernels import check_arrays, record
+from capsule_gym.network import Layer
+
+# Samples that are taken through the networks together.
+LANES = 128
+# float32 in the widest register. Where they are narrower the compiler takes several.
+WIDTH = 16
+# Rows, and registers of each, whose sums are made together; widths of layers are filled up to a multiple.
+TILE = 4
+SPAN = TILE * WIDTH
+# Of a cache line, in float32.
+LINE = 16
+
+F32 = np.float32
+ZERO, HALF, ONE, TWO = F32(0.0), F32(0.5), F32(1.0), F32(2.0)
+HALF_LOG_2_PI = F32(0.5 * math.log(2.0 * math.pi))
+LOG2_E = F32(1.0 / math.log(2.0))
+# The logarithm of 2, of which a first part so short that its multiples are exact.
+LN_2 = F32(355.0 / 512.0)
+LN_2_REST = F32(math.log(2.0) - float(LN_2))
+# Adding it rounds to a whole number, which the lowest digits of the sum hold.
+ROUNDING = F32(1.5 * 2.0**23)
+# Taylor's coefficients of exp.
+E_2, E_3, E_4, E_5, E_6, E_7 = (F32(1.0 / math.factorial(n)) for n in range(2, 8))
+# Exponents that are taken as they are: beyond, 2^n is no normal number.
+LARGEST = F32(87.0)
+# From here on the tangent is 1 to the last digit.
+FLAT = F32(10.0)
+
+
+class Settings(NamedTuple):
+    """What an update needs to know besides its arrays.
+
+    Attributes:
+        batch_size: samples in a minibatch.
+        normalises: whether advantages are normalised, per minibatch.
+        clip_range: how far the ratio of probabilities pays off, from 1.
+        ent_coef: weight of the entropy.
+        vf_coef: weight of the critic's loss.
+        max_grad_norm: largest norm of the gradient of all parameters.
+        learning_rate: of Adam, as the next three.
+        beta_1: decay of the first moment.
+        beta_2: decay of the second moment.
+        eps: what is added to the root of the second.
+        step: steps that Adam has made before.
+        relu: whether max(0, .) follows the hidden layers, else tanh.
+        tanh_mean: whether tanh brings the action's mean to [-1, 1].
+        least_log_std: floor of the logarithm of the standard deviation.
+    """
+
+    batch_size: int
+    normalises: bool
+    clip_range: float
+    ent_coef: float
+    vf_coef: float
+    max_grad_norm: float
+    learning_rate: float
+    beta_1: float
+    beta_2: float
+    eps: float
+    step: int
+    relu: bool
+    tanh_mean: bool
+    least_log_std: float
+
+
+class Rows(NamedTuple):
+    """What is kept of every lane besides the networks' numbers."""
+
+    action: int
+    old_log_prob: int
+    advantage: int
+    target: int
+    log_std_slope: int
+    gain: int
+    squared_error: int
+    divergence: int
+    clipped: int
+
+
+ROW = Rows(*range(len(Rows._fields)))
+# What `update` returns the means of.
+LOSSES = ("policy_gradient_loss", "value_loss", "entropy_loss", "approx_kl", "clip_fraction")
+
+
+@jitable
+def filled(width: int) -> int:
+    """The smallest multiple of TILE that is not below a width."""
+    return -(-width // TILE) * TILE
+
+
+class Numbers(NamedTuple):
+    """The parameters of an agent, or what belongs to each of them: float32 arrays.
+
+    Attributes:
+        actor: weights (outputs, inputs) and biases (outputs,) of each layer, in order.
+        critic: likewise.
+        log_std: logarithm of the standard deviation, shape (1,).
+    """
+
+    actor: list[Layer]
+    critic: list[Layer]
+    log_std: np.ndarray
+
+
+def pack(numbers: Numbers) -> np.ndarray:
+    """All numbers in one array.
+
+    Of each layer it holds the matrix, row by row, with the bias for the weight of one more input and filled up with
+    zeros; of actor, critic and at last the standard deviation.
+    """
+    parts = [numbers.log_std]
+    for weights, bias in reversed([*numbers.actor, *numbers.critic]):
+        outputs, inputs = weights.shape
+        matrix = np.zeros((filled(outputs), filled(inputs + 1)), np.float32)
+        matrix[:outputs, :inputs], matrix[:outputs, inputs] = weights, bias
+        parts.append(matrix.ravel())
+    return np.concatenate(parts[::-1])
+
+
+def unpack(packed: np.ndarray, numbers: Numbers) -> None:
+    """Writes what `pack` has packed back to where it came from."""
+    at = 0
+    for weights, bias in [*numbers.actor, *numbers.critic]:
+        outputs, inputs = weights.shape
+        rows, columns = filled(outputs), filled(inputs + 1)
+        matrix = packed[at : at + rows * columns].reshape(rows, columns)
+        weights[:], bias[:] = matrix[:outputs, :inputs], matrix[:outputs, inputs]
+        at += matrix.size
+    numbers.log_std[:] = packed[at:]
+
+
+FLOAT, INTEGER = ir.FloatType(), ir.IntType(32)
+VECTOR = ir.VectorType(FLOAT, WIDTH)
+
+
+def _vector_at(builder: Any, pointer: Any, kind: Any = VECTOR) -> Any:
+    """That address as one of a vector."""
+    return builder.bitcast(pointer, kind.as_pointer())
+
+
+def _load(builder: Any, pointer: Any, kind: Any = VECTOR) -> Any:
+    return builder.load(_vector_at(builder, pointer, kind), align=4)
+
+
+def _spread(builder: Any, value: Any) -> Any:
+    """A vector of the same number everywhere."""
+    first = builder.insert_element(ir.Constant(VECTOR, [0.0] * WIDTH), value, INTEGER(0))
+    return builder.shuffle_vector(first, first, ir.Constant(ir.VectorType(INTEGER, WIDTH), [0] * WIDTH))
+
+
+def _sums(builder: Any) -> list[list[Any]]:
+    """TILE x TILE vectors of zeros, which the compiler keeps in registers."""
+    sums = [[cgutils.alloca_once(builder, VECTOR) for _ in range(TILE)] for _ in range(TILE)]
+    for place in chain(*sums):
+        builder.store(ir.Constant(VECTOR, [0.0] * WIDTH), place)
+    return sums
+
+
+def _add_products(builder: Any, sums: list[list[Any]], left: list[Any], right: list[Any]) -> None:
+    """Adds the product of every vector on the left with every one on the right."""
+    kind = ir.FunctionType(VECTOR, [VECTOR] * 3)
+    # llvmlite's own takes scalars only.
+    fma = cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{WIDTH}f32")
+    for row, a in zip(sums, left, strict=True):
+        for place, b in zip(row, right, strict=True):
+            builder.store(builder.call(fma, [a, b, builder.load(place)]), place)
+
+
+def _data(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
+    """The address of an entry of a contiguous array."""
+    return builder.gep(context.make_array(kind)(context, builder, array).data, [at])
+
+
+@intrinsic
+def multiply(
+    typing_context: Any,
+    weights: Any,
+    at: Any,
+    row: Any,
+    column: Any,
+    count: Any,
+    given: Any,
+    first: Any,
+    sums: Any,
+    target: Any,
+) -> Any:
+    """Writes TILE rows of a matrix times the given rows, for SPAN lanes; unchecked.
+
+    Args:
+        typing_context: numba's.
+        weights: the matrix.
+        at: its first entry.
+        row: entries from one of its rows to the next.
+        column: entries from one of its columns to the next.
+        count: of columns.
+        given: what it is multiplied with, a row of LANES for each column.
+        first: where its lanes begin.
+        sums: the products, written.
+        target: where their lanes begin.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kinds = signature.args
+        _, at, row, column, count, _, first, _, target = arguments
+        matrix = _data(context, builder, kinds[0], arguments[0], at)
+        lanes = _data(context, builder, kinds[5], arguments[5], first)
+        out = _data(context, builder, kinds[7], arguments[7], target)
+        step = context.get_constant(types.intp, LANES)
+        starts = [builder.gep(matrix, [builder.mul(row, row.type(p))]) for p in range(TILE)]
+        totals = _sums(builder)
+        with cgutils.for_range(builder, count) as loop:
+            line = builder.gep(lanes, [builder.mul(loop.index, step)])
+            x = [_load(builder, builder.gep(line, [step.type(v * WIDTH)])) for v in range(TILE)]
+            offset = builder.mul(loop.index, column)
+            w = [_spread(builder, builder.load(builder.gep(start, [offset]))) for start in starts]
+            _add_products(builder, totals, w, x)
+        for p, vectors in enumerate(totals):
+            for v, place in enumerate(vectors):
+                target = builder.gep(out, [step.type(p * LANES + v * WIDTH)])
+                builder.store(builder.load(place), _vector_at(builder, target), align=4)
+        return context.get_dummy_value()
+
+    where = types.intp
+    return types.void(weights, where, where, where, where, given, where, sums, where), generate
+
+
+@intrinsic
+def correlate(
+    typing_context: Any, errors: Any, first: Any, given: Any, start: Any, gradients: Any, at: Any, row: Any
+) -> Any:
+    """Adds the sums over the lanes of TILE rows' products with TILE others to a matrix; unchecked.
+
+    Args:
+        typing_context: numba's.
+        errors: what belongs to the rows of the matrix.
+        first: where the first begins.
+        given: what belongs to its columns.
+        start: where the first begins.
+        gradients: the matrix, changed.
+        at: the first entry.
+        row: entries from one of its rows to the next.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kinds = signature.args
+        _, first, _, start, _, at, row = arguments
+        left = _data(context, builder, kinds[0], arguments[0], first)
+        right = _data(context, builder, kinds[2], arguments[2], start)
+        matrix = _data(context, builder, kinds[4], arguments[4], at)
+        whole = first.type
+        totals = _sums(builder)
+        with cgutils.for_range(builder, whole(LANES // WIDTH)) as loop:
+            lane = builder.mul(loop.index, whole(WIDTH))
+            e, x = (
+                [_load(builder, builder.gep(rows, [builder.add(lane, whole(p * LANES))])) for p in range(TILE)]
+                for rows in (left, right)
+            )
+            _add_products(builder, totals, e, x)
+        # Two vectors become one with half as many parts of each sum, until one vector holds all sums.
+        vectors = [builder.load(place) for place in chain(*totals)]
+        half = WIDTH // 2
+        while len(vectors) > 1:
+            halves = [[n for n in range(2 * WIDTH) if bool(n & half) == second] for second in (False, True)]
+            masks = [ir.Constant(ir.VectorType(INTEGER, WIDTH), numbers) for numbers in halves]
+            pairs = zip(vectors[::2], vectors[1::2], strict=True)
+            vectors = [builder.fadd(*(builder.shuffle_vector(a, b, mask) for mask in masks)) for a, b in pairs]
+            half //= 2
+        short = ir.VectorType(FLOAT, TILE)
+        for p in range(TILE):
+            mask = ir.Constant(ir.VectorType(INTEGER, TILE), list(range(p * TILE, (p + 1) * TILE)))
+            part = builder.shuffle_vector(vectors[0], vectors[0], mask)
+            place = builder.gep(matrix, [builder.mul(row, whole(p))])
+            total = builder.fadd(_load(builder, place, short), part)
+            builder.store(total, _vector_at(builder, place, short), align=4)
+        return context.get_dummy_value()
+
+    where = types.intp
+    return types.void(errors, where, given, where, gradients, where, where), generate
+
+
+@intrinsic
+def power_of_two(typing_context: Any, shifted: Any) -> Any:
+    """2^n from n + ROUNDING: the lowest digits of that sum become the exponent; |n| must not exceed 126."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        exponent = builder.shl(builder.bitcast(arguments[0], INTEGER), INTEGER(23))
+        return builder.bitcast(builder.add(exponent, INTEGER(127 << 23)), FLOAT)
+
+    return types.float32(types.float32), generate
+
+
+@inlined
+def exponential(x: float) -> float:
+    """e^x, to float32's rounding; |x| must not exceed LARGEST."""
+    shifted = x * LOG2_E + ROUNDING
+    n = shifted - ROUNDING
+    r = x - n * LN_2 - n * LN_2_REST
+    p = (((((E_7 * r + E_6) * r + E_5) * r + E_4) * r + E_3) * r + E_2) * (r * r) + r + ONE
+    return p * power_of_two(shifted)
+
+
+@inlined
+def tanh(x: float) -> float:
+    """The hyperbolic tangent, to float32's rounding of 1."""
+    # What is no number stays none.
+    x = FLAT if x > FLAT else x
+    x = -FLAT if x < -FLAT else x
+    return ONE - TWO / (exponential(TWO * x) + ONE)
+
+
+def activate(rows: np.ndarray, relu: bool) -> None:
+    """Applies the activation."""
+    use_widest_vectors()
+    if relu:
+        for j in range(len(rows)):
+            rows[j] = ZERO if rows[j] < ZERO else rows[j]
+    else:
+        for j in range(len(rows)):
+            rows[j] = tanh(rows[j])
+
+
+def descend(errors: np.ndarray, activations: np.ndarray, relu: bool) -> None:
+    """Multiplies with the slopes of the activation where it has these values."""
+    use_widest_vectors()
+    if relu:
+        for j in range(len(errors)):
+            errors[j] = errors[j] if activations[j] > ZERO else ZERO
+    else:
+        for j in range(len(errors)):
+            errors[j] *= ONE - activations[j] * activations[j]
+
+
+def total(row: np.ndarray) -> float:
+    """The sum of the entries."""
+    use_widest_vectors()
+    found = 0.0
+    for j in range(len(row)):
+        found += row[j]
+    return found
+
+
+def sum_of_squares(row: np.ndarray) -> float:
+    """The sum of the squares of the entries."""
+    use_widest_vectors()
+    found = 0.0
+    for j in range(len(row)):
+        found += np.float64(row[j]) * np.float64(row[j])
+    return found
+
+
+def judge(
+    samples: np.ndarray,
+    outputs: np.ndarray,
+    errors: np.ndarray,
+    n: int,
+    share: float,
+    log_std: float,
+    clip_range: float,
+    tanh_mean: bool,
+) -> None:
+    """Writes the slopes of the policy's loss over n lanes' outputs, and what else becomes of their samples.
+
+    Args:
+        samples: the rows of `Rows`; the policy's are written.
+        outputs: of the policy, shape (LANES,).
+        errors: written.
+        n: how many lanes; what is written to the others is zero.
+        share: of a sample in the loss.
+        log_std: logarithm of the standard deviation.
+        clip_range: how far the ratio of probabilities pays off, from 1.
+        tanh_mean: whether tanh brings the mean to [-1, 1].
+    """
+    use_widest_vectors()
+    precision = exponential(-log_std)
+    low, high = ONE - clip_range, ONE + clip_range
+    actions, old, advantages = samples[ROW.action], samples[ROW.old_log_prob], samples[ROW.advantage]
+    log_std_slope, gains = samples[ROW.log_std_slope], samples[ROW.gain]
+    divergences, clipped = samples[ROW.divergence], samples[ROW.clipped]
+    for j in range(LANES):
+        mean = tanh(outputs[j]) if tanh_mean else outputs[j]
+        deviation = (actions[j] - mean) * precision
+        log_ratio = -HALF * deviation * deviation - log_std - HALF_LOG_2_PI - old[j]
+        bounded = LARGEST if log_ratio > LARGEST else log_ratio
+        bounded = -LARGEST if bounded < -LARGEST else bounded
+        ratio = exponential(bounded)
+        advantage = advantages[j]
+        within = low if ratio < low else ratio
+        within = high if within > high else within
+        unclipped, limited = advantage * ratio, advantage * within
+        gain = limited if limited < unclipped else unclipped
+        # Of the logarithm of the probability.
+        slope = ZERO if limited < unclipped else -share * unclipped
+        error = slope * deviation * precision
+        used = j < n
+        errors[j] = (error * (ONE - mean * mean) if tanh_mean else error) if used else ZERO
+        log_std_slope[j] = slope * (deviation * deviation - ONE) if used else ZERO
+        gains[j] = gain if used else ZERO
+        divergences[j] = ratio - ONE - log_ratio if used else ZERO
+        clipped[j] = ONE if used and (ratio < low or ratio > high) else ZERO
+
+
+def appraise(samples: np.ndarray, values: np.ndarray, errors: np.ndarray, n: int, share: float) -> None:
+    """Writes the slopes of the critic's loss over n lanes' values, and their squared errors; the others' are zero."""
+    use_widest_vectors()
+    targets, squares = samples[ROW.target], samples[ROW.squared_error]
+    for j in range(LANES):
+        error = values[j] - targets[j] if j < n else ZERO
+        errors[j] = share * error
+        squares[j] = error * error
+
+
+def adam(
+    parameters: np.ndarray,
+    gradients: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    decay_1: float,
+    decay_2: float,
+    scale: float,
+    rate: float,
+    root: float,
+    eps: float,
+) -> None:
+    """A step of Adam, as torch makes it.
+
+    Args:
+        parameters: changed, like the moments.
+        gradients: of the loss.
+        first: moments.
+        second: moments.
+        decay_1: what the new gradient weighs in the first.
+        decay_2: what its square weighs in the second.
+        scale: what the gradients are multiplied with.
+        rate: learning rate, corrected for the bias of the first moments.
+        root: root of the correction of the second.
+        eps: what is added to the root of the second.
+    """
+    use_widest_vectors()
+    for n in range(len(parameters)):
+        gradient = gradients[n] * scale
+        first[n] += decay_1 * (gradient - first[n])
+        second[n] += decay_2 * (gradient * gradient - second[n])
+        parameters[n] -= rate * first[n] / (np.sqrt(second[n]) * root + eps)
+
+
+def _inner(function: Any, *flags: str) -> Any:
+    """Compiles a function that the update calls, with whose arithmetic the compiler may do so."""
+    return inner(function, fastmath=dict.fromkeys(flags, True))
+
+
+activate_apart, descend_apart = _inner(activate, "contract"), _inner(descend, "contract")
+total_apart, sum_of_squares_apart = _inner(total, "reassoc"), _inner(sum_of_squares, "reassoc")
+judge_apart, appraise_apart, adam_apart = (_inner(function, "contract") for function in (judge, appraise, adam))
+
+
+def forward(parameters: np.ndarray, widths: np.ndarray, relu: bool, rows: np.ndarray) -> int:
+    """Takes LANES samples through a network.
+
+    Args:
+        parameters: its part of what `pack` has packed.
+        widths: of its inputs and its layers.
+        relu: whether max(0, .) follows the hidden layers, else tanh.
+        rows: the filled inputs; what every layer makes of them is written behind, shape (.., LANES) but flat.
+
+    Returns:
+        Where the outputs begin.
+    """
+    use_widest_vectors()
+    at = given = 0
+    layers = len(widths) - 1
+    for layer in range(layers):
+        columns, units = filled(widths[layer] + 1), widths[layer + 1]
+        sums = given + columns * LANES
+        for j in range(0, LANES, SPAN):
+            for k in range(0, filled(units), TILE):
+                start, target = at + k * columns, sums + k * LANES + j
+                multiply(parameters, start, columns, 1, columns, rows, given + j, rows, target)
+        if layer < layers - 1:
+            end = sums + units * LANES
+            activate_apart(rows[sums:end], relu)
+            # What the next layer's bias is the weight of.
+            rows[end : end + LANES] = ONE
+        at += filled(units) * columns
+        given = sums
+    return given
+
+
+def backward(
+    parameters: np.ndarray,
+    gradients: np.ndarray,
+    widths: np.ndarray,
+    relu: bool,
+    rows: np.ndarray,
+    errors: np.ndarray,
+    spare: np.ndarray,
+) -> None:
+    """Adds LANES samples to the gradients of a network.
+
+    Args:
+        parameters: with the next three as `forward` takes them.
+        gradients: like the parameters; changed.
+        widths: see there.
+        relu: see there.
+        rows: as `forward` leaves them.
+        errors: slopes of the loss over the filled outputs; changed.
+        spare: room for those of any layer.
+    """
+    use_widest_vectors()
+    at = given = 0
+    for layer in range(len(widths) - 1):
+        at += filled(widths[layer + 1]) * filled(widths[layer] + 1)
+        given += filled(widths[layer] + 1) * LANES
+    for layer in range(len(widths) - 2, -1, -1):
+        inputs, outputs = widths[layer], filled(widths[layer + 1])
+        columns = filled(inputs + 1)
+        at -= outputs * columns
+        given -= columns * LANES
+        for k in range(0, outputs, TILE):
+            for i in range(0, columns, TILE):
+                correlate(errors, k * LANES, rows, given + i * LANES, gradients, at + k * columns + i, columns)
+        if layer > 0:
+            for j in range(0, LANES, SPAN):
+                for i in range(0, filled(inputs), TILE):
+                    multiply(parameters, at + i, 1, columns, outputs, errors, j, spare, i * LANES + j)
+            size = inputs * LANES
+            descend_apart(spare[:size], rows[given : given + size], relu)
+            # Nothing is made of what fills up the width: it has to stay zero.
+            spare[size : filled(inputs) * LANES] = ZERO
+            errors, spare = spare, errors
+
+
+forward_apart, backward_apart = inner(forward), inner(backward)
+
+
+@jitable
+def room(count: int) -> np.ndarray:
+    """So many zeros, from the beginning of a cache line on, which a wide load should not cross."""
+    memory = np.zeros(count + LINE, np.float32)
+    start = -(memory.ctypes.data // 4) % LINE
+    return memory[start : start + count]
+
+
+@jitable
+def rows_of(widths: np.ndarray) -> int:
+    """How many rows a network's numbers take."""
+    rows = 0
+    for width in widths:
+        rows += filled(width + 1)
+    return rows
+
+
+@jitable
+def size_of(widths: np.ndarray) -> int:
+    """How many numbers the packed network is."""
+    size = 0
+    for layer in range(len(widths) - 1):
+        size += filled(widths[layer + 1]) * filled(widths[layer] + 1)
+    return size
+
+
+@jitable
+def moments(advantages: np.ndarray, chosen: np.ndarray) -> tuple[float, float]:
+    """Mean and deviation of the chosen advantages."""
+    mean = square = 0.0
+    for j in chosen:
+        mean += advantages[j]
+    mean /= len(chosen)
+    for j in chosen:
+        square += (advantages[j] - mean) ** 2
+    return mean, math.sqrt(square / (len(chosen) - 1))
+
+
+def update(
+    settings: np.ndarray,
+    actor: np.ndarray,
+    critic: np.ndarray,
+    orders: np.ndarray,
+    inputs: np.ndarray,
+    actions: np.ndarray,
+    old_log_probs: np.ndarray,
+    advantages: np.ndarray,
+    targets: np.ndarray,
+    parameters: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    losses: np.ndarray,
+) -> None:
+    """Makes a step of Adam for every minibatch.
+
+    Args:
+        settings: the fields of `Settings`.
+        actor: widths of its inputs, of its layers, and 1.
+        critic: likewise; it may have more inputs.
+        orders: the samples in the order of each epoch, shape (epochs, samples).
+        inputs: normalised, shape (samples, inputs of the critic); the actor's come first.
+        actions: shape (samples,).
+        old_log_probs: logarithms of their probabilities when they were drawn, likewise.
+        advantages: likewise.
+        targets: what the critic should have said, likewise.
+        parameters: actor, critic and logarithm of the standard deviation, from `pack`; changed.
+        first: Adam's first moments of them; changed.
+        second: Adam's second moments; changed.
+        losses: written: the means of LOSSES over the minibatches.
+    """
+    s = record(settings, 0, Settings)
+    split = size_of(actor)
+    last = split + size_of(critic)
+    rows_a, rows_c = room(rows_of(actor) * LANES), room(rows_of(critic) * LANES)
+    widest = max(actor.max(), critic.max())
+    errors, spare = room(filled(widest) * LANES), room(filled(widest) * LANES)
+    samples = room(len(ROW) * LANES).reshape(len(ROW), LANES)
+    gradients = room(len(parameters))
+    rows_a[actor[0] * LANES : (actor[0] + 1) * LANES] = ONE
+    rows_c[critic[0] * LANES : (critic[0] + 1) * LANES] = ONE
+    sums = np.zeros(len(losses))
+    power_1, power_2 = s.beta_1**s.step, s.beta_2**s.step
+    batches = 0
+    for order in orders:
+        for begin in range(0, len(order), s.batch_size):
+            chosen = order[begin : begin + s.batch_size]
+            size = len(chosen)
+            centre, scale = 0.0, 1.0
+            if s.normalises and size > 1:
+                centre, deviation = moments(advantages, chosen)
+                scale = 1.0 / (deviation + 1e-8)
+            gradients[:] = ZERO
+            log_std = max(parameters[last], F32(s.least_log_std))
+            for start in range(0, size, LANES):
+                n = min(LANES, size - start)
+                for j in range(n):
+                    i = chosen[start + j]
+                    samples[ROW.action, j], samples[ROW.old_log_prob, j] = actions[i], old_log_probs[i]
+                    samples[ROW.advantage, j], samples[ROW.target, j] = (advantages[i] - centre) * scale, targets[i]
+                    for k in range(actor[0]):
+                        rows_a[k * LANES + j] = inputs[i, k]
+                    for k in range(critic[0]):
+                        rows_c[k * LANES + j] = inputs[i, k]
+                out = forward_apart(parameters[:split], actor, s.relu, rows_a)
+                errors[LANES : TILE * LANES] = ZERO
+                judge_apart(
+                    samples,
+                    rows_a[out : out + LANES],
+                    errors[:LANES],
+                    n,
+                    F32(1.0 / size),
+                    log_std,
+                    F32(s.clip_range),
+                    s.tanh_mean,
+                )
+                backward_apart(parameters[:split], gradients[:split], actor, s.relu, rows_a, errors, spare)
+                out = forward_apart(parameters[split:last], critic, s.relu, rows_c)
+                errors[LANES : TILE * LANES] = ZERO
+                appraise_apart(samples, rows_c[out : out + LANES], errors[:LANES], n, F32(2.0 * s.vf_coef / size))
+                backward_apart(parameters[split:last], gradients[split:last], critic, s.relu, rows_c, errors, spare)
+                gradients[last] += total_apart(samples[ROW.log_std_slope])
+                sums[0] -= total_apart(samples[ROW.gain]) / size
+                sums[1] += total_apart(samples[ROW.squared_error]) / size
+                sums[3] += total_apart(samples[ROW.divergence]) / size
+                sums[4] += total_apart(samples[ROW.clipped]) / size
+            sums[2] -= log_std + HALF_LOG_2_PI + HALF
+            gradients[last] = gradients[last] - s.ent_coef if parameters[last] >= F32(s.least_log_std) else 0.0
+            norm = math.sqrt(sum_of_squares_apart(gradients))
+            power_1 *= s.beta_1
+            power_2 *= s.beta_2
+            adam_apart(
+                parameters,
+                gradients,
+                first,
+                second,
+                F32(1.0 - s.beta_1),
+                F32(1.0 - s.beta_2),
+                F32(min(1.0, s.max_grad_norm / (norm + 1e-6))),
+                F32(s.learning_rate / (1.0 - power_1)),
+                F32(1.0 / math.sqrt(1.0 - power_2)),
+                F32(s.eps),
+            )
+            batches += 1
+    for k in range(len(losses)):
+        losses[k] = sums[k] / batches
+
+
+@lru_cache(maxsize=1)
+def compiled() -> Any:
+    """`update` as compiled code: it checks neither dtype nor shape nor contiguity of what it is given."""
+    built = kernel(update, fingerprint(update)[:16], {})
+    numbers, widths, row = types.float64[::1], types.int64[::1], types.float32[::1]
+    given = (types.int64[:, ::1], types.float32[:, ::1], row, row, row, row)
+    compile_now(built, (numbers, widths, widths, *given, row, row, row, numbers), "the updates of training")
+    return next(iter(built.overloads.values())).entry_point
+
+
+def make_steps(
+    settings: Settings,
+    changed: list[Numbers],
+    orders: np.ndarray,
+    inputs: np.ndarray,
+    actions: np.ndarray,
+    old_log_probs: np.ndarray,
+    advantages: np.ndarray,
+    targets: np.ndarray,
+) -> np.ndarray:
+    """Makes a step of Adam for every minibatch.
+
+    Args:
+        settings: what is done.
+        changed: the parameters and Adam's first and second moments; what they hold is changed.
+        orders: with the next five as `update` takes them.
+        inputs: see there.
+        actions: see there.
+        old_log_probs: see there.
+        advantages: see there.
+        targets: see there.
+
+    Returns:
+        The means of LOSSES over the minibatches, float64.
+
+    Raises:
+        TypeError: if an array is of another dtype or shape.
+    """
+    actor, critic = (
+        np.array([layers[0][0].shape[1], *(len(bias) for _, bias in layers)])
+        for layers in (changed[0].actor, changed[0].critic)
+    )
+    count = len(inputs)
+    check_arrays(
+        orders=(orders, np.int64, (None, count)),
+        inputs=(inputs, np.float32, (count, int(critic[0]))),
+        actions=(actions, np.float32, (count,)),
+        old_log_probs=(old_log_probs, np.float32, (count,)),
+        advantages=(advantages, np.float32, (count,)),
+        targets=(targets, np.float32, (count,)),
+    )
+    samples = (orders, inputs, actions, old_log_probs, advantages, targets)
+    packed, losses = [pack(numbers) for numbers in changed], np.empty(len(LOSSES))
+    compiled()(np.array(settings, np.float64), actor, critic, *samples, *packed, losses)
+    for array, numbers in zip(packed, changed, strict=True):
+        unpack(array, numbers)
+    return losses
