@@ -83,12 +83,12 @@ def test_check_compares_numbers_to_the_last_of_their_digits(written, name):
 
 def test_check_compares_shares_and_what_noise_does(written):
     def change(board):
-        row_of(board, "bold")["results"]["paper"]["share_of_best_known"]["iqm"] *= 1.01
+        row_of(board, "bold")["results"]["paper"]["share_of_optimum"]["iqm"] *= 1.01
         row_of(board, "twitch")["disturbed"]["high"] += 0.01
 
     edit(written, change)
     starts = {line.partition(" is ")[0] for line in checked(written)}
-    assert starts == {"bold on paper: share_of_best_known iqm", "twitch disturbed: high"}
+    assert starts == {"bold on paper: share_of_optimum iqm", "twitch disturbed: high"}
 
 
 def test_check_compares_counts_and_undefined_numbers(written):
