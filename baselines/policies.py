@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from baselines.gaits import performance
+from baselines.optimum import policy as optimum
 
 Act = Callable[[np.ndarray], np.ndarray]
 
@@ -78,6 +79,18 @@ SCRIPTED = {
             "sees M and mu and takes the known gait that proved fastest around such a plant; torque every 10 ms",
             {**performance.ENV_KWARGS, "observe_parameters": True},
             performance.start_oracle,
+        ),
+        ScriptedPolicy(
+            "optimum-nominal",
+            "the optimum of the nominal plant that spares some contact, whatever the plant; looks one hold ahead",
+            {},
+            optimum.start_nominal,
+        ),
+        ScriptedPolicy(
+            "optimum-oracle",
+            "sees M and mu and takes the torque of the optimum there; looks one hold ahead",
+            {"observe_parameters": True},
+            optimum.start_oracle,
         ),
     )
 }

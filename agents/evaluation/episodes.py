@@ -14,7 +14,8 @@ import capsule_gym
 from agents.evaluation.sets import EvaluationSet, PlantSpec
 from agents.evaluation.statistics import Estimate, estimate, paired_difference
 from agents.evaluation.tables import SHARE
-from baselines.gaits.archive import best_known_speed, in_grid
+from baselines.gaits.archive import in_grid
+from baselines.optimum import optimal_speed
 from capsule_gym import CapsuleVectorEnv, __version__
 from capsule_gym.rollout import rollout
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA, TORQUE_LIMIT
@@ -70,8 +71,8 @@ def evaluate(policy: Policy, evaluation_set: EvaluationSet, *, horizon: float = 
 
     Returns:
         One dict per plant, in order: M (kg), mu, seed, where it has them theta (rad) and changes, and the metrics of
-        `capsule_gym.task.Metrics`; where `has_best_known` says so also `share_of_best_known`, the mean speed over the
-        best-known one of the episode's plant.
+        `capsule_gym.task.Metrics`; where `has_optimum` says so also `share_of_optimum`, the mean speed over the
+        optimum's of the episode's plant.
     """
     settings: dict[str, Any] = {**policy.env_kwargs, **EPISODE_SETTINGS}
     metrics = _run(policy, settings, evaluation_set.plants, round(horizon / settings.get("control_dt", CONTROL_DT)))
@@ -87,14 +88,14 @@ def as_episodes(
     Args:
         evaluation_set: the plants.
         metrics: by name, each of shape (plants,).
-        shared: whether a share of the best-known speed belongs to them, where `has_best_known` says so as well.
+        shared: whether a share of the optimum belongs to them, where `has_optimum` says so as well.
     """
-    shared = shared and has_best_known(evaluation_set)
+    shared = shared and has_optimum(evaluation_set)
     episodes = []
     for i, plant in enumerate(evaluation_set.plants):
         values = {name: float(column[i]) for name, column in metrics.items()}
         if shared:
-            values[SHARE.metric] = values["mean_speed"] / best_known_speed(plant.M, plant.mu)
+            values[SHARE.metric] = values["mean_speed"] / optimal_speed(plant.M, plant.mu)
         label = plant.to_dict()
         if not plant.changes:
             del label["changes"]
@@ -130,8 +131,8 @@ def _run(policy: Policy, settings: Mapping[str, Any], plants: Sequence[PlantSpec
         env.close()
 
 
-def has_best_known(evaluation_set: EvaluationSet) -> bool:
-    """Whether all episodes of a set are such as the table of best-known gaits holds: its start, its grid, no jumps."""
+def has_optimum(evaluation_set: EvaluationSet) -> bool:
+    """Whether all episodes of a set are such as the table of optima holds: its start, its grid, no jumps."""
     return all(
         plant.theta == START_THETA and not plant.changes and in_grid(plant.M, plant.mu)
         for plant in evaluation_set.plants

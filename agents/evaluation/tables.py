@@ -48,5 +48,5 @@ MEASURES = {
     )
 }
 
-# Stands in the results of the sets whose plants all lie on the grid of best-known gaits.
-SHARE = Measure("share_of_best_known", "share of best-known", 2)
+# Stands in the results of the sets whose plants all lie within the grid of optima.
+SHARE = Measure("share_of_optimum", "share of optimum", 2)

@@ -44,7 +44,7 @@ def _failures(summary: Mapping[str, Any]) -> str:
 
 
 def _share(summary: Mapping[str, Any]) -> str:
-    """The share of the best-known speed; a dash on sets that the table of gaits does not cover."""
+    """The share of the optimum's speed; a dash on sets that the table of optima does not cover."""
     return SHARE.format(summary.get(SHARE.metric, {}).get("iqm"))
 
 
@@ -76,7 +76,7 @@ def _main_table(board: Mapping[str, Any]) -> str:
 
 
 def _shares_table(board: Mapping[str, Any]) -> str:
-    """The shares on the sets that the table of gaits covers."""
+    """The shares on the sets that the table of optima covers."""
     rows = rank(board["rows"])
     names = [name for name in board["sets"] if any(SHARE.metric in row["results"][name] for row in rows)]
     table = [[row["policy"], *(_share(row["results"][name]) for name in names)] for row in rows]
@@ -159,12 +159,13 @@ def render(board: Mapping[str, Any]) -> str:
         "",
         _sets_table(board),
         "",
-        "## Share of the best-known speed",
+        "## Share of the optimum",
         "",
-        "Each episode's mean speed over the best-known one of its plant, which numerical optimisation of periodic "
-        "gaits has found from the same start, under the same limits (`python -m baselines.gaits`); linear in M "
-        "and log(mu) between the plants of its grid. A share above 1 is a better gait than any known. Sets with plants "
-        "outside the grid, or whose plants change on the way, have none. Here too, interquartile means.",
+        "Each episode's mean speed over the optimum's on its plant: what dynamic programming has found for a torque "
+        "that is held for 20 ms, from the same start, under the same limits (`python -m baselines.optimum`); linear in "
+        "M and log(mu) between the plants of its grid. A share may exceed 1 a little: by the error between the plants, "
+        "by that of the optimum itself, and by a torque that changes more often. Sets with plants outside the grid, or "
+        "whose plants change on the way, have none. Here too, interquartile means.",
         "",
         _shares_table(board),
         "",

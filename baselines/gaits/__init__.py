@@ -1,1 +1,1 @@
-"""Best-known gaits, the yardstick of the direct-torque task: `python -m baselines.gaits` searches them."""
+"""Best-known gaits of the direct-torque task: `python -m baselines.gaits` searches them."""

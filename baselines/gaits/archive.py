@@ -1,4 +1,4 @@
-"""Best-known gaits: the yardstick of the direct-torque task.
+"""Best-known gaits of the direct-torque task.
 
 For every plant of a grid in M and mu, and every family of `baselines.gaits.families`, `data/gaits.json` holds the
 fastest gait that `python -m baselines.gaits` has found: torque limit 1.5 N m, |theta| < pi/2, N > 0, from rest over
@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -205,12 +205,11 @@ def known_gaits() -> Archive:
     return archive
 
 
-def best_known_speed(M: float, mu: float) -> float:
-    """The best-known mean speed from rest over 33 s at a torque limit of 1.5 N m, in cm/s.
-
-    Linear in M and in log(mu) between the plants of the grid: what is known between them without a search there.
+def between_plants(table: Mapping[tuple[float, float], float], M: float, mu: float) -> float:
+    """What a table of the grid's plants says of a plant between them: linear in M and in log(mu).
 
     Args:
+        table: a number for every plant of the grid.
         M: mass of the platform, kg.
         mu: friction coefficient.
 
@@ -222,20 +221,32 @@ def best_known_speed(M: float, mu: float) -> float:
             f"M must be in [{GRID_M[0]}, {GRID_M[-1]}] kg and mu in [{GRID_MU[0]}, {GRID_MU[-1]}], "
             f"got M={M!r}, mu={mu!r}"
         )
-    table = known_gaits().table()
-    (row, share_M), (column, share_mu) = _place(M, GRID_M), _place(log(mu), _log_grid())
-    corners = [[table[GRID_M[i], GRID_MU[j]].mean_speed for j in (column, column + 1)] for i in (row, row + 1)]
+    (row, share_M), (column, share_mu) = place(M, GRID_M), place(log(mu), log_grid())
+    corners = [[table[GRID_M[i], GRID_MU[j]] for j in (column, column + 1)] for i in (row, row + 1)]
     below, above = (left + share_mu * (right - left) for left, right in corners)
     return below + share_M * (above - below)
 
 
+def best_known_speed(M: float, mu: float) -> float:
+    """The best-known gaits' mean speed from rest over 33 s at a torque limit of 1.5 N m, in cm/s; see `between_plants`.
+
+    Args:
+        M: mass of the platform, kg.
+        mu: friction coefficient.
+
+    Raises:
+        ValueError: if the plant lies outside the grid.
+    """
+    return between_plants({plant: gait.mean_speed for plant, gait in known_gaits().table().items()}, M, mu)
+
+
 @lru_cache(maxsize=1)
-def _log_grid() -> list[float]:
+def log_grid() -> list[float]:
     """The logarithms of `GRID_MU`."""
     return [log(mu) for mu in GRID_MU]
 
 
-def _place(value: float, grid: Sequence[float]) -> tuple[int, float]:
+def place(value: float, grid: Sequence[float]) -> tuple[int, float]:
     """The cell of an ascending grid that a value lies in, and how far into it, from 0 to 1."""
     cell = min(bisect_right(grid, value), len(grid) - 1) - 1
     return cell, (value - grid[cell]) / (grid[cell + 1] - grid[cell])

@@ -26,6 +26,7 @@ MODULES = [
     for path in sorted(ROOT.glob(pattern))
     if path.name not in PICTURES
 ] + [f"baselines/gaits/{name}.py" for name in ("archive", "families", "performance")]
+MODULES += [f"baselines/optimum/{name}.py" for name in ("grid", "holds", "policy", "records", "solver")]
 # Functions whose last digit is the library's, and sums whose order or whose fused products are the processor's.
 FOREIGN = set(
     "sin cos tan asin acos atan atan2 arcsin arccos arctan arctan2 sinh cosh tanh arcsinh arccosh arctanh asinh acosh "

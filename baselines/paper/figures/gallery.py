@@ -8,6 +8,7 @@ from typing import Any
 
 from baselines.drawing import save, style
 from baselines.gaits.figure import draw_gaits
+from baselines.optimum.figure import draw_optimum
 from baselines.paper.figures.adaptive import (
     draw_adaptive_error,
     draw_adaptive_torque,
@@ -32,6 +33,7 @@ STUDIES: dict[str, Callable[[], Any]] = {
     "speed_map": draw_speed_map,
     "contact_and_step": draw_contact_and_step,
     "gaits": draw_gaits,
+    "optimum": draw_optimum,
 }
 NAMES = (*SCHEMATICS, *PROFILE_FIGURES, *ADAPTIVE_FIGURES, *STUDIES)
 

@@ -23,8 +23,8 @@ def test_page_shows_shares_and_chaos(written):
     board = read(written)
     page = render(board)
     results = row_of(board, "bold")["results"]["paper"]
-    assert "share of best-known" in table(page)[0]
-    assert ["bold", f"{results['share_of_best_known']['iqm']:.2f}"] in [row[:2] for row in table(page, "## Share")]
+    assert "share of optimum" in table(page)[0]
+    assert ["bold", f"{results['share_of_optimum']['iqm']:.2f}"] in [row[:2] for row in table(page, "## Share")]
     found = {row[0]: row[1:] for row in table(page, "## Chaos")}
     low, high = (f"{row_of(board, 'bold')['disturbed'][end]:.2f}" for end in ("low", "high"))
     assert found["bold"] == [low, high, "< 0.005"]

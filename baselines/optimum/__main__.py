@@ -1,0 +1,160 @@
+"""Computes the optima and writes them to `data/`: `python -m baselines.optimum`.
+
+The problems: every plant of the grid of `baselines.gaits.archive`, for the speeds that policies are measured by; the
+nominal plant on ever finer grids; with the torque held shorter; with the energy weighed; and with normal force to
+spare. What is known is kept, unless `--anew` says otherwise, and written after every problem and on Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from baselines.gaits.archive import PLANTS
+from baselines.optimum.levels import LEVELS, PRODUCTION, Level, optimise
+from baselines.optimum.motion import repeat
+from baselines.optimum.records import FOLDER, Archive, Record, key_of
+from baselines.optimum.solver import Problem
+from capsule_gym.command_line import parse, refuse
+from capsule_gym.parameters import NOMINAL
+
+PROG = "python -m baselines.optimum"
+# s
+HOLDS = (0.01, 0.005)
+# cm/J
+ENERGY_WEIGHTS = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
+# N: what the platform may be lighter by, times g.
+MARGINS = (1.6,)
+PARTS: dict[str, tuple[Problem, ...]] = {
+    "plants": tuple(Problem(M=M, mu=mu) for M, mu in PLANTS),
+    "margins": tuple(Problem(margin=margin) for margin in MARGINS),
+    "weights": tuple(Problem(energy_weight=weight) for weight in ENERGY_WEIGHTS),
+    "holds": tuple(Problem(hold=hold) for hold in HOLDS),
+}
+
+
+def grids_of(problem: Problem) -> Sequence[tuple[int, int, int]]:
+    """The grids on which a problem is solved: one more where the refinement is shown."""
+    shown = (problem.M, problem.mu, problem.energy_weight) == (NOMINAL.M, NOMINAL.mu, 0.0)
+    return LEVELS if shown else PRODUCTION
+
+
+def record_of(problem: Problem, levels: Sequence[Level], seconds: float) -> tuple[Record, np.ndarray]:
+    """What is kept of a problem, and the torques of its best motion: the one with the largest reward."""
+
+    def reward(level: Level) -> float:
+        metrics = level.motion.metrics
+        value = 100.0 * metrics["distance"][0] - problem.energy_weight * metrics["energy"][0]
+        return float(value) - 1e9 * float(metrics["failed"][0])
+
+    best = max(levels, key=reward).motion
+    transport = float(best.metrics["cost_of_transport"][0])
+    record = Record(
+        M=problem.M,
+        mu=problem.mu,
+        energy_weight=problem.energy_weight,
+        hold=problem.hold,
+        margin=problem.margin,
+        grids=tuple(level.solution.grid.shape for level in levels),
+        gains=tuple(round(level.solution.gain, 4) for level in levels),
+        steady=tuple(round(level.steady, 4) for level in levels),
+        mean_speed=float(best.metrics["mean_speed"][0]),
+        cost_of_transport=transport if np.isfinite(transport) else None,
+        seconds=round(seconds, 1),
+    )
+    return record, best.choices[:, 0]
+
+
+def check(archive: Archive) -> list[str]:
+    """Repeats the motions of all records; returns what is not as it stands there, one line each."""
+    stale = []
+    for key, record in archive.records.items():
+        metrics = repeat(record.problem, archive.choices[key]).metrics
+        transport = float(metrics["cost_of_transport"][0])
+        now = (float(metrics["mean_speed"][0]), transport if np.isfinite(transport) else None)
+        if now != (record.mean_speed, record.cost_of_transport) or metrics["failed"][0]:
+            stale.append(f"{key}: {record.mean_speed} cm/s at {record.cost_of_transport} on file, {now} now")
+    return stale
+
+
+@dataclass(frozen=True)
+class Options:
+    """Computes the optima by dynamic programming. Goes on from what is known; Ctrl-C keeps what has been found.
+
+    Examples:
+      python -m baselines.optimum                      all that is missing
+      python -m baselines.optimum --check              repeat every motion on file and write nothing
+      python -m baselines.optimum --parts plants --anew
+    """
+
+    check: bool = False
+    """Repeat every motion on file, write nothing; the exit status says whether all speeds are met, to the last bit."""
+    parts: tuple[str, ...] = tuple(PARTS)
+    """Problems to solve: plants, margins, weights, holds."""
+    anew: bool = False
+    """Also what is known."""
+    folder: Path = FOLDER
+    """Of the files."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    options = parse(Options, PROG, arguments)
+    if not options.parts or not set(options.parts) <= set(PARTS):
+        refuse(PROG, f"--parts must be some of {', '.join(PARTS)}, got {' '.join(options.parts) or 'none'}")
+    archive = Archive(options.folder)
+    if options.check:
+        stale = check(archive)
+        print(*stale, sep="\n")
+        print(f"{len(archive.records)} motions repeated: {len(stale)} differ")
+        return int(bool(stale))
+    problems = [problem for part in options.parts for problem in PARTS[part]]
+    missing = [problem for problem in problems if options.anew or key_of(problem) not in archive.records]
+    for n, problem in enumerate(missing):
+        name = f"{n + 1}/{len(missing)} {_describe(problem)}"
+        try:
+            _solve(problem, archive, name)
+        except KeyboardInterrupt:
+            print(f"\n{len(archive.records)} problems are on file; call again to go on")
+            return 130
+    print(f"{len(archive.records)} problems on file in {options.folder}")
+    return 0
+
+
+def _describe(problem: Problem) -> str:
+    """A problem in a line."""
+    extras = [
+        f"{problem.energy_weight:g} cm/J" if problem.energy_weight else "",
+        f"margin {problem.margin:g} N" if problem.margin else "",
+    ]
+    return ", ".join(
+        [f"M={problem.M:g}", f"mu={problem.mu:g}", f"hold {1e3 * problem.hold:g} ms", *filter(None, extras)]
+    )
+
+
+def _solve(problem: Problem, archive: Archive, name: str) -> None:
+    """Solves a problem and files it."""
+    began = perf_counter()
+    live = sys.stderr.isatty()
+
+    def report(line: str) -> None:
+        if live:
+            print(f"\r\033[K{name}: {line}", end="", file=sys.stderr, flush=True)
+
+    levels = optimise(problem, grids_of(problem), report)
+    seconds = perf_counter() - began
+    record, choices = record_of(problem, levels, seconds)
+    policy = problem.energy_weight == 0.0 and problem.hold == Problem().hold
+    archive.add(record, choices, levels[0].solution if policy else None)
+    archive.save()
+    gains = ", ".join(f"{gain:.3f}" for gain in record.gains)
+    print(f"\r{name}: {record.mean_speed:.2f} cm/s over 33 s, gains {gains} cm/s, {seconds:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,107 @@
+"""Draws the optimum on the nominal plant: what a state is worth, which torque is best there, and the cycle."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, add_note, new_figure
+from baselines.optimum.cycles import Cycle, cycle
+from baselines.optimum.motion import ACTIONS
+from baselines.optimum.records import known_optima
+from baselines.optimum.solver import Problem, Solution
+from capsule_gym.parameters import NOMINAL
+
+# Points of the maps along either axis, and the rates they reach to, rad/s.
+POINTS = 141
+RATES = (-8.0, 14.0)
+THETA = 1.55
+# Every so many of the candidates are tried, which is fine enough for a map.
+EVERY = 3
+# cm: below, a state is as good as lost.
+LOST = -20.0
+
+
+def draw_optimum() -> Any:
+    """The figure, to be called in the house style."""
+    solution, own = known_optima().solution(Problem()), cycle()
+    q = solution.grid.q
+    w = float(np.median(own.x_dot / q - np.cos(own.theta) * own.theta_dot))
+    figure = new_figure(5.6)
+    (value, torque), (motion, force) = figure.subplots(2, 2, height_ratios=(1.35, 1.0))
+    values, torques = _maps(solution, w)
+    _draw_map(figure, value, np.where(values < LOST, np.nan, values), own, "viridis", "value (cm)")
+    value.set_title("What a state is worth, against the start")
+    _draw_map(figure, torque, np.where(values < LOST, np.nan, torques), own, "RdBu_r", "torque (N m)")
+    torque.set_title("The best torque")
+    _draw_motion(motion, own)
+    _draw_forces(force, own)
+    add_note(
+        figure,
+        f"Nominal plant, torque held for 20 ms. Maps: the slice where the centre of mass moves at {100.0 * q * w:.1f} "
+        "cm/s, its median over the cycle; grey: lost. Black: the cycle, which begins at the dot. Shaded: the platform "
+        f"slides backwards, and friction pushes the capsule forwards. Period {own.period:.2f} s, {own.speed:.1f} cm/s.",
+    )
+    return figure
+
+
+def _maps(solution: Solution, w: float) -> tuple[np.ndarray, np.ndarray]:
+    """Values in cm and best torques in N m over theta (columns) and theta_dot (rows), at one w in rad/s."""
+    theta, theta_dot = np.meshgrid(np.linspace(-THETA, THETA, POINTS), np.linspace(*RATES, POINTS))
+    x_dot = solution.grid.q * (w + np.cos(theta) * theta_dot)
+    states = np.stack([theta.ravel(), theta_dot.ravel(), x_dot.ravel()])
+    holds = solution.problem.holds(states.shape[1])
+    best = np.full(states.shape[1], -np.inf)
+    torques = np.zeros(states.shape[1])
+    for action in ACTIONS[::EVERY]:
+        holds.put(states)
+        ends, rewards, dead = holds.take(np.full(best.size, action))
+        scores = np.where(dead, -np.inf, rewards + solution.at(ends))
+        torques = np.where(scores > best, solution.problem.torque_limit * action, torques)
+        best = np.maximum(best, scores)
+    return best.reshape(theta.shape), torques.reshape(theta.shape)
+
+
+def _draw_map(figure: Any, axes: Any, image: np.ndarray, own: Cycle, colours: str, label: str) -> None:
+    """One map with the cycle on it."""
+    axes.set_facecolor("#d9d9d9")
+    shown = axes.imshow(
+        image, extent=(-THETA, THETA, *RATES), origin="lower", aspect="auto", cmap=colours, interpolation="nearest"
+    )
+    figure.colorbar(shown, ax=axes, label=label, pad=0.02)
+    axes.plot(np.append(own.theta, own.theta[0]), np.append(own.theta_dot, own.theta_dot[0]), color=INK, lw=1.4)
+    axes.plot(own.theta[0], own.theta_dot[0], "o", color=INK, markersize=4.0)
+    axes.grid(False)
+    axes.set(xlabel="θ (rad)", ylabel="θ' (rad/s)", xlim=(-THETA, THETA), ylim=RATES)
+
+
+def _shade(axes: Any, own: Cycle) -> None:
+    """Where the platform slides backwards."""
+    backwards = own.x_dot < 0.0
+    low, high = axes.get_ylim()
+    axes.fill_between(own.time, low, high, where=backwards, step="post", color="#e8eef6", lw=0.0, zorder=0.5)
+    axes.set_ylim(low, high)
+    axes.set_xlim(0.0, own.period)
+    axes.set_xlabel("time in the cycle (s)")
+
+
+def _draw_motion(axes: Any, own: Cycle) -> None:
+    """Angle and the platform's velocity over the cycle."""
+    axes.plot(own.time, own.theta, color=BLUE, label="θ (rad)")
+    axes.plot(own.time, own.x_dot, color=VERMILION, label="x' (m/s)")
+    axes.axhline(0.0, color=MUTED, lw=0.6)
+    axes.set_title("Pendulum and platform")
+    axes.legend(loc="upper right")
+    _shade(axes, own)
+
+
+def _draw_forces(axes: Any, own: Cycle) -> None:
+    """Torque and normal force over the cycle."""
+    weight = (NOMINAL.M + NOMINAL.m) * NOMINAL.g
+    axes.step(own.time, own.torque, where="post", color=GREEN, label="torque (N m)")
+    axes.plot(own.time, own.normal_force / weight, color=INK, label="N over the weight")
+    axes.axhline(0.0, color=MUTED, lw=0.6)
+    axes.set_title("Torque and contact")
+    axes.legend(loc="upper right")
+    _shade(axes, own)

@@ -1,0 +1,173 @@
+"""The grid of the dynamic programming: coordinates in which the motion is slow and sticking lies on nodes.
+
+A state (theta, theta_dot, x_dot) becomes (theta, s, w), with q = m l / (M + m):
+
+    w = x_dot / q - cos(theta) theta_dot        the velocity of the centre of mass over q, rad/s
+    y = x_dot / (q max(cos(theta), 0.3))        the velocity of the platform, as a rate of the pendulum, rad/s
+    s = y / (STRETCH + |y|)                     finer near sticking
+
+Only friction changes w, and slowly; along x_dot itself every hold would jump over many cells, and interpolation smear
+the value with every jump. Sticking is the plane s = 0, on which nodes lie: there the value has its kink.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from capsule_gym.compilation import compile_cached, jitable
+from capsule_gym.parameters import NOMINAL, Capsule
+from capsule_gym.task import THETA_LIMIT
+from capsule_gym.trigonometry import sincos, sines_and_cosines
+
+# rad/s: where the spacing of y is four times that at rest.
+STRETCH = 10.0
+# Below this cosine the velocity of the platform says little of the pendulum's rate.
+LEAST_COSINE = 0.3
+# rad/s; from below what any of the optima needs to above it.
+WIDEST_Y = (-10.0, 22.0)
+# A position so far inside the last cell that its node is still the last but one.
+EDGE = 1e-4
+# The position from which nothing follows.
+DEAD = -1.0
+# rad/s: nodes near +-pi/2 where the platform would need more of the pendulum are no states that anybody reaches.
+FASTEST_NODE = 40.0
+
+
+@jitable
+def stretched(y: float) -> float:
+    """The coordinate s of y."""
+    return y / (STRETCH + abs(y))
+
+
+@jitable
+def locate(theta: float, theta_dot: float, x_dot: float, q: float, axes: np.ndarray) -> tuple[float, float, float]:
+    """The position of a state in cells from the first node; it may lie off the grid.
+
+    Args:
+        theta: rad.
+        theta_dot: rad/s.
+        x_dot: m/s.
+        q: m l / (M + m), m.
+        axes: first node and spacing of theta (rad), s and w (rad/s), shape (3, 2).
+    """
+    cos = sincos(theta)[1]
+    moved = x_dot / q
+    return (
+        (theta - axes[0, 0]) / axes[0, 1],
+        (stretched(moved / max(cos, LEAST_COSINE)) - axes[1, 0]) / axes[1, 1],
+        (moved - cos * theta_dot - axes[2, 0]) / axes[2, 1],
+    )
+
+
+@jitable
+def confined(position: float, nodes: int) -> float:
+    """The nearest position along an axis at which there is something to interpolate."""
+    return max(0.0, min(position, nodes - 1.0 - EDGE))
+
+
+@jitable
+def interpolate(values: np.ndarray, a: float, b: float, c: float, bend: float) -> float:
+    """The value at a position: linear along theta and s, along w linear but for the parabola that all values share.
+
+    Args:
+        values: at the nodes, shape of the grid.
+        a: position along theta, in cells.
+        b: along s.
+        c: along w.
+        bend: curvature along w over 2, times the square of its spacing.
+    """
+    i, j, k = int(a), int(b), int(c)
+    f, g, w = a - i, b - j, c - k
+    low = values[i, j, k] + w * (values[i, j, k + 1] - values[i, j, k])
+    high = values[i, j + 1, k] + w * (values[i, j + 1, k + 1] - values[i, j + 1, k])
+    near = low + g * (high - low)
+    low = values[i + 1, j, k] + w * (values[i + 1, j, k + 1] - values[i + 1, j, k])
+    high = values[i + 1, j + 1, k] + w * (values[i + 1, j + 1, k + 1] - values[i + 1, j + 1, k])
+    far = low + g * (high - low)
+    return near + f * (far - near) - bend * w * (1.0 - w)
+
+
+def _locate_all(states: np.ndarray, q: float, axes: np.ndarray, nodes: np.ndarray, positions: np.ndarray) -> None:
+    """Writes the position of every column of states, shape (3, n), into positions, shape (n, 3)."""
+    for n in range(states.shape[1]):
+        place = locate(states[0, n], states[1, n], states[2, n], q, axes)
+        inside = True
+        for axis in range(3):
+            inside = inside and 0.0 <= place[axis] <= nodes[axis] - 1.0
+        for axis in range(3):
+            positions[n, axis] = confined(place[axis], nodes[axis]) if inside else DEAD
+
+
+@lru_cache(maxsize=1)
+def _compiled() -> Any:
+    """The function above, compiled."""
+    return compile_cached(_locate_all)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A regular grid over (theta, s, w) for one mass of the platform.
+
+    Attributes:
+        shape: nodes along theta, s and w, at least 2 each.
+        y: from where to where y is covered, rad/s, 0 within; beyond is dead.
+        w: first and last node of w, rad/s, likewise.
+        M: mass of the platform, kg.
+        capsule: the plant's other constants.
+    """
+
+    shape: tuple[int, int, int]
+    y: tuple[float, float]
+    w: tuple[float, float]
+    M: float
+    capsule: Capsule = NOMINAL
+
+    def __post_init__(self) -> None:
+        if len(self.shape) != 3 or min(self.shape) < 4:
+            raise ValueError(f"shape must be three numbers of nodes, at least 4 each, got {self.shape!r}")
+        if not self.y[0] < 0.0 < self.y[1]:
+            raise ValueError(f"y must be a pair of rad/s around 0, got {self.y!r}")
+        if not self.w[0] < self.w[1]:
+            raise ValueError(f"w must be an ascending pair of rad/s, got {self.w!r}")
+
+    @property
+    def q(self) -> float:
+        """m l / (M + m), m."""
+        return self.capsule.m * self.capsule.l / (self.M + self.capsule.m)
+
+    @property
+    def axes(self) -> np.ndarray:
+        """First node and spacing along theta, s and w, shape (3, 2)."""
+        low, high = stretched(self.y[0]), stretched(self.y[1])
+        spacing = (high - low) / (self.shape[1] - 1)
+        # So that a node lies at rest.
+        first = -round(-low / spacing) * spacing
+        return np.array(
+            [
+                (-THETA_LIMIT, 2.0 * THETA_LIMIT / (self.shape[0] - 1)),
+                (first, spacing),
+                (self.w[0], (self.w[1] - self.w[0]) / (self.shape[2] - 1)),
+            ]
+        )
+
+    def nodes(self) -> np.ndarray:
+        """theta, theta_dot and x_dot of all nodes in order, shape (3, nodes)."""
+        theta, s, w = (
+            first + spacing * np.arange(n) for (first, spacing), n in zip(self.axes, self.shape, strict=True)
+        )
+        s[np.abs(s).argmin()] = 0.0
+        theta, s, w = (each.reshape(-1) for each in np.meshgrid(theta, s, w, indexing="ij"))
+        cos = sines_and_cosines(theta)[1]
+        moved = np.maximum(cos, LEAST_COSINE) * STRETCH * s / (1.0 - np.abs(s))
+        theta_dot = (moved - w) / np.maximum(cos, 1e-9)
+        return np.stack([theta, np.clip(theta_dot, -FASTEST_NODE, FASTEST_NODE), self.q * moved])
+
+    def positions(self, states: np.ndarray) -> np.ndarray:
+        """Where states of shape (3, n) lie, in cells from the first node, shape (n, 3), float32; DEAD off the grid."""
+        out = np.empty((states.shape[1], 3), np.float32)
+        _compiled()(np.ascontiguousarray(states, np.float64), self.q, self.axes, np.array(self.shape), out)
+        return out
