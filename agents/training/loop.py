@@ -33,9 +33,9 @@ from agents.training.collection import RolloutVecEnv
 from agents.training.errors import RunError
 from agents.training.export import export
 from agents.training.lock import locked
-from agents.training.logs import EVALUATED, EVALUATIONS, Table, make_logger, told_once
+from agents.training.logs import Table, make_logger, told_once
 from agents.training.ppo import ActorCritic, CapsulePPO, FastTanh, keep_memory, transfer
-from agents.training.presets import BEST, CONFIG, Config, PPOConfig, SACConfig, read_config
+from agents.training.presets import BEST, CONFIG, EVALUATED, EVALUATIONS, Config, PPOConfig, SACConfig, read_config
 from agents.training.runs import git_revision, save
 from agents.training.sac import LeanSAC
 from agents.training.stopping import Stop

@@ -27,6 +27,9 @@ from capsule_gym.task import HORIZON
 LARGEST_SEED = 2**32 - 1
 # The files of a run that decide its policy, and the folder of the best evaluation.
 CONFIG, MODEL, BEST = "config.json", "model.zip", "best"
+# What it writes while it trains, and the columns there that count agent steps.
+LOGS, LOG, EVALUATIONS = "logs", "progress.csv", "evaluations.csv"
+LOGGED, EVALUATED = "time/total_timesteps", "steps"
 
 Task = Literal["residual", "direct"]
 Algorithm = Literal["ppo", "sac"]
