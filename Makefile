@@ -7,7 +7,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help train test coverage venv lint types docs leaderboard leaderboard-check regression faults fuzz bits boundscheck check clean
+.PHONY: help train test coverage venv lint types docs leaderboard leaderboard-check reproduce regression faults fuzz bits boundscheck check clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
@@ -48,6 +48,9 @@ leaderboard: $(STAMP)  ## Rewrite LEADERBOARD.md and leaderboard.json
 
 leaderboard-check: $(STAMP)  ## Fail where LEADERBOARD.md or leaderboard.json is stale
 	$(BIN)/python -m agents.leaderboard --check
+
+reproduce: $(STAMP)  ## Train one run of each row anew and compare it with the published ones (hours)
+	$(BIN)/python -m agents.reproduce
 
 regression: $(STAMP)  ## Fail where a kernel has become slower against what it is compared with
 	$(BIN)/python -m benchmarks.regression

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from tyro.conf import arg
 from agents.study.backends import Backend
 from agents.study.jobs import plan, seeds_of
 from agents.study.publication import publish
-from agents.study.study import tell, train_all
+from agents.study.study import check_jobs, leave, tell, train_all
 from agents.training.errors import RunError
 from agents.training.presets import ROWS, row_settings
 from agents.training.stopping import INTERRUPTED
@@ -57,8 +56,7 @@ class Options:
         for row in self.rows:
             row_settings(row)
         seeds_of(self.seeds)
-        if self.jobs is not None and self.jobs < 1:
-            raise ValueError(f"--jobs must be an integer >= 1, got {self.jobs}")
+        check_jobs(self.jobs)
         if self.backend == "ray" and find_spec("ray") is None:
             raise ValueError("--backend ray needs Ray: pip install 'capsule-gym[cluster]'")
 
@@ -87,11 +85,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        status = main()
-    except KeyboardInterrupt:
-        # The second Ctrl-C: the runs' processes see that nobody waits for them, and end by themselves, saved.
-        status = INTERRUPTED
-    sys.stdout.flush()
-    # Threads that wait for a run would be waited for.
-    os._exit(status)
+    leave(main)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
-from collections.abc import Sequence
+import traceback
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NoReturn
 
 from agents.study.backends import BACKENDS, Backend
 from agents.study.jobs import Job, Outcome, evaluations
 from agents.study.progress import Progress, brief
-from agents.training.stopping import Stop
+from agents.training.stopping import INTERRUPTED, Stop
 from baselines.tables import text_table
 
 
@@ -66,9 +69,43 @@ def results_table(jobs: Sequence[Job]) -> str:
 
 
 def tell(outcomes: Sequence[Outcome]) -> None:
-    """Prints what the runs have come to on their own draws, and on stderr which of them failed and why."""
+    """Prints what the runs have come to on their own draws, and which of them failed."""
     print(results_table([outcome.job for outcome in outcomes]))
     print("Mean speed and failures of the best evaluation on the run's own draws, never on a frozen set.")
+    tell_failures(outcomes)
+
+
+def tell_failures(outcomes: Sequence[Outcome]) -> None:
+    """Says on stderr which runs failed, and why."""
     for outcome in outcomes:
         if outcome.state == "failed":
             print(f"{outcome.job.name} failed: {outcome.reason}", file=sys.stderr)
+
+
+def check_jobs(jobs: int | None) -> None:
+    """Refuses a number of runs that cannot be trained at a time.
+
+    Raises:
+        ValueError: if it is below one.
+    """
+    if jobs is not None and jobs < 1:
+        raise ValueError(f"--jobs must be an integer >= 1, got {jobs}")
+
+
+def leave(main: Callable[[], int]) -> NoReturn:
+    """Runs a command and ends the process at once: threads that wait for a run would be waited for.
+
+    The second Ctrl-C ends it before its runs have ended. Their processes see that nobody waits for them, and follow.
+    """
+    try:
+        status = main()
+    except KeyboardInterrupt:
+        status = INTERRUPTED
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else 1
+    except BaseException:
+        traceback.print_exc()
+        status = 1
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
+    os._exit(status)

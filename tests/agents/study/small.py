@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from pathlib import Path
 
 from agents.study.__main__ import main
 from agents.study.jobs import Job
+from agents.study.study import leave
 from agents.training.presets import ROWS
 from tests.agents.training.small import small
 
@@ -22,6 +21,4 @@ def job(folder: Path, seed: int = 0, **changes) -> Job:
 
 if __name__ == "__main__":
     ROWS["endless"] = small("direct", "ppo", **{**SETTINGS, "total_steps": 10_000_000})
-    status = main()
-    sys.stdout.flush()
-    os._exit(status)
+    leave(main)

@@ -80,7 +80,8 @@ def begin_endless(folder: Path) -> subprocess.Popen[str]:
     command += ["--runs", str(folder)]
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
-        wait_for(lambda: len(list(folder.glob("endless/seed-*/checkpoint-*[0-9]"))) >= 2 or process.poll() is not None)
+        begun = "endless/seed-*/checkpoint-*[0-9]"
+        wait_for(lambda: len({path.parent for path in folder.glob(begun)}) == 2 or process.poll() is not None)
         assert process.poll() is None, process.communicate()
     except BaseException:
         process.kill()
