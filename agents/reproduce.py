@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
-from agents.evaluation.candidates import find_candidate
+from agents.evaluation.candidates import checkpoint_names, find_candidate
 from agents.evaluation.episodes import failures, scores
 from agents.evaluation.sets import load_set
 from agents.evaluation.statistics import interquartile_mean
@@ -106,14 +106,15 @@ class Verdict:
         """Where the speed lies."""
         low, high = prediction_interval(self.published)
         if math.isinf(low):
-            return "one published run: nothing to compare with"
+            return f"{len(self.published)} published: nothing to compare with"
         return "below" if self.speed < low else "above" if self.speed > high else "within"
 
     def cells(self) -> list[str]:
         """A line of the table."""
         low, high = prediction_interval(self.published)
         expected = "" if math.isinf(low) else f"{low:.2f} to {high:.2f}"
-        shown = f"{min(self.published):.2f} to {max(self.published):.2f} ({len(self.published)})"
+        count = len(self.published)
+        shown = f"{min(self.published):.2f} to {max(self.published):.2f} ({count})" if count else ""
         speed = f"{self.speed:.2f}"
         return [self.row, self.set, shown, expected, speed, self.failed, brief(self.seconds), self.words]
 
@@ -130,13 +131,16 @@ def judge(job: Job, set_name: str) -> Verdict:
     """Evaluates a finished run and the published ones of its row on a frozen set."""
     evaluation_set = load_set(set_name)
     episodes = find_candidate(str(job.run)).evaluate(evaluation_set)
-    published = scores(find_candidate(job.row).evaluate(evaluation_set), "mean_speed")
+    published: tuple[float, ...] = ()
+    if job.row in checkpoint_names():
+        speeds = scores(find_candidate(job.row).evaluate(evaluation_set), "mean_speed")
+        published = tuple(float(speed) for speed in interquartile_mean(speeds))
     return Verdict(
         job.row,
         set_name,
         float(interquartile_mean(scores(episodes, "mean_speed"))[0]),
         f"{failures(episodes)}/{len(episodes)}",
-        tuple(float(speed) for speed in interquartile_mean(published)),
+        published,
         evaluations(job.run)[-1].seconds,
     )
 

@@ -78,17 +78,16 @@ class Evaluation:
         seconds: of training until then.
         mean_speed: interquartile mean, cm/s.
         failed: share of the episodes that failed.
+        score: what the run's best policy is chosen by, cm/s.
+        stage: of the run, from 0 on; what comes of a run is of its last.
     """
 
     steps: int
     seconds: float
     mean_speed: float
     failed: float
-
-    @property
-    def score(self) -> float:
-        """The mean speed less 30 cm/s times the share of failures."""
-        return self.mean_speed - 30.0 * self.failed
+    score: float
+    stage: int
 
 
 def seeds_of(words: Sequence[str]) -> list[int]:
@@ -140,7 +139,8 @@ def refuse_other_settings(job: Job) -> None:
     Raises:
         RunError: if it was, or its folder is broken.
     """
-    begun, now = read_config(job.run).to_dict(), job.config.to_dict()
+    # As JSON, which knows no tuples.
+    begun, now = (json.loads(to_json(config.to_dict())) for config in (read_config(job.run), job.config))
     changed = [f"{name} was {begun.get(name)!r} and is {now[name]!r}" for name in now if begun.get(name) != now[name]]
     if changed:
         raise RunError(f"{job.run} holds a run of other settings ({', '.join(changed)}): move it elsewhere")
@@ -160,9 +160,22 @@ def evaluations(run: Path) -> list[Evaluation]:
     except FileNotFoundError:
         return []
     return [
-        Evaluation(int(row[EVALUATED]), float(row["seconds"]), float(row["mean_speed_cm_s"]), float(row["failed"]))
+        Evaluation(
+            steps=int(row[EVALUATED]),
+            seconds=float(row["seconds"]),
+            mean_speed=float(row["mean_speed_cm_s"]),
+            failed=float(row["failed"]),
+            score=float(row["score_cm_s"]),
+            stage=int(row["stage"]),
+        )
         for row in rows
     ]
+
+
+def best(lines: Sequence[Evaluation], config: Config) -> Evaluation | None:
+    """The evaluation whose policy a run has come to; None where its last stage has none yet."""
+    last = len(config.stages()) - 1
+    return max((line for line in lines if line.stage == last), key=lambda line: line.score, default=None)
 
 
 def note_end(run: Path) -> None:

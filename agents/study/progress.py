@@ -202,7 +202,9 @@ class Progress:
         if self._terminal:
             columns = shutil.get_terminal_size().columns
             lines = [line[: columns - 1] for line in text.split("\n")]
-            text = "".join(f"\033[{self._drawn}A\r\033[J" if self._drawn else "") + "\n".join(lines)
+            # Up to where the last table began, and away with it.
+            erased = f"\033[{self._drawn}A\r\033[J" if self._drawn else ""
+            text = erased + "\n".join(lines)
             self._drawn = len(lines)
         with contextlib.suppress(OSError):
             print(text, file=self._stream, flush=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from agents.study.backends import BACKENDS, Backend
-from agents.study.jobs import Job, Outcome, evaluations
+from agents.study.jobs import Job, Outcome, best, evaluations
 from agents.study.progress import Progress, brief
 from agents.training.stopping import INTERRUPTED, Stop
 from baselines.tables import text_table
@@ -52,17 +52,17 @@ def results_table(jobs: Sequence[Job]) -> str:
     rows = [["run", "steps", "training", "best at", "cm/s", "failed"]]
     for job in jobs:
         lines = evaluations(job.run)
-        if not lines:
+        chosen = best(lines, job.config)
+        if chosen is None:
             continue
-        best = max(lines, key=lambda line: line.mean_speed)
         rows.append(
             [
                 job.name,
                 f"{lines[-1].steps:,}",
                 brief(lines[-1].seconds),
-                f"{best.steps:,}",
-                f"{best.mean_speed:.2f}",
-                f"{best.failed:.1%}",
+                f"{chosen.steps:,}",
+                f"{chosen.mean_speed:.2f}",
+                f"{chosen.failed:.1%}",
             ]
         )
     return text_table(rows, left=1)

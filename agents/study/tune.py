@@ -1,8 +1,8 @@
 """Searches the hyperparameters of a row with Optuna: `python -m agents.study.tune --help` says all.
 
-A trial is a run with other hyperparameters. Its score is that of its best evaluation on the run's own draws, the mean
-speed less 30 cm/s times the share of failures; no frozen set is looked at. A trial whose evaluations are below the
-median of those before it is pruned.
+A trial is a run with other hyperparameters. Its score is that of its best evaluation on the run's own draws, what every
+run chooses its best policy by: mean speed and failures. No frozen set is looked at. A trial whose evaluations are below
+the median of those before it is pruned.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import arg
 
 from agents.evaluation.episodes import versions
-from agents.study.jobs import Evaluation, evaluations
+from agents.study.jobs import Evaluation, best, evaluations
 from agents.study.process import POLL, Training
 from agents.study.study import check_jobs, leave
 from agents.training.errors import RunError
-from agents.training.presets import ROWS, Algorithm, Config, read_config, row_settings
+from agents.training.presets import ROWS, Algorithm, Config, PPOConfig, read_config, row_settings
 from agents.training.stopping import INTERRUPTED, Stop
 from baselines.tables import text_table
 from capsule_gym.command_line import Count, Positional, parse, refuse
@@ -128,13 +128,10 @@ class Options:
         """What every trial has, but for what is searched."""
         row = row_settings(self.row)
         steps = self.total_steps or row.total_steps
-        evaluate_every = max(1, steps // EVALUATIONS_PER_TRIAL)
-        return dataclasses.replace(row, total_steps=steps, evaluate_every=evaluate_every, seed=self.seed)
-
-
-def score(lines: Sequence[Evaluation]) -> float:
-    """What a run is worth: its best evaluation."""
-    return max(line.score for line in lines)
+        changes: dict[str, Any] = {"total_steps": steps, "evaluate_every": max(1, steps // EVALUATIONS_PER_TRIAL)}
+        if isinstance(row, PPOConfig):
+            changes["direct_steps"] = row.direct_steps * steps // row.total_steps
+        return dataclasses.replace(row, seed=self.seed, **changes)
 
 
 class Search:
@@ -208,7 +205,7 @@ class Search:
         trial.set_user_attr("config", config.to_dict())
         # Named by its settings: the same ones are the same run.
         run = self.folder / canonical_hash(config.to_dict())[:12]
-        if run.exists() and read_config(run) != config:
+        if run.exists() and read_config(run).to_dict() != config.to_dict():
             raise RunError(f"{run} holds another run")
         lines: list[Evaluation] = []
         reported = 0
@@ -220,6 +217,8 @@ class Search:
                 lines = evaluations(run)
                 for line in lines[reported:]:
                     reported += 1
+                    if line.stage < len(config.stages()) - 1:
+                        continue
                     trial.report(line.score, reported)
                     if status is None and trial.should_prune():
                         raise optuna.TrialPruned
@@ -239,13 +238,15 @@ class Search:
         if status != 0:
             print(f"trial {trial.number}: {training.last_line()} (see {training.log})", file=sys.stderr)
             raise RunError(f"{run} ended with status {status}")
-        return score(lines)
+        chosen = best(lines, config)
+        assert chosen is not None
+        return chosen.score
 
     def _tell(self, study: Study, trial: FrozenTrial) -> None:
         """A line per trial."""
         value = "" if trial.value is None else f" {trial.value:.2f}"
-        best = max((each.value for each in ended(study) if each.value is not None), default=None)
-        shown = "" if best is None else f"; best {best:.2f}"
+        first = max((each.value for each in ended(study) if each.state.name == "COMPLETE"), default=None)
+        shown = "" if first is None else f"; best {first:.2f}"
         print(f"trial {trial.number}: {trial.state.name.lower()}{value}{shown}", file=sys.stderr)
 
 
@@ -269,8 +270,7 @@ def content_of(study: Study) -> dict[str, Any]:
     return {
         "row": study.study_name,
         "settings": study.user_attrs["settings"],
-        "score": "best evaluation on own draws: mean speed (cm/s) less 30 times the share of failures",
-        "evaluations": "steps, seconds, mean speed (cm/s), share of failures",
+        "evaluations": [field.name for field in dataclasses.fields(Evaluation)],
         "versions": versions(),
         "trials": trials,
     }
@@ -286,10 +286,10 @@ def as_text(content: dict[str, Any]) -> str:
 def best_table(study: Study, settings: Config, count: int = 5) -> str:
     """The best trials, with the fields in which they differ from the row."""
     whole = [trial for trial in ended(study) if trial.state.name == "COMPLETE"]
-    best = sorted(whole, key=lambda trial: -float(trial.value or 0.0))[:count]
+    first = sorted(whole, key=lambda trial: -float(trial.value or 0.0))[:count]
     now = settings.to_dict()
     rows = [["trial", "score", "settings"]]
-    for trial in best:
+    for trial in first:
         config = trial.user_attrs["config"]
         changed = [f"{name}={value:.3g}" for name, value in config.items() if value != now[name]]
         rows.append([str(trial.number), f"{trial.value:.2f}", ", ".join(changed)])

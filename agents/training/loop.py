@@ -247,6 +247,8 @@ class Monitor(BaseCallback):
                 "seconds": f"{time.monotonic() - self.began:.1f}",
                 "mean_speed_cm_s": f"{speed:.4f}",
                 "failed": failed,
+                "score_cm_s": f"{score:.4f}",
+                "stage": self.progress.stage,
                 "baseline_mean_speed_cm_s": f"{self.baseline_speed:.4f}",
             }
         )

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from agents.study.jobs import Evaluation, evaluations, plan, seeds_of
+from agents.study.jobs import Evaluation, best, evaluations, plan, seeds_of
 from agents.training.errors import RunError
 from agents.training.presets import ROWS
 
@@ -47,9 +47,21 @@ def test_a_run_of_other_settings_is_not_gone_on_with(tmp_path):
     assert len(plan(["direct-ppo"], [1], tmp_path)) == 1
 
 
+def line(steps: int, score: float, stage: int = 0) -> Evaluation:
+    return Evaluation(steps=steps, seconds=1.5, mean_speed=12.0, failed=0.1, score=score, stage=stage)
+
+
 def test_evaluations_are_those_that_are_whole(tmp_path):
     assert evaluations(tmp_path) == []
-    lines = ["steps,seconds,mean_speed_cm_s,failed,baseline_mean_speed_cm_s", "100,1.5,12.0,0.1,1.4", "200,3.0,13"]
+    lines = ["steps,seconds,mean_speed_cm_s,failed,score_cm_s,stage", "100,1.5,12.0,0.1,9.0,0", "200,3.0,13"]
     (tmp_path / "evaluations.csv").write_text("\n".join(lines))
-    assert evaluations(tmp_path) == [Evaluation(100, 1.5, 12.0, 0.1)]
-    assert evaluations(tmp_path)[0].score == pytest.approx(9.0)
+    assert evaluations(tmp_path) == [line(100, 9.0)]
+
+
+def test_what_a_run_has_come_to_is_the_best_of_its_last_stage():
+    one, two = ROWS["direct-ppo"], ROWS["residual-ppo"]
+    assert len(two.stages()) == 2
+    lines = [line(100, 9.0), line(200, 12.0), line(300, 3.0, stage=1), line(400, 4.0, stage=1), line(500, 2.0, stage=1)]
+    assert best(lines[:2], one) == lines[1]
+    assert best(lines, two) == lines[3]
+    assert best(lines[:2], two) is None

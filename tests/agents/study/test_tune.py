@@ -8,7 +8,6 @@ import json
 import pytest
 
 from agents.study import tune
-from agents.study.jobs import Evaluation
 from agents.training.presets import PRESETS, ROWS
 from agents.training.stopping import Stop
 from tests.agents.study.small import small
@@ -21,11 +20,6 @@ def tiny(monkeypatch):
     """A row whose trials take a second, and a search in one direction."""
     monkeypatch.setitem(ROWS, "tiny", small("direct", "ppo"))
     monkeypatch.setitem(tune.SPACES, "ppo", lambda trial: {"gamma": trial.suggest_float("gamma", 0.9, 0.999)})
-
-
-def test_a_runs_score_is_its_best_evaluations_speed_less_its_failures():
-    lines = [Evaluation(1, 0.0, 10.0, 0.0), Evaluation(2, 0.0, 18.0, 0.3), Evaluation(3, 0.0, 12.0, 0.05)]
-    assert tune.score(lines) == pytest.approx(10.5)
 
 
 @pytest.mark.parametrize(("task", "algo"), PRESETS)
@@ -51,8 +45,9 @@ def test_a_search_goes_on_where_it_was_stopped(tmp_path, tiny, capsys):
     first, second = content["trials"]
     # The one that was stopped, and a new one.
     assert first["parameters"] == study.trials[0].params != second["parameters"]
-    assert first["score"] == max(speed - 30.0 * failed for *_, speed, failed in first["evaluations"])
-    assert first["evaluations"][-1][0] == 1024
+    lines = [dict(zip(content["evaluations"], line, strict=True)) for line in first["evaluations"]]
+    assert first["score"] == max(line["score"] for line in lines)
+    assert lines[-1]["steps"] == 1024
     # Enough of them: nothing is trained any more.
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "tiny").rglob("model.zip")}
     assert tune.main(words) == 0
