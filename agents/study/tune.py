@@ -85,7 +85,20 @@ def _off_policy(trial: Trial) -> dict[str, Any]:
     }
 
 
-SPACES: dict[Algorithm, Space] = {"ppo": _on_policy, "sac": _off_policy}
+def _deterministic(trial: Trial) -> dict[str, Any]:
+    return {**_off_policy(trial), "action_noise": trial.suggest_float("action_noise", 0.05, 0.5, log=True)}
+
+
+def _distributional(trial: Trial) -> dict[str, Any]:
+    return {**_off_policy(trial), "dropped_quantiles": trial.suggest_int("dropped_quantiles", 0, 5)}
+
+
+SPACES: dict[Algorithm, Space] = {
+    "ppo": _on_policy,
+    "sac": _off_policy,
+    "td3": _deterministic,
+    "tqc": _distributional,
+}
 
 
 @dataclass(frozen=True)
