@@ -7,7 +7,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help train test coverage venv lint types docs leaderboard leaderboard-check regression faults fuzz bits boundscheck check clean
+.PHONY: help train test coverage venv lint types docs leaderboard leaderboard-check reproduce regression faults fuzz bits boundscheck check clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
@@ -50,6 +50,9 @@ leaderboard: $(STAMP)  ## Evaluate all policies, and rewrite the leaderboard and
 leaderboard-check: $(STAMP)  ## Fail where the leaderboard or the evidence is stale
 	$(BIN)/python -m agents.leaderboard --check
 	$(BIN)/python -m agents.evidence --check
+
+reproduce: $(STAMP)  ## Train one run of each row anew and compare it with the published ones (hours)
+	$(BIN)/python -m agents.reproduce
 
 regression: $(STAMP)  ## Fail where a kernel has become slower against what it is compared with
 	$(BIN)/python -m benchmarks.regression

@@ -4,7 +4,7 @@
         manifest.json        the sha256 of every other file
         model.zip            Stable-Baselines3's archive: networks, optimiser, schedule, last observation
         state.pkl            environments, normalisation, random streams, what the log has not written yet
-        replay_buffer.pkl    SAC's
+        replay_buffer.pkl    of what learns from one
         progress.json        what the run has come to
         best/                the best model so far
 

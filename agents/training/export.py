@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from stable_baselines3 import PPO, SAC
+from sb3_contrib import TQC
+from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
@@ -29,7 +30,7 @@ def export(
 
     Args:
         name: for messages and tables.
-        model: a PPO or SAC agent with a plain network of linear layers, tanh or ReLU between them, and with its
+        model: a PPO, SAC, TD3 or TQC agent with a plain network of linear layers, tanh or ReLU between them, and with its
             environments, which normalise its observations.
         env_kwargs: the arguments of the environment that it was trained in.
         training_seed: the seed of the training run.
@@ -43,12 +44,17 @@ def export(
         algorithm, squashing = "ppo", "tanh" if own and model.policy.tanh_mean else "clip"
         hidden, last = model.policy.mlp_extractor.policy_net, model.policy.action_net
         squashed = model.policy.squash_output or model.use_sde
-    elif isinstance(model, SAC):
-        algorithm, squashing = "sac", "tanh"
+    elif isinstance(model, (SAC, TQC)):
+        algorithm, squashing = "sac" if isinstance(model, SAC) else "tqc", "tanh"
         hidden, last = model.actor.latent_pi, model.actor.mu
         squashed = model.use_sde
+    elif isinstance(model, TD3):
+        algorithm, squashing = "td3", "tanh"
+        # The tanh is the last layer.
+        *layers, last, _ = model.actor.mu
+        hidden, squashed = nn.Sequential(*layers), False
     else:
-        raise ValueError(f"model must be a PPO or SAC agent, got {type(model).__name__}")
+        raise ValueError(f"model must be a PPO, SAC, TD3 or TQC agent, got {type(model).__name__}")
     modules = list(hidden)
     kinds = {ACTIVATIONS.get(type(module)) for module in modules[1::2]}
     linear = [*modules[::2], last]

@@ -17,11 +17,8 @@ from typing import Any
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat, filter_excluded_keys
 from torch.utils.tensorboard import SummaryWriter
 
+from agents.training.presets import LOG, LOGGED, LOGS
 from capsule_gym.files import synchronise, write_atomically
-
-LOGS, EVALUATIONS = "logs", "evaluations.csv"
-# The columns that count agent steps.
-EVALUATED, LOGGED = "steps", "time/total_timesteps"
 
 
 class Table(KVWriter):
@@ -121,4 +118,4 @@ def make_logger(run: Path, until: int) -> Logger:
     """SB3's logger for a run that goes on at that many agent steps."""
     folder = run / LOGS
     folder.mkdir(exist_ok=True)
-    return Logger(str(folder), [Table(folder / "progress.csv", LOGGED, until), Events(folder, until)])
+    return Logger(str(folder), [Table(folder / LOG, LOGGED, until), Events(folder, until)])

@@ -16,9 +16,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3 import SAC
+from sb3_contrib import TQC
+from stable_baselines3 import SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 from tqdm import tqdm
@@ -33,9 +35,20 @@ from agents.training.collection import RolloutVecEnv
 from agents.training.errors import RunError
 from agents.training.export import export
 from agents.training.lock import locked
-from agents.training.logs import EVALUATED, EVALUATIONS, Table, make_logger, told_once
+from agents.training.logs import Table, make_logger, told_once
 from agents.training.ppo import ActorCritic, CapsulePPO, FastTanh, keep_memory, transfer
-from agents.training.presets import BEST, CONFIG, Config, PPOConfig, SACConfig, read_config
+from agents.training.presets import (
+    BEST,
+    CONFIG,
+    EVALUATED,
+    EVALUATIONS,
+    Config,
+    OffPolicyConfig,
+    PPOConfig,
+    TD3Config,
+    TQCConfig,
+    read_config,
+)
 from agents.training.runs import git_revision, save
 from agents.training.sac import LeanSAC
 from agents.training.stopping import Stop
@@ -142,18 +155,35 @@ def make_model(config: Config, env: VecNormalize, sac: type[SAC] = LeanSAC, fuse
             },
             **shared,
         )
-    assert isinstance(config, SACConfig)
-    return sac(
-        "MlpPolicy",
-        env,
-        buffer_size=config.buffer_size,
-        learning_starts=config.learning_starts,
-        train_freq=1,
-        gradient_steps=config.gradient_steps,
-        tau=config.tau,
-        policy_kwargs={**network, "optimizer_kwargs": {"fused": fused}},
-        **shared,
-    )
+    assert isinstance(config, OffPolicyConfig)
+    network["optimizer_kwargs"] = {"fused": fused}
+    shared |= {
+        "buffer_size": config.buffer_size,
+        "learning_starts": config.learning_starts,
+        "train_freq": 1,
+        "gradient_steps": config.gradient_steps,
+        "tau": config.tau,
+    }
+    if isinstance(config, TD3Config):
+        return TD3(
+            "MlpPolicy",
+            env,
+            action_noise=NormalActionNoise(np.zeros(1), np.full(1, config.action_noise)),
+            policy_delay=config.policy_delay,
+            target_policy_noise=config.target_policy_noise,
+            target_noise_clip=config.target_noise_clip,
+            policy_kwargs=network,
+            **shared,
+        )
+    if isinstance(config, TQCConfig):
+        return TQC(
+            "MlpPolicy",
+            env,
+            top_quantiles_to_drop_per_net=config.dropped_quantiles,
+            policy_kwargs={**network, "n_quantiles": config.quantiles},
+            **shared,
+        )
+    return sac("MlpPolicy", env, policy_kwargs=network, **shared)
 
 
 class Stopped(Exception):  # noqa: N818
@@ -247,6 +277,8 @@ class Monitor(BaseCallback):
                 "seconds": f"{time.monotonic() - self.began:.1f}",
                 "mean_speed_cm_s": f"{speed:.4f}",
                 "failed": failed,
+                "score_cm_s": f"{score:.4f}",
+                "stage": self.progress.stage,
                 "baseline_mean_speed_cm_s": f"{self.baseline_speed:.4f}",
             }
         )

@@ -27,9 +27,12 @@ from capsule_gym.task import HORIZON
 LARGEST_SEED = 2**32 - 1
 # The files of a run that decide its policy, and the folder of the best evaluation.
 CONFIG, MODEL, BEST = "config.json", "model.zip", "best"
+# What it writes while it trains, and the columns there that count agent steps.
+LOGS, LOG, EVALUATIONS = "logs", "progress.csv", "evaluations.csv"
+LOGGED, EVALUATED = "time/total_timesteps", "steps"
 
 Task = Literal["residual", "direct"]
-Algorithm = Literal["ppo", "sac"]
+Algorithm = Literal["ppo", "sac", "td3", "tqc"]
 
 
 def _option(name: str, more: str = "") -> Any:
@@ -199,10 +202,8 @@ class PPOConfig(Config):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SACConfig(Config):
-    """Soft actor-critic."""
-
-    algo: ClassVar[Algorithm] = "sac"
+class OffPolicyConfig(Config):
+    """What learns from a replay buffer."""
 
     total_steps: Count = 400_000
     """Environment steps."""
@@ -232,6 +233,54 @@ class SACConfig(Config):
         self._check_range("tau", "a number in (0, 1]", 0.0, 1.0, open_low=True)
 
 
+@dataclass(frozen=True, kw_only=True)
+class SACConfig(OffPolicyConfig):
+    """Soft actor-critic."""
+
+    algo: ClassVar[Algorithm] = "sac"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TD3Config(OffPolicyConfig):
+    """Twin delayed deep deterministic policy gradient."""
+
+    algo: ClassVar[Algorithm] = "td3"
+
+    action_noise: float = 0.2
+    """Standard deviation of the noise on actions while training."""
+    policy_delay: Count = 2
+    """Updates of the critics in one of the actor."""
+    target_policy_noise: float = 0.2
+    """Standard deviation of the noise on the target's actions."""
+    target_noise_clip: float = 0.5
+    """Largest such noise."""
+
+    def check(self) -> None:
+        """As for all; and noises must be finite and not negative."""
+        super().check()
+        self._check_counts("policy_delay")
+        for name in ("action_noise", "target_policy_noise", "target_noise_clip"):
+            self._check_range(name, "a finite number >= 0", 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TQCConfig(OffPolicyConfig):
+    """Truncated quantile critics."""
+
+    algo: ClassVar[Algorithm] = "tqc"
+
+    quantiles: Count = 25
+    """Quantiles of the return that each of the two critics estimates."""
+    dropped_quantiles: Count = 2
+    """Largest quantiles per critic that the target leaves out."""
+
+    def check(self) -> None:
+        """As for all; and the target must keep a quantile."""
+        super().check()
+        self._check_counts("quantiles")
+        self._check_counts("dropped_quantiles", least=0, most=self.quantiles - 1)
+
+
 PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("residual", "ppo"): PPOConfig(
         total_steps=5_000_000,
@@ -249,6 +298,10 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("direct", "ppo"): PPOConfig(task="direct", controller=None),
     ("residual", "sac"): SACConfig(),
     ("direct", "sac"): SACConfig(task="direct", controller=None),
+    ("residual", "td3"): TD3Config(),
+    ("direct", "td3"): TD3Config(task="direct", controller=None),
+    ("residual", "tqc"): TQCConfig(),
+    ("direct", "tqc"): TQCConfig(task="direct", controller=None),
 }
 
 # By the names of the folders in agents/checkpoints; the seed is a run's own.

@@ -25,6 +25,8 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium import spaces
+from sb3_contrib import TQC
+from stable_baselines3 import TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
@@ -37,7 +39,7 @@ from capsule_gym import Policy
 from capsule_gym.files import write_bytes_atomically
 from capsule_gym.policy import POLICY
 
-ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": CapsulePPO, "sac": LeanSAC}
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": CapsulePPO, "sac": LeanSAC, "td3": TD3, "tqc": TQC}
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agents.training import checkpoint
-from agents.training.logs import LOGGED
+from agents.training.presets import LOGGED
 from agents.training.stopping import INTERRUPTED
 from tests.agents.training.sameness import rows
 from tests.faults.bench import INTERVAL, Bench, Outcome

@@ -10,8 +10,10 @@ import pytest
 pytest.importorskip("stable_baselines3", exc_type=ImportError)
 
 import torch
-from stable_baselines3 import A2C, PPO
+from sb3_contrib import TQC
+from stable_baselines3 import A2C, PPO, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.training.export import export
@@ -38,7 +40,7 @@ def make_model(algorithm: type[BaseAlgorithm], **policy_kwargs: Any) -> BaseAlgo
     """An agent whose weights are large enough to reach an end of the actions."""
     torch.manual_seed(0)
     env = make_env()
-    options = {} if algorithm is not LeanSAC else {"buffer_size": 10}
+    options = {"buffer_size": 10} if issubclass(algorithm, OffPolicyAlgorithm) else {}
     model = algorithm("MlpPolicy", env, device="cpu", policy_kwargs={"net_arch": [64, 64], **policy_kwargs}, **options)
     with torch.no_grad():
         for parameter in model.policy.parameters():
@@ -53,8 +55,10 @@ def make_model(algorithm: type[BaseAlgorithm], **policy_kwargs: Any) -> BaseAlgo
         (PPO, {}, ("ppo", "tanh", "clip")),
         (PPO, {"activation_fn": torch.nn.ReLU, "net_arch": [32, 16, 8]}, ("ppo", "relu", "clip")),
         (LeanSAC, {}, ("sac", "relu", "tanh")),
+        (TD3, {}, ("td3", "relu", "tanh")),
+        (TQC, {}, ("tqc", "relu", "tanh")),
     ],
-    ids=["ppo", "ppo with relu", "sac"],
+    ids=["ppo", "ppo with relu", "sac", "td3", "tqc"],
 )
 def test_it_acts_as_the_agent_does(algorithm, policy_kwargs, said, tmp_path):
     model = make_model(algorithm, **policy_kwargs)
@@ -100,7 +104,7 @@ def test_later_training_does_not_change_what_was_exported():
 @pytest.mark.parametrize(
     ("algorithm", "policy_kwargs", "message"),
     [
-        (A2C, {}, "model must be a PPO or SAC agent, got A2C"),
+        (A2C, {}, "model must be a PPO, SAC, TD3 or TQC agent, got A2C"),
         (PPO, {"activation_fn": torch.nn.ELU}, "linear layers with tanh or ReLU"),
         (PPO, {"net_arch": []}, "linear layers with tanh or ReLU"),
     ],

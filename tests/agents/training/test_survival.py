@@ -33,6 +33,9 @@ SMALL = {"num_envs": 8, "batch_size": 64, "hidden": 8, "evaluation_episodes": 2,
 OWN = {
     "ppo": {"n_steps": 32, "n_epochs": 2, "total_steps": 1400},
     "sac": {"learning_starts": 200, "buffer_size": 800, "gradient_steps": 1, "total_steps": 1400},
+    # Random actions end the episodes that a log needs; those of this one's first policy end none.
+    "td3": {"learning_starts": 500, "buffer_size": 800, "gradient_steps": 1, "total_steps": 1400},
+    "tqc": {"learning_starts": 200, "buffer_size": 800, "gradient_steps": 1, "total_steps": 1400},
 }
 
 
@@ -349,6 +352,9 @@ REFUSED = [
     ["--env-threads", "0"],
     ["--torch-threads", "0"],
     ["--algo", "sac", "--tau", "0"],
+    ["--algo", "td3", "--action-noise", "-1"],
+    ["--algo", "td3", "--policy-delay", "0"],
+    ["--algo", "tqc", "--dropped-quantiles", "25"],
     ["--algo", "sac", "--gradient-steps", "0"],
     ["--algo", "sac", "--buffer-size", "3"],
     # 9 PiB.

@@ -1,0 +1,169 @@
+"""Trains one run of each row anew and says whether it is what the published runs let expect: `make reproduce`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from tyro.conf import arg
+
+from agents.evaluation.candidates import checkpoint_names, find_candidate
+from agents.evaluation.episodes import failures, scores
+from agents.evaluation.sets import load_set
+from agents.evaluation.statistics import interquartile_mean
+from agents.study.jobs import Job, evaluations, plan
+from agents.study.progress import brief
+from agents.study.study import check_jobs, leave, tell_failures, train_all
+from agents.training.errors import RunError
+from agents.training.presets import LARGEST_SEED, ROWS, row_settings
+from agents.training.stopping import INTERRUPTED
+from baselines.tables import text_table
+from capsule_gym.command_line import Count, Positional, parse, refuse
+
+PROG = "python -m agents.reproduce"
+RUNS = Path("runs/reproduce")
+# A seed that no published run has.
+SEED = 100
+# Student's t at 97.5 % with 1, 2, .. degrees of freedom; with more than these the last, which is on the safe side.
+STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Trains one run of each row of the leaderboard anew, with a seed of its own, and compares it with the published.
+
+    The mean speed on the set `wide`, where a row is trained on such plants, or else on `paper`, should lie within the
+    95 % prediction interval of the published runs: one in twenty falls outside by chance. Called again, it goes on with
+    what is not finished. The exit status is 1 if a run failed or is slower than its interval.
+
+    Examples:
+      python -m agents.reproduce
+      python -m agents.reproduce direct-ppo --seed 101
+    """
+
+    rows: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME", help=f"Which of {', '.join(ROWS)}.")] = tuple(ROWS)
+    seed: Count = SEED
+    """Training seed; one that is not among the published runs' is a test of its own."""
+    jobs: int | None = None
+    """Runs that are trained at a time; as many as there are cores."""
+    runs: Path = RUNS
+    """Folder of the runs."""
+
+    def check(self) -> None:
+        """Refuses rows and seeds that do not exist."""
+        for row in self.rows:
+            row_settings(row)
+        if self.seed > LARGEST_SEED:
+            raise ValueError(f"--seed must be an integer >= 0 and <= {LARGEST_SEED}, got {self.seed}")
+        check_jobs(self.jobs)
+
+
+def prediction_interval(values: Sequence[float]) -> tuple[float, float]:
+    """Where one more value of the same normal distribution lies with a probability of 95 %.
+
+    Args:
+        values: independent ones; of a single value nothing follows, and the interval is infinite.
+
+    >>> low, high = prediction_interval([9.0, 10.0, 11.0])
+    >>> round(high - 10.0, 2), round(10.0 - low, 2)
+    (4.97, 4.97)
+    """
+    count = len(values)
+    if count < 2:
+        return -math.inf, math.inf
+    student = STUDENT[min(count - 1, len(STUDENT)) - 1]
+    half = student * float(np.std(values, ddof=1)) * math.sqrt(1.0 + 1.0 / count)
+    mean = float(np.mean(values))
+    return mean - half, mean + half
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A run that was trained anew beside the published ones of its row.
+
+    Attributes:
+        row: its name.
+        set: what it was evaluated on.
+        speed: interquartile mean, cm/s.
+        failed: failures over episodes, as text.
+        published: the same mean speed of every published run.
+        seconds: that it took to train.
+    """
+
+    row: str
+    set: str
+    speed: float
+    failed: str
+    published: tuple[float, ...]
+    seconds: float
+
+    @property
+    def words(self) -> str:
+        """Where the speed lies."""
+        low, high = prediction_interval(self.published)
+        if math.isinf(low):
+            return f"{len(self.published)} published: nothing to compare with"
+        return "below" if self.speed < low else "above" if self.speed > high else "within"
+
+    def cells(self) -> list[str]:
+        """A line of the table."""
+        low, high = prediction_interval(self.published)
+        expected = "" if math.isinf(low) else f"{low:.2f} to {high:.2f}"
+        count = len(self.published)
+        shown = f"{min(self.published):.2f} to {max(self.published):.2f} ({count})" if count else ""
+        speed = f"{self.speed:.2f}"
+        return [self.row, self.set, shown, expected, speed, self.failed, brief(self.seconds), self.words]
+
+
+HEADER = ["row", "set", "published cm/s (runs)", "expected", "now", "failed", "training", "verdict"]
+
+
+def set_of(row: str) -> str:
+    """The frozen set that is drawn as a row's training episodes are."""
+    return "wide" if ROWS[row].randomization == "wide" else "paper"
+
+
+def judge(job: Job, set_name: str) -> Verdict:
+    """Evaluates a finished run and the published ones of its row on a frozen set."""
+    evaluation_set = load_set(set_name)
+    episodes = find_candidate(str(job.run)).evaluate(evaluation_set)
+    published: tuple[float, ...] = ()
+    if job.row in checkpoint_names():
+        speeds = scores(find_candidate(job.row).evaluate(evaluation_set), "mean_speed")
+        published = tuple(float(speed) for speed in interquartile_mean(speeds))
+    return Verdict(
+        job.row,
+        set_name,
+        float(interquartile_mean(scores(episodes, "mean_speed"))[0]),
+        f"{failures(episodes)}/{len(episodes)}",
+        published,
+        evaluations(job.run)[-1].seconds,
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    options = parse(Options, PROG, arguments)
+    try:
+        jobs = plan(options.rows, [options.seed], options.runs)
+        outcomes = train_all(jobs, options.runs, options.jobs)
+    except (RunError, OSError) as error:
+        refuse(PROG, str(error))
+    if any(outcome.state == "stopped" for outcome in outcomes):
+        print("Stopped; saved. The same command goes on.")
+        return INTERRUPTED
+    finished = [outcome.job for outcome in outcomes if outcome.state == "finished"]
+    verdicts = [judge(job, set_of(job.row)) for job in finished]
+    print(text_table([HEADER, *(verdict.cells() for verdict in verdicts)], left=1))
+    print("\nexpected: the 95 % prediction interval of the published runs (normal, Student's t) for one more run.")
+    print(f"Trained for {brief(sum(verdict.seconds for verdict in verdicts))}, the runs added up.")
+    tell_failures(outcomes)
+    return 1 if len(finished) < len(jobs) or any(verdict.words == "below" for verdict in verdicts) else 0
+
+
+if __name__ == "__main__":
+    leave(main)
