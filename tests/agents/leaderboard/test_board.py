@@ -7,14 +7,9 @@ from agents.evaluation.candidates import all_candidates, checkpoint_names, find_
 from agents.evaluation.sets import parse_set
 from agents.leaderboard.board import build, evaluate, training_commands
 from agents.leaderboard.page import render
-<<<<<<< HEAD
 from agents.leaderboard.rows import static_header
-from baselines.gaits.archive import best_known_speed
-from tests.agents.leaderboard.world import SETS, board_of, make_set, read, row_of, table
-=======
 from baselines.optimum import optimal_speed
-from tests.agents.leaderboard.world import HORIZON, SETS, make_set, read, row_of, table
->>>>>>> optimum
+from tests.agents.leaderboard.world import SETS, board_of, make_set, read, row_of, table
 
 
 def test_board(written):

@@ -106,26 +106,11 @@ def test_check_names_results_of_other_shapes(written):
 
 def test_check_compares_the_leaderboard_with_the_results(written):
     def change(board):
-<<<<<<< HEAD
         row = row_of(board, "bold")["results"]["paper"]
         row["mean_speed"]["iqm"] *= 1.0 + 3e-6
         row["failures"] = 1
         row["stray"] = None
         row.pop("rms_torque")
-=======
-        row_of(board, "bold")["results"]["paper"]["share_of_optimum"]["iqm"] *= 1.01
-        row_of(board, "twitch")["disturbed"]["high"] += 0.01
-
-    edit(written, change)
-    starts = {line.partition(" is ")[0] for line in checked(written)}
-    assert starts == {"bold on paper: share_of_optimum iqm", "twitch disturbed: high"}
-
-
-def test_check_compares_counts_and_undefined_numbers(written):
-    def change(board):
-        row_of(board, "bold")["results"]["paper"]["failures"] = 1
-        row_of(board, "bold")["results"]["paper"]["stray"] = None
->>>>>>> optimum
         row_of(board, "adaptive")["results"]["paper"]["mean_speed"]["low"] = None
         row_of(board, "twitch").pop("disturbed")
 
