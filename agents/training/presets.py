@@ -283,17 +283,15 @@ class TQCConfig(OffPolicyConfig):
 
 PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("residual", "ppo"): PPOConfig(
-        total_steps=5_000_000,
-        direct_steps=3_000_000,
+        total_steps=8_000_000,
         output="torque",
         control_dt=0.01,
         gamma=0.9975,
         gae_lambda=0.99,
         num_envs=256,
         n_steps=128,
-        learning_rate=3e-4,
-        final_learning_rate=3e-5,
-        log_std_init=-2.5,
+        final_learning_rate=5e-5,
+        least_log_std=-3.0,
     ),
     ("direct", "ppo"): PPOConfig(task="direct", controller=None),
     ("residual", "sac"): SACConfig(),
@@ -374,7 +372,12 @@ def read_config(run: Path) -> Config:
         raise RunError(f"{path} cannot be read: {error}") from error
     try:
         preset = PRESETS[content["task"], content["algo"]]
-        config = type(preset)(**content["hyperparameters"])
+        # JSON knows lists only.
+        given = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in content["hyperparameters"].items()
+        }
+        config = type(preset)(**given)
         config.check()
     except KeyError as error:
         raise RunError(f"{path} is no configuration of a run: it lacks or does not know {error}") from error
