@@ -30,8 +30,8 @@ def export(
 
     Args:
         name: for messages and tables.
-        model: a PPO, SAC, TD3 or TQC agent with a plain network of linear layers, tanh or ReLU between them, and with its
-            environments, which normalise its observations.
+        model: a PPO, SAC, TD3 or TQC agent with a plain network of linear layers, tanh or ReLU between them, and with
+            its environments, which normalise its observations.
         env_kwargs: the arguments of the environment that it was trained in.
         training_seed: the seed of the training run.
         revision: the git revision that it runs at.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import re
 from typing import get_args, get_type_hints
 
@@ -10,7 +11,7 @@ import pytest
 
 import train
 from agents.evaluation.candidates import CHECKPOINTS, checkpoint_names, find_candidate
-from agents.training.presets import PRESETS, ROWS, PPOConfig
+from agents.training.presets import CONFIG, PRESETS, ROWS, PPOConfig, read_config
 from capsule_gym.options import DOCS, Options
 from capsule_gym.parameters import RANDOMIZATIONS
 
@@ -27,6 +28,14 @@ def test_the_command_line_of_a_training_run_takes_its_words_and_defaults_from_th
         (about,) = hints[name].__metadata__
         assert DOCS[name][1:] in about.help
     assert get_args(hints["randomization"]) == tuple(RANDOMIZATIONS)
+
+
+@pytest.mark.parametrize("changes", [{}, {"energy_weights": (0.1, 0.2)}])
+def test_a_configuration_is_read_as_it_was_written(tmp_path, changes):
+    config = dataclasses.replace(PRESETS["direct", "ppo"], **changes)
+    content = {"task": "direct", "algo": "ppo", "hyperparameters": config.to_dict()}
+    (tmp_path / CONFIG).write_text(json.dumps(content))
+    assert read_config(tmp_path) == config
 
 
 def test_every_committed_policy_has_a_row_of_settings():
