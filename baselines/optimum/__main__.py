@@ -27,7 +27,7 @@ PROG = "python -m baselines.optimum"
 # s
 HOLDS = (0.01, 0.005)
 # cm/J
-ENERGY_WEIGHTS = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
+ENERGY_WEIGHTS = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
 # N: what the platform may be lighter by, times g.
 MARGINS = (1.6,)
 PARTS: dict[str, tuple[Problem, ...]] = {
