@@ -106,17 +106,17 @@ def _draw_motion(axes: Any, own: Cycle) -> None:
     axes.axhline(0.0, color=MUTED, lw=0.6)
     axes.set_title("Pendulum and platform")
     axes.set_ylim(-0.8, 1.3)
-    axes.legend(loc="upper right", ncols=2)
+    axes.legend(loc="upper right", ncols=2, handlelength=1.5, columnspacing=1.2)
     _shade(axes, own)
 
 
 def _draw_forces(axes: Any, own: Cycle) -> None:
     """Torque and normal force over the cycle."""
     weight = (NOMINAL.M + NOMINAL.m) * NOMINAL.g
-    axes.step(own.time, own.torque, where="post", color=GREEN, label="torque (N m)")
-    axes.plot(own.time, own.normal_force / weight, color=INK, label="N over the weight")
+    axes.step(own.time, own.torque, where="post", color=GREEN, label="u (N m)")
+    axes.plot(own.time, own.normal_force / weight, color=INK, label="N / (M + m) g")
     axes.axhline(0.0, color=MUTED, lw=0.6)
     axes.set_title("Torque and contact")
     axes.set_ylim(-1.7, 2.3)
-    axes.legend(loc="upper right", ncols=2)
+    axes.legend(loc="upper right", ncols=2, handlelength=1.5, columnspacing=1.2)
     _shade(axes, own)

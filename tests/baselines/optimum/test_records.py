@@ -1,5 +1,6 @@
 import json
 import shutil
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -52,7 +53,7 @@ def test_a_joule_that_costs_more_is_spent_less():
     assert len(records) > 8
     transports = [r.cost_of_transport for r in records if r.mean_speed > 1.0]
     # Every motion is an approximation: neighbours may change places by a little.
-    assert all(after < 1.03 * before for before, after in zip(transports, transports[1:], strict=False))
+    assert all(after < 1.03 * before for before, after in pairwise(transports))
     assert transports[-1] < 0.5 * transports[0]
 
 
@@ -90,7 +91,7 @@ def test_malformed_files_are_named(tmp_path):
     shutil.copytree(FOLDER, tmp_path / "data")
     content = json.loads((tmp_path / "data" / RECORDS).read_text())
     (tmp_path / "data" / RECORDS).write_text(json.dumps([{"M": 0.5}]))
-    with pytest.raises(ValueError, match="must hold what `python -m baselines.optimum` writes, got KeyError"):
+    with pytest.raises(ValueError, match=r"must hold what `python -m baselines\.optimum` writes, got KeyError"):
         Archive(tmp_path / "data")
     (tmp_path / "data" / RECORDS).write_text(json.dumps(content))
     (tmp_path / "data" / MOTIONS).write_bytes(b"PK")
