@@ -19,15 +19,16 @@ from baselines.gaits.archive import PLANTS
 from baselines.optimum.levels import LEVELS, PRODUCTION, Level, optimise
 from baselines.optimum.motion import repeat
 from baselines.optimum.records import FOLDER, Archive, Record, key_of
+from baselines.optimum.report import report
 from baselines.optimum.solver import Problem
 from capsule_gym.command_line import parse, refuse
-from capsule_gym.parameters import NOMINAL
+from capsule_gym.task import CONTROL_DT
 
 PROG = "python -m baselines.optimum"
 # s
 HOLDS = (0.01, 0.005)
 # cm/J
-ENERGY_WEIGHTS = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
+ENERGY_WEIGHTS = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
 # N: what the platform may be lighter by, times g.
 MARGINS = (1.6,)
 PARTS: dict[str, tuple[Problem, ...]] = {
@@ -39,9 +40,10 @@ PARTS: dict[str, tuple[Problem, ...]] = {
 
 
 def grids_of(problem: Problem) -> Sequence[tuple[int, int, int]]:
-    """The grids on which a problem is solved: one more where the refinement is shown."""
-    shown = (problem.M, problem.mu, problem.energy_weight) == (NOMINAL.M, NOMINAL.mu, 0.0)
-    return LEVELS if shown else PRODUCTION
+    """The grids on which a problem is solved: finer ones where the refinement is shown, or holds are short."""
+    if problem.hold < CONTROL_DT:
+        return LEVELS[:3]
+    return LEVELS if problem == Problem() else PRODUCTION
 
 
 def record_of(problem: Problem, levels: Sequence[Level], seconds: float) -> tuple[Record, np.ndarray]:
@@ -88,12 +90,15 @@ class Options:
 
     Examples:
       python -m baselines.optimum                      all that is missing
+      python -m baselines.optimum --report             print the tables of what is on file
       python -m baselines.optimum --check              repeat every motion on file and write nothing
       python -m baselines.optimum --parts plants --anew
     """
 
     check: bool = False
     """Repeat every motion on file, write nothing; the exit status says whether all speeds are met, to the last bit."""
+    report: bool = False
+    """Only print the tables of what is on file."""
     parts: tuple[str, ...] = tuple(PARTS)
     """Problems to solve: plants, margins, weights, holds."""
     anew: bool = False
@@ -113,6 +118,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(*stale, sep="\n")
         print(f"{len(archive.records)} motions repeated: {len(stale)} differ")
         return int(bool(stale))
+    if options.report:
+        print(report(archive))
+        return 0
     problems = [problem for part in options.parts for problem in PARTS[part]]
     missing = [problem for problem in problems if options.anew or key_of(problem) not in archive.records]
     for n, problem in enumerate(missing):
@@ -142,14 +150,14 @@ def _solve(problem: Problem, archive: Archive, name: str) -> None:
     began = perf_counter()
     live = sys.stderr.isatty()
 
-    def report(line: str) -> None:
+    def tell(line: str) -> None:
         if live:
             print(f"\r\033[K{name}: {line}", end="", file=sys.stderr, flush=True)
 
-    levels = optimise(problem, grids_of(problem), report)
+    levels = optimise(problem, grids_of(problem), tell)
     seconds = perf_counter() - began
     record, choices = record_of(problem, levels, seconds)
-    policy = problem.energy_weight == 0.0 and problem.hold == Problem().hold
+    policy = problem.energy_weight == 0.0 and problem.hold == CONTROL_DT
     archive.add(record, choices, levels[0].solution if policy else None)
     archive.save()
     gains = ", ".join(f"{gain:.3f}" for gain in record.gains)

@@ -19,8 +19,9 @@ RATES = (-8.0, 14.0)
 THETA = 1.55
 # Every so many of the candidates are tried, which is fine enough for a map.
 EVERY = 3
-# cm: below, a state is as good as lost.
+# cm: below, a state is as good as lost; and the range of values that is coloured.
 LOST = -20.0
+SHOWN = 16.0
 
 
 def draw_optimum() -> Any:
@@ -31,9 +32,11 @@ def draw_optimum() -> Any:
     figure = new_figure(5.6)
     (value, torque), (motion, force) = figure.subplots(2, 2, height_ratios=(1.35, 1.0))
     values, torques = _maps(solution, w)
-    _draw_map(figure, value, np.where(values < LOST, np.nan, values), own, "viridis", "value (cm)")
+    top = float(values.max())
+    _draw_map(figure, value, np.where(values < LOST, np.nan, values), own, "viridis", "value (cm)", (top - SHOWN, top))
     value.set_title("What a state is worth, against the start")
-    _draw_map(figure, torque, np.where(values < LOST, np.nan, torques), own, "RdBu_r", "torque (N m)")
+    limit = solution.problem.torque_limit
+    _draw_map(figure, torque, np.where(values < LOST, np.nan, torques), own, "RdBu_r", "torque (N m)", (-limit, limit))
     torque.set_title("The best torque")
     _draw_motion(motion, own)
     _draw_forces(force, own)
@@ -63,13 +66,23 @@ def _maps(solution: Solution, w: float) -> tuple[np.ndarray, np.ndarray]:
     return best.reshape(theta.shape), torques.reshape(theta.shape)
 
 
-def _draw_map(figure: Any, axes: Any, image: np.ndarray, own: Cycle, colours: str, label: str) -> None:
+def _draw_map(
+    figure: Any, axes: Any, image: np.ndarray, own: Cycle, colours: str, label: str, limits: tuple[float, float]
+) -> None:
     """One map with the cycle on it."""
     axes.set_facecolor("#d9d9d9")
     shown = axes.imshow(
-        image, extent=(-THETA, THETA, *RATES), origin="lower", aspect="auto", cmap=colours, interpolation="nearest"
+        image,
+        extent=(-THETA, THETA, *RATES),
+        origin="lower",
+        aspect="auto",
+        cmap=colours,
+        interpolation="nearest",
+        vmin=limits[0],
+        vmax=limits[1],
     )
-    figure.colorbar(shown, ax=axes, label=label, pad=0.02)
+    below = np.nanmin(image) < limits[0]
+    figure.colorbar(shown, ax=axes, label=label, pad=0.02, extend="min" if below else "neither")
     axes.plot(np.append(own.theta, own.theta[0]), np.append(own.theta_dot, own.theta_dot[0]), color=INK, lw=1.4)
     axes.plot(own.theta[0], own.theta_dot[0], "o", color=INK, markersize=4.0)
     axes.grid(False)
@@ -92,16 +105,18 @@ def _draw_motion(axes: Any, own: Cycle) -> None:
     axes.plot(own.time, own.x_dot, color=VERMILION, label="x' (m/s)")
     axes.axhline(0.0, color=MUTED, lw=0.6)
     axes.set_title("Pendulum and platform")
-    axes.legend(loc="upper right")
+    axes.set_ylim(-0.8, 1.3)
+    axes.legend(loc="upper right", ncols=2, handlelength=1.5, columnspacing=1.2)
     _shade(axes, own)
 
 
 def _draw_forces(axes: Any, own: Cycle) -> None:
     """Torque and normal force over the cycle."""
     weight = (NOMINAL.M + NOMINAL.m) * NOMINAL.g
-    axes.step(own.time, own.torque, where="post", color=GREEN, label="torque (N m)")
-    axes.plot(own.time, own.normal_force / weight, color=INK, label="N over the weight")
+    axes.step(own.time, own.torque, where="post", color=GREEN, label="u (N m)")
+    axes.plot(own.time, own.normal_force / weight, color=INK, label="N / (M + m) g")
     axes.axhline(0.0, color=MUTED, lw=0.6)
     axes.set_title("Torque and contact")
-    axes.legend(loc="upper right")
+    axes.set_ylim(-1.7, 2.3)
+    axes.legend(loc="upper right", ncols=2, handlelength=1.5, columnspacing=1.2)
     _shade(axes, own)

@@ -25,7 +25,7 @@ from capsule_gym.parameters import NOMINAL
 Act = Callable[[np.ndarray], np.ndarray]
 
 # Torques tried, evenly spaced over the limits.
-TRIED = 61
+TRIED = 41
 # What a torque scores that ends the episode, cm.
 FATAL = -1e6
 # N: the observation is coarser than the state, so that less may be none.

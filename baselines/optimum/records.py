@@ -21,8 +21,9 @@ from capsule_gym.files import replacing, write_atomically
 
 FOLDER = Path(__file__).with_name("data")
 RECORDS, MOTIONS, VALUES = "optima.json", "motions.npz", "values.npz"
-# Steps in which values are kept: a hold earns half a centimetre.
-LEVELS_OF_VALUES = 65535
+# cm: in steps of this values are kept, or of what two bytes can count; a hold earns half a centimetre.
+RESOLUTION = 0.005
+MOST_STEPS = 65535
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,9 +119,9 @@ class Archive:
             self._values.pop(f"{record.key} {name}", None)
         if solution is not None:
             low, high = float(solution.values.min()), float(solution.values.max())
-            step = (high - low) / LEVELS_OF_VALUES or 1.0
+            step = max(RESOLUTION, (high - low) / MOST_STEPS)
             entries = (
-                np.round((solution.values - low) / step).astype(np.uint16),
+                _differences(np.round((solution.values - low) / step).astype(np.uint16)),
                 np.array([low, step, *solution.grid.y, *solution.grid.w, solution.curvature, solution.gain]),
             )
             self._values |= {f"{record.key} {name}": e for name, e in zip(_VALUE_NAMES, entries, strict=True)}
@@ -133,10 +134,11 @@ class Archive:
         """
         key = key_of(problem)
         try:
-            steps, numbers = (self._values[f"{key} {name}"] for name in _VALUE_NAMES)
+            differences, numbers = (self._values[f"{key} {name}"] for name in _VALUE_NAMES)
         except KeyError:
             raise ValueError(f"{self.folder / VALUES} holds no values of {problem}") from None
         low, step, *box, curvature, gain = numbers.tolist()
+        steps = _sums(differences)
         grid = Grid(steps.shape, (box[0], box[1]), (box[2], box[3]), problem.M, problem.capsule)
         values = (low + step * steps).astype(np.float32)
         return Solution(problem, grid, values, curvature, gain, 0.0)
@@ -152,7 +154,21 @@ class Archive:
         write_atomically(self.folder / RECORDS, f"[\n{text}\n]\n")
 
 
-_VALUE_NAMES = ("steps", "numbers")
+_VALUE_NAMES = ("differences", "numbers")
+
+
+def _differences(steps: np.ndarray) -> np.ndarray:
+    """Differences along all axes, modulo what two bytes can count: they are packed to two thirds."""
+    for axis in range(steps.ndim):
+        steps = np.diff(steps, axis=axis, prepend=np.uint16(0))
+    return steps
+
+
+def _sums(differences: np.ndarray) -> np.ndarray:
+    """The steps from their differences."""
+    for axis in range(differences.ndim):
+        differences = np.cumsum(differences, axis=axis, dtype=np.uint16)
+    return differences
 
 
 def _load(path: Path) -> dict[str, np.ndarray]:
