@@ -211,7 +211,18 @@ def _compiled() -> Any:
     step = types.FunctionType(types.int64(*kernels.SIGNATURE))
     numbers, rows, indices = types.float64[::1], types.float64[:, ::1], types.int64[::1]
     many, cube = types.float32[:, ::1], types.float32[:, :, ::1]
-    simulation = (step, world, fixed, observations, numbers, numbers, types.float64, types.uint64[:, ::1], indices, numbers)
+    simulation = (
+        step,
+        world,
+        fixed,
+        observations,
+        numbers,
+        numbers,
+        types.float64,
+        types.uint64[:, ::1],
+        indices,
+        numbers,
+    )
     policy = (numbers, numbers, numbers, many, types.boolean, types.float64, rows, types.float64[:, :, ::1])
     written = (numbers, cube, many, many, many, types.int64[:, ::1], many, rows)
     compile_now(compiled, (*simulation, *policy, *written), "the rollouts of training")
@@ -296,7 +307,9 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
             told_energy_weight=self.course.told,
             wants_torque=wants_torque,
         )
-        observed = observation_names(self.batch.simulation.settings.with_reference, self.batch.simulation.settings.with_parameters)
+        observed = observation_names(
+            self.batch.simulation.settings.with_reference, self.batch.simulation.settings.with_parameters
+        )
         self.names = (*input_names(observed, identifies, self.course.told), *(PRIVILEGED if privileged else ()))
         self.columns = len(self.names)
         if self.columns > self.header.observed:

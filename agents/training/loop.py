@@ -57,10 +57,12 @@ from baselines.policies import SCRIPTED
 from capsule_gym import Capsule, Policy, Randomization
 from capsule_gym.files import naming, to_json, write_atomically
 from capsule_gym.resets import Stream, random_stream
+from capsule_gym.task import HORIZON
 
 # Far from the seeds 0, 1, .. that training runs and evaluation sets use: model selection sees draws of its own.
 SELECTION_SEED = 1_000_000
-# What the best model is chosen by: its mean speed less so many cm/s times the share of its episodes that fail.
+# What the best model is chosen by: its mean speed less what its power costs, and so many cm/s times the share of its
+# episodes that fail.
 FAILURE_COST = 30.0
 # Episodes that the progress bar's mean speed is over.
 RECENT = 128
@@ -137,7 +139,7 @@ def make_model(config: Config, env: VecNormalize, sac: type[SAC] = LeanSAC, fuse
     }
     if isinstance(config, PPOConfig):
         venv: Any = env.venv
-        return CapsulePPO(
+        model = CapsulePPO(
             ActorCritic,
             env,
             n_steps=config.n_steps,
@@ -155,6 +157,8 @@ def make_model(config: Config, env: VecNormalize, sac: type[SAC] = LeanSAC, fuse
             },
             **shared,
         )
+        model.critic_steps = config.critic_steps
+        return model
     assert isinstance(config, OffPolicyConfig)
     network["optimizer_kwargs"] = {"fused": fused}
     shared |= {
@@ -267,7 +271,8 @@ class Monitor(BaseCallback):
         episodes = evaluate(policy, self.draws)
         speed = float(interquartile_mean(scores(episodes, "mean_speed"))[0])
         failed = float(scores(episodes, "failed").mean())
-        score = float(scores(episodes, "mean_speed").mean()) - FAILURE_COST * failed
+spent = float(scores(episodes, "energy").mean()) / HORIZON
+        score = float(scores(episodes, "mean_speed").mean()) - self.config.energy_weight * spent - FAILURE_COST * failed
         self.progress.evaluated_at = self.num_timesteps
         self.logger.record("evaluation/mean_speed", speed)
         self.logger.record("evaluation/failed", failed)

@@ -145,6 +145,8 @@ class CapsulePPO(PPO):
     """
 
     policy: ActorCritic
+    critic_steps = 0
+    """Environment steps at the start in which the critic alone learns."""
 
     def _setup_model(self) -> None:
         super()._setup_model()
@@ -226,6 +228,9 @@ class CapsulePPO(PPO):
         buffer.advantages = np.empty_like(values)
         last = self._values(torch.from_numpy(env.normalize_obs(rollout.last)))
         buffer.compute_returns_and_advantage(last, rollout.over)
+        if self.num_timesteps <= self.critic_steps:
+            # No advantage, no gradient of the policy's.
+            buffer.advantages = np.zeros_like(values)
         actions = torch.from_numpy(rollout.actions.reshape(-1, 1))
         mean, log_std = self._distribution(inputs)
         self._samples = (

@@ -169,6 +169,8 @@ class PPOConfig(Config):
     """Range of energy weights (cm/J), of which every episode of training draws one that the policy is told."""
     output: Literal["action", "torque"] = "action"
     """What the network puts out: the action, or the wanted torque, whatever the law asks for."""
+    critic_steps: Annotated[int, tyro.conf.arg(metavar="INT")] = 0
+    """Environment steps at the start in which the critic alone learns: a law under the policy is not unlearnt then."""
     direct_steps: Annotated[int, tyro.conf.arg(metavar="INT")] = 0
     """Environment steps in the direct task before, from whose network the run then goes on."""
 
@@ -176,7 +178,9 @@ class PPOConfig(Config):
         """As for all; before it the direct task, where the run begins there."""
         if not self.direct_steps:
             return [self]
-        shared = {name: getattr(self, name) for name in ("seed", "randomization", "torque_limit", "activation", "hidden")}
+        shared = {
+            name: getattr(self, name) for name in ("seed", "randomization", "torque_limit", "activation", "hidden")
+        }
         direct = dataclasses.replace(
             PRESETS["direct", "ppo"], **shared, output=self.output, total_steps=self.direct_steps
         )
@@ -185,7 +189,7 @@ class PPOConfig(Config):
     def check(self) -> None:
         """As for all; and a rollout must hold the two samples that advantages are normalised over."""
         super().check()
-        self._check_counts("direct_steps", least=0, most=self.total_steps)
+        self._check_counts("direct_steps", "critic_steps", least=0, most=self.total_steps)
         self._check_range("episode_seconds", "a finite number > 0 (s)", 0.0, open_low=True)
         self._check_range("jump_rate", "a finite number >= 0 (1/s)", 0.0)
         self._check_range("least_log_std", "a number in [-20, 2]", -20.0, 2.0)
@@ -283,15 +287,17 @@ class TQCConfig(OffPolicyConfig):
 
 PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("residual", "ppo"): PPOConfig(
-        total_steps=8_000_000,
+        total_steps=10_000_000,
         output="torque",
-        control_dt=0.01,
-        gamma=0.9975,
-        gae_lambda=0.99,
+        # The law's torque may flip within a hold.
+        control_dt=0.005,
+        gamma=0.99875,
+        gae_lambda=0.995,
         num_envs=256,
-        n_steps=128,
-        final_learning_rate=5e-5,
+        n_steps=256,
+        batch_size=4096,
         least_log_std=-3.0,
+        evaluate_every=1_000_000,
     ),
     ("direct", "ppo"): PPOConfig(task="direct", controller=None),
     ("residual", "sac"): SACConfig(),
@@ -302,41 +308,57 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("direct", "tqc"): TQCConfig(task="direct", controller=None),
 }
 
+# A base that moves by itself: small residuals, from a critic that knows what the base returns.
+ON_GAIT = PPOConfig(
+    controller="baselines:gait",
+    residual_limit=0.75,
+    total_steps=1_000_000,
+    critic_steps=150_000,
+    num_envs=256,
+    n_steps=64,
+    gamma=0.9975,
+    learning_rate=3e-4,
+    final_learning_rate=3e-5,
+    log_std_init=-1.2,
+    least_log_std=-3.5,
+    episode_seconds=10.0,
+    evaluate_every=100_000,
+)
+# Where energy is dear a policy that has learnt nothing yet stands still.
+FRUGAL = PPOConfig(
+    task="direct",
+    controller=None,
+    num_envs=256,
+    n_steps=64,
+    tanh_mean=True,
+    least_log_std=-2.6,
+)
 # By the names of the folders in agents/checkpoints; the seed is a run's own.
 ROWS: dict[str, Config] = {
     "residual-ppo": PRESETS["residual", "ppo"],
-    "residual-ppo-compliant": PPOConfig(controller="baselines:compliant"),
+    "residual-ppo-compliant": dataclasses.replace(PRESETS["residual", "ppo"], controller="baselines:compliant"),
     "direct-ppo": PRESETS["direct", "ppo"],
     "direct-ppo-wide": PPOConfig(task="direct", controller=None, randomization="wide"),
     "direct-sac": PRESETS["direct", "sac"],
-    "residual-on-gait": PPOConfig(
-        controller="baselines:gait",
-        residual_limit=0.75,
-        total_steps=1_000_000,
-        num_envs=256,
-        n_steps=64,
-        learning_rate=5e-4,
-        final_learning_rate=5e-5,
-        log_std_init=-2.0,
-        least_log_std=-2.6,
-        termination_penalty=100.0,
-        episode_seconds=12.0,
-        evaluate_every=100_000,
-    ),
-    "robust": PPOConfig(
-        task="direct",
-        controller=None,
-        randomization="wide",
-        num_envs=256,
-        n_steps=64,
-        final_learning_rate=5e-5,
-        termination_penalty=100.0,
-        tanh_mean=True,
-        least_log_std=-2.6,
-        episode_seconds=6.0,
+    "residual-on-gait": ON_GAIT,
+    "residual-on-gait-wide": dataclasses.replace(ON_GAIT, randomization="wide"),
+    "robust": dataclasses.replace(
+        ON_GAIT,
+        randomization="broad",
+        residual_limit=1.5,
+        jump_rate=0.1,
         identifies=True,
         privileged_critic=True,
+        total_steps=16_000_000,
+        n_steps=128,
+        batch_size=4096,
+        learning_rate=1e-3,
+        least_log_std=-3.2,
+        termination_penalty=70.0,
+        evaluate_every=1_000_000,
     ),
+    "efficient": dataclasses.replace(FRUGAL, total_steps=4_000_000, energy_weight=4.5),
+    "pareto": dataclasses.replace(FRUGAL, total_steps=10_000_000, energy_weight=1.0, energy_weights=(0.1, 20.0)),
 }
 
 
