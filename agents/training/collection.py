@@ -125,7 +125,7 @@ def collect(
         ended: written: of episodes that ended return and the rows of `world`; shape (rows, 1 + kernels.ROWS).
 
     Returns:
-        How many rows of `cut` and of `ended` are written; and an environment whose law returned no finite torque, or -1.
+        How many rows of `cut` and of `ended` are written; an environment whose law returned no finite torque, or -1.
     """
     header = record(network, 0, Header)
     steps, privileged, told = int(course[0]), course[1] != 0.0, course[2] != 0.0

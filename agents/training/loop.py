@@ -271,7 +271,7 @@ class Monitor(BaseCallback):
         episodes = evaluate(policy, self.draws)
         speed = float(interquartile_mean(scores(episodes, "mean_speed"))[0])
         failed = float(scores(episodes, "failed").mean())
-spent = float(scores(episodes, "energy").mean()) / HORIZON
+        spent = float(scores(episodes, "energy").mean()) / HORIZON
         score = float(scores(episodes, "mean_speed").mean()) - self.config.energy_weight * spent - FAILURE_COST * failed
         self.progress.evaluated_at = self.num_timesteps
         self.logger.record("evaluation/mean_speed", speed)
