@@ -68,6 +68,9 @@ SCRIPTED = {
         _with_law(
             "gait-guarded", "gait", "a gait at 1 kHz that is told nothing of the plant, with a guard of the contact"
         ),
+        _with_law(
+            "gait-identifying", "gait_identifying", "gait-guarded, whose guard identifies how light the platform is"
+        ),
         ScriptedPolicy(
             "gait-nominal",
             "the tolerant gait of the nominal plant, whatever the plant; torque every 10 ms",

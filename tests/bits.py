@@ -90,6 +90,9 @@ def subjects() -> Iterator[Subject]:
     yield Subject("plant anisotropic", {**wide, "capsule": capsule, "initial_noise": 0.1}, random_actions(0.15))
     for name in baselines.__all__:
         yield Subject(f"law {name}", {"controller": f"baselines:{name}"}, random_actions(0.05))
+    # Its bits differ from those of the law without a filter where the platform is light.
+    light = {"controller": "baselines:gait_identifying", "randomization": "broad"}
+    yield Subject("law gait_identifying broad", light, random_actions(0.05))
     for policy in SCRIPTED.values():
         if "controller" not in policy.env_kwargs:
             yield Subject(f"scripted {policy.name}", {**wide, **policy.env_kwargs}, policy.start)

@@ -26,7 +26,7 @@ from gymnasium.vector import AutoresetMode
 
 from baselines.gaits.performance import tolerant_nominal
 from baselines.gaits.rounds import import_cma, score
-from baselines.laws.gait import FILE, NO_REFERENCE, PARAMETERS, guarded_torque
+from baselines.laws.gait import FILE, LIGHTEST, NO_REFERENCE, PARAMETERS, guarded_torque
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.command_line import Count, parse, refuse
 from capsule_gym.controller import Controller
@@ -40,7 +40,6 @@ PROG = "python -m baselines.gaits.law_search"
 UNITS = (*(1.0 for _ in PARAMETERS[:-2]), 0.03, 20.0)
 FIRST_STEP = 0.2
 # Where the guard starts: a twentieth of a N m for every 1/s^2 beyond 0.8 of what lifts the lightest platform of `wide`.
-LIGHTEST = 0.35
 START_GUARD = (0.05, 0.8 * (LIGHTEST + NOMINAL.m) * NOMINAL.g / (NOMINAL.m * NOMINAL.l))
 POPULATION = 24
 PLANTS = 64

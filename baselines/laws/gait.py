@@ -1,7 +1,8 @@
 """A gait without a clock as a `Controller`: the torque is a polynomial of the state, and a guard keeps the contact.
 
 The law is told nothing of the plant and follows no reference. `python -m baselines.gaits.law_search` has found the
-numbers in `gait.json`.
+numbers in `gait.json`. `gait_identifying` is the same law, whose guard knows a platform that is lighter than those of
+the search by the momentum that the pendulum gives it.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from capsule_gym.compilation import inlined
-from capsule_gym.controller import Controller, Law
-from capsule_gym.parameters import check_number, written
+from capsule_gym.controller import LAW_DT, Controller, Law
+from capsule_gym.identification import CELLS, estimates, identify
+from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, check_number, written
 from capsule_gym.task import TORQUE_LIMIT, clip
 from capsule_gym.trigonometry import sincos
 
@@ -30,6 +32,13 @@ COEFFICIENTS = (
 )
 # The guard's gain in N m s^2, and the theta_dot^2 cos(theta), 1/s^2, from which it acts.
 PARAMETERS = (*COEFFICIENTS, "guard_gain", "guard_from")
+# The guard suits this platform and every heavier one, kg.
+_WIDE = RANDOMIZATIONS["wide"].M
+assert _WIDE is not None
+LIGHTEST = _WIDE[0]
+# How much sooner than the weight falls the guard of a lighter platform acts: of 1.0, 1.2, 1.3 and 1.5 the first without
+# a failure in 1000 episodes drawn as those of `extrapolation`.
+CAUTION = 1.3
 # Both entries of the observation that show a reference stay 0, and so does the phase.
 NO_REFERENCE = np.zeros((1, 2))
 
@@ -87,6 +96,23 @@ def gait_law(parameters: tuple[float, ...]) -> Law:
     return law
 
 
+def identifying_law(parameters: tuple[float, ...]) -> Law:
+    """The law with its parameters in its closure, and the filter of `capsule_gym.identification` in its memory."""
+    *others, guard_from = parameters
+    rest = tuple(others)
+    m, l, g = NOMINAL.m, NOMINAL.l, NOMINAL.g
+
+    def law(
+        theta: float, theta_dot: float, x: float, x_dot: float, memory: Any, reference: tuple[float, ...]
+    ) -> tuple[float, tuple[float, ...]]:
+        memory = identify(memory, theta, theta_dot, x_dot, m, l, g, LAW_DT)
+        M = min(LIGHTEST, estimates(memory)[0])
+        share = 1.0 - CAUTION * (LIGHTEST - M) / (LIGHTEST + m)
+        return guarded_torque(theta, theta_dot, x_dot, (*rest, share * guard_from)), memory
+
+    return law
+
+
 @lru_cache(maxsize=1)
 def known_parameters() -> tuple[float, ...]:
     """The committed parameters, in the order of `PARAMETERS`, read once.
@@ -113,14 +139,33 @@ def gait(parameters: Sequence[float] | None = None) -> Controller:
         TypeError: if one is no number.
         ValueError: if one is not finite, or there are more or fewer.
     """
+    return Controller("gait", gait_law(_checked(parameters)), NO_REFERENCE)
+
+
+def gait_identifying(parameters: Sequence[float] | None = None) -> Controller:
+    """The gait with a guard that identifies the platform while it slips, and acts sooner where it is light.
+
+    Where the platform is no lighter than those of `wide`, and known to be so, the torque is that of `gait`.
+
+    Args:
+        parameters: as `gait` takes them.
+
+    Raises:
+        TypeError: if one is no number.
+        ValueError: if one is not finite, or there are more or fewer.
+    """
+    return Controller("gait_identifying", identifying_law(_checked(parameters)), NO_REFERENCE, memory=(0.0,) * CELLS)
+
+
+def _checked(parameters: Sequence[float] | None) -> tuple[float, ...]:
+    """The parameters as floats, the committed ones for None."""
     if parameters is None:
-        return Controller("gait", gait_law(known_parameters()), NO_REFERENCE)
+        return known_parameters()
     if len(parameters) != len(PARAMETERS):
         raise ValueError(
             f"parameters must be {len(PARAMETERS)} numbers, {', '.join(PARAMETERS)}, got {written(parameters)}"
         )
-    checked = [
+    return tuple(
         check_number(f"parameters, {name},", value, "a finite number")
         for name, value in zip(PARAMETERS, parameters, strict=True)
-    ]
-    return Controller("gait", gait_law(tuple(checked)), NO_REFERENCE)
+    )

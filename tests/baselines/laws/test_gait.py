@@ -10,10 +10,10 @@ import pytest
 
 from baselines.gaits.families import FAMILIES
 from baselines.laws import gait as module
-from baselines.laws.gait import COEFFICIENTS, PARAMETERS, gait, known_parameters
+from baselines.laws.gait import COEFFICIENTS, LIGHTEST, PARAMETERS, gait, gait_identifying, known_parameters
 from baselines.policies import SCRIPTED
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym.kernels import Row
+from capsule_gym.kernels import ROWS, Row
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
 from capsule_gym.task import HORIZON, TORQUE_LIMIT
 
@@ -97,14 +97,39 @@ def test_the_gait_is_fast_and_does_not_fail_on_plants_that_it_is_not_told(name, 
     assert metrics["mean_speed"].mean() > mean
 
 
-def test_the_gait_follows_no_reference():
-    observations = episodes(gait(), [0.5], [0.01], horizon=1.0).simulation.observations
+LIGHT = ([0.26, 0.3, 0.3, 0.33, 0.33, 0.29], [0.003, 0.01, 0.5, 0.05, 0.4, 0.1])
+
+
+def test_a_guard_that_identifies_keeps_platforms_that_are_lighter_than_it_was_made_for():
+    assert max(LIGHT[0]) < LIGHTEST
+    kept, lost = (episodes(controller, *LIGHT).episode_metrics() for controller in (gait_identifying(), gait()))
+    assert kept["failed"].sum() == 0.0 < lost["failed"].sum()
+    # It gives way no further than it must.
+    assert kept["mean_speed"].min() > 10.0
+
+
+def test_a_guard_that_identifies_knows_the_platform():
+    env = episodes(gait_identifying(), *LIGHT, horizon=3.0)
+    assert env.simulation.row(ROWS + 1) == pytest.approx(np.array(LIGHT[0]), rel=0.02)
+
+
+def test_on_a_platform_that_the_guard_was_made_for_identifying_changes_nothing():
+    M, mu = [0.38, 0.5, 0.5, 0.75], [0.01, 0.01, 0.2, 0.05]
+    one, other = (episodes(controller, M, mu).simulation for controller in (gait(), gait_identifying()))
+    for row in (Row.theta, Row.theta_dot, Row.x, Row.x_dot, Row.torque):
+        assert one.row(row).tolist() == other.row(row).tolist()
+
+
+@pytest.mark.parametrize("controller", [gait, gait_identifying])
+def test_the_gait_follows_no_reference(controller):
+    observations = episodes(controller(), [0.5], [0.01], horizon=1.0).simulation.observations
     assert observations[0, 5:9].tolist() == [0.0, 0.0, 0.0, 1.0]
 
 
-def test_the_scripted_row_is_the_law_with_a_zero_residual():
-    policy = SCRIPTED["gait-guarded"]
-    assert policy.env_kwargs == {"controller": "baselines:gait"}
+@pytest.mark.parametrize(("name", "law"), [("gait-guarded", "gait"), ("gait-identifying", "gait_identifying")])
+def test_the_scripted_row_is_the_law_with_a_zero_residual(name, law):
+    policy = SCRIPTED[name]
+    assert policy.env_kwargs == {"controller": f"baselines:{law}"}
     assert policy.start([0, 1])(np.zeros((2, 10), np.float32)).tolist() == [[0.0], [0.0]]
 
 
@@ -112,7 +137,7 @@ def test_bad_parameters_are_named():
     with pytest.raises(ValueError, match=r"parameters must be 23 numbers, phi_000, .*, got \[1.0\]"):
         gait([1.0])
     with pytest.raises(ValueError, match="parameters, guard_from, must be a finite number, got nan"):
-        gait((*known_parameters()[:-1], math.nan))
+        gait_identifying((*known_parameters()[:-1], math.nan))
     with pytest.raises(TypeError, match="parameters, phi_000, must be a finite number, got '1'"):
         gait(("1", *known_parameters()[1:]))
 
