@@ -48,7 +48,8 @@ import numpy as np
 from capsule_gym.command_line import parse
 from capsule_gym.exponential import exp, log
 from capsule_gym.files import canonical_hash, write_atomically
-from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, check_number
+from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, Randomization, check_number
+from capsule_gym.resets import Stream, random_stream
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA, THETA_LIMIT
 
 PROG = "python -m agents.evaluation.sets"
@@ -217,6 +218,21 @@ def draw_set(name: str) -> EvaluationSet:
     """
     seed, draw = _DRAWS[name]
     return EvaluationSet(name, tuple(draw(np.random.default_rng(seed))))
+
+
+def drawn_as(randomization: str, name: str, first_seed: int, count: int) -> EvaluationSet:
+    """A set of plants that are drawn as the environment draws those of its episodes, for choices and studies.
+
+    Args:
+        randomization: of the environment.
+        name: of the set.
+        first_seed: the episodes' seeds are this and those that follow; far from 0, 1, .., which the frozen sets use.
+        count: how many.
+    """
+    drawn = Randomization.named(randomization)
+    seeds = range(first_seed, first_seed + count)
+    plants = [PlantSpec(*drawn.draw(random_stream(seed, 0, Stream.parameters), NOMINAL), seed) for seed in seeds]
+    return EvaluationSet(name, tuple(plants))
 
 
 def _fields(where: str, value: Any, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Any]:

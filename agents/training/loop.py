@@ -27,7 +27,7 @@ from tqdm import tqdm
 
 from agents.evaluation.candidates import BASELINE
 from agents.evaluation.episodes import evaluate, scores, versions
-from agents.evaluation.sets import EvaluationSet, PlantSpec
+from agents.evaluation.sets import EvaluationSet, drawn_as
 from agents.evaluation.statistics import interquartile_mean
 from agents.training import checkpoint
 from agents.training.checkpoint import Progress
@@ -54,9 +54,8 @@ from agents.training.sac import LeanSAC
 from agents.training.stopping import Stop
 from agents.training.vec_env import CapsuleSB3VecEnv
 from baselines.policies import SCRIPTED
-from capsule_gym import Capsule, Policy, Randomization
+from capsule_gym import Policy
 from capsule_gym.files import naming, to_json, write_atomically
-from capsule_gym.resets import Stream, random_stream
 from capsule_gym.task import HORIZON
 
 # Far from the seeds 0, 1, .. that training runs and evaluation sets use: model selection sees draws of its own.
@@ -89,13 +88,9 @@ class Falling:
 
 def own_draws(config: Config) -> EvaluationSet:
     """The plants that a run selects its best model on: its own randomisation, seeds that nothing else uses."""
-    randomization = Randomization.named(config.randomization)
     first = SELECTION_SEED + config.seed * config.evaluation_episodes
-    plants = []
-    for seed in range(first, first + config.evaluation_episodes):
-        M, mu = randomization.draw(random_stream(seed, 0, Stream.parameters), Capsule())
-        plants.append(PlantSpec(M=M, mu=mu, seed=seed))
-    return EvaluationSet(f"own draws from {config.randomization}", tuple(plants))
+    name = f"own draws from {config.randomization}"
+    return drawn_as(config.randomization, name, first, config.evaluation_episodes)
 
 
 def make_env(config: Config, seed: int) -> VecNormalize:

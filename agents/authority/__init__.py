@@ -1,0 +1,1 @@
+"""How much authority over a law an agent should have: `python -m agents.authority`."""
