@@ -344,21 +344,22 @@ ROWS: dict[str, Config] = {
     "residual-on-gait-wide": dataclasses.replace(ON_GAIT, randomization="wide"),
     "robust": dataclasses.replace(
         ON_GAIT,
-        randomization="broad",
+        controller="baselines:gait_identifying",
+        randomization="wide",
         residual_limit=1.5,
         jump_rate=0.1,
         identifies=True,
         privileged_critic=True,
-        total_steps=12_000_000,
+        total_steps=8_000_000,
         n_steps=128,
         batch_size=4096,
         learning_rate=1e-3,
         least_log_std=-3.2,
-        termination_penalty=70.0,
+        termination_penalty=50.0,
         evaluate_every=1_000_000,
     ),
     "efficient": dataclasses.replace(FRUGAL, total_steps=4_000_000, energy_weight=4.5),
-    "pareto": dataclasses.replace(FRUGAL, total_steps=10_000_000, energy_weight=1.0, energy_weights=(0.1, 20.0)),
+    "pareto": dataclasses.replace(FRUGAL, total_steps=8_000_000, energy_weight=1.0, energy_weights=(0.1, 20.0)),
 }
 
 
