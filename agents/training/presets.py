@@ -336,7 +336,6 @@ FRUGAL = PPOConfig(
 # By the names of the folders in agents/checkpoints; the seed is a run's own.
 ROWS: dict[str, Config] = {
     "residual-ppo": PRESETS["residual", "ppo"],
-    "residual-ppo-compliant": dataclasses.replace(PRESETS["residual", "ppo"], controller="baselines:compliant"),
     "direct-ppo": PRESETS["direct", "ppo"],
     "direct-ppo-wide": PPOConfig(task="direct", controller=None, randomization="wide"),
     "direct-sac": PRESETS["direct", "sac"],
