@@ -67,8 +67,8 @@ bits: $(STAMP)  ## Compare the bits of whole episodes with the committed ones, o
 	$(BIN)/python -m tests.bits --variants
 
 # What asks whether kernels compiled for other processors agree would compile them a second time.
-CHECKED := $(addprefix tests/capsule_gym/test_,$(addsuffix .py,kernels dynamics simulation resets network rollout env \
-	vector_env)) tests/baselines/laws
+CHECKED := $(addprefix tests/capsule_gym/test_,$(addsuffix .py,kernels dynamics simulation resets network identification \
+	rollout env vector_env)) tests/baselines/laws tests/agents/training/test_collection.py
 boundscheck: export NUMBA_BOUNDSCHECK = 1
 boundscheck: $(STAMP)  ## Run the kernels with every index checked: their tests, and the episodes whose bits are committed
 	$(BIN)/python -m pytest -n 2 $(CHECKED) -k "not libraries"

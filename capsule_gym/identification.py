@@ -9,7 +9,9 @@ where d is the difference of the two. An iterated extended Kalman filter keeps M
 takes one such pair after the other; pairs in which the platform sticks or turns say nothing that is as simple. What it
 knows fades a little with every pair, and where a pair contradicts it the filter doubts it all: M and mu may jump.
 
-The filter belongs to the policy, not to the environment: it sees what the policy sees.
+The filter belongs to the policy, not to the environment: it sees what the policy sees. It knows one coefficient of
+friction and Newton's normal force; of a `Capsule` with another one backwards, or with the paper's, the balance is not
+exact.
 """
 
 from __future__ import annotations
@@ -106,9 +108,7 @@ def identify(
             log_mu = min(HIGH_LOG_MU, max(LOW_LOG_MU, before_log_mu + gain_f * surprise))
         P_MM, P_Mf, P_ff = P_MM - gain_M * to_M, P_Mf - gain_M * to_f, P_ff - gain_f * to_f
         # Never less certain than before anything was seen.
-        fading = max(
-            RETAINED, P_MM / (DEVIATION_M * DEVIATION_M), P_ff / (DEVIATION_LOG_MU * DEVIATION_LOG_MU)
-        )
+        fading = max(RETAINED, P_MM / (DEVIATION_M * DEVIATION_M), P_ff / (DEVIATION_LOG_MU * DEVIATION_LOG_MU))
         P_MM, P_Mf, P_ff = P_MM / fading, P_Mf / fading, P_ff / fading
     return begun, M, log_mu, P_MM, P_Mf, P_ff, across, along, x_dot
 
@@ -118,4 +118,3 @@ def estimates(memory: Memory) -> tuple[float, float, float, float]:
     """What `ESTIMATES` names."""
     _, M, log_mu, P_MM, _, P_ff, _, _, _ = memory
     return M, log_mu, math.sqrt(max(0.0, P_MM)), math.sqrt(max(0.0, P_ff))
-

@@ -318,7 +318,7 @@ class Randomization:
 
     @classmethod
     def named(cls, name: str | Randomization) -> Randomization:
-        """The randomisation of that name ("none", "paper", "wide"); a Randomization is returned as it is.
+        """The randomisation of that name ("none", "paper", "wide", "broad"); a Randomization is returned as it is.
 
         Raises:
             ValueError: if the name is not known.

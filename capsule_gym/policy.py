@@ -43,15 +43,17 @@ from capsule_gym.controller import is_own
 from capsule_gym.exponential import log
 from capsule_gym.files import write_bytes_atomically
 from capsule_gym.network import Header, Layer, decision, input_names, pack
-from capsule_gym.options import Options
-from capsule_gym.parameters import Capsule, Randomization, check_number
-
+from capsule_gym.options import LARGEST_COST, Options
+from capsule_gym.parameters import SMALLEST, Capsule, Randomization, check_number
 
 POLICY = "policy.safetensors"
 FORMAT, FORMAT_VERSION = "capsule_gym policy", "2"
 ACTIVATIONS, SQUASHINGS, OUTPUTS = ("tanh", "relu"), ("clip", "tanh"), ("action", "torque")
 # No float32 weights give a sum beyond float64 in so many layers of so many units, and no finite observation a NaN.
 MOST_LAYERS, MOST_UNITS, LARGEST_CLIP = 6, 1024, 1e6
+# Energy weights that a policy can be told, cm/J: their logarithms are numbers.
+TOLD_ENERGY_WEIGHTS = SMALLEST, LARGEST_COST
+TOLD = f"a number of cm/J from {SMALLEST:g} to {LARGEST_COST:g}"
 # Nothing larger is read: more than the layers above can fill, many times what a policy takes.
 LARGEST_FILE, LARGEST_METADATA = 32 * 2**20, 2**16
 # The options of the environment that change what a policy meets.
@@ -153,11 +155,12 @@ class Policy:
             ("activation", self.activation, ACTIVATIONS),
             ("squashing", self.squashing, SQUASHINGS),
             ("output", self.output, OUTPUTS),
-            ("identifies", self.identifies, (False, True)),
-            ("told_energy_weight", self.told_energy_weight, (False, True)),
         ):
             if value not in accepted:
                 raise ValueError(f"{name} must be one of {accepted}, got {value!r}")
+        for name, switch in (("identifies", self.identifies), ("told_energy_weight", self.told_energy_weight)):
+            if not isinstance(switch, bool):
+                raise TypeError(f"{name} must be True or False, got {switch!r}")
         for name, text in (("algorithm", self.algorithm), ("revision", self.revision)):
             if not isinstance(text, str) or not text:
                 raise TypeError(f"{name} must be a string that is not empty, got {text!r}")
@@ -169,13 +172,14 @@ class Policy:
         if self.output == "torque" and not _residual_limit(options) > 0.0:
             raise ValueError("output must be 'action' where env_kwargs give no residual_limit > 0, got 'torque'")
         if self.told_energy_weight:
-            check_number("env_kwargs['energy_weight']", options.energy_weight, "> 0 where it is told", 0.0, open_low=True)
+            name = "env_kwargs['energy_weight']"
+            check_number(name, options.energy_weight, f"{TOLD} where it is told", *TOLD_ENERGY_WEIGHTS)
         inputs = len(input_names(_observed(options), self.identifies, self.told_energy_weight))
         widths = _widths([(weights.shape, bias.shape) for weights, bias in self.layers])
         if widths[0] != inputs:
             raise ValueError(
-                f"layers.0.weight must have as many columns as there are inputs, by env_kwargs, identifies and "
-                f"told_energy_weight {inputs}, got {widths[0]}"
+                f"layers.0.weight must have as many columns as there are inputs by env_kwargs, identifies and "
+                f"told_energy_weight, {inputs}, got {widths[0]}"
             )
         for n, layer in enumerate(self.layers):
             for kind, array in zip(("weight", "bias"), layer, strict=True):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from typing import Any
 
@@ -101,7 +100,7 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
     """Runs a policy in every environment of a simulation, whose episodes have begun.
 
     An environment whose episode ends stands still from then on. The bits are those of a batch that is stepped with
-    `policy.start(..)`.
+    `policy.start(..)`; what a policy remembers begins with the call.
 
     Args:
         simulation: after `reset`; changed. Its threads share the environments.
@@ -138,11 +137,12 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
     )
     compiled = _compiled()
 
-    def run(bounds: tuple[int, int]) -> int:
+    def run(first: int, last: int) -> int:
         broken: int = compiled(
             simulation._kernel,
             blocks,
-            *bounds,
+            first,
+            last,
             steps,
             simulation.options.control_dt,
             fixed,
@@ -154,11 +154,7 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
         )
         return broken
 
-    if len(simulation._ranges) == 1:
-        broken = run(simulation._ranges[0])
-    else:
-        with ThreadPoolExecutor(len(simulation._ranges), thread_name_prefix="capsule") as pool:
-            broken = max(pool.map(run, simulation._ranges))
+    broken = max(simulation.share(run))
     simulation._everyone = False
     simulation._changes = {}
     simulation._due[:] = math.inf

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
 from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from capsule_gym.controller import Controller, find_controller
 from capsule_gym.kernels import LANES, Row
 from capsule_gym.options import DEFAULTS, DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, Options
 from capsule_gym.parameters import NOMINAL, Capsule, Randomization, check_count, check_number, written
+
+Result = TypeVar("Result")
 
 # What acts where no controller does.
 NO_CONTROLLER = Controller("none", kernels.no_law, kernels.NO_REFERENCE)
@@ -395,14 +397,28 @@ class Simulation:
         """Runs the kernel on all environments; returns one whose law returned no finite torque, or -1."""
         if len(self._ranges) == 1:
             return self._advance(0, self.num_envs, begin)
+        return max(self.share(lambda first, last: self._advance(first, last, begin)))
+
+    def share(self, work: Callable[[int, int], Result]) -> list[Result]:
+        """Has the threads share the environments.
+
+        Args:
+            work: takes the first environment and one past the last; releases the interpreter's lock, where it is to
+                gain by threads.
+
+        Returns:
+            What it returned, in the order of the environments.
+        """
+        (first, last), *others = self._ranges
+        if not others:
+            return [work(first, last)]
         # A forked process inherits the pool, but none of its threads.
         if self._pool is None or self._owner != os.getpid():
             self._owner = os.getpid()
-            self._pool = ThreadPoolExecutor(len(self._ranges) - 1, thread_name_prefix="capsule")
+            self._pool = ThreadPoolExecutor(len(others), thread_name_prefix="capsule")
+        futures = [self._pool.submit(work, *bounds) for bounds in others]
         # The calling thread does its share: one less to be woken up.
-        others = [self._pool.submit(self._advance, first, last, begin) for first, last in self._ranges[1:]]
-        first, last = self._ranges[0]
-        return max(self._advance(first, last, begin), *(other.result() for other in others))
+        return [work(first, last), *(future.result() for future in futures)]
 
     def _report(self, broken: int) -> None:
         """Says which environment a law has broken."""

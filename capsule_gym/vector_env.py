@@ -53,8 +53,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         residual_limit: torque of the action 1, N m.
         torque_limit: largest motor torque, N m.
         randomization: where M and mu of an episode come from: "none": the capsule's own M and mu; "paper": M in [0.45,
-            0.55] kg, mu in [0.009, 0.011]; "wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3]; or a
-            `Randomization`.
+            0.55] kg, mu in [0.009, 0.011]; "wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3]; "broad": M in
+            [0.25, 1.2] kg, mu log-uniform in [0.002, 0.6]; or a `Randomization`.
         capsule: the plant's constants.
         observe_parameters: whether the observation ends with M and mu.
         energy_weight: centimetres that a joule costs.

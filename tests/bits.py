@@ -1,10 +1,10 @@
 """The bits of whole episodes: `python -m tests.bits` compares them with the committed ones, `--write` commits new ones.
 
 `bits.json` holds a sha256 for the plant under random torques, for every law of `baselines` under random residuals, for
-every scripted policy without a law, and for every committed policy: all observations, rewards and states of a batch
-over a whole episode, and the metrics at its end. Some of its environments run alone as well, and trained policies in
-one compiled call on two threads: neither may change a bit. Nor may the processor or the libraries of elementary
-functions, which `--variants` replaces, in processes of their own.
+every scripted policy without a law, for every committed policy, and for two made ones that do what policies can: all
+observations, rewards and states of a batch over a whole episode, and the metrics at its end. Some of its environments
+run alone as well, and trained policies in one compiled call on two threads: neither may change a bit. Nor may the
+processor or the libraries of elementary functions, which `--variants` replaces, in processes of their own.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from gymnasium.vector import AutoresetMode
 
 import baselines
 from baselines.policies import SCRIPTED
-from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, load_policy, policy_names
+from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Policy, load_policy, policy_names
 from capsule_gym.command_line import parse
 from capsule_gym.files import write_atomically
 from capsule_gym.rollout import rollout
@@ -52,11 +52,13 @@ class Subject(NamedTuple):
         name: in the file.
         env_kwargs: of its environment.
         start: takes the seeds of environments and returns what acts in them.
+        policy: what that is of, where it is a trained policy's.
     """
 
     name: str
     env_kwargs: dict[str, Any]
     start: Callable[[Sequence[int]], Act]
+    policy: Policy | None = None
 
     @property
     def steps(self) -> int:
@@ -82,6 +84,35 @@ def random_actions(scale: float) -> Callable[[Sequence[int]], Act]:
     return start
 
 
+def make_policy(inputs: int, env_kwargs: dict[str, Any], **changes: Any) -> Policy:
+    """A policy that identifies M and mu, and pumps energy into the pendulum by all that it is given.
+
+    Args:
+        inputs: how many it is given.
+        env_kwargs: of its environment.
+        **changes: fields of the policy.
+    """
+    # Uniform numbers are exact, others come out of a library's logarithms.
+    rng = np.random.default_rng(0)
+    first, last = rng.uniform(-0.1, 0.1, (8, inputs)), np.full((1, 8), 0.25)
+    first[:, :2] += -0.5, 0.035
+    fields: dict[str, Any] = {
+        "name": "made",
+        "algorithm": "ppo",
+        "layers": tuple((weights.astype(np.float32), np.zeros(len(weights), np.float32)) for weights in (first, last)),
+        "activation": "tanh",
+        "squashing": "clip",
+        "mean": np.zeros(inputs),
+        "variance": np.ones(inputs),
+        "clip": 10.0,
+        "epsilon": 1e-8,
+        "training_seed": 0,
+        "revision": "none",
+        "identifies": True,
+    }
+    return Policy(env_kwargs=env_kwargs, **{**fields, **changes})
+
+
 def subjects() -> Iterator[Subject]:
     """Everything that has a hash."""
     wide = {"randomization": "wide"}
@@ -98,7 +129,13 @@ def subjects() -> Iterator[Subject]:
             yield Subject(f"scripted {policy.name}", {**wide, **policy.env_kwargs}, policy.start)
     for name in policy_names(seeds=True):
         trained = load_policy(name)
-        yield Subject(f"policy {name}", trained.env_kwargs, trained.start)
+        yield Subject(f"policy {name}", trained.env_kwargs, trained.start, trained)
+    law = {"controller": "baselines:adaptive", "residual_limit": 3.0}
+    for name, made in (
+        ("policy that identifies", make_policy(10, {**wide, "energy_weight": 2.0}, told_energy_weight=True)),
+        ("policy that wants a torque", make_policy(14, {**wide, **law}, output="torque", squashing="tanh")),
+    ):
+        yield Subject(name, made.env_kwargs, made.start, made)
 
 
 class Course(NamedTuple):
@@ -156,10 +193,10 @@ def compute(subject: Subject) -> tuple[str, list[str]]:
         shown, steps = alone(subject, i)
         if shown != course.of(i, steps):
             wrong.append(f"{subject.name}: environment {i} differs alone and in the batch")
-    if subject.name.startswith("policy "):
+    if subject.policy:
         env = batch(subject, threads=2)
         env.reset(seed=0)
-        compiled = rollout(env.simulation, load_policy(subject.name.removeprefix("policy ")), subject.steps)
+        compiled = rollout(env.simulation, subject.policy, subject.steps)
         env.close()
         if any(compiled[name].tobytes() != metrics[name].tobytes() for name in metrics):
             wrong.append(f"{subject.name}: the compiled rollout differs from the loop")

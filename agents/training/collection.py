@@ -69,6 +69,8 @@ def complete(
 def collect(
     advance: Any,
     world: np.ndarray,
+    begin: int,
+    end: int,
     fixed: np.ndarray,
     observations: np.ndarray,
     course: np.ndarray,
@@ -86,6 +88,7 @@ def collect(
     noise: np.ndarray,
     chances: np.ndarray,
     returns: np.ndarray,
+    lengths: np.ndarray,
     seen: np.ndarray,
     actions: np.ndarray,
     rewards: np.ndarray,
@@ -94,12 +97,14 @@ def collect(
     cut_inputs: np.ndarray,
     ended: np.ndarray,
 ) -> tuple[int, int, int]:
-    """Takes every environment through as many agent steps as there is noise for; who ends begins anew at once.
+    """Takes environments through as many agent steps as there is noise for; who ends begins anew at once.
 
     Args:
         advance: `kernels.advance`, compiled with the law.
-        world: with the next two as `kernels.advance` takes it; changed.
-        fixed: likewise.
+        world: as `kernels.advance` takes it; changed.
+        begin: first environment, a multiple of LANES.
+        end: one past the last environment.
+        fixed: as `kernels.advance` takes it, and so the next.
         observations: likewise.
         course: the fields of `Course`.
         lines: with the next three as `resets.draw` takes them.
@@ -116,13 +121,14 @@ def collect(
         noise: standard normal, shape (steps, environments).
         chances: uniform in [0, 1), shape (steps, environments, 3); an empty first axis where nothing jumps.
         returns: sums of rewards of the running episodes, shape (environments,); changed.
+        lengths: steps of these so far, likewise, int64.
         seen: written: the inputs at every step, shape (steps, environments, columns), float32.
         actions: written: what was drawn, before it is clipped, shape (steps, environments), float32.
         rewards: written, likewise.
         ends: written, likewise: 0.0 where the episode goes on after the step, 1.0 where it ends.
         cut: written: step and environment of the episodes that were cut off, not failed; shape (rows, 2), int64.
         cut_inputs: written: their last inputs, shape (rows, columns), float32.
-        ended: written: of episodes that ended return and the rows of `world`; shape (rows, 1 + kernels.ROWS).
+        ended: written: of episodes that ended return, length and the rows of `world`; shape (rows, 2 + kernels.ROWS).
 
     Returns:
         How many rows of `cut` and of `ended` are written; an environment whose law returned no finite torque, or -1.
@@ -130,14 +136,14 @@ def collect(
     header = record(network, 0, Header)
     steps, privileged, told = int(course[0]), course[1] != 0.0, course[2] != 0.0
     way = Course(steps, privileged, told, course[3], course[4], course[5])
+    # Of the plant only what no law has a say in is read here.
     plant, settings = kernels.unpack(fixed, 0.0)
     lanes = workspace(network)
-    count = len(observations)
     row, starts = np.empty(1, np.int64), np.empty((kernels.Row.torque, 1))
     cuts = endings = 0
-    for b in range(len(world)):
+    for b in range(begin // LANES, (end + LANES - 1) // LANES):
         block, first = world[b], b * LANES
-        n = min(LANES, count - first)
+        n = min(LANES, end - first)
         if fresh:
             perceive_apart(network, observations, first, n, memory, inputs)
             for j in range(n):
@@ -167,6 +173,7 @@ def collect(
                     reward -= (exp(log_weights[i]) - settings.energy_weight) * block[AT.energy + j]
                 rewards[t, i] = reward
                 returns[i] += reward
+                lengths[i] += 1
                 failed = block[AT.termination + j] != 0.0
                 over = failed or block[AT.steps + j] >= steps
                 ends[t, i] = 1.0 if over else 0.0
@@ -179,9 +186,9 @@ def collect(
                     cut_inputs[cuts] = inputs[i]
                     cuts += 1
                 if endings < len(ended):
-                    ended[endings, 0] = returns[i]
+                    ended[endings, 0], ended[endings, 1] = returns[i], lengths[i]
                     for k in range(kernels.ROWS):
-                        ended[endings, 1 + k] = block[k * LANES + j]
+                        ended[endings, 2 + k] = block[k * LANES + j]
                     endings += 1
                 row[0] = i
                 share, _ = draw_two(keys[i, 0], keys[i, 1], DISTURBANCES, np.uint64(episodes[i]))
@@ -193,7 +200,7 @@ def collect(
                 broken = advance(world, first, first + n, True, fixed, observations)
                 if broken >= 0:
                     return cuts, endings, broken
-                returns[i] = 0.0
+                returns[i], lengths[i] = 0.0, 0
                 for k in range(CELLS if header.identifies else 0):
                     memory[i * CELLS + k] = 0.0
                 begun += 1
@@ -207,25 +214,15 @@ def collect(
 def _compiled() -> Any:
     """`collect`, which is compiled once for all laws: it is given their steps as functions."""
     compiled = kernel(collect, fingerprint(collect)[:16], {})
-    world, _, _, _, fixed, observations = kernels.SIGNATURE
+    world, begin, end, _, fixed, observations = kernels.SIGNATURE
     step = types.FunctionType(types.int64(*kernels.SIGNATURE))
     numbers, rows, indices = types.float64[::1], types.float64[:, ::1], types.int64[::1]
     many, cube = types.float32[:, ::1], types.float32[:, :, ::1]
-    simulation = (
-        step,
-        world,
-        fixed,
-        observations,
-        numbers,
-        numbers,
-        types.float64,
-        types.uint64[:, ::1],
-        indices,
-        numbers,
-    )
+    simulation = (step, world, begin, end, fixed, observations)
+    episodes = (numbers, numbers, types.float64, types.uint64[:, ::1], indices, numbers)
     policy = (numbers, numbers, numbers, many, types.boolean, types.float64, rows, types.float64[:, :, ::1])
-    written = (numbers, cube, many, many, many, types.int64[:, ::1], many, rows)
-    compile_now(compiled, (*simulation, *policy, *written), "the rollouts of training")
+    written = (numbers, indices, cube, many, many, many, types.int64[:, ::1], many, rows)
+    compile_now(compiled, (*simulation, *episodes, *policy, *written), "the rollouts of training")
     return next(iter(compiled.overloads.values())).entry_point
 
 
@@ -278,6 +275,9 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         header: what a packed network begins with, but for what the network itself says.
         names: of the entries of an observation.
         columns: how many they are.
+
+    Raises:
+        ValueError: if the critic is told the logarithm of a friction coefficient that may be 0.
     """
 
     def __init__(
@@ -294,11 +294,14 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         **env_kwargs: Any,
     ) -> None:
         super().__init__(num_envs, seed, max_episode_steps=episode_steps, **env_kwargs)
+        simulation = self.batch.simulation
+        if privileged and not (simulation.randomization.mu or (simulation.capsule.mu,))[0] > 0.0:
+            raise ValueError("privileged must be False where mu may be 0: the critic is told its logarithm, got True")
         low, high = energy_weights or (1.0, 1.0)
         told = energy_weights is not None
         self.course = Course(episode_steps, privileged, told, math.log(low), math.log(high), jump)
         self.header = make_header(
-            self.batch.simulation.options,
+            simulation.options,
             layers=0,
             relu=False,
             tanh_squashing=False,
@@ -307,9 +310,7 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
             told_energy_weight=self.course.told,
             wants_torque=wants_torque,
         )
-        observed = observation_names(
-            self.batch.simulation.settings.with_reference, self.batch.simulation.settings.with_parameters
-        )
+        observed = observation_names(simulation.settings.with_reference, simulation.settings.with_parameters)
         self.names = (*input_names(observed, identifies, self.course.told), *(PRIVILEGED if privileged else ()))
         self.columns = len(self.names)
         if self.columns > self.header.observed:
@@ -332,18 +333,23 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         simulation.write(kernels.Row.steps, np.arange(self.num_envs) * self.course.steps // self.num_envs)
         if self.course.told:
             low, high = self.course.least, self.course.most
-            streams = (random_stream(int(key[0]), 0, Stream.disturbances) for key in simulation._keys)
-            self.log_weights[:] = [low + (high - low) * stream.random() for stream in streams]
+            # Counted already: the episodes that begin here are the ones before.
+            begun = zip(simulation._keys.tolist(), simulation._episodes.tolist(), strict=True)
+            streams = (random_stream(key + (rest << 64), n - 1, Stream.disturbances) for (key, rest), n in begun)
+            self.log_weights[:] = [low + stream.random() * (high - low) for stream in streams]
         return np.pad(observations, ((0, 0), (0, self.columns - observations.shape[1])))
 
     def step_wait(self) -> VecEnvStepReturn:
         """One step, for algorithms that collect by themselves.
 
         Raises:
-            RuntimeError: if something is added to the observations.
+            RuntimeError: if something is added to the observations, or the policy puts out torques.
         """
-        if self.columns > self.header.observed:
-            raise RuntimeError("step() knows nothing of what is added to the observations: collect() rollouts instead")
+        if self.columns > self.header.observed or self.header.wants_torque:
+            raise RuntimeError(
+                "step() knows nothing of what is added to the observations, and no torque that is wanted: collect() "
+                "rollouts instead"
+            )
         return super().step_wait()
 
     def collect(
@@ -358,66 +364,86 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
             chances: uniform in [0, 1), shape (T, N, 3), float64, where M and mu may jump.
 
         Raises:
-            ValueError: if a user's control law returned a torque that is not finite.
+            TypeError: if the network or an array is not of that dtype and shape.
+            ValueError: if a user's control law returned a torque that is not finite; only a reset goes on from there.
         """
         simulation = self.batch.simulation
-        steps, count = noise.shape
+        steps, count = len(noise), self.num_envs
         if chances is None:
             chances = np.zeros((0, count, 3))
         blocks = simulation.world.reshape(len(simulation.world), -1)
         fixed = kernels.pack(simulation.capsule.plant(), simulation.settings, simulation.reference)
+        kernels.check_arrays(
+            network=(network, np.float64, (None,)),
+            noise=(noise, np.float64, (steps, count)),
+            chances=(chances, np.float64, (steps if len(chances) else 0, count, 3)),
+        )
         seen = np.empty((steps, count, self.columns), np.float32)
         actions, rewards, ends = (np.empty((steps, count), np.float32) for _ in range(3))
-        # In a rollout an environment's episode is cut off at most so often.
-        most = count * (steps // self.course.steps + 1)
-        cut, cut_inputs = np.empty((most, 2), np.int64), np.empty((most, self.columns), np.float32)
-        ended = np.empty((max(most, MOST_ENDED), 1 + kernels.ROWS))
-        cuts, endings, broken = _compiled()(
-            simulation._kernel,
-            blocks,
-            fixed,
-            simulation.observations,
-            np.array(self.course, np.float64),
-            np.array(simulation.randomization.lines(simulation.capsule)),
-            simulation.options.initial_noise,
-            simulation._keys,
-            simulation._episodes,
-            np.array(simulation.memory),
-            network,
-            self.memory,
-            self.log_weights,
-            self.inputs,
-            self.fresh,
-            deviation,
-            noise,
-            chances,
-            self._returns,
-            seen,
-            actions,
-            rewards,
-            ends,
-            cut,
-            cut_inputs,
-            ended,
-        )
+        compiled, course = _compiled(), np.array(self.course, np.float64)
+        lines, law_memory = np.array(simulation.randomization.lines(simulation.capsule)), np.array(simulation.memory)
+
+        def run(first: int, last: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+            # In a rollout an environment's episode is cut off at most so often.
+            most = (last - first) * (steps // self.course.steps + 1)
+            cut, cut_inputs = np.empty((most, 2), np.int64), np.empty((most, self.columns), np.float32)
+            ended = np.empty((max(most, MOST_ENDED), 2 + kernels.ROWS))
+            cuts, endings, broken = compiled(
+                simulation._kernel,
+                blocks,
+                first,
+                last,
+                fixed,
+                simulation.observations,
+                course,
+                lines,
+                simulation.options.initial_noise,
+                simulation._keys,
+                simulation._episodes,
+                law_memory,
+                network,
+                self.memory,
+                self.log_weights,
+                self.inputs,
+                self.fresh,
+                deviation,
+                noise,
+                chances,
+                self._returns,
+                self._lengths,
+                seen,
+                actions,
+                rewards,
+                ends,
+                cut,
+                cut_inputs,
+                ended,
+            )
+            return cut[:cuts], cut_inputs[:cuts], ended[:endings], broken
+
+        parts = simulation.share(run)
+        simulation._everyone = False
+        broken = max(part[3] for part in parts)
         if broken >= 0:
             simulation._report(broken)
-        simulation._everyone = False
         self.fresh = False
         starts = np.concatenate([self.over[None], ends[:-1]])
         self.over = ends[-1].copy()
+        cut, cut_inputs, ended = (np.concatenate([part[n] for part in parts]) for n in range(3))
+        # As many as one thread would have told of.
+        told = max(count * (steps // self.course.steps + 1), MOST_ENDED)
         return Rollout(
-            *(seen, actions, rewards, starts, cut[:cuts], cut_inputs[:cuts], self.inputs, self.over),
-            self._infos(ended[:endings]),
+            *(seen, actions, rewards, starts, cut, cut_inputs, self.inputs.copy(), self.over.copy()),
+            self._infos(ended[:told]),
         )
 
     def _infos(self, ended: np.ndarray) -> list[dict[str, Any]]:
         """What SB3 is told of episodes that have ended."""
-        world = ended[:, 1:].T
+        world = ended[:, 2:].T
         metrics = episode_metrics(world, self.course.steps * self.batch.simulation.options.control_dt)
         return [
             {
-                "episode": {"r": float(ended[n, 0]), "l": int(world[kernels.Row.steps, n])},
+                "episode": {"r": float(ended[n, 0]), "l": int(ended[n, 1])},
                 "metrics": {name: float(values[n]) for name, values in metrics.items()},
             }
             for n in range(len(ended))

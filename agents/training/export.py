@@ -66,7 +66,8 @@ def export(
         )
     (activation,) = kinds
     normalisation = Normalisation.of(model)
-    venv: Any = model.get_env().venv
+    env: Any = model.get_env()
+    venv = env.venv
     added = venv.header if isinstance(venv, RolloutVecEnv) else None
     inputs = linear[0].in_features
     return Policy(

@@ -82,8 +82,15 @@ class Falling:
     share: float
 
     def __call__(self, left: float) -> float:
-        """The rate where that share of the run is left."""
-        return self.end + (self.start - self.end) * min(1.0, left / self.share)
+        """The rate where that share of the run is left; below 0 where the last rollout goes beyond the end."""
+        return self.end + (self.start - self.end) * max(0.0, min(1.0, left / self.share))
+
+
+def falling(config: Config) -> Falling:
+    """The learning rate of a stage."""
+    # What is left of the run when a stage begins falls to 0 as the rate reaches its end.
+    begun = sum(stage.total_steps for stage in config.stages()[:-1]) / config.total_steps
+    return Falling(config.learning_rate, config.final_learning_rate, 1.0 - begun)
 
 
 def own_draws(config: Config) -> EvaluationSet:
@@ -123,10 +130,8 @@ def make_model(config: Config, env: VecNormalize, sac: type[SAC] = LeanSAC, fuse
         fused: whether steps of Adam are one call each.
     """
     network: dict[str, Any] = {"net_arch": [config.hidden, config.hidden]}
-    # What is left of the run when a stage begins falls to 0 as the learning rate reaches its end.
-    begun = sum(stage.total_steps for stage in config.stages()[:-1]) / config.total_steps
     shared: dict[str, Any] = {
-        "learning_rate": Falling(config.learning_rate, config.final_learning_rate, 1.0 - begun),
+        "learning_rate": falling(config),
         "batch_size": config.batch_size,
         "gamma": config.gamma,
         "seed": config.seed,
@@ -388,7 +393,8 @@ def train(run: Path, config: Config) -> bool:
                 model, done = _train_stage(run, stages, monitor, model)
                 if not done or progress.stage == len(stages) - 1:
                     break
-                progress.stage, progress.best_score, monitor.latest = progress.stage + 1, None, None
+                # The checkpoint of this moment stays the last stage's: who goes on from it comes here again.
+                progress.stage, progress.best_score = progress.stage + 1, None
         save(run, model, policy_of(run, stages[progress.stage], revision, model))
         return not stop.requested
 
@@ -407,6 +413,9 @@ def _train_stage(
     if before is None and latest is not None:
         model, set_streams = checkpoint.restore(latest, config.algo, env)
         progress.resumed_at.append(model.num_timesteps)
+        # Where total_steps is another now, so is the schedule.
+        model.learning_rate = falling(config)
+        model._setup_lr_schedule()
     else:
         model = make_model(config, env)
         if before is not None:
@@ -419,8 +428,9 @@ def _train_stage(
     try:
         if before is None and latest is not None:
             set_streams()
-        if remaining > 0:
-            model.learn(remaining, callback=monitor, reset_num_timesteps=model.num_timesteps == 0)
+        # A stage before may have taken all steps, since it ends with a whole rollout: there is still this to evaluate.
+        if remaining > 0 or before is not None:
+            model.learn(max(0, remaining), callback=monitor, reset_num_timesteps=model.num_timesteps == 0)
     except Stopped:
         monitor.checkpoint()
         return model, False

@@ -94,7 +94,7 @@ class ActorCritic(ActorCriticPolicy):
         return {**super()._get_constructor_parameters(), **{name: getattr(self, name) for name in own}}
 
     def mean_and_log_std(self, latent: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Of the action's distribution, each of shape (n, 1), out of what the policy's hidden layers make of an input."""
+        """Of the action's distribution, of shapes (n, 1) and (1,), out of what the policy's hidden layers put out."""
         mean = self.action_net(latent)
         return FastTanh()(mean) if self.tanh_mean else mean, self.log_std.clamp_min(self.least_log_std)
 
@@ -146,12 +146,15 @@ class CapsulePPO(PPO):
 
     policy: ActorCritic
     critic_steps = 0
-    """Environment steps at the start in which the critic alone learns."""
+    """Environment steps since the run's start until which the critic alone learns."""
+    unseen: np.ndarray | None
+    """Which inputs have no statistics yet; None where all have."""
 
     def _setup_model(self) -> None:
         super()._setup_model()
-        # Which inputs have no statistics yet.
-        self.unseen: np.ndarray | None = np.ones(self.observation_space.shape, np.bool_)
+        # An archive's are those that it was saved with.
+        if "unseen" not in vars(self):
+            self.unseen = np.ones(self.policy.observation_space.shape or (), np.bool_)
 
     def _excluded_save_params(self) -> list[str]:
         return [*super()._excluded_save_params(), "_samples"]
@@ -323,8 +326,9 @@ def transfer(before: BaseAlgorithm, model: BaseAlgorithm) -> None:
         model: what goes on; its count of steps becomes the other's.
     """
     assert isinstance(before, CapsulePPO) and isinstance(model, CapsulePPO)
-    old, new = before.get_vec_normalize_env(), model.get_vec_normalize_env()
-    assert old is not None and new is not None
+    # SB3 knows no more of environments than that they are some.
+    old: Any = before.get_vec_normalize_env()
+    new: Any = model.get_vec_normalize_env()
     pairs = [(i, new.venv.names.index(name)) for i, name in enumerate(old.venv.names) if name in new.venv.names]
     last = BASE_OBSERVATION.index("last_action")
     kept = [(i, j) for i, j in pairs if i != last]
@@ -332,23 +336,27 @@ def transfer(before: BaseAlgorithm, model: BaseAlgorithm) -> None:
     for name, value in model.policy.state_dict().items():
         if name.endswith("_net.0.weight"):
             first = torch.zeros_like(value)
+            learnt = state[name]
             for i, j in kept:
-                first[:, j] = state[name][:, i]
+                # The critic may observe more than the policy.
+                if i < learnt.shape[1] and j < first.shape[1]:
+                    first[:, j] = learnt[:, i]
             state[name] = first
         elif name == "log_std":
             state[name] = value
     model.policy.load_state_dict(state)
     unseen = np.ones(len(new.venv.names), np.bool_)
-    rms: Any = new.obs_rms
     for i, j in kept:
-        rms.mean[j], rms.var[j], unseen[j] = old.obs_rms.mean[i], old.obs_rms.var[i], False
-    rms.count = old.obs_rms.count
+        new.obs_rms.mean[j], new.obs_rms.var[j], unseen[j] = old.obs_rms.mean[i], old.obs_rms.var[i], False
+    new.obs_rms.count = old.obs_rms.count
     model.unseen, model.num_timesteps = unseen, before.num_timesteps
+    model.critic_steps += before.num_timesteps
 
 
 def linear_layers(policy: ActorCritic) -> list[Layer]:
     """Weights and biases of the layers that a policy acts by, copied, float32."""
-    layers: Any = [*policy.mlp_extractor.policy_net[::2], policy.action_net]
+    hidden: Any = policy.mlp_extractor.policy_net
+    layers: list[Any] = [*hidden[::2], policy.action_net]
     return [(layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in layers]
 
 

@@ -21,6 +21,7 @@ from agents.training.errors import RunError
 from capsule_gym.command_line import Count, described
 from capsule_gym.options import DOCS, Options
 from capsule_gym.parameters import check_number
+from capsule_gym.policy import TOLD, TOLD_ENERGY_WEIGHTS
 from capsule_gym.task import HORIZON
 
 # Of numpy's generators, which SB3 seeds.
@@ -178,25 +179,38 @@ class PPOConfig(Config):
         """As for all; before it the direct task, where the run begins there."""
         if not self.direct_steps:
             return [self]
+        direct = PRESETS["direct", "ppo"]
+        assert isinstance(direct, PPOConfig)
+        # What makes the network the same, the plant, and how the run is looked after.
         shared = {
-            name: getattr(self, name) for name in ("seed", "randomization", "torque_limit", "activation", "hidden")
+            name: getattr(self, name)
+            for name in (
+                *("activation", "hidden", "tanh_mean", "output", "seed", "randomization", "torque_limit"),
+                *("evaluate_every", "evaluation_episodes", "torch_threads", "env_threads"),
+            )
         }
-        direct = dataclasses.replace(
-            PRESETS["direct", "ppo"], **shared, output=self.output, total_steps=self.direct_steps
-        )
-        return [direct, self]
+        return [dataclasses.replace(direct, **shared, total_steps=self.direct_steps), self]
 
     def check(self) -> None:
         """As for all; and a rollout must hold the two samples that advantages are normalised over."""
         super().check()
-        self._check_counts("direct_steps", "critic_steps", least=0, most=self.total_steps)
+        self._check_counts("direct_steps", "critic_steps", least=0)
+        if self.direct_steps >= self.total_steps:
+            raise ValueError(
+                f"direct_steps must be less than total_steps={self.total_steps!r}, which count them, got "
+                f"{self.direct_steps!r}"
+            )
         self._check_range("episode_seconds", "a finite number > 0 (s)", 0.0, open_low=True)
         self._check_range("jump_rate", "a finite number >= 0 (1/s)", 0.0)
         self._check_range("least_log_std", "a number in [-20, 2]", -20.0, 2.0)
         if self.energy_weights is not None:
+            if not isinstance(self.energy_weights, tuple) or len(self.energy_weights) != 2:
+                raise TypeError(f"energy_weights must be None or two numbers (cm/J), got {self.energy_weights!r}")
             low, high = self.energy_weights
-            check_number("energy_weights[0]", low, "a finite number > 0 (cm/J)", 0.0, open_low=True)
-            check_number("energy_weights[1]", high, f"a finite number >= {low!r} (cm/J)", low)
+            check_number("energy_weights[0]", low, TOLD, *TOLD_ENERGY_WEIGHTS)
+            check_number("energy_weights[1]", high, f"{TOLD} and >= {low!r}", low, TOLD_ENERGY_WEIGHTS[1])
+            # What is evaluated on the way is told the environment's.
+            check_number("energy_weight", self.energy_weight, f"{TOLD} where it is told", *TOLD_ENERGY_WEIGHTS)
         self._check_counts("n_steps", "n_epochs")
         if self.n_steps * self.num_envs < 2:
             raise ValueError(f"n_steps must be >= 2 where num_envs is 1, got {self.n_steps!r}")
@@ -395,7 +409,7 @@ def read_config(run: Path) -> Config:
     try:
         preset = PRESETS[content["task"], content["algo"]]
         # JSON knows lists only.
-        given = {
+        given: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value
             for name, value in content["hyperparameters"].items()
         }
@@ -403,6 +417,6 @@ def read_config(run: Path) -> Config:
         config.check()
     except KeyError as error:
         raise RunError(f"{path} is no configuration of a run: it lacks or does not know {error}") from error
-    except (TypeError, ValueError) as error:
+    except (AttributeError, TypeError, ValueError) as error:
         raise RunError(f"{path} is no configuration of a run: {error}") from error
     return config

@@ -14,7 +14,7 @@ import pytest
 from capsule_gym import network
 from capsule_gym.compilation import fingerprint
 from capsule_gym.kernels import LANES
-from capsule_gym.network import FEW, TILE, decide, decision, filled, pack
+from capsule_gym.network import FEW, FULL, TILE, Header, decide, decision, filled, input_names, pack, to_action
 from tests import bits
 
 ROOT = Path(__file__).parents[2]
@@ -31,6 +31,25 @@ def make_layers(widths: tuple[int, ...], seed: int = 0) -> list[network.Layer]:
     ]
 
 
+def make_header(layers: list[network.Layer], clip: float = 10.0, **changes: object) -> Header:
+    """A network's that is given the observation as it is."""
+    inputs = layers[0][0].shape[1]
+    counts = {"layers": len(layers), "clip": clip, "inputs": inputs, "observed": inputs}
+    kinds = dict.fromkeys(("relu", "tanh_squashing", "identifies", "told_energy_weight"), False)
+    kinds |= {"wants_torque": False, "under_law": False, "log_energy_weight": 0.0}
+    torques = {"torque_limit": 1.5, "residual_limit": 3.0}
+    plant = {"m": 0.138, "l": 0.3, "g": 9.81, "dt": 0.02}
+    return Header(**{**counts, **kinds, **torques, **plant, **changes})  # type: ignore[arg-type]
+
+
+def make_network(
+    layers: list[network.Layer], mean=None, scale=None, clip: float = 10.0, **changes: object
+) -> np.ndarray:
+    header = make_header(layers, clip, **changes)
+    mean = np.zeros(header.inputs) if mean is None else mean
+    return pack(layers, mean, np.ones(header.inputs) if scale is None else scale, header)
+
+
 def expected(layers, observations, mean, scale, clip, relu, tanh_squashing) -> np.ndarray:
     """The same network by numpy, in the order that numpy likes."""
     values = np.clip((observations.astype(np.float64) - mean) * scale, -clip, clip)
@@ -43,7 +62,7 @@ def expected(layers, observations, mean, scale, clip, relu, tanh_squashing) -> n
 
 def run(packed: np.ndarray, observations: np.ndarray) -> np.ndarray:
     actions = np.full((len(observations), 1), np.nan, np.float32)
-    decision()(packed, observations, actions)
+    decision()(packed, observations, np.zeros(0), np.empty_like(observations), actions)
     return actions
 
 
@@ -53,7 +72,7 @@ def run(packed: np.ndarray, observations: np.ndarray) -> np.ndarray:
 def test_it_computes_what_numpy_does(widths, relu, tanh_squashing):
     rng = np.random.default_rng(1)
     layers, mean, scale = make_layers(widths), rng.normal(size=widths[0]), rng.uniform(0.2, 3.0, widths[0])
-    packed = pack(layers, mean, scale, 2.5, relu=relu, tanh_squashing=tanh_squashing)
+    packed = make_network(layers, mean, scale, 2.5, relu=relu, tanh_squashing=tanh_squashing)
     observations = rng.normal(0.0, 2.0, (2 * LANES + 5, widths[0])).astype(np.float32)
     actions = run(packed, observations)
     exact = expected(layers, observations, mean, scale, 2.5, relu, tanh_squashing)
@@ -66,7 +85,7 @@ def test_it_computes_what_numpy_does(widths, relu, tanh_squashing):
 @pytest.mark.parametrize("relu", [False, True], ids=["tanh", "relu"])
 def test_a_row_is_the_same_alone_and_in_any_batch(relu):
     layers = make_layers((10, 64, 64, 1))
-    packed = pack(layers, np.zeros(10), np.ones(10), 10.0, relu=relu, tanh_squashing=relu)
+    packed = make_network(layers, relu=relu, tanh_squashing=relu)
     observations = np.random.default_rng(2).normal(size=(3 * LANES, 10)).astype(np.float32)
     whole = run(packed, observations)
     assert np.unique(whole).size > 2 * LANES
@@ -76,7 +95,7 @@ def test_a_row_is_the_same_alone_and_in_any_batch(relu):
 
 
 def test_interpreted_and_compiled_network_agree_bit_for_bit():
-    packed = pack(make_layers((5, 12, 1)), np.zeros(5), np.ones(5), 10.0, relu=False, tanh_squashing=True)
+    packed = make_network(make_layers((5, 12, 1)), tanh_squashing=True)
     observations = np.random.default_rng(3).normal(size=(2, 5)).astype(np.float32)
     by_hand = []
     for observation in observations.astype(np.float64):
@@ -96,21 +115,64 @@ def test_interpreted_and_compiled_network_agree_bit_for_bit():
 
 def test_clipping_keeps_far_observations_apart_from_none():
     layers = make_layers((2, 8, 1))
-    packed = pack(layers, np.zeros(2), np.full(2, 1e-150), 3.0, relu=False, tanh_squashing=False)
+    packed = make_network(layers, scale=np.full(2, 1e-150), clip=3.0)
     near, far = np.zeros((1, 2), np.float32), np.full((1, 2), 3e38, np.float32)
     assert run(packed, near) == run(packed, far)  # so small a scale
-    packed = pack(layers, np.zeros(2), np.full(2, 1e150), 3.0, relu=False, tanh_squashing=False)
+    packed = make_network(layers, scale=np.full(2, 1e150), clip=3.0)
     assert run(packed, far) == pytest.approx(expected(layers, far, 0.0, 1.0, 3.0, False, False), rel=1e-7)
 
 
 def test_one_environment_that_is_no_number_leaves_the_others_alone():
-    packed = pack(make_layers((5, 64, 64, 1)), np.zeros(5), np.ones(5), 10.0, relu=True, tanh_squashing=True)
+    packed = make_network(make_layers((5, 64, 64, 1)), relu=True, tanh_squashing=True)
     observations = np.random.default_rng(4).normal(size=(LANES, 5)).astype(np.float32)
     clean = run(packed, observations)
     observations[7, 2] = np.nan
     broken = run(packed, observations)
     assert np.isnan(broken[7])
     assert np.delete(broken, 7).tobytes() == np.delete(clean, 7).tobytes()
+
+
+LAWS = np.linspace(-1.5, 1.5, 25)
+
+
+@pytest.mark.parametrize("law_torque", LAWS)
+def test_a_wanted_torque_is_got_at_this_instant(law_torque):
+    header = make_header(make_layers((10, 1)), wants_torque=True, under_law=True)
+    for wanted in np.linspace(-FULL, FULL, 31):
+        action = to_action(header, wanted, law_torque)
+        # As the environment makes a torque of it.
+        torque = np.clip(law_torque + header.residual_limit * action, -header.torque_limit, header.torque_limit)
+        assert abs(action) <= 1.0
+        assert torque == pytest.approx(header.torque_limit * wanted, abs=1e-12)
+
+
+def test_what_the_residual_cannot_reach_is_asked_for_as_far_as_it_reaches():
+    header = make_header(make_layers((10, 1)), wants_torque=True, under_law=True, residual_limit=0.5)
+    assert to_action(header, 0.8, -1.5) == 1.0
+    assert to_action(header, -0.8, 1.5) == -1.0
+    assert to_action(header, 0.5, 0.7) == pytest.approx(0.1)
+
+
+def test_the_whole_torque_is_asked_for_with_the_whole_residual():
+    # The law may change its mind before the next action: no less would keep the sum at the limit.
+    header = make_header(make_layers((10, 1)), wants_torque=True, under_law=True)
+    for wanted in (np.nextafter(FULL, 1.0), 1.0, 7.0):
+        for law_torque in LAWS:
+            assert to_action(header, wanted, law_torque) == 1.0
+            assert to_action(header, -wanted, law_torque) == -1.0
+
+
+def test_an_output_that_is_an_action_is_clipped_and_no_more():
+    header = make_header(make_layers((5, 1)))
+    for output, action in ((0.3, 0.3), (0.95, 0.95), (1.7, 1.0), (-1e300, -1.0)):
+        assert to_action(header, output, 0.7) == action
+
+
+def test_inputs_are_the_observation_then_what_is_identified_then_the_weight():
+    added = ("M_estimate", "log_mu_estimate", "M_deviation", "log_mu_deviation", "log_energy_weight")
+    assert input_names(("theta",), True, True) == ("theta", *added)
+    assert input_names(("theta",), True, False) == ("theta", *added[:-1])
+    assert input_names(("theta",), False, True) == ("theta", added[-1])
 
 
 @pytest.mark.parametrize(("width", "tiles"), [(1, 4), (4, 4), (5, 8), (64, 64), (65, 68)])
@@ -136,20 +198,22 @@ def test_an_edit_of_what_it_calls_changes_its_fingerprint(monkeypatch):
 BITS_SCRIPT = """
 import hashlib
 import numpy as np
-from capsule_gym import load_policy, network, policy_names
-from tests.capsule_gym.test_network import run
+from capsule_gym import load_policy, policy_names
+from tests.capsule_gym.test_network import make_network, run
 
 digest = hashlib.sha256()
 for name in policy_names(seeds=True):
     policy = load_policy(name)
     rng = np.random.default_rng(0)
+    entries = policy.entries
     # Uniform numbers are exact, others come out of a library's logarithms.
-    noise = rng.uniform(-4.0, 4.0, (100, policy.entries))
-    observations = (policy.mean + np.sqrt(policy.variance) * noise).astype(np.float32)
-    for asked in (observations, observations[0], observations[:3]):
-        digest.update(policy(asked).tobytes())
+    noise = rng.uniform(-4.0, 4.0, (100, entries))
+    observations = (policy.mean[:entries] + np.sqrt(policy.variance[:entries]) * noise).astype(np.float32)
+    for asked in (observations, observations[:1], observations[:3]):
+        act = policy.start(range(len(asked)))
+        digest.update(act(asked).tobytes() + act(asked + np.float32(0.1)).tobytes())
 layers = [(rng.uniform(-1, 1, (k, i)), rng.uniform(-1, 1, k)) for i, k in ((3, 7), (7, 9), (9, 1))]
-packed = network.pack(layers, np.ones(3), np.ones(3), 2.0, relu=True, tanh_squashing=True)
+packed = make_network(layers, np.ones(3), clip=2.0, relu=True, tanh_squashing=True)
 digest.update(run(packed, rng.uniform(-4.0, 4.0, (70, 3)).astype(np.float32)).tobytes())
 print(digest.hexdigest())
 """

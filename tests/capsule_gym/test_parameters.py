@@ -278,11 +278,12 @@ def test_names():
     assert Randomization.named("none") == Randomization()
     assert Randomization.named("paper") == Randomization(M=(0.45, 0.55), mu=(0.009, 0.011))
     assert Randomization.named("wide") == Randomization(M=(0.35, 0.75), mu=(0.005, 0.3), log_mu=True)
+    assert Randomization.named("broad") == Randomization(M=(0.25, 1.2), mu=(0.002, 0.6), log_mu=True)
     own = Randomization(M=(0.4, 0.5))
     assert Randomization.named(own) is own
-    with pytest.raises(ValueError, match=r"\['none', 'paper', 'wide'\], got 'Wide'"):
+    with pytest.raises(ValueError, match=r"\['broad', 'none', 'paper', 'wide'\], got 'Wide'"):
         Randomization.named("Wide")
-    with pytest.raises(TypeError, match=r"\['none', 'paper', 'wide'\], got None"):
+    with pytest.raises(TypeError, match=r"\['broad', 'none', 'paper', 'wide'\], got None"):
         Randomization.named(None)
 
 

@@ -47,13 +47,35 @@ def make_policy(**changes: object) -> Policy:
     return Policy(**{**values, **changes})  # type: ignore[arg-type]
 
 
+def make_remembering(**changes: object) -> Policy:
+    """A policy that identifies M and mu and is told the energy weight, and pumps by all of what it is given."""
+    weights = np.array([[-1.0, 0.07, 0.02, 0.0, 0.01, 0.4, 0.05, 0.3, -0.02, 0.03]], np.float32)
+    values: dict[str, object] = {
+        "layers": ((weights, np.full(1, 0.1, np.float32)),),
+        "mean": np.zeros(10),
+        "variance": np.ones(10),
+        "identifies": True,
+        "told_energy_weight": True,
+        "env_kwargs": {"randomization": "wide", "energy_weight": 2.0},
+    }
+    return make_policy(**{**values, **changes})
+
+
 # What a policy on top of a control law has.
 TEN_ENTRIES = {"layers": tuple(make_layers((10, 1))), "mean": np.zeros(10), "variance": np.ones(10)}
+# What one has that is told the energy weight and identifies nothing.
+ENTRIES_AND_WEIGHT = {
+    "layers": ((np.array([[-0.1, 0.07, 0.02, 0.0, 0.01, 0.1]], np.float32), np.full(1, 0.1, np.float32)),),
+    "mean": np.zeros(6),
+    "variance": np.ones(6),
+    "epsilon": 0.0,
+}
 OBSERVATIONS = np.random.default_rng(6).normal(size=(20, 5)).astype(np.float32)
 
 
-def test_a_file_gives_back_what_was_saved(tmp_path):
-    policy = make_policy()
+@pytest.mark.parametrize("remembers", [False, True])
+def test_a_file_gives_back_what_was_saved(remembers, tmp_path):
+    policy = make_remembering(output="torque") if remembers else make_policy()
     policy.save(tmp_path / POLICY)
     loaded = load_policy(tmp_path)
     for field in fields(Policy):
@@ -65,7 +87,9 @@ def test_a_file_gives_back_what_was_saved(tmp_path):
             assert saved.tobytes() == found.tobytes()
         elif field.name != "name":
             assert saved == found, field.name
-    assert loaded(OBSERVATIONS).tobytes() == policy(OBSERVATIONS).tobytes()
+    act, expected = loaded.start(range(20)), policy.start(range(20))
+    for observations in (OBSERVATIONS, OBSERVATIONS[::-1]):
+        assert act(observations).tobytes() == expected(observations).tobytes()
     assert loaded.name == tmp_path.name
 
 
@@ -89,17 +113,20 @@ def test_a_file_is_what_the_format_says(tmp_path):
         "layers.0.bias": ("float32", (8,)),
         "layers.1.weight": ("float32", (1, 8)),
         "layers.1.bias": ("float32", (1,)),
-        "observation.mean": ("float64", (5,)),
-        "observation.variance": ("float64", (5,)),
+        "inputs.mean": ("float64", (5,)),
+        "inputs.variance": ("float64", (5,)),
     }
     content = (tmp_path / POLICY).read_bytes()
     header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
     assert header["__metadata__"] == {
         "format": "capsule_gym policy",
-        "format_version": "1",
+        "format_version": "2",
         "algorithm": "ppo",
         "activation": "tanh",
         "squashing": "clip",
+        "output": "action",
+        "identifies": "false",
+        "told_energy_weight": "false",
         "clip": "10.0",
         "epsilon": "1e-08",
         "env_kwargs": '{"randomization": "wide", "torque_limit": 1.25}',
@@ -156,8 +183,10 @@ def test_what_is_no_observation_is_refused(observation):
 
 def test_it_fits_where_scripted_policies_do():
     policy = make_policy()
-    act = policy.start([0, 1, 2])
+    act = policy.start(range(20))
     assert act(OBSERVATIONS).tobytes() == policy(OBSERVATIONS).tobytes()
+    with pytest.raises(ValueError, match=r"observations must be of 20 episodes, one a row, got 3 rows"):
+        act(OBSERVATIONS[:3])
     assert policy.description == "PPO, the whole torque, trained with randomization wide"
     limits = {"torque_limit": 1.5, "controller": "baselines:adaptive", "residual_limit": 3.0}
     residual = make_policy(
@@ -166,6 +195,68 @@ def test_it_fits_where_scripted_policies_do():
     assert residual.description == (
         "PPO, a residual torque of up to 3 N m on `baselines:adaptive`, trained with randomization paper"
     )
+
+
+def test_a_policy_that_remembers_has_to_be_begun():
+    policy = make_remembering()
+    with pytest.raises(TypeError, match=r"'made' identifies M and mu .*policy.start\(\[0\]\)"):
+        policy(OBSERVATIONS[0])
+    act = policy.start([0])
+    assert act(OBSERVATIONS[0]).shape == (1,)
+
+
+def test_what_is_remembered_is_an_episodes_own():
+    policy = make_remembering()
+    # A slip, in which the last of three environments sees something else than the others.
+    course = [np.array([[0.1 * n, 2.0 - 0.3 * n, 0.3 - 0.02 * n, 0.0, 0.0]] * 3, np.float32) for n in range(6)]
+    for observations in course:
+        observations[2, 2] = 0.3
+    together = policy.start(range(3))
+    alone = [policy.start([0]) for _ in range(3)]
+    for observations in course:
+        actions = together(observations)
+        for i, act in enumerate(alone):
+            assert act(observations[i]).tobytes() == actions[i].tobytes()
+    assert actions[0] == actions[1] != actions[2]
+    # The same observation after another past; a new episode has none.
+    assert policy.start([0])(course[-1][0]) != actions[0]
+    assert policy.start([0])(course[0][0]).tobytes() == policy.start([1])(course[0][0]).tobytes()
+
+
+def test_another_energy_weight_is_told_and_nothing_else_changes():
+    policy = make_remembering(identifies=False, **ENTRIES_AND_WEIGHT)
+    heavier = policy.with_energy_weight(4.0)
+    assert heavier.env_kwargs == {**policy.env_kwargs, "energy_weight": 4.0}
+    found, wanted = heavier(OBSERVATIONS) - policy(OBSERVATIONS), 0.1 * np.log(4.0 / 2.0)
+    inside = (np.abs(heavier(OBSERVATIONS)) < 1.0) & (np.abs(policy(OBSERVATIONS)) < 1.0)
+    assert inside.sum() > 5
+    np.testing.assert_allclose(found[inside], wanted, rtol=1e-5)
+    assert heavier.with_energy_weight(2.0)(OBSERVATIONS).tobytes() == policy(OBSERVATIONS).tobytes()
+    with pytest.raises(ValueError, match=r"'made' is told no energy weight"):
+        make_policy().with_energy_weight(1.0)
+    for weight in (0.0, -1.0, 1e-300, np.inf):
+        with pytest.raises(ValueError, match=r"energy_weight.* must be a "):
+            policy.with_energy_weight(weight)
+
+
+def test_a_wanted_torque_takes_the_laws_off():
+    env_kwargs = {"controller": "baselines:adaptive", "residual_limit": 3.0}
+    weights = np.zeros((1, 10), np.float32)
+    policy = make_policy(**{**TEN_ENTRIES, "layers": ((weights, np.full(1, 0.4, np.float32)),)}, env_kwargs=env_kwargs)
+    wanting = replace(policy, output="torque")
+    observation = np.zeros(10, np.float32)
+    observation[9] = -0.9
+    assert policy(observation) == np.float32(0.4)
+    assert wanting(observation) == pytest.approx((0.4 * 1.5 + 0.9) / 3.0, rel=1e-6)
+    # The environment gives it: that torque, whatever the law asks for.
+    env = gym.make(capsule_gym.ENV_ID, **env_kwargs)
+    observation, _ = env.reset(seed=0)
+    for _ in range(5):
+        law_torque = observation[9]
+        action = wanting(observation)
+        assert law_torque + 3.0 * action[0] == pytest.approx(0.6, abs=1e-6)
+        observation, *_ = env.step(action)
+    env.close()
 
 
 def test_a_policy_pickles_to_other_processes():
@@ -354,10 +445,10 @@ def more_layers(count: int) -> dict[str, np.ndarray]:
 HOSTILE_TENSORS = {
     "a weight that is NaN": ({"layers.0.weight": float32(8, 5, value=np.nan)}, "layers.0.weight must be finite"),
     "an infinite bias": ({"layers.1.bias": float32(1, value=np.inf)}, "layers.1.bias must be finite"),
-    "an infinite mean": ({"observation.mean": np.full(5, np.inf)}, "observation.mean must be finite"),
-    "a variance below zero": ({"observation.variance": np.full(5, -1.0)}, "observation.variance must be >= 0"),
+    "an infinite mean": ({"inputs.mean": np.full(5, np.inf)}, "inputs.mean must be finite"),
+    "a variance below zero": ({"inputs.variance": np.full(5, -1.0)}, "inputs.variance must be >= 0"),
     "weights in float64": ({"layers.0.weight": np.ones((8, 5))}, "layers.0.weight must be F32, got F64"),
-    "a mean in float32": ({"observation.mean": float32(5)}, "observation.mean must be F64, got F32"),
+    "a mean in float32": ({"inputs.mean": float32(5)}, "inputs.mean must be F64, got F32"),
     "weights in integers": ({"layers.0.weight": np.ones((8, 5), np.int32)}, "layers.0.weight must be F32, got I32"),
     "weights in halves": ({"layers.0.weight": np.ones((8, 5), np.float16)}, "layers.0.weight must be F32, got F16"),
     "layers that do not fit": ({"layers.1.weight": float32(1, 9)}, "layers.1.bias must have shapes"),
@@ -372,12 +463,12 @@ HOSTILE_TENSORS = {
         {"layers.0.weight": float32(2000, 5), "layers.0.bias": float32(2000), "layers.1.weight": float32(1, 2000)},
         "1 to 1024 units",
     ),
-    "another observation": ({"layers.0.weight": float32(8, 7)}, "as many columns as the observation"),
-    "a mean too long": ({"observation.mean": np.zeros(6)}, "observation.mean must be float64 of shape (5,)"),
+    "another observation": ({"layers.0.weight": float32(8, 7)}, "as many columns as there are inputs"),
+    "a mean too long": ({"inputs.mean": np.zeros(6)}, "inputs.mean must be float64 of shape (5,)"),
     "a tensor too many": ({"../../secret": float32(1)}, "it must hold the tensors"),
     "a tensor missing": ({"layers.0.bias": None}, "it must hold the tensors"),
     "a layer missing": ({"layers.0.bias": None, "layers.0.weight": None}, "it must hold the tensors"),
-    "no statistics": ({"observation.mean": None}, "it must hold the tensors"),
+    "no statistics": ({"inputs.mean": None}, "it must hold the tensors"),
     "seven layers": (more_layers(7), "1 to 6 layers, got 7"),
     "nine layers": (more_layers(9), "it must hold the tensors"),
 }
@@ -397,8 +488,28 @@ def test_a_file_with_other_tensors_is_refused_by_name(changes, message, tmp_path
 HOSTILE_METADATA = {
     "another format": ({"format": "pt"}, "must say format 'capsule_gym policy', got 'pt'"),
     "no format": ({"format": None}, "must say format 'capsule_gym policy', got None"),
-    "a later version": ({"format_version": "2"}, "format_version must be '1'"),
-    "no version": ({"format_version": None}, "format_version must be '1'"),
+    "an earlier version": ({"format_version": "1"}, "format_version must be '2'"),
+    "a later version": ({"format_version": "3"}, "format_version must be '2'"),
+    "another output": ({"output": "velocity"}, "output must be one of ('action', 'torque'), got 'velocity'"),
+    "no output": ({"output": None}, "its metadata must hold 'output'"),
+    "no identification": ({"identifies": None}, "its metadata must hold 'identifies'"),
+    "half an identification": ({"identifies": "0.5"}, "identifies must be 'true' or 'false', got '0.5'"),
+    "identification without inputs": ({"identifies": "true"}, "told_energy_weight, 9, got 5"),
+    "Python's truth": ({"told_energy_weight": "True"}, "told_energy_weight must be 'true' or 'false', got 'True'"),
+    "a weight without inputs": ({"told_energy_weight": "true"}, "told_energy_weight, 6, got 5"),
+    "a torque of no residual": (
+        {"output": "torque", "env_kwargs": '{"residual_limit": 0.0}'},
+        "output must be 'action' where env_kwargs give no residual_limit > 0",
+    ),
+    "a weight without a logarithm": (
+        {"told_energy_weight": "true", "env_kwargs": '{"energy_weight": 0.0}'},
+        "env_kwargs['energy_weight'] must be a number of cm/J from 1e-12",
+    ),
+    "a weight too small to be a normal number": (
+        {"told_energy_weight": "true", "env_kwargs": '{"energy_weight": 5e-324}'},
+        "env_kwargs['energy_weight'] must be a number of cm/J from 1e-12",
+    ),
+    "no version": ({"format_version": None}, "format_version must be '2'"),
     "no algorithm": ({"algorithm": None}, "its metadata must hold 'algorithm'"),
     "no environment": ({"env_kwargs": None}, "its metadata must hold 'env_kwargs'"),
     "another activation": ({"activation": "gelu"}, "activation must be one of"),
@@ -417,8 +528,11 @@ HOSTILE_METADATA = {
     "an unknown argument": ({"env_kwargs": '{"num_envs": 1000000000}'}, "env_kwargs must have keys out of"),
     "threads": ({"env_kwargs": '{"threads": 1000000000}'}, "env_kwargs must have keys out of"),
     "a law that is no string": ({"env_kwargs": '{"controller": ["os", "system"]}'}, "must be None or an import string"),
-    "a law without its entries": ({"env_kwargs": '{"controller": "baselines:adaptive"}'}, "has entries, 10, got 5"),
-    "parameters without entries": ({"env_kwargs": '{"observe_parameters": true}'}, "has entries, 7, got 5"),
+    "a law without its entries": (
+        {"env_kwargs": '{"controller": "baselines:adaptive"}'},
+        "told_energy_weight, 10, got 5",
+    ),
+    "parameters without entries": ({"env_kwargs": '{"observe_parameters": true}'}, "told_energy_weight, 7, got 5"),
     "a word for a switch": ({"env_kwargs": '{"observe_parameters": "no"}'}, "must be True or False"),
     "a torque below zero": ({"env_kwargs": '{"torque_limit": -1}'}, "torque_limit must be a finite number > 0"),
     "an unknown range": ({"env_kwargs": '{"randomization": "wild"}'}, "randomization must be"),
@@ -471,8 +585,10 @@ def test_the_largest_weights_still_give_a_number(tmp_path):
         (
             {"epsilon": 0.0, "variance": np.zeros(5)},
             ValueError,
-            "observation.variance must be >= 0, and with epsilon > 0",
+            "inputs.variance must be >= 0, and with epsilon > 0",
         ),
+        ({"identifies": 1}, TypeError, "identifies must be True or False, got 1"),
+        ({"told_energy_weight": np.True_}, TypeError, "told_energy_weight must be True or False"),
         ({"env_kwargs": {"controller": Capsule}}, TypeError, "must be None or an import string"),
     ],
 )

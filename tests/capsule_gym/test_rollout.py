@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from capsule_gym import CapsuleVectorEnv, Controller, Policy, load_policy
+from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Controller, Policy, load_policy
 from capsule_gym.kernels import LANES, Row
 from capsule_gym.rollout import rollout
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import METRICS
-from tests.capsule_gym.test_policy import make_policy
+from tests.capsule_gym.fakes import EPISODE_ROWS
+from tests.capsule_gym.test_policy import make_policy, make_remembering
 
 
 def begun(policy: Policy, n: int, changes: list[list[dict[str, float]]] | None = None, **kwargs: Any):
@@ -24,15 +27,16 @@ def begun(policy: Policy, n: int, changes: list[list[dict[str, float]]] | None =
 
 
 def stepped(env: CapsuleVectorEnv, policy: Policy, observations: np.ndarray, steps: int) -> np.ndarray:
+    act = policy.start(range(len(observations)))
     for _ in range(steps):
-        observations, _, _, _, _ = env.step(policy(observations))
+        observations, _, _, _, _ = env.step(act(observations))
     return observations
 
 
-def assert_same(one: Simulation, other: Simulation) -> None:
-    """The same bits in all that the environments hold."""
+def assert_same(one: Simulation, other: Simulation, rows: Sequence[int] | None = None) -> None:
+    """The same bits in all that the environments hold, or in some rows of it."""
     assert one.observations.tobytes() == other.observations.tobytes()
-    for row in range(one.world.shape[1]):
+    for row in range(one.world.shape[1]) if rows is None else rows:
         assert one.row(row).tobytes() == other.row(row).tobytes(), row
     assert one._changes == other._changes
     assert one._due.tolist() == other._due.tolist()
@@ -63,6 +67,41 @@ def test_a_rollout_gives_the_bits_of_a_loop_in_python(name, n, with_changes):
     assert (rolled.simulation.row(Row.steps) > 0.0).all()
     if with_changes and n > 1:
         assert len(set(rolled.simulation.row(Row.mu)[1:5])) == len(set(rolled.simulation.row(Row.M)[1:5])) > 1
+
+
+def on_a_law() -> Policy:
+    """A policy that identifies, and wants torques of a law that it observes."""
+    policy = make_remembering()
+    (weights, bias), *_ = policy.layers
+    wider = np.insert(weights, [5] * 5, 0.0, axis=1)
+    env_kwargs = {**policy.env_kwargs, "controller": "baselines:adaptive", "residual_limit": 3.0}
+    zeros, ones = np.zeros(15), np.ones(15)
+    return replace(policy, layers=((wider, bias),), mean=zeros, variance=ones, output="torque", env_kwargs=env_kwargs)
+
+
+@pytest.mark.parametrize("n", [1, LANES, 2 * LANES + 3])
+@pytest.mark.parametrize("make", [make_remembering, on_a_law])
+def test_what_is_remembered_gives_the_same_bits_alone_in_a_batch_and_compiled(make, n):
+    policy = make()
+    looped, observations = begun(policy, n, jumps(n), threads=2)
+    rolled, _ = begun(policy, n, jumps(n), threads=2)
+    stepped(looped, policy, observations, 130)
+    metrics = rollout(rolled.simulation, policy, 130)
+    # What an environment that stands still is told to do counts for nothing.
+    assert_same(looped.simulation, rolled.simulation, EPISODE_ROWS)
+    # It moves, so that there is something to identify.
+    assert np.median(metrics["distance"] + metrics["backward_ratio"]) > 0.01
+    for i in {0, n // 2, n - 1}:
+        alone = CapsuleEnv(**policy.env_kwargs)
+        observation, _ = alone.reset(seed=3 + i, options={"changes": jumps(n)[i]})
+        act = policy.start([0])
+        for _ in range(130):
+            observation, _, terminated, _, _ = alone.step(act(observation))
+            if terminated:
+                break
+        assert observation.tobytes() == rolled.simulation.observations[i].tobytes()
+    looped.close()
+    rolled.close()
 
 
 def falling() -> Policy:

@@ -57,7 +57,8 @@ def test_kinds_differ_in_law_limit_plants_and_recipe_alone():
         config.check()
         assert (config.seed, config.total_steps, config.randomization) == (3, STEPS, arm.plants)
         row = ROWS[RECIPES[arm.recipe] if arm.recipe else DIRECT[arm.plants]]
-        changed = {each.name for each in dataclasses.fields(row) if getattr(row, each.name) != getattr(config, each.name)}
+        names = (each.name for each in dataclasses.fields(row))
+        changed = {name for name in names if getattr(row, name) != getattr(config, name)}
         assert changed <= {"seed", "total_steps", "evaluate_every", "randomization", "controller", "residual_limit"}
         if arm.base:
             assert config.env_kwargs()["residual_limit"] == arm.limit
@@ -71,7 +72,8 @@ def test_all_that_is_compared_has_the_same_limits():
     for base, (_, examined) in BASES.items():
         for plants in examined:
             for recipe in RECIPES:
-                found = [arm.limit for arm in all_arms() if (arm.base, arm.plants, arm.recipe) == (base, plants, recipe)]
+                wanted = (base, plants, recipe)
+                found = [arm.limit for arm in all_arms() if (arm.base, arm.plants, arm.recipe) == wanted]
                 assert found == list(LIMITS)
 
 

@@ -21,6 +21,7 @@ from agents.training.loop import begin, make_env, make_model, own_draws, train
 from agents.training.presets import PRESETS
 from agents.training.runs import ALGORITHMS
 from capsule_gym import load_policy
+from capsule_gym.network import LAW_TORQUE, to_action
 from capsule_gym.parameters import RANDOMIZATIONS
 from tests.agents.training.small import small, weights
 
@@ -28,16 +29,19 @@ from tests.agents.training.small import small, weights
 def test_bootstrap_happens_at_time_limits_only():
     # SB3 adds gamma V(terminal observation) to the reward where TimeLimit.truncated says so: with a critic that says 1
     # everywhere the collected rewards show where.
-    config = small("direct", "ppo", total_steps=256)
+    config = small("direct", "ppo", total_steps=256, episode_seconds=0.4)
     env = make_env(config, 0)
-    env.venv.batch.max_episode_steps = 20
     model = make_model(config, env)
     for name, parameter in model.policy.named_parameters():
         if name.startswith("value_net"):
             torch.nn.init.constant_(parameter, 1000.0 if name.endswith("bias") else 0.0)
     model.learn(256)
-    rewards = model.rollout_buffer.rewards
-    assert np.count_nonzero(rewards > 500.0) == 8
+    buffer = model.rollout_buffer
+    # Of 32 steps, in episodes of 20.
+    ended, rewards = buffer.episode_starts[1:] == 1.0, buffer.rewards[:-1]
+    failed = rewards < -0.9 * config.termination_penalty
+    assert (ended & ~failed).sum() >= 8 > failed.sum() > 0
+    assert np.array_equal(rewards > 500.0, ended & ~failed)
     env.close()
 
 
@@ -56,7 +60,7 @@ def test_same_seed_same_model_another_seed_another(tmp_path, task, algo):
 
 def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
     run = tmp_path / "run"
-    config = small("residual", "ppo", total_steps=512, evaluate_every=256)
+    config = small("residual", "ppo", total_steps=768, evaluate_every=256)
     begin(run, config)
     with pytest.raises(FileExistsError):
         begin(run, config)
@@ -68,7 +72,8 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
     assert content["revision"]
     with (run / "evaluations.csv").open() as file:
         steps = [int(row["steps"]) for row in csv.DictReader(file)]
-    assert steps == [256, 512]
+    # The first rollout is for the statistics of the observations, and an evaluation comes after one more.
+    assert steps == [512, 768]
     assert (run / "logs" / "progress.csv").stat().st_size > 0
     assert list((run / "logs").glob("events*"))
     assert len(list(run.glob("checkpoint-*"))) == 2
@@ -76,12 +81,19 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
     policy = load_policy(run)
     assert policy.env_kwargs == content["env"]
     assert (policy.training_seed, policy.revision) == (0, content["revision"])
+    assert policy.output == "torque"
+    env = make_env(config, 0)
+    header = env.venv.header
+    env.close()
     # The last and the best, as file and as archive; either takes the environment's own observations.
     observations = np.random.default_rng(0).normal(size=(5, 10)).astype(np.float32)
     for folder in (run, run / "best"):
         policy = load_policy(folder / "policy.safetensors")
         agent = PPO.load(folder / "model.zip", device="cpu")
-        wanted, _ = agent.predict(observations, deterministic=True)
+        torques, _ = agent.predict(observations, deterministic=True)
+        # The archive knows nothing of the law.
+        pairs = zip(torques[:, 0].tolist(), observations[:, LAW_TORQUE].tolist(), strict=True)
+        wanted = [[to_action(header, torque, law_torque)] for torque, law_torque in pairs]
         np.testing.assert_allclose(policy(observations), wanted, atol=2e-6)
 
 

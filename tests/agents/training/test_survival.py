@@ -31,7 +31,7 @@ from tests.agents.training.sameness import differences, parameters, rows, same
 
 SMALL = {"num_envs": 8, "batch_size": 64, "hidden": 8, "evaluation_episodes": 2, "evaluate_every": 300}
 OWN = {
-    "ppo": {"n_steps": 32, "n_epochs": 2, "total_steps": 1400},
+    "ppo": {"n_steps": 32, "n_epochs": 2, "direct_steps": 0, "episode_seconds": 0.5, "total_steps": 1400},
     "sac": {"learning_starts": 200, "buffer_size": 800, "gradient_steps": 1, "total_steps": 1400},
     # Random actions end the episodes that a log needs; those of this one's first policy end none.
     "td3": {"learning_starts": 500, "buffer_size": 800, "gradient_steps": 1, "total_steps": 1400},
@@ -185,7 +185,7 @@ DAMAGE = {
     "missing manifest": lambda folder: (folder / "manifest.json").unlink(),
     "half a manifest": lambda folder: truncate(folder / "manifest.json"),
     "manifest of another kind": lambda folder: (folder / "manifest.json").write_text("[1]"),
-    "manifest of a later format": lambda folder: (folder / "manifest.json").write_text('{"format": 3, "sha256": {}}'),
+    "manifest of a later format": lambda folder: (folder / "manifest.json").write_text('{"format": 4, "sha256": {}}'),
 }
 
 
@@ -347,6 +347,12 @@ REFUSED = [
     ["--gae-lambda", "1.5"],
     ["--log-std-init", "inf"],
     ["--ent-coef", "-1"],
+    ["--direct-steps", "64"],
+    ["--episode-seconds", "0"],
+    ["--jump-rate", "-1"],
+    ["--least-log-std", "3"],
+    ["--energy-weights", "0", "1"],
+    ["--energy-weights", "2", "1"],
     ["--torque-limit", "0"],
     ["--residual-limit", "-1"],
     ["--env-threads", "0"],

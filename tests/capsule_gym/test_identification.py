@@ -1,0 +1,192 @@
+"""M and mu from the observations of one slip: exact where the physics is, in doubt where it jumps, silent in stick."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from capsule_gym import Capsule, CapsuleEnv, identification
+from capsule_gym.identification import (
+    CELLS,
+    DEVIATION_LOG_MU,
+    DEVIATION_M,
+    HIGH_LOG_MU,
+    HIGH_M,
+    LOW_LOG_MU,
+    LOW_M,
+    SLOWEST,
+    Memory,
+    balance,
+    estimates,
+    identify,
+)
+from capsule_gym.network import decision
+from capsule_gym.task import CONTROL_DT
+from tests.capsule_gym.test_network import make_layers, make_network
+
+CAPSULE = Capsule()
+PLANT = {"m": CAPSULE.m, "l": CAPSULE.l, "g": CAPSULE.g, "dt": CONTROL_DT}
+EMPTY: Memory = (0.0,) * CELLS  # type: ignore[assignment]
+PLANTS = [(0.35, 0.3), (0.5, 0.01), (0.75, 0.05)]
+
+
+def states(M: float, mu: float, seconds: float = 4.0, changes: Any = (), capsule: Capsule = CAPSULE) -> np.ndarray:
+    """The states of a capsule under a torque that drives its pendulum to and fro, in float64: theta, theta', x'."""
+    env = CapsuleEnv(capsule=capsule)
+    _, info = env.reset(seed=0, options={"M": M, "mu": mu, "changes": list(changes)})
+    course = [info["state"]]
+    for step in range(round(seconds / CONTROL_DT)):
+        theta, theta_dot = course[-1][:2]
+        push = np.cos(2.0 * np.pi * CONTROL_DT * step / 0.74)
+        action = np.clip(0.8 * push - 0.3 * theta - 0.02 * theta_dot, -1.0, 1.0)
+        _, _, terminated, _, info = env.step(np.array([action], np.float32))
+        assert not terminated
+        course.append(info["state"])
+    return np.array(course)[:, [0, 1, 3]]
+
+
+def is_slip(one: np.ndarray, next_one: np.ndarray) -> bool:
+    return bool(one[2] * next_one[2] > 0.0 and min(abs(one[2]), abs(next_one[2])) > SLOWEST)
+
+
+def course_of(rows: np.ndarray, memory: Memory = EMPTY) -> list[Memory]:
+    """The memories after each of some observations."""
+    found = []
+    for row in rows.tolist():
+        memory = identify(memory, *row, **PLANT)
+        found.append(memory)
+    return found
+
+
+def covariance(memory: Memory) -> np.ndarray:
+    _, _, _, P_MM, P_Mf, P_ff, *_ = memory
+    return np.array([[P_MM, P_Mf], [P_Mf, P_ff]])
+
+
+@pytest.mark.parametrize(("M", "mu"), PLANTS)
+def test_the_balance_of_momentum_holds_in_every_slip(M, mu):
+    rows = states(M, mu)
+    checked = 0
+    for one, next_one in pairwise(rows):
+        if not is_slip(one, next_one):
+            continue
+        across, along = (f(next_one[0]) * next_one[1] - f(one[0]) * one[1] for f in (math.cos, math.sin))
+        change, *_ = balance(M, math.log(mu), across, along, math.copysign(1.0, one[2]), **PLANT)
+        # The torque in between, which the balance does not know, is up to 1.5 N m. What is left is the integrator's.
+        assert change == pytest.approx(next_one[2] - one[2], abs=2e-5)
+        checked += 1
+    assert checked > 40
+
+
+@pytest.mark.parametrize("s", [1.0, -1.0])
+def test_the_slopes_are_those_of_the_balance(s):
+    at, h = (0.5, -3.0), 1e-6
+    _, *slopes = balance(*at, 2.0, -1.5, s, **PLANT)
+    for n, slope in enumerate(slopes):
+        shifted = [
+            balance(*(value + d * (k == n) for k, value in enumerate(at)), 2.0, -1.5, s, **PLANT) for d in (h, -h)
+        ]
+        assert slope == pytest.approx((shifted[0][0] - shifted[1][0]) / (2.0 * h), rel=1e-7)
+
+
+@pytest.mark.parametrize(("M", "mu"), PLANTS)
+def test_both_are_found_in_slip(M, mu):
+    *_, last = course_of(states(M, mu))
+    found_M, found_log_mu, deviation_M, deviation_log_mu = estimates(last)
+    # The pairs are exact, the noise that the filter reckons with is not: what the prior weighs fades with every pair.
+    assert found_M == pytest.approx(M, rel=1e-3)
+    # Little friction changes a velocity by little.
+    assert found_log_mu == pytest.approx(math.log(mu), abs=0.02)
+    assert abs(found_M - M) < 3.0 * deviation_M < 0.05
+    assert abs(found_log_mu - math.log(mu)) < 3.0 * deviation_log_mu < 2.0
+
+
+def test_the_observations_float32_are_enough():
+    M, mu = PLANTS[1]
+    *_, last = course_of(states(M, mu).astype(np.float32).astype(np.float64))
+    assert estimates(last)[0] == pytest.approx(M, rel=2e-3)
+
+
+def test_a_jump_brings_doubt_and_is_found():
+    jump = 2.0
+    rows = states(0.4, 0.02, 4.0, changes=[{"t": jump, "M": 0.7, "mu": 0.2}])
+    memories = course_of(rows)
+    before = memories[round(jump / CONTROL_DT)]
+    assert estimates(before)[0] == pytest.approx(0.4, rel=0.01)
+    deviations = np.array([estimates(memory)[2] for memory in memories[round(jump / CONTROL_DT) :]])
+    assert deviations[0] < 0.02
+    # What was known is forgotten at the first pairs that contradict it.
+    assert deviations[:25].max() > 3.0 * deviations[0]
+    M, log_mu, *_ = estimates(memories[-1])
+    assert M == pytest.approx(0.7, rel=0.02)
+    assert log_mu == pytest.approx(math.log(0.2), abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("x_dot", "next_x_dot"),
+    [(0.0, 0.0), (0.1, 0.0), (0.0, 0.1), (0.1, -0.1), (0.5 * SLOWEST, 0.3), (-0.3, -0.5 * SLOWEST)],
+    ids=["stick", "stops", "starts", "turns", "slow before", "slow after"],
+)
+def test_nothing_is_learnt_in_stick_and_where_it_turns(x_dot, next_x_dot):
+    known = course_of(states(0.5, 0.05, 1.0))[-1]
+    one = identify(known, 0.1, 2.0, x_dot, **PLANT)
+    # The first pair may be a slip that began before.
+    next_one = identify(one, 0.4, -3.0, next_x_dot, **PLANT)
+    assert next_one[1:6] == one[1:6]
+    assert next_one[6:] == pytest.approx((-3.0 * math.cos(0.4), -3.0 * math.sin(0.4), next_x_dot))
+
+
+def test_an_episode_begins_with_the_prior():
+    memory = identify(EMPTY, -0.8, 0.0, 0.3, **PLANT)
+    assert memory[0] == 1.0
+    assert estimates(memory) == (identification.PRIOR_M, identification.PRIOR_LOG_MU, DEVIATION_M, DEVIATION_LOG_MU)
+
+
+@pytest.mark.parametrize("scale", [1.0, 30.0, 1e4])
+def test_whatever_is_observed_the_estimates_stay_within_their_range(scale):
+    # Far from any physics: what a user may feed it, and what a clipped observation may look like.
+    rng = np.random.default_rng(0)
+    rows = rng.normal(0.0, 1.0, (4000, 3)) * (1.0, scale, scale) + (0.0, 0.0, scale)
+    prior = np.array([DEVIATION_M**2, DEVIATION_LOG_MU**2])
+    for memory in course_of(rows):
+        _, M, log_mu, *_ = memory
+        assert LOW_M <= M <= HIGH_M
+        assert LOW_LOG_MU <= log_mu <= HIGH_LOG_MU
+        P = covariance(memory)
+        assert np.isfinite(P).all()
+        assert (np.diag(P) <= prior * (1.0 + 1e-12)).all()
+        assert np.linalg.eigvalsh(P).min() >= -1e-12
+        assert np.isfinite(estimates(memory)).all()
+
+
+def test_certainty_fades_only_towards_the_prior():
+    # The same pair again and again says nothing new: what it says nothing of becomes as unknown as it was.
+    memory = course_of(states(0.5, 0.05, 2.0))[-1]
+    rows = np.tile([[0.3, 2.0, 0.3], [0.3, 2.0, 0.3 - 0.05 * PLANT["g"] * CONTROL_DT]], (300, 1))
+    for later in course_of(rows, memory):
+        P = covariance(later)
+        assert P[0, 0] <= DEVIATION_M**2 * (1.0 + 1e-12)
+    assert P[0, 0] > 0.25 * DEVIATION_M**2
+
+
+@pytest.mark.parametrize("n", [1, 5, 70])
+def test_compiled_and_in_python_it_is_the_same_bits(n):
+    rng = np.random.default_rng(n)
+    layers = make_layers((9, 1))
+    network = make_network(layers, observed=5, identifies=True)
+    memory, given, actions = np.zeros(n * CELLS), np.empty((n, 9), np.float32), np.empty((n, 1), np.float32)
+    by_hand = [EMPTY] * n
+    course = states(0.5, 0.05, 1.5).astype(np.float32)
+    for row in course:
+        observations = np.zeros((n, 5), np.float32)
+        observations[:, :3] = row * rng.uniform(0.9, 1.1, (n, 1))
+        decision()(network, observations, memory, given, actions)
+        by_hand = [identify(own, *seen[:3].tolist(), **PLANT) for own, seen in zip(by_hand, observations, strict=True)]
+        assert memory.tobytes() == np.array(by_hand).tobytes()
+        assert given[:, :5].tobytes() == observations.tobytes()
+        assert given[:, 5:].tobytes() == np.array([estimates(own) for own in by_hand], np.float32).tobytes()
+    assert np.ptp(given[:, 5]) > 0.0 or n == 1
