@@ -49,7 +49,8 @@ def draw(results: Results) -> Any:
                 failed.axhline(100.0 * results.failed(direct(plants)).mean(), **pen.line(linewidth=1.0))
         speed.set_title(f"Learning {recipe}ly")
         speed.set_ylim(0.0, None)
-        failed.set_ylim(bottom=0.0)
+        # Where none fails, the axis is no axis of thousandths.
+        failed.set_ylim(0.0, max(5.0, failed.get_ylim()[1]))
         failed.set_xticks(list(places.values()), [f"{limit:g}" for limit in places])
         failed.set_xlabel("limit of the agent's torque (N m)", color=INK)
     grid[0][0].set_ylabel("mean speed (cm/s)")
@@ -58,7 +59,7 @@ def draw(results: Results) -> Any:
     figure.legend(handles, labels, loc="outside upper left", ncols=3)
     add_note(
         figure,
-        f"At 0 the law alone, from 3 N m on an agent can put any torque in its place. {results.steps / 1e6:g} M steps "
+        f"At 0 the law alone; at 3 N m an agent can put any torque in its place. {results.steps / 1e6:g} M steps "
         "each; bars: 95 % over training seeds (with few of them their range), for failures the range.",
     )
     return figure

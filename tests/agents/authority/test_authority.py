@@ -31,9 +31,10 @@ from agents.training.loop import SELECTION_SEED, own_draws
 from agents.training.presets import ROWS
 from capsule_gym.task import TORQUE_LIMIT
 
-STEPS = 1000
+STEPS = 1_000_000
 # Of a training that has an update.
-SHORT = 32_768
+SHORT = 163_840
+ON_A_LAW = ("task", "controller", "residual_limit")
 ON_GAIT = Arm("gait-guarded", "paper", 0.75, "cautious")
 
 
@@ -57,9 +58,10 @@ def test_kinds_differ_in_law_limit_plants_and_recipe_alone():
         config.check()
         assert (config.seed, config.total_steps, config.randomization) == (3, STEPS, arm.plants)
         row = ROWS[RECIPES[arm.recipe] if arm.recipe else DIRECT[arm.plants]]
-        names = (each.name for each in dataclasses.fields(row))
-        changed = {name for name in names if getattr(row, name) != getattr(config, name)}
-        assert changed <= {"seed", "total_steps", "evaluate_every", "randomization", "controller", "residual_limit"}
+        changed = {
+            each.name for each in dataclasses.fields(row) if getattr(row, each.name) != getattr(config, each.name)
+        }
+        assert changed <= {"seed", "total_steps", "evaluate_every", "randomization", *ON_A_LAW}
         if arm.base:
             assert config.env_kwargs()["residual_limit"] == arm.limit
             assert config.controller.startswith("baselines:")
@@ -72,8 +74,9 @@ def test_all_that_is_compared_has_the_same_limits():
     for base, (_, examined) in BASES.items():
         for plants in examined:
             for recipe in RECIPES:
-                wanted = (base, plants, recipe)
-                found = [arm.limit for arm in all_arms() if (arm.base, arm.plants, arm.recipe) == wanted]
+                found = [
+                    arm.limit for arm in all_arms() if (arm.base, arm.plants, arm.recipe) == (base, plants, recipe)
+                ]
                 assert found == list(LIMITS)
 
 
@@ -97,7 +100,7 @@ def test_first_seeds_come_first_and_other_settings_are_refused(tmp_path):
     run.mkdir(parents=True)
     content = {"task": "residual", "algo": "ppo", "hyperparameters": ON_GAIT.config(0, 2 * STEPS).to_dict()}
     (run / "config.json").write_text(json.dumps(content))
-    with pytest.raises(RunError, match="total_steps was 2000 and is 1000"):
+    with pytest.raises(RunError, match="total_steps was 2000000 and is 1000000"):
         plan(arms, [0], STEPS, tmp_path)
 
 
@@ -127,7 +130,7 @@ def test_agents_are_compared_with_their_law_on_the_same_plants():
     (line,) = [line for line in text.splitlines() if line.startswith("| gait") and "0.75" in line and "/" in line]
     # Every seed is faster by its limit and its number, on every plant.
     assert "+1.75 [+0.75, +2.75]" in line and "3/24" in line
-    assert "6 trainings of 1,000 steps, training seeds 0, 1, 2; 8 plants" in text
+    assert "6 trainings of 1,000,000 steps, training seeds 0, 1, 2; 8 plants" in text
     assert "| none (direct) | paper" in text and "[start:learning]" in text
 
 
