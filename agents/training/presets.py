@@ -335,7 +335,20 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("residual", "tqc"): TQCConfig(),
     ("direct", "tqc"): TQCConfig(task="direct", controller=None),
     ("residual", "recurrent-ppo"): RecurrentPPOConfig(),
-    ("direct", "recurrent-ppo"): RecurrentPPOConfig(task="direct", controller=None, num_envs=128, n_steps=64),
+    # Of agents/study/data/direct-recurrent-ppo.json.
+    ("direct", "recurrent-ppo"): RecurrentPPOConfig(
+        task="direct",
+        controller=None,
+        total_steps=2_000_000,
+        num_envs=128,
+        n_steps=64,
+        n_epochs=8,
+        learning_rate=1.35e-3,
+        final_learning_rate=1.35e-4,
+        gamma=0.9946,
+        gae_lambda=0.979,
+        evaluate_every=200_000,
+    ),
 }
 
 # A base that moves by itself: small residuals, from a critic that knows what the base returns.
