@@ -22,11 +22,13 @@ from agents.training.errors import RunError  # noqa: E402
 from agents.training.presets import (  # noqa: E402
     BEST,
     CONFIG,
+    MODEL,
     PRESETS,
     ROWS,
     Algorithm,
     Config,
     PPOConfig,
+    RecurrentPPOConfig,
     Task,
     read_config,
     row_settings,
@@ -156,7 +158,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not finished:
         print(f"\nStopped; saved. To go on: python train.py --resume {run}")
         return INTERRUPTED
-    print(f"Trained; the best model on its own draws is {run / BEST / POLICY}.")
+    if isinstance(config, RecurrentPPOConfig):
+        best, why = MODEL, ", which Stable-Baselines3 loads: a policy with a memory has no policy file"
+    else:
+        best, why = POLICY, ""
+    print(f"Trained; the best model on its own draws is {run / BEST / best}{why}.")
     if not options.no_comparison:
         LEAVING.message = "Stopped. The run is complete; its comparison is not."
         comparison.compare(run)

@@ -18,8 +18,8 @@ from agents.recording import (
     record,
     write_gif,
 )
+from agents.training.recurrent import load_best
 from baselines.policies import SCRIPTED
-from capsule_gym import load_policy
 from capsule_gym.files import to_json, write_atomically
 from capsule_gym.task import HORIZON
 
@@ -32,8 +32,7 @@ def compare(run: Path, set_name: str = "paper") -> None:
         set_name: a frozen set, or the path of one.
     """
     evaluation_set = load_set(set_name)
-    # The run has just imported its own law.
-    policy, baseline = load_policy(run, trust_controller=True), SCRIPTED[BASELINE]
+    policy, baseline = load_best(run), SCRIPTED[BASELINE]
     own, theirs = (evaluate(each, evaluation_set) for each in (policy, baseline))
     print(f"\nOn the set {evaluation_set.name} ({len(own)} episodes of {HORIZON:g} s, the same for both):\n")
     print(comparison_table("agent", own, BASELINE, theirs))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
+import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -76,6 +77,7 @@ class Evaluation:
     Attributes:
         steps: agent steps until then.
         seconds: of training until then.
+        core_seconds: of processor time until then; NaN of runs that did not count it.
         mean_speed: interquartile mean, cm/s.
         failed: share of the episodes that failed.
         score: what the run's best policy is chosen by, cm/s.
@@ -88,6 +90,7 @@ class Evaluation:
     failed: float
     score: float
     stage: int
+    core_seconds: float = math.nan
 
 
 def seeds_of(words: Sequence[str]) -> list[int]:
@@ -121,7 +124,20 @@ def plan(rows: Iterable[str], seeds: Sequence[int], folder: Path) -> list[Job]:
         RunError: if a folder is there and holds no run, or one of other settings.
         ValueError: if there is no such row.
     """
-    settings = {row: row_settings(row) for row in rows}
+    return plan_of({row: row_settings(row) for row in rows}, seeds, folder)
+
+
+def plan_of(settings: Mapping[str, Config], seeds: Sequence[int], folder: Path) -> list[Job]:
+    """As `plan`, of any settings.
+
+    Args:
+        settings: what is trained, by name.
+        seeds: training seeds.
+        folder: of all runs.
+
+    Raises:
+        RunError: as for `plan`.
+    """
     jobs = [
         Job(row, dataclasses.replace(config, seed=seed), folder / row / f"seed-{seed}")
         for seed in seeds
@@ -167,6 +183,7 @@ def evaluations(run: Path) -> list[Evaluation]:
             failed=float(row["failed"]),
             score=float(row["score_cm_s"]),
             stage=int(row["stage"]),
+            core_seconds=float(row.get("core_seconds", "nan")),
         )
         for row in rows
     ]

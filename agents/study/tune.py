@@ -1,4 +1,4 @@
-"""Searches the hyperparameters of a row with Optuna: `python -m agents.study.tune --help` says all.
+"""Searches the hyperparameters of a preset or row with Optuna: `python -m agents.study.tune --help` says all.
 
 A trial is a run with other hyperparameters. Its score is that of its best evaluation on the run's own draws, what every
 run chooses its best policy by: mean speed and failures. No frozen set is looked at. A trial whose evaluations are below
@@ -24,7 +24,7 @@ from agents.study.jobs import Evaluation, best, evaluations
 from agents.study.process import POLL, Training
 from agents.study.study import check_jobs, leave
 from agents.training.errors import RunError
-from agents.training.presets import ROWS, Algorithm, Config, PPOConfig, read_config, row_settings
+from agents.training.presets import Algorithm, Config, OffPolicyConfig, PPOConfig, named_settings, read_config
 from agents.training.stopping import INTERRUPTED, Stop
 from baselines.tables import text_table
 from capsule_gym.command_line import Count, Positional, parse, refuse
@@ -41,7 +41,7 @@ DATA = Path(__file__).with_name("data")
 FIRST_SEED = 1000
 # Of a run; a trial is pruned or not where it evaluates.
 EVALUATIONS_PER_TRIAL = 8
-# Trials that none is pruned before.
+# Trials that none is pruned before: a third of all, at most so many.
 UNPRUNED = 8
 
 Space = Callable[["Trial"], dict[str, Any]]
@@ -74,14 +74,30 @@ def _on_policy(trial: Trial) -> dict[str, Any]:
     }
 
 
+def _few(trial: Trial) -> dict[str, Any]:
+    """What matters most, for the few trials that an algorithm with dear updates gets."""
+    rate = trial.suggest_float("learning_rate", 3e-4, 3e-3, log=True)
+    return {
+        "learning_rate": rate,
+        "final_learning_rate": 0.1 * rate,
+        "gamma": 1.0 - trial.suggest_float("one_minus_gamma", 5e-3, 1e-2, log=True),
+    }
+
+
 def _off_policy(trial: Trial) -> dict[str, Any]:
     return {
-        **_shared(trial),
-        "num_envs": trial.suggest_categorical("num_envs", [16, 32, 64]),
-        "batch_size": trial.suggest_categorical("batch_size", [256, 512, 1024]),
+        **_few(trial),
+        "num_envs": trial.suggest_categorical("num_envs", [32, 64, 128]),
         "gradient_steps": trial.suggest_categorical("gradient_steps", [4, 8, 16]),
-        "tau": trial.suggest_float("tau", 3e-3, 3e-2, log=True),
-        "termination_penalty": trial.suggest_float("termination_penalty", 10.0, 300.0, log=True),
+        "tau": trial.suggest_float("tau", 5e-3, 2e-2, log=True),
+    }
+
+
+def _recurrent(trial: Trial) -> dict[str, Any]:
+    return {
+        **_few(trial),
+        "n_epochs": trial.suggest_int("n_epochs", 3, 8),
+        "gae_lambda": 1.0 - trial.suggest_float("one_minus_lambda", 5e-3, 1e-1, log=True),
     }
 
 
@@ -90,7 +106,7 @@ def _deterministic(trial: Trial) -> dict[str, Any]:
 
 
 def _distributional(trial: Trial) -> dict[str, Any]:
-    return {**_off_policy(trial), "dropped_quantiles": trial.suggest_int("dropped_quantiles", 0, 5)}
+    return {**_off_policy(trial), "dropped_quantiles": trial.suggest_int("dropped_quantiles", 0, 3)}
 
 
 SPACES: dict[Algorithm, Space] = {
@@ -98,12 +114,13 @@ SPACES: dict[Algorithm, Space] = {
     "sac": _off_policy,
     "td3": _deterministic,
     "tqc": _distributional,
+    "recurrent-ppo": _recurrent,
 }
 
 
 @dataclass(frozen=True)
 class Options:
-    """Searches the hyperparameters of a row on its runs' own draws; called again, it goes on.
+    """Searches the hyperparameters of a preset or row on its runs' own draws; called again, it goes on.
 
     Prints the best trials as fields of the row's settings, and writes all of them to runs/tune/NAME/trials.json.
 
@@ -112,7 +129,7 @@ class Options:
       python -m agents.study.tune direct-ppo --trials 60 --total-steps 1e6 --keep
     """
 
-    row: Annotated[Positional[str], arg(metavar="NAME", help=f"One of {', '.join(ROWS)}.")]
+    row: Annotated[Positional[str], arg(metavar="NAME", help="A preset as TASK-ALGO, or a row of the leaderboard.")]
     trials: Count = 40
     """Trials in all, those of earlier calls and pruned ones included."""
     total_steps: Count | None = None
@@ -128,8 +145,7 @@ class Options:
 
     def check(self) -> None:
         """Refuses what cannot be searched."""
-        if row_settings(self.row).algo not in SPACES:
-            raise ValueError(f"NAME must be a row of {', '.join(SPACES)}, got {self.row!r}")
+        named_settings(self.row)
         if self.trials < 1:
             raise ValueError(f"--trials must be an integer >= 1, got {self.trials}")
         check_jobs(self.jobs)
@@ -139,7 +155,7 @@ class Options:
 
     def settings(self) -> Config:
         """What every trial has, but for what is searched."""
-        row = row_settings(self.row)
+        row = named_settings(self.row)
         steps = self.total_steps or row.total_steps
         changes: dict[str, Any] = {"total_steps": steps, "evaluate_every": max(1, steps // EVALUATIONS_PER_TRIAL)}
         if isinstance(row, PPOConfig):
@@ -180,7 +196,7 @@ class Search:
             study_name=self.options.row,
             direction="maximize",
             load_if_exists=True,
-            pruner=optuna.pruners.MedianPruner(n_startup_trials=UNPRUNED, n_warmup_steps=1),
+            pruner=optuna.pruners.MedianPruner(min(UNPRUNED, self.options.trials // 3), n_warmup_steps=1),
         )
         fixed = {"settings": {"algo": self.settings.algo, **self.settings.to_dict()}}
         if study.user_attrs and study.user_attrs != fixed:
@@ -202,8 +218,13 @@ class Search:
         return study
 
     def config_of(self, trial: Trial) -> Config:
-        """What a trial is trained with."""
-        return dataclasses.replace(self.settings, **self.space(trial))
+        """What a trial is trained with; of what learns from a replay buffer, as long as it makes as many updates."""
+        base, config = self.settings, dataclasses.replace(self.settings, **self.space(trial))
+        if not isinstance(base, OffPolicyConfig) or not isinstance(config, OffPolicyConfig):
+            return config
+        more, fewer = config.num_envs * base.gradient_steps, config.gradient_steps * base.num_envs
+        lengths = {name: getattr(base, name) * more // fewer for name in ("total_steps", "evaluate_every")}
+        return dataclasses.replace(config, **lengths)
 
     def objective(self, trial: Trial) -> float:
         """Trains one trial, or goes on with it, and scores it.

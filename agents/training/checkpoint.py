@@ -50,6 +50,7 @@ class Progress:
     Attributes:
         total_steps: the end that the learning rate's schedule leads to.
         elapsed: seconds of training.
+        core_seconds: of processor time that they took.
         evaluated_at: agent steps at the last evaluation.
         stage: of the run's configuration.
         best_score: of the best evaluation of the stage so far, cm/s.
@@ -60,6 +61,7 @@ class Progress:
 
     total_steps: int
     elapsed: float = 0.0
+    core_seconds: float = 0.0
     evaluated_at: int = 0
     stage: int = 0
     best_score: float | None = None
@@ -241,8 +243,10 @@ def restore(checkpoint: Path, algo: str, env: VecNormalize) -> tuple[BaseAlgorit
         if isinstance(model, OffPolicyAlgorithm):
             path = checkpoint / REPLAY_BUFFER
             model.replay_buffer = pickle.loads(path.read_bytes())
-        # After the model, whose making seeds them.
+        # After the model, whose making seeds the environments and begins its memory anew.
         path = checkpoint / STATE
+        if state.get("memory") is not None:
+            vars(model)["_last_lstm_states"] = state["memory"]
         _restore_environments(env, state["environments"])
     except Exception as error:
         raise RunError(f"{path} cannot be understood ({type(error).__name__}: {error})") from error
@@ -265,12 +269,15 @@ def _state(model: BaseAlgorithm) -> dict[str, Any]:
     env = model.get_vec_normalize_env()
     assert env is not None
     log = model.logger
+    # Of RecurrentPPO, whose loading clears it.
+    memory = getattr(model, "_last_lstm_states", None)
     return {
         "environments": _environments(env),
         "torch": torch.get_rng_state(),
         "numpy": np.random.get_state(),
         "python": random.getstate(),
         "actions": model.action_space.np_random.bit_generator.state,
+        "memory": memory,
         "log": (dict(log.name_to_value), dict(log.name_to_count), dict(log.name_to_excluded)),
     }
 

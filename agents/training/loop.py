@@ -16,17 +16,18 @@ from typing import Any
 
 import numpy as np
 import torch
-from sb3_contrib import TQC
+from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 from tqdm import tqdm
 
 from agents.evaluation.candidates import BASELINE
-from agents.evaluation.episodes import evaluate, scores, versions
+from agents.evaluation.episodes import Policy, evaluate, scores, versions
 from agents.evaluation.sets import EvaluationSet, drawn_as
 from agents.evaluation.statistics import interquartile_mean
 from agents.training import checkpoint
@@ -45,16 +46,17 @@ from agents.training.presets import (
     Config,
     OffPolicyConfig,
     PPOConfig,
+    RecurrentPPOConfig,
     TD3Config,
     TQCConfig,
     read_config,
 )
+from agents.training.recurrent import RecurrentActorCritic, present_policy
 from agents.training.runs import git_revision, save
 from agents.training.sac import LeanSAC
 from agents.training.stopping import Stop
 from agents.training.vec_env import CapsuleSB3VecEnv
 from baselines.policies import SCRIPTED
-from capsule_gym import Policy
 from capsule_gym.files import naming, to_json, write_atomically
 from capsule_gym.task import HORIZON
 
@@ -63,6 +65,8 @@ SELECTION_SEED = 1_000_000
 # What the best model is chosen by: its mean speed less what its power costs, and so many cm/s times the share of its
 # episodes that fail.
 FAILURE_COST = 30.0
+# Agent steps between two lines of the log of what updates after every step; the other algorithms write one per rollout.
+LOG_EVERY = 2_000
 # Episodes that the progress bar's mean speed is over.
 RECENT = 128
 
@@ -159,6 +163,24 @@ def make_model(config: Config, env: VecNormalize, sac: type[SAC] = LeanSAC, fuse
         )
         model.critic_steps = config.critic_steps
         return model
+    if isinstance(config, RecurrentPPOConfig):
+        return RecurrentPPO(
+            RecurrentActorCritic,
+            env,
+            n_steps=config.n_steps,
+            n_epochs=config.n_epochs,
+            gae_lambda=config.gae_lambda,
+            ent_coef=config.ent_coef,
+            policy_kwargs={
+                **network,
+                "lstm_hidden_size": config.hidden,
+                "enable_critic_lstm": config.recurrent_critic,
+                "log_std_init": config.log_std_init,
+                "activation_fn": FastTanh,
+                "optimizer_kwargs": {"eps": 1e-5, "fused": fused},
+            },
+            **shared,
+        )
     assert isinstance(config, OffPolicyConfig)
     network["optimizer_kwargs"] = {"fused": fused}
     shared |= {
@@ -224,6 +246,7 @@ class Monitor(BaseCallback):
 
     def _on_training_start(self) -> None:
         self.began = time.monotonic() - self.progress.elapsed
+        self.core_began = time.process_time() - self.progress.core_seconds
         self.bar = tqdm(
             total=self.config.total_steps,
             initial=self.num_timesteps,
@@ -252,8 +275,15 @@ class Monitor(BaseCallback):
     def _on_rollout_end(self) -> None:
         for values in (self.progress.speeds, self.progress.failed):
             del values[:-RECENT]
-        if not self.progress.speeds:
-            return
+        if self.progress.speeds:
+            self._record_episodes()
+        # SB3's own lines come with the ends of episodes, which are all at the same time.
+        made = self.num_timesteps - self.training_env.num_envs
+        if isinstance(self.model, OffPolicyAlgorithm) and made // LOG_EVERY < self.num_timesteps // LOG_EVERY:
+            self.model.dump_logs()
+
+    def _record_episodes(self) -> None:
+        """Tells the log and the progress bar of the last episodes."""
         speed, failed = float(np.mean(self.progress.speeds)), float(np.mean(self.progress.failed))
         self.logger.record("episodes/mean_speed", speed)
         self.logger.record("episodes/over_baseline", speed / self.baseline_speed)
@@ -280,6 +310,7 @@ class Monitor(BaseCallback):
             {
                 EVALUATED: self.num_timesteps,
                 "seconds": f"{time.monotonic() - self.began:.1f}",
+                "core_seconds": f"{time.process_time() - self.core_began:.1f}",
                 "mean_speed_cm_s": f"{speed:.4f}",
                 "failed": failed,
                 "score_cm_s": f"{score:.4f}",
@@ -297,6 +328,7 @@ class Monitor(BaseCallback):
         if self.latest is not None and self.latest.name == checkpoint.name_of(self.num_timesteps):
             return
         self.progress.elapsed = time.monotonic() - self.began
+        self.progress.core_seconds = time.process_time() - self.core_began
         self.evaluations.synchronise()
         self.latest = checkpoint.write(
             self.run,
@@ -309,6 +341,8 @@ class Monitor(BaseCallback):
 def policy_of(run: Path, config: Config, revision: str, model: BaseAlgorithm) -> Policy:
     """The policy that an agent of a run acts by at present."""
     kwargs = config.env_kwargs()
+    if isinstance(model, RecurrentPPO):
+        return present_policy(run.name, model, kwargs)
     return export(run.name, model, env_kwargs=kwargs, training_seed=config.seed, revision=revision)
 
 
@@ -430,7 +464,10 @@ def _train_stage(
             set_streams()
         # A stage before may have taken all steps, since it ends with a whole rollout: there is still this to evaluate.
         if remaining > 0 or before is not None:
-            model.learn(max(0, remaining), callback=monitor, reset_num_timesteps=model.num_timesteps == 0)
+            # As SB3 names its own lines: one per rollout, or none.
+            interval: Any = None if isinstance(model, OffPolicyAlgorithm) else 1
+            fresh = model.num_timesteps == 0
+            model.learn(max(0, remaining), callback=monitor, log_interval=interval, reset_num_timesteps=fresh)
     except Stopped:
         monitor.checkpoint()
         return model, False

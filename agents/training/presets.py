@@ -33,7 +33,7 @@ LOGS, LOG, EVALUATIONS = "logs", "progress.csv", "evaluations.csv"
 LOGGED, EVALUATED = "time/total_timesteps", "steps"
 
 Task = Literal["residual", "direct"]
-Algorithm = Literal["ppo", "sac", "td3", "tqc"]
+Algorithm = Literal["ppo", "sac", "td3", "tqc", "recurrent-ppo"]
 
 
 def _option(name: str, more: str = "") -> Any:
@@ -136,10 +136,8 @@ class Config:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PPOConfig(Config):
-    """Proximal policy optimisation."""
-
-    algo: ClassVar[Algorithm] = "ppo"
+class OnPolicyConfig(Config):
+    """What learns from the steps that its present policy has just made."""
 
     n_steps: Count = 256
     """Steps of each environment between updates."""
@@ -151,6 +149,24 @@ class PPOConfig(Config):
     """Weight of the entropy bonus."""
     log_std_init: float = -0.5
     """Logarithm of the initial standard deviation of the action."""
+
+    def check(self) -> None:
+        """As for all; and a rollout must hold the two samples that advantages are normalised over."""
+        super().check()
+        self._check_counts("n_steps", "n_epochs")
+        if self.n_steps * self.num_envs < 2:
+            raise ValueError(f"n_steps must be >= 2 where num_envs is 1, got {self.n_steps!r}")
+        self._check_range("gae_lambda", "a number in [0, 1]", 0.0, 1.0)
+        self._check_range("ent_coef", "a finite number >= 0", 0.0)
+        self._check_range("log_std_init", "a number in [-20, 2]", -20.0, 2.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOConfig(OnPolicyConfig):
+    """Proximal policy optimisation."""
+
+    algo: ClassVar[Algorithm] = "ppo"
+
     least_log_std: float = -20.0
     """Floor of that logarithm."""
     tanh_mean: bool = False
@@ -192,7 +208,7 @@ class PPOConfig(Config):
         return [dataclasses.replace(direct, **shared, total_steps=self.direct_steps), self]
 
     def check(self) -> None:
-        """As for all; and a rollout must hold the two samples that advantages are normalised over."""
+        """As for what learns from its own steps; and lengths, rates and weights must be in their ranges."""
         super().check()
         self._check_counts("direct_steps", "critic_steps", least=0)
         if self.direct_steps >= self.total_steps:
@@ -211,12 +227,24 @@ class PPOConfig(Config):
             check_number("energy_weights[1]", high, f"{TOLD} and >= {low!r}", low, TOLD_ENERGY_WEIGHTS[1])
             # What is evaluated on the way is told the environment's.
             check_number("energy_weight", self.energy_weight, f"{TOLD} where it is told", *TOLD_ENERGY_WEIGHTS)
-        self._check_counts("n_steps", "n_epochs")
-        if self.n_steps * self.num_envs < 2:
-            raise ValueError(f"n_steps must be >= 2 where num_envs is 1, got {self.n_steps!r}")
-        self._check_range("gae_lambda", "a number in [0, 1]", 0.0, 1.0)
-        self._check_range("ent_coef", "a finite number >= 0", 0.0)
-        self._check_range("log_std_init", "a number in [-20, 2]", -20.0, 2.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecurrentPPOConfig(OnPolicyConfig):
+    """Proximal policy optimisation of a policy with a memory."""
+
+    algo: ClassVar[Algorithm] = "recurrent-ppo"
+
+    total_steps: Count = 1_000_000
+    """Environment steps."""
+    hidden: Count = 64
+    """Units of the LSTM, and of each of the two hidden layers after it."""
+    n_steps: Count = 128
+    """Steps of each environment between updates: the longest that an update looks back."""
+    evaluate_every: Count = 100_000
+    """Environment steps between evaluations and checkpoints."""
+    recurrent_critic: bool = False
+    """Whether the critic has an LSTM of its own; else it sees the present observation alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -320,6 +348,21 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("direct", "td3"): TD3Config(task="direct", controller=None),
     ("residual", "tqc"): TQCConfig(),
     ("direct", "tqc"): TQCConfig(task="direct", controller=None),
+    ("residual", "recurrent-ppo"): RecurrentPPOConfig(),
+    # Of agents/study/data/direct-recurrent-ppo.json.
+    ("direct", "recurrent-ppo"): RecurrentPPOConfig(
+        task="direct",
+        controller=None,
+        total_steps=2_000_000,
+        num_envs=128,
+        n_steps=64,
+        n_epochs=8,
+        learning_rate=1.35e-3,
+        final_learning_rate=1.35e-4,
+        gamma=0.9946,
+        gae_lambda=0.979,
+        evaluate_every=200_000,
+    ),
 }
 
 # A base that moves by itself: small residuals, from a critic that knows what the base returns.
@@ -388,6 +431,22 @@ def row_settings(name: str) -> Config:
     if name not in ROWS:
         raise ValueError(f"a row must be one of {', '.join(ROWS)}, got {name!r}")
     return ROWS[name]
+
+
+def named_settings(name: str) -> Config:
+    """The preset of that name, such as "direct-sac", or else what the row of that name is trained with.
+
+    Args:
+        name: TASK-ALGO, or a key of `ROWS`.
+
+    Raises:
+        ValueError: if it is neither.
+    """
+    presets = {f"{task}-{algo}": config for (task, algo), config in PRESETS.items()}
+    found = presets.get(name) or ROWS.get(name)
+    if found is None:
+        raise ValueError(f"a preset or row must be one of {', '.join(dict.fromkeys((*presets, *ROWS)))}, got {name!r}")
+    return found
 
 
 def read_config(run: Path) -> Config:

@@ -1,9 +1,9 @@
 """The folder of a training run: what lies in it, and how an agent is written so that nothing is lost.
 
     config.json          algorithm, hyperparameters, environment, seed, package versions, git revision
-    policy.safetensors   the last policy, to use: `capsule_gym.load_policy`
+    policy.safetensors   the last policy, to use: `capsule_gym.load_policy`; not of an agent with a memory
     model.zip            the last agent, for Stable-Baselines3: `PPO.load`
-    best/                the same two files for the best evaluation so far
+    best/                the same files for the best evaluation so far
     checkpoint-STEPS/    everything that --resume needs, as `agents.training.checkpoint` says; the last two
     evaluations.csv      the evaluations while training
     logs/                progress.csv and TensorBoard events
@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium import spaces
-from sb3_contrib import TQC
+from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file
@@ -39,7 +39,13 @@ from capsule_gym import Policy
 from capsule_gym.files import write_bytes_atomically
 from capsule_gym.policy import POLICY
 
-ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": CapsulePPO, "sac": LeanSAC, "td3": TD3, "tqc": TQC}
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
+    "ppo": CapsulePPO,
+    "sac": LeanSAC,
+    "td3": TD3,
+    "tqc": TQC,
+    "recurrent-ppo": RecurrentPPO,
+}
 
 
 @dataclass(frozen=True)
@@ -121,11 +127,12 @@ def unarchive(path: Path, algo: str, env: VecNormalize) -> BaseAlgorithm:
     return kind.load(path, env=env, device="cpu", force_reset=False, custom_objects={"policy_kwargs": kwargs})
 
 
-def save(folder: Path, model: BaseAlgorithm, policy: Policy) -> None:
-    """Writes an agent and the policy that it acts by into a folder, each whole or not at all."""
+def save(folder: Path, model: BaseAlgorithm, policy: Any) -> None:
+    """Writes an agent, and its policy where that has a file, into a folder, each whole or not at all."""
     folder.mkdir(parents=True, exist_ok=True)
     write_bytes_atomically(folder / MODEL, archive(model))
-    policy.save(folder / POLICY)
+    if isinstance(policy, Policy):
+        policy.save(folder / POLICY)
 
 
 def git_revision(folder: Path) -> str:

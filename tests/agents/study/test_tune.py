@@ -73,3 +73,17 @@ def test_bad_options_are_named(words, message, capsys):
         tune.main(words)
     assert end.value.code == 2
     assert message in capsys.readouterr().err
+
+
+def test_a_preset_is_searched_by_its_name_and_all_trials_make_as_many_updates(tmp_path):
+    search = tune.Search(tune.Options("direct-td3", total_steps=64_000, runs=tmp_path), Stop())
+    assert search.settings == dataclasses.replace(
+        PRESETS["direct", "td3"], seed=tune.FIRST_SEED, total_steps=64_000, evaluate_every=8_000
+    )
+    updates = set()
+    for seed in range(8):
+        study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=seed))
+        config = search.config_of(study.ask())
+        updates.add(config.total_steps // config.num_envs * config.gradient_steps)
+        assert config.evaluate_every * 8 == config.total_steps
+    assert updates == {64_000 // search.settings.num_envs * search.settings.gradient_steps}

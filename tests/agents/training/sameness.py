@@ -14,7 +14,7 @@ from capsule_gym import load_policy
 from capsule_gym.policy import POLICY
 
 # Columns that say how long something took, or count from the last resumption.
-CLOCKS = ("seconds", "time/fps", "time/time_elapsed", "time/iterations")
+CLOCKS = ("seconds", "core_seconds", "time/fps", "time/time_elapsed", "time/iterations")
 
 
 def parameters(archive: Path) -> dict[str, Any]:
@@ -24,7 +24,9 @@ def parameters(archive: Path) -> dict[str, Any]:
 
 
 def network(folder: Path) -> bytes:
-    """The numbers of the policy in a folder, whatever run it says that it is of."""
+    """The numbers of the policy in a folder, whatever run it says that it is of; none where it has no file."""
+    if not (folder / POLICY).is_file():
+        return b""
     policy = load_policy(folder / POLICY)
     return b"".join(array.tobytes() for array in (policy.mean, policy.variance, *itertools.chain(*policy.layers)))
 

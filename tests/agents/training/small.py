@@ -11,11 +11,10 @@ SMALL = {"num_envs": 8, "batch_size": 64, "hidden": 8, "evaluation_episodes": 2,
 
 
 def small(task: str, algo: str, **changes) -> Config:
-    extra = (
-        {"n_steps": 32, "n_epochs": 2, "direct_steps": 0}
-        if algo == "ppo"
-        else {"learning_starts": 300, "buffer_size": 2000}
-    )
+    on_policy = algo in ("ppo", "recurrent-ppo")
+    extra = {"n_steps": 32, "n_epochs": 2} if on_policy else {"learning_starts": 300, "buffer_size": 2000}
+    if algo == "ppo":
+        extra["direct_steps"] = 0
     return dataclasses.replace(PRESETS[task, algo], **{**SMALL, **extra, **changes})
 
 

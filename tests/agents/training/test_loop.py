@@ -17,6 +17,7 @@ from stable_baselines3 import PPO
 
 import train as command_line
 from agents.training.checkpoint import newest
+from agents.training import loop
 from agents.training.loop import begin, make_env, make_model, own_draws, train
 from agents.training.presets import PRESETS
 from agents.training.runs import ALGORITHMS
@@ -149,3 +150,15 @@ def test_kill_and_interrupt_lose_nothing_that_resume_cannot_find(tmp_path):
     with (run / "logs" / "progress.csv").open() as file:
         logged = [int(row["time/total_timesteps"]) for row in csv.DictReader(file)]
     assert logged == sorted(set(logged)) and logged[0] < int(first.name.split("-")[1]) < logged[-1]
+
+
+@pytest.mark.parametrize("algo", ["sac", "td3", "tqc"])
+def test_what_updates_after_every_step_logs_long_before_an_episode_ends(tmp_path, monkeypatch, algo):
+    monkeypatch.setattr(loop, "LOG_EVERY", 100)
+    run = tmp_path / "run"
+    config = small("direct", algo, total_steps=800, learning_starts=200, gradient_steps=1)
+    begin(run, config)
+    assert train(run, config)
+    with (run / "logs" / "progress.csv").open() as file:
+        steps = [int(row["time/total_timesteps"]) for row in csv.DictReader(file)]
+    assert steps == [104, 200, 304, 400, 504, 600, 704, 800]

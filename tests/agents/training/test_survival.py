@@ -35,6 +35,7 @@ OWN = {
     "sac": {"learning_starts": 200, "buffer_size": 800, "gradient_steps": 1, "total_steps": 1400},
     # Random actions end the episodes that a log needs; those of this one's first policy end none.
     "td3": {"learning_starts": 500, "buffer_size": 800, "gradient_steps": 1, "total_steps": 1400},
+    "recurrent-ppo": {"n_steps": 32, "n_epochs": 2, "total_steps": 1400},
     "tqc": {"learning_starts": 200, "buffer_size": 800, "gradient_steps": 1, "total_steps": 1400},
 }
 

@@ -1,0 +1,50 @@
+"""Algorithms side by side: one table out of runs that are gone on with."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+
+from agents.training.presets import PRESETS
+from benchmarks import algorithms
+from tests.agents.training.small import small
+
+
+def test_presets_are_trained_evaluated_once_and_gone_on_with(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(PRESETS, ("direct", "recurrent-ppo"), small("direct", "recurrent-ppo", total_steps=1024))
+    monkeypatch.setitem(PRESETS, ("direct", "td3"), small("direct", "td3", total_steps=1024))
+    plants = [{"M": 0.5, "mu": 0.01, "seed": seed, "changes": []} for seed in range(2)]
+    (tmp_path / "two.json").write_text(json.dumps({"name": "two", "plants": plants}))
+    words = ["td3", "recurrent-ppo", "--part", "0.5", "--set", str(tmp_path / "two.json"), "--jobs", "2"]
+    words += ["--runs", str(tmp_path / "runs"), "--overwrite", "--json", str(tmp_path / "a.json")]
+    assert algorithms.main([*words, "--seeds", "0"]) == 0
+    models = {path: path.stat().st_mtime_ns for path in (tmp_path / "runs").rglob("model.zip")}
+    assert algorithms.main([*words, "--seeds", "0", "--markdown", str(tmp_path / "a.md")]) == 0
+    assert {path: path.stat().st_mtime_ns for path in models} == models
+    content = json.loads((tmp_path / "a.json").read_text())
+    for name in ("td3", "recurrent-ppo"):
+        result = content["algorithms"][name]
+        assert result["summary"]["training_seeds"] == [0]
+        assert [run["steps"] for run in result["runs"]] == [512]
+        assert result["runs"][0]["core_seconds"] > 0.0
+    page = (tmp_path / "a.md").read_text()
+    assert re.search(r"^\| recurrent-ppo +\| +1 \|", page, re.M) and "0.5 of the presets' steps" in page
+    assert "minutes of one core" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["nope"], "nope"),
+        (["--part", "0"], "--part must be a finite number > 0"),
+        (["--seeds", "x"], "--seeds must be integers"),
+        (["--set", "nowhere"], "nowhere"),
+    ],
+)
+def test_bad_options_are_named(words, message, capsys):
+    with pytest.raises(SystemExit) as end:
+        algorithms.main(words)
+    assert end.value.code == 2
+    assert message in capsys.readouterr().err
