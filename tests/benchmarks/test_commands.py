@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-COMMANDS = ("accuracy", "learning", "regression", "throughput", "training_profile", "training_speed", "tricks")
+COMMANDS = ("accuracy", "regression", "throughput", "training", "training_profile", "training_speed", "tricks")
 HEAVY = ("torch", "stable_baselines3", "matplotlib", "mujoco", "envpool", "scipy.integrate", "scipy.optimize")
 
 HELP = """
