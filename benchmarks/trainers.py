@@ -1,12 +1,13 @@
-"""What trains in the benchmarks: the presets of the residual task with some fields changed, in turns."""
+"""What trains in the benchmarks: presets with some fields changed, and Stable-Baselines3's own algorithms."""
 
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from agents.training.presets import Config, PPOConfig, SACConfig
+from agents.training.presets import PRESETS, Config, PPOConfig, SACConfig
 from benchmarks.machine import describe
 from benchmarks.output import Output, check_at_least_one
 from capsule_gym.command_line import Count
@@ -14,10 +15,26 @@ from capsule_gym.command_line import Count
 # Whose versions matter beside those that every machine names.
 PACKAGES = ("stable-baselines3", "torch")
 
-VecEnvKind = Literal["native", "DummyVecEnv", "SubprocVecEnv"]
+VecEnvKind = Literal["native", "DummyVecEnv"]
 
+# The preset of the release before rollouts and updates were compiled. All of it: today's may change.
+FORMER: dict[str, Any] = {
+    "num_envs": 64,
+    "n_steps": 256,
+    "batch_size": 2048,
+    "n_epochs": 6,
+    "learning_rate": 1e-3,
+    "final_learning_rate": 1e-4,
+    "gamma": 0.995,
+    "gae_lambda": 0.98,
+    "ent_coef": 0.0,
+    "hidden": 64,
+    "log_std_init": -0.5,
+    "termination_penalty": 30.0,
+}
 # What Stable-Baselines3 does where nothing is said, on eight environments.
 UNTUNED: dict[str, Any] = {
+    **FORMER,
     "num_envs": 8,
     "n_steps": 2048,
     "batch_size": 64,
@@ -26,11 +43,8 @@ UNTUNED: dict[str, Any] = {
     "final_learning_rate": 3e-4,
     "gamma": 0.99,
     "gae_lambda": 0.95,
-    "ent_coef": 0.0,
     "log_std_init": 0.0,
 }
-# As many steps in an update as the preset, from four times the environments.
-BROAD: dict[str, Any] = {"num_envs": 256, "n_steps": 64, "batch_size": 4096}
 
 
 @dataclass(frozen=True)
@@ -40,15 +54,16 @@ class Trainer:
     Attributes:
         name: for the table.
         config: its hyperparameters.
-        vec_env: the native batch of this package, or environments of `gym.make` in a class of Stable-Baselines3.
-        lean: whether SAC is `LeanSAC`, or else that of Stable-Baselines3.
+        own: whether the algorithm is this package's, or else that of Stable-Baselines3.
+        vec_env: the native batch of this package, or environments of `gym.make` one by one; these for the algorithms of
+            Stable-Baselines3 alone.
         fused: whether each of SAC's steps of Adam is one call.
     """
 
     name: str
     config: Config
+    own: bool = True
     vec_env: VecEnvKind = "native"
-    lean: bool = True
     fused: bool = True
 
     @property
@@ -60,15 +75,51 @@ class Trainer:
         return self.config.gradient_steps / self.config.num_envs
 
 
-def ppo(name: str, vec_env: VecEnvKind = "native", **changes: Any) -> Trainer:
-    """The PPO preset with some fields changed."""
-    return Trainer(name, dataclasses.replace(PPOConfig(), **changes), vec_env)
+@dataclass(frozen=True)
+class Run:
+    """A training that came to its end, as far as it is compared.
+
+    Attributes:
+        name: of its `Trainer`.
+        seed: of the training.
+        steps: environment steps until each evaluation of the deterministic policy.
+        seconds: of processor time until then, evaluations not counted.
+        mean_speed: what each came to, the interquartile mean over its episodes, cm/s.
+        failed: share of these episodes that failed.
+    """
+
+    name: str
+    seed: int
+    steps: list[int] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    mean_speed: list[float] = field(default_factory=list)
+    failed: list[float] = field(default_factory=list)
+
+    @property
+    def rate(self) -> float:
+        """Environment steps per second."""
+        return self.steps[-1] / self.seconds[-1]
+
+    def at(self, part: float) -> float:
+        """The mean speed where that part of the steps is done, by the nearest evaluation."""
+        wanted = part * self.steps[-1]
+        return min(zip(self.steps, self.mean_speed, strict=True), key=lambda point: abs(point[0] - wanted))[1]
+
+    def seconds_to(self, speed: float) -> float:
+        """Until the first evaluation that is as fast, or infinity."""
+        pairs = zip(self.seconds, self.mean_speed, strict=True)
+        return next((second for second, found in pairs if found >= speed), math.inf)
 
 
-def sac(name: str, *, lean: bool = True, fused: bool = True, **changes: Any) -> Trainer:
-    """The SAC preset with some fields changed, or another class; updates begin at once."""
-    config = dataclasses.replace(SACConfig(), **{"learning_starts": 1000, **changes})
-    return Trainer(name, config, lean=lean, fused=fused)
+def ppo(name: str, *, own: bool = True, vec_env: VecEnvKind = "native", **changes: Any) -> Trainer:
+    """The PPO preset of the direct task with some fields changed."""
+    return Trainer(name, dataclasses.replace(PRESETS["direct", "ppo"], **changes), own, vec_env)
+
+
+def sac(name: str, *, own: bool = True, fused: bool = True, **changes: Any) -> Trainer:
+    """The SAC preset with some fields changed; updates begin at once."""
+    config = dataclasses.replace(PRESETS["residual", "sac"], **{"learning_starts": 1000, **changes})
+    return Trainer(name, config, own, fused=fused)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +129,7 @@ class TurnOptions(Output):
     turns: Count = 5
     """Turns of every contender."""
     seconds: float = 2.0
-    """Length of a turn, about."""
+    """Length of a turn, about, in processor time."""
 
     def check(self) -> None:
         """Refuses what cannot be measured or written.
@@ -93,4 +144,4 @@ class TurnOptions(Output):
 
     def note(self, machine: dict[str, Any]) -> str:
         """What must be known to read the table."""
-        return f"{describe(machine)}; {self.turns} turns of about {self.seconds:g} s."
+        return f"{describe(machine)}; {self.turns} turns of about {self.seconds:g} s of processor time."

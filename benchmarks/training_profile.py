@@ -1,6 +1,6 @@
 """Where the time of a training goes: `python -m benchmarks.training_profile`.
 
-The contenders take turns, so that whatever else the machine does meets them all.
+The contenders take turns, so that whatever else the machine does meets them all; times are the processor's.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, cast
 from baselines.tables import markdown_table, text_table
 from benchmarks.machine import machine
 from benchmarks.output import section
-from benchmarks.trainers import BROAD, PACKAGES, Trainer, TurnOptions, ppo, sac
+from benchmarks.trainers import FORMER, PACKAGES, Trainer, TurnOptions, ppo, sac
 from capsule_gym.command_line import parse
 
 if TYPE_CHECKING:
@@ -25,17 +25,18 @@ if TYPE_CHECKING:
 COMMAND = "python -m benchmarks.training_profile"
 PROFILED = (
     ppo("PPO, preset"),
-    ppo("PPO, broad", **BROAD),
-    sac("SB3's SAC", lean=False, fused=False),
+    ppo("SB3's PPO, tuned", own=False, **FORMER),
+    sac("SB3's SAC", own=False, fused=False),
     sac("LeanSAC, fused Adam (preset)"),
 )
 
+ROLLOUT, STEPS = "collect: whole rollouts, compiled", "update: all steps, compiled"
 ENVIRONMENT, NORMALISE, COLLECT = "collect: environment", "collect: normalisation", "collect: policy and bookkeeping"
 STORE, SAMPLE = "collect: store in replay buffer", "update: draw from replay buffer"
 FORWARD, BACKWARD, ADAM = "update: networks", "update: backward", "update: Adam"
 TARGETS, REST = "update: target networks", "update: losses and the rest"
 # In the order of the table.
-PARTS = (ENVIRONMENT, NORMALISE, COLLECT, STORE, SAMPLE, FORWARD, BACKWARD, ADAM, TARGETS, REST)
+PARTS = (ROLLOUT, ENVIRONMENT, NORMALISE, COLLECT, STORE, STEPS, SAMPLE, FORWARD, BACKWARD, ADAM, TARGETS, REST)
 
 
 class Clocks:
@@ -53,11 +54,11 @@ class Clocks:
 
         def clocked(*args: Any, **kwargs: Any) -> Any:
             self._inner.append(0.0)
-            start = time.perf_counter()
+            start = time.process_time()
             try:
                 return function(*args, **kwargs)
             finally:
-                whole = time.perf_counter() - start
+                whole = time.process_time() - start
                 self.seconds[label] += whole - self._inner.pop()
                 if self._inner:
                     self._inner[-1] += whole
@@ -78,11 +79,18 @@ def watch(model: BaseAlgorithm, clocks: Clocks) -> None:
     import torch
     from stable_baselines3 import PPO, SAC
 
+    from agents.training import ppo as own_ppo
+
     env = cast("VecNormalize", model.get_vec_normalize_env())
     clocks.watch(model, "collect_rollouts", COLLECT)
+    clocks.watch(model, "train", REST)
+    if isinstance(model, own_ppo.CapsulePPO):
+        clocks.watch(env.venv, "collect", ROLLOUT)
+        clocks.watch(env, "normalize_obs", NORMALISE)
+        clocks.watch(own_ppo, "make_steps", STEPS)
+        return
     clocks.watch(env, "step_wait", NORMALISE)
     clocks.watch(env.venv, "step_wait", ENVIRONMENT)
-    clocks.watch(model, "train", REST)
     clocks.watch(torch.Tensor, "backward", BACKWARD)
     clocks.watch(torch.autograd, "grad", BACKWARD)
     if isinstance(model, PPO):
@@ -108,7 +116,7 @@ def watch(model: BaseAlgorithm, clocks: Clocks) -> None:
 class Options(TurnOptions):
     """What the time of a training goes to: microseconds per environment step of each of its parts.
 
-    Nothing else should run meanwhile. Ctrl-C ends it early and keeps what there is.
+    Little else should run meanwhile. Ctrl-C ends it early and keeps what there is.
 
     Examples:
       python -m benchmarks.training_profile --markdown docs/train_fast_profile.md

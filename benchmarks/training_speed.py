@@ -1,7 +1,8 @@
 """Environment steps per second of a training, updates included: `python -m benchmarks.training_speed`.
 
 One setting is changed at a time. Absolute numbers do not carry from machine to machine; the ratios do: the contenders
-of an axis take turns, and the medians of the turns count.
+of an axis take turns, and the medians of the turns count. Seconds are of processor time, which is that of the clock on
+an idle core.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from baselines.tables import markdown_table, text_table
 from benchmarks.machine import machine
 from benchmarks.output import section
-from benchmarks.trainers import BROAD, PACKAGES, UNTUNED, Trainer, TurnOptions, ppo, sac
+from benchmarks.trainers import FORMER, PACKAGES, UNTUNED, Trainer, TurnOptions, ppo, sac
 from capsule_gym.command_line import described, parse
 
 if TYPE_CHECKING:
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 COMMAND = "python -m benchmarks.training_speed"
 # Steps between two updates, whatever the number of environments.
 ROLLOUT = 16_384
-THREADS = ((1, 1), (1, 2), (2, 1), (2, 2))
 # Shorter rollouts cost the same per step, and let a turn end sooner.
 QUICK = {**UNTUNED, "n_steps": 512}
 
@@ -39,30 +39,17 @@ AXES: dict[str, tuple[Trainer, ...]] = {
         ppo("2048 (preset)"),
         *(ppo(str(size), batch_size=size) for size in (64, 256, 1024, 4096, 8192)),
     ),
-    "threads": tuple(
-        ppo(
-            f"environment {env}, torch {own}" + (" (preset)" if env == own == 1 else ""),
-            env_threads=env,
-            torch_threads=own,
-        )
-        for env, own in THREADS
-    ),
-    "broad-threads": tuple(
-        ppo(f"environment {env}, torch {own}", env_threads=env, torch_threads=own, **BROAD) for env, own in THREADS
-    ),
-    "vec-env": (
+    "peers": (
         ppo("preset"),
-        ppo("broad", **BROAD),
-        ppo("untuned, native batch of 8", **QUICK),
-        ppo("untuned, DummyVecEnv of 8", "DummyVecEnv", **QUICK),
-        ppo("untuned, SubprocVecEnv of 8", "SubprocVecEnv", **QUICK),
+        ppo("SB3's PPO, tuned", own=False, **FORMER),
+        ppo("SB3's PPO, untuned", own=False, **QUICK),
+        ppo("SB3's PPO, untuned, DummyVecEnv", own=False, vec_env="DummyVecEnv", **QUICK),
     ),
     "sac": (
-        sac("SB3's SAC", lean=False, fused=False),
-        sac("SB3's SAC, fused Adam", lean=False),
+        sac("SB3's SAC", own=False, fused=False),
+        sac("SB3's SAC, fused Adam", own=False),
         sac("LeanSAC", fused=False),
         sac("LeanSAC, fused Adam (preset)"),
-        sac("preset, torch 2", torch_threads=2),
         sac("preset, batch 2048, 2 updates", batch_size=2048, gradient_steps=2),
         sac("preset, 64 environments, 16 updates", num_envs=64, gradient_steps=16),
     ),
@@ -73,7 +60,7 @@ AXES: dict[str, tuple[Trainer, ...]] = {
 class Options(TurnOptions):
     """Environment steps per second of a training, updates included, with one setting changed at a time.
 
-    Nothing else should run meanwhile. Ctrl-C ends it early and keeps what there is.
+    Little else should run meanwhile. Ctrl-C ends it early and keeps what there is.
 
     Examples:
       python -m benchmarks.training_speed --markdown docs/train_fast_speed.md

@@ -10,31 +10,68 @@ from typing import cast
 
 import gymnasium as gym
 import torch
-from stable_baselines3 import SAC
+from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from tqdm import tqdm
 
-from agents.training.loop import make_env, make_model
+from agents.training.loop import Falling, make_env, make_model
+from agents.training.presets import PPOConfig
 from agents.training.sac import LeanSAC
+from agents.training.vec_env import CapsuleSB3VecEnv
 from benchmarks.trainers import Trainer
 from capsule_gym import ENV_ID
-
-ONE_BY_ONE = {"DummyVecEnv": DummyVecEnv, "SubprocVecEnv": SubprocVecEnv}
 
 
 def make(trainer: Trainer) -> BaseAlgorithm:
     """The agent with its environments."""
     config = trainer.config
-    if trainer.vec_env == "native":
-        env = make_env(config, 0)
-    else:
-        # As most tutorials have them.
-        kind = ONE_BY_ONE[trainer.vec_env]
-        alone = kind([lambda: gym.make(ENV_ID, **config.env_kwargs()) for _ in range(config.num_envs)])
-        env = VecNormalize(alone, norm_reward=False, gamma=config.gamma)
-    return make_model(config, env, sac=LeanSAC if trainer.lean else SAC, fused=trainer.fused)
+    if isinstance(config, PPOConfig) and not trainer.own:
+        return make_plain_ppo(config, trainer.vec_env == "native")
+    sac = LeanSAC if trainer.own else SAC
+    return make_model(config, make_env(config, config.seed), sac=sac, fused=trainer.fused)
+
+
+def make_plain_ppo(config: PPOConfig, native: bool) -> PPO:
+    """Stable-Baselines3's own PPO.
+
+    Args:
+        config: of its fields those that Stable-Baselines3 knows.
+        native: whether it steps the native batch; else environments of `gym.make` one by one, as most tutorials do.
+    """
+    kwargs = config.env_kwargs()
+    batch = (
+        CapsuleSB3VecEnv(config.num_envs, config.seed, threads=config.env_threads, **kwargs)
+        if native
+        else DummyVecEnv([lambda: gym.make(ENV_ID, **kwargs) for _ in range(config.num_envs)])
+    )
+    return PPO(
+        "MlpPolicy",
+        VecNormalize(batch, norm_reward=False, gamma=config.gamma),
+        learning_rate=Falling(config.learning_rate, config.final_learning_rate, 1.0),
+        n_steps=config.n_steps,
+        batch_size=config.batch_size,
+        n_epochs=config.n_epochs,
+        gamma=config.gamma,
+        gae_lambda=config.gae_lambda,
+        ent_coef=config.ent_coef,
+        policy_kwargs={"net_arch": [config.hidden, config.hidden], "log_std_init": config.log_std_init},
+        seed=config.seed,
+        device="cpu",
+    )
+
+
+@contextmanager
+def training(trainer: Trainer) -> Iterator[BaseAlgorithm]:
+    """The agent with its environments until the end, and torch's threads as the trainer has them."""
+    with _torch_threads_kept():
+        torch.set_num_threads(trainer.config.torch_threads)
+        model = make(trainer)
+        try:
+            yield model
+        finally:
+            cast(VecEnv, model.get_env()).close()
 
 
 def unit(model: BaseAlgorithm) -> int:
@@ -43,10 +80,10 @@ def unit(model: BaseAlgorithm) -> int:
 
 
 def learn(model: BaseAlgorithm, units: int) -> float:
-    """Goes on training for so many of its units; returns the seconds."""
-    start = time.perf_counter()
+    """Goes on training for so many of its units; returns the seconds of processor time."""
+    start = time.process_time()
     model.learn(units * unit(model), reset_num_timesteps=False)
-    return time.perf_counter() - start
+    return time.process_time() - start
 
 
 def _prepare(trainer: Trainer, seconds: float) -> tuple[BaseAlgorithm, int]:

@@ -70,6 +70,7 @@ def _on_policy(trial: Trial) -> dict[str, Any]:
         "n_epochs": trial.suggest_int("n_epochs", 3, 10),
         "gae_lambda": 1.0 - trial.suggest_float("one_minus_lambda", 5e-3, 1e-1, log=True),
         "log_std_init": trial.suggest_float("log_std_init", -1.5, 0.0),
+        "least_log_std": trial.suggest_float("least_log_std", -4.0, -1.5),
         "termination_penalty": trial.suggest_float("termination_penalty", 10.0, 300.0, log=True),
     }
 

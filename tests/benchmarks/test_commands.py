@@ -13,9 +13,9 @@ ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = (
     "accuracy",
     "algorithms",
-    "learning",
     "regression",
     "throughput",
+    "training",
     "training_profile",
     "training_speed",
     "tricks",

@@ -15,7 +15,7 @@ TINY = {"num_envs": 4, "hidden": 8, "batch_size": 16}
 
 def test_every_axis_is_measured_and_written(tmp_path, capsys, monkeypatch):
     rivals = (ppo("ppo", n_steps=8, **TINY), sac("sac", learning_starts=20, **TINY))
-    slow = (ppo("one by one", "DummyVecEnv", n_steps=8, **TINY),)
+    slow = (ppo("one by one", own=False, vec_env="DummyVecEnv", n_steps=8, **TINY),)
     monkeypatch.setattr(training_speed, "AXES", {"both": rivals, "slow": slow})
     before = torch.get_num_threads()
     files = ["--json", str(tmp_path / "speed.json"), "--markdown", str(tmp_path / "speed.md")]
