@@ -414,7 +414,7 @@ ROWS: dict[str, Config] = {
         termination_penalty=50.0,
         evaluate_every=1_000_000,
     ),
-    "efficient": dataclasses.replace(FRUGAL, total_steps=4_000_000, energy_weight=4.5),
+    "efficient": dataclasses.replace(FRUGAL, total_steps=4_000_000, energy_weight=3.5),
     "pareto": dataclasses.replace(FRUGAL, total_steps=10_000_000, energy_weight=1.0, energy_weights=(0.1, 20.0)),
 }
 
