@@ -166,6 +166,10 @@ def test_the_command_trains_judges_and_publishes(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "docs" / command.TABLES).is_file()
 
 
+def test_the_page_shows_the_committed_results():
+    assert (command.ROOT / command.DOCS / command.TABLES).read_text(encoding="utf-8") == render(load())
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
