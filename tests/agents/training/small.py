@@ -11,7 +11,11 @@ SMALL = {"num_envs": 8, "batch_size": 64, "hidden": 8, "evaluation_episodes": 2,
 
 
 def small(task: str, algo: str, **changes) -> Config:
-    extra = {"n_steps": 32, "n_epochs": 2} if algo in ("ppo", "recurrent-ppo") else {"learning_starts": 300, "buffer_size": 2000}
+    extra = (
+        {"n_steps": 32, "n_epochs": 2}
+        if algo in ("ppo", "recurrent-ppo")
+        else {"learning_starts": 300, "buffer_size": 2000}
+    )
     return dataclasses.replace(PRESETS[task, algo], **{**SMALL, **extra, **changes})
 
 

@@ -16,8 +16,8 @@ import torch
 from stable_baselines3 import PPO
 
 import train as command_line
-from agents.training.checkpoint import newest
 from agents.training import loop
+from agents.training.checkpoint import newest
 from agents.training.loop import begin, make_env, make_model, own_draws, train
 from agents.training.presets import PRESETS
 from agents.training.runs import ALGORITHMS
