@@ -107,7 +107,12 @@ def _deterministic(trial: Trial) -> dict[str, Any]:
 
 
 def _distributional(trial: Trial) -> dict[str, Any]:
-    return {**_off_policy(trial), "dropped_quantiles": trial.suggest_int("dropped_quantiles", 0, 3)}
+    return {
+        **_off_policy(trial),
+        # The time of an update grows with the square of their number.
+        "quantiles": trial.suggest_categorical("quantiles", [5, 10, 25]),
+        "dropped_quantiles": trial.suggest_int("dropped_quantiles", 0, 3),
+    }
 
 
 SPACES: dict[Algorithm, Space] = {

@@ -28,7 +28,7 @@ class RecurrentActorCritic(RecurrentActorCriticPolicy):
     """sb3-contrib's policy, whose LSTM runs over a sequence in one call also where an episode begins with it."""
 
     @staticmethod
-    def _process_sequence(  # type: ignore[override]
+    def _process_sequence(  # type: ignore[override] # whose annotation says one tensor where it returns a pair
         features: torch.Tensor, lstm_states: States, episode_starts: torch.Tensor, lstm: nn.LSTM
     ) -> tuple[torch.Tensor, States]:
         """The LSTM's outputs and last state; sb3-contrib's own calls it at every step where any episode begins.
