@@ -209,6 +209,18 @@ def optimal_speed(M: float, mu: float) -> float:
     return between_plants(_speeds(), M, mu)
 
 
+def optimal_front() -> list[tuple[float, float]]:
+    """Cost of transport and mean speed (cm/s) of the nominal plant's optima at every energy weight, slowest first."""
+    nominal = Problem()
+    found = [
+        (each.cost_of_transport, each.mean_speed)
+        for each in known_optima().records.values()
+        if (each.M, each.mu, each.hold, each.margin) == (nominal.M, nominal.mu, nominal.hold, nominal.margin)
+        and each.cost_of_transport is not None
+    ]
+    return sorted(found, key=lambda point: point[1])
+
+
 @lru_cache(maxsize=1)
 def _speeds() -> dict[tuple[float, float], float]:
     """The speed of every plant of the grid, cm/s."""

@@ -1,0 +1,155 @@
+"""One policy for every price of energy: its speed and cost of transport at each, beside the fronts of what is known."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import capsule_gym
+from agents.evaluation.candidates import find_candidate
+from agents.evaluation.episodes import evaluate, scores
+from agents.evaluation.sets import load_set
+from agents.evaluation.statistics import Estimate, estimate
+from baselines.drawing import BLUE, INK, MUTED, add_note, new_figure, save, style
+from baselines.gaits.archive import pareto_front
+from baselines.optimum.records import optimal_front
+from baselines.tables import markdown_table
+from capsule_gym.command_line import parse, refuse
+from capsule_gym.files import write_atomically
+
+PROG = "python -m agents.prices"
+# cm/J; from what the reward costs by default to where it pays to creep.
+WEIGHTS = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0, 20.0)
+
+
+class Price(NamedTuple):
+    """What a policy makes at one energy weight.
+
+    Attributes:
+        weight: cm/J.
+        speed: cm/s.
+        cost: of transport.
+        failures: over all episodes of all seeds.
+        episodes: how many these are.
+    """
+
+    weight: float
+    speed: Estimate
+    cost: Estimate
+    failures: int
+    episodes: int
+
+
+@dataclass(frozen=True)
+class Options:
+    """Evaluates a policy that is told the energy weight at many weights, beside the best-known gaits' front.
+
+    Examples:
+      python -m agents.prices --markdown docs/prices_tables.md --figure docs/figures/prices
+    """
+
+    policy: str = "pareto"
+    """A checkpoint, all training seeds, or one of its runs."""
+    set: str = "paper"
+    """A frozen set, or the path of a JSON file of the same form."""
+    markdown: Path | None = None
+    """Write the table to this file."""
+    figure: Path | None = None
+    """Write the figure to this file; its suffix is the figure's own."""
+
+
+def measure(name: str, set_name: str, weights: Sequence[float] = WEIGHTS) -> list[Price]:
+    """Evaluates all runs of a policy at every weight.
+
+    Args:
+        name: of a policy that is told the energy weight.
+        set_name: of an evaluation set.
+        weights: cm/J.
+
+    Raises:
+        ValueError: if there is no such policy or set, or the policy is told no weight.
+    """
+    evaluation_set, runs = load_set(set_name), find_candidate(name).runs
+    prices = []
+    for weight in weights:
+        episodes = []
+        for run in runs:
+            if not isinstance(run.policy, capsule_gym.Policy):
+                raise ValueError(f"policy must be a trained one that is told the energy weight, got {name!r}")
+            own = evaluate(run.policy.with_energy_weight(weight), evaluation_set)
+            episodes += [{**episode, "training_seed": run.training_seed} for episode in own]
+        speed, cost = (estimate(scores(episodes, metric)) for metric in ("mean_speed", "cost_of_transport"))
+        prices.append(Price(weight, speed, cost, int(scores(episodes, "failed").sum()), len(episodes)))
+    return prices
+
+
+def cost_of_gaits(speed: float) -> float:
+    """The cost of transport on the best-known gaits' front at a speed in cm/s, linear between its gaits; NaN beyond."""
+    speeds, costs = zip(*((gait.mean_speed, gait.cost_of_transport) for gait in pareto_front()), strict=True)
+    return float(np.interp(speed, speeds, costs, left=np.nan, right=np.nan))
+
+
+def table(prices: Sequence[Price]) -> str:
+    """The table as Markdown."""
+    measured = ("mean speed (cm/s) [95 %]", "cost of transport [95 %]")
+    rows = [["energy weight (cm/J)", *measured, "over the gaits'", "failures"]]
+    for each in prices:
+        ratio = each.cost.value / cost_of_gaits(each.speed.value)
+        cells = (f"{e.value:.2f} [{e.low:.2f}, {e.high:.2f}]" for e in (each.speed, each.cost))
+        shown = f"{ratio:.2f}" if np.isfinite(ratio) else "-"
+        rows.append([f"{each.weight:g}", *cells, shown, f"{each.failures}/{each.episodes}"])
+    return markdown_table(rows)
+
+
+def draw(prices: Sequence[Price], set_name: str) -> Any:
+    """Speed against cost of transport."""
+    figure = new_figure(4.2)
+    axes = figure.subplots()
+    for name, points, colour in (
+        ("best-known gaits", [(gait.cost_of_transport, gait.mean_speed) for gait in pareto_front()], MUTED),
+        ("optimum", optimal_front(), INK),
+    ):
+        x, y = zip(*points, strict=True)
+        axes.plot(x, y, ".--", color=colour, markersize=4.0, linewidth=1.0, label=f"front of the {name}")
+    axes.plot(
+        [each.cost.value for each in prices],
+        [each.speed.value for each in prices],
+        "o-",
+        color=BLUE,
+        markersize=4.0,
+        linewidth=1.2,
+        label="one policy, told the weight",
+    )
+    for each in prices[::2]:
+        axes.annotate(f"{each.weight:g}", (each.cost.value, each.speed.value), (5.0, -9.0), textcoords="offset points")
+    axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)", xlim=(0.0, None), ylim=(0.0, None))
+    axes.set_title("One policy for every price of energy (cm/J beside the points)")
+    axes.legend(loc="lower right")
+    add_note(figure, f"Interquartile means over all seeds and episodes of the set {set_name}; fronts on the paper's plant.")
+    return figure
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    options = parse(Options, PROG, arguments)
+    try:
+        prices = measure(options.policy, options.set)
+    except ValueError as error:
+        refuse(PROG, str(error))
+    text = table(prices)
+    if options.markdown is not None:
+        write_atomically(options.markdown, f"<!-- Written by {PROG}: do not edit. -->\n\n{text}\n")
+    if options.figure is not None:
+        with style():
+            save(draw(prices, options.set), options.figure)
+    print(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
