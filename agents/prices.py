@@ -130,7 +130,10 @@ def draw(prices: Sequence[Price], set_name: str) -> Any:
     axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)", xlim=(0.0, None), ylim=(0.0, None))
     axes.set_title("One policy for every price of energy (cm/J beside the points)")
     axes.legend(loc="lower right")
-    add_note(figure, f"Interquartile means over all seeds and episodes of the set {set_name}; fronts on the paper's plant.")
+    note = f"Interquartile means over all seeds and episodes of the set {set_name}; fronts on the paper's plant."
+    add_note(figure, note)
+        figure, f"Interquartile means over all seeds and episodes of the set {set_name}; fronts on the paper's plant."
+    )
     return figure
 
 
