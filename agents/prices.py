@@ -132,8 +132,6 @@ def draw(prices: Sequence[Price], set_name: str) -> Any:
     axes.legend(loc="lower right")
     note = f"Interquartile means over all seeds and episodes of the set {set_name}; fronts on the paper's plant."
     add_note(figure, note)
-        figure, f"Interquartile means over all seeds and episodes of the set {set_name}; fronts on the paper's plant."
-    )
     return figure
 
 
