@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -77,7 +76,7 @@ class Evaluation:
     Attributes:
         steps: agent steps until then.
         seconds: of training until then.
-        core_seconds: of processor time until then; NaN of runs that did not count it.
+        core_seconds: of processor time until then; None of runs that did not count it.
         mean_speed: interquartile mean, cm/s.
         failed: share of the episodes that failed.
         score: what the run's best policy is chosen by, cm/s.
@@ -90,7 +89,7 @@ class Evaluation:
     failed: float
     score: float
     stage: int
-    core_seconds: float = math.nan
+    core_seconds: float | None = None
 
 
 def seeds_of(words: Sequence[str]) -> list[int]:
@@ -183,7 +182,7 @@ def evaluations(run: Path) -> list[Evaluation]:
             failed=float(row["failed"]),
             score=float(row["score_cm_s"]),
             stage=int(row["stage"]),
-            core_seconds=float(row.get("core_seconds", "nan")),
+            core_seconds=float(row["core_seconds"]) if "core_seconds" in row else None,
         )
         for row in rows
     ]

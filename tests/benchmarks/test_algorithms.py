@@ -30,7 +30,7 @@ def test_presets_are_trained_evaluated_once_and_gone_on_with(tmp_path, monkeypat
         assert [run["steps"] for run in result["runs"]] == [512]
         assert result["runs"][0]["core_seconds"] > 0.0
     page = (tmp_path / "a.md").read_text()
-    assert re.search(r"^\| recurrent-ppo +\| +1 \|", page, re.M) and "0.5 of the presets' steps" in page
+    assert re.search(r"^\| recurrent-ppo +\| 1 +\|", page, re.M) and "0.5 of the presets' steps" in page
     assert "minutes of one core" in capsys.readouterr().out
 
 
