@@ -64,12 +64,13 @@ def test_rows_say_what_trained_them_and_what_they_build_on(written):
 
 
 def test_the_base_of_a_residual_is_the_policy_of_its_law_alone():
-    names = ("adaptive", "residual-ppo", "residual-ppo-compliant", "direct-ppo")
+    names = ("adaptive", "residual-ppo", "residual-on-gait", "robust", "direct-ppo")
     bases = {each.name: static_header(each)["base"] for each in map(find_candidate, names)}
     assert bases == {
         "adaptive": None,
         "residual-ppo": "adaptive",
-        "residual-ppo-compliant": "compliant",
+        "residual-on-gait": "gait-guarded",
+        "robust": "gait-identifying",
         "direct-ppo": None,
     }
 

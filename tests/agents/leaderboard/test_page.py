@@ -3,7 +3,7 @@ import copy
 import pytest
 
 from agents.leaderboard.board import write
-from agents.leaderboard.page import END, START, head, rank, render, with_head
+from agents.leaderboard.page import END, HEAD_ROWS, START, head, rank, render, with_head
 from tests.agents.leaderboard.world import SETS, checked, read, row_of, table
 
 
@@ -33,12 +33,12 @@ def test_page_shows_shares_and_chaos(written):
 
 def test_head_always_shows_the_reference(written):
     board = read(written)
-    rows = [copy.deepcopy(row_of(board, "bold")) | {"policy": f"better-{i}"} for i in range(9)]
+    rows = [copy.deepcopy(row_of(board, "bold")) | {"policy": f"better-{i}"} for i in range(HEAD_ROWS + 1)]
     for row in rows:
         row["results"]["paper"]["mean_speed"]["iqm"] = 1e3
     board["rows"] = rank([*board["rows"], *rows])
     names = [row[0] for row in table(head(board))[2:]]
-    assert names == [f"better-{i}" for i in range(5)] + ["adaptive"]
+    assert names == [f"better-{i}" for i in range(HEAD_ROWS)] + ["adaptive"]
 
 
 def test_readme_markers(written):
