@@ -22,7 +22,7 @@ def tiny(monkeypatch):
 
 
 def test_contenders_are_compared_and_a_comparison_goes_on(tiny, tmp_path, capsys):
-    options = ["--seeds", "2", "--steps", "512", "--runs", str(tmp_path / "runs")]
+    options = ["--seeds", "2", "--steps", "1024", "--runs", str(tmp_path / "runs")]
     before = torch.get_num_threads()
     assert training.main([*options, "--other-seeds", "0", "--json", str(tmp_path / "a.json")]) == 0
     assert torch.get_num_threads() == before
@@ -42,7 +42,7 @@ def test_contenders_are_compared_and_a_comparison_goes_on(tiny, tmp_path, capsys
         ("other", 0),
     ]
     for run in runs:
-        assert run["steps"] == list(range(32, 513, 32))
+        assert run["steps"] == list(range(64, 1025, 64))
         assert run["seconds"] == sorted(run["seconds"])
         assert len(run["mean_speed"]) == len(run["failed"]) == len(run["steps"])
     assert "| other " in (tmp_path / "b.md").read_text()
