@@ -82,7 +82,7 @@ def test_a_run_says_how_far_it_was_and_when():
 def test_points_are_counted_by_the_peers_interval():
     peers = [run(seed, (1.0 + seed, 1.0 + seed, 1.0 + seed)) for seed in range(2)]
     own = [run(seed, (0.5, 1.5, 2.5)) for seed in range(2)]
-    assert training.points_within(own, peers) == (1, 1, 1)
+    assert [steps.tolist() for steps in training.compared(own, peers)] == [[100.0], [200.0], [300.0]]
     assert training.speed_difference(own, own).value == 0.0
 
 
