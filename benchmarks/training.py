@@ -130,18 +130,26 @@ def speed_difference(runs: Sequence[Run], peers: Sequence[Run]) -> Estimate:
     return paired_difference(own, other)
 
 
-def points_within(runs: Sequence[Run], peers: Sequence[Run]) -> tuple[int, int, int]:
-    """At how many points of the curve the one's mean is below the other's interval, in it, and above it."""
+def compared(runs: Sequence[Run], peers: Sequence[Run]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """At which steps the one's mean is below the other's interval, in it, and above it."""
     own, other = (learning_curve([(run.steps, run.mean_speed) for run in each]) for each in (runs, peers))
     value = own.value[np.searchsorted(own.x, other.x, side="right") - 1]
-    below, above = int(np.sum(value < other.low)), int(np.sum(value > other.high))
-    return below, len(value) - below - above, above
+    below, above = value < other.low, value > other.high
+    return other.x[below], other.x[~below & ~above], other.x[above]
 
 
 def rows(runs: Mapping[str, Sequence[Run]]) -> list[list[str]]:
     """The comparison as a table; intervals are over seeds."""
     peers = runs[PEER.name]
-    head = ["", "seeds", "steps/s", "ratio (range)", *(f"at {part:.0%}" for part in SHOWN), "whole curve", "failures"]
+    head = [
+        "",
+        "seeds",
+        "steps/s",
+        "ratio (range)",
+        *(f"at {100.0 * part:g} %" for part in SHOWN),
+        "whole curve",
+        "failures",
+    ]
     table = [[*head, f"s to {GOAL:g} cm/s"]]
     for name, own in runs.items():
         found = ratios(own, peers)
@@ -153,7 +161,7 @@ def rows(runs: Mapping[str, Sequence[Run]]) -> list[list[str]]:
                 "" if own is peers else f"{statistics.median(found):.1f} ({min(found):.1f} to {max(found):.1f})",
                 *(_interval(estimate([[run.at(part)] for run in own])) for part in SHOWN),
                 _interval(estimate([[statistics.mean(run.mean_speed)] for run in own])),
-                f"{statistics.mean(run.failed[-1] for run in own):.1%}",
+                f"{100.0 * statistics.mean(run.failed[-1] for run in own):.1f} %",
                 f"{statistics.median(run.seconds_to(GOAL) for run in own):.1f}",
             ]
         )
@@ -169,13 +177,14 @@ def _interval(found: Estimate) -> str:
 def verdict(runs: Mapping[str, Sequence[Run]]) -> str:
     """What the comparison of the preset with its peer comes to, in a sentence."""
     own, peers = runs[PRESET.name], runs[PEER.name]
-    below, inside, above = points_within(own, peers)
+    below, inside, above = compared(own, peers)
     found, difference = ratios(own, peers), speed_difference(own, peers)
+    last = f" below it, the last at {below[-1] / 1e6:.2f} M steps" if below.size else " below it"
     return (
         f"The preset makes {statistics.median(found):.1f} times the steps per second of {PEER.name}. Of its "
-        f"{below + inside + above} evaluations {inside} lie within the other's interval, {above} above and {below} "
-        f"below; over the whole curve it is {difference.value:+.1f} cm/s [{difference.low:+.1f}, "
-        f"{difference.high:+.1f}]."
+        f"{below.size + inside.size + above.size} evaluations {inside.size} lie within the other's interval, "
+        f"{above.size} above and {below.size}{last}. Over the whole curve it is {difference.value:+.1f} cm/s "
+        f"[{difference.low:+.1f}, {difference.high:+.1f}]."
     )
 
 
@@ -192,7 +201,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"Speeds in cm/s, interquartile means with 95 % intervals over training seeds; {options.steps:,} steps. "
         f"{describe(found)}."
     )
-    settings = {trainer.name: trainer.config.to_dict() for trainer in reversed(plan)}
+    settings = {trainer.name: trainer.config.to_dict() for trainer in (PRESET, PEER, *OTHERS)}
     numbers = {"machine": found, "settings": settings, "runs": [vars(run) for each in runs.values() for run in each]}
     options.write(COMMAND, numbers, section("learning", [markdown_table(table), "", words, "", note]))
     if options.figure is not None:

@@ -43,10 +43,11 @@ def draw(runs: Mapping[str, Sequence[Run]], note: str) -> Any:
             if n < COMPARED:
                 axes.fill_between(x, curve.low, curve.high, color=pen.colour, alpha=0.15, linewidth=0.0)
             axes.plot(x, curve.value, **pen.line(label=name))
-    left.set(xlabel="environment steps (millions)", ylabel="mean speed (cm/s)", xlim=(0.0, None), ylim=(0.0, None))
+    left.set(xlabel="environment steps (millions)", ylabel="mean speed (cm/s)", xlim=(0.0, None), ylim=(-1.0, None))
     right.set(xlabel="seconds of processor time", xscale="log")
-    left.set_title("What is learnt from as many steps")
-    right.set_title("and in as much time")
+    right.xaxis.set_major_formatter("{x:g}")
+    left.set_title("From as many steps")
+    right.set_title("In as much time")
     left.legend(loc="upper left")
     drawing.add_note(figure, note)
     return figure

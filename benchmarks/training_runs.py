@@ -43,7 +43,7 @@ class Curve(BaseCallback):
         return True
 
     def _on_rollout_start(self) -> None:
-        if self.num_timesteps >= self.every * (1 + len(self.run.steps)):
+        if self.num_timesteps - (self.run.steps[-1] if self.run.steps else 0) >= self.every:
             self.evaluate()
 
     def _on_training_end(self) -> None:

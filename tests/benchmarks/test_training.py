@@ -22,7 +22,7 @@ def tiny(monkeypatch):
 
 
 def test_contenders_are_compared_and_a_comparison_goes_on(tiny, tmp_path, capsys):
-    options = ["--seeds", "2", "--steps", "512", "--runs", str(tmp_path / "runs")]
+    options = ["--seeds", "2", "--steps", "1024", "--runs", str(tmp_path / "runs")]
     before = torch.get_num_threads()
     assert training.main([*options, "--other-seeds", "0", "--json", str(tmp_path / "a.json")]) == 0
     assert torch.get_num_threads() == before
@@ -42,7 +42,7 @@ def test_contenders_are_compared_and_a_comparison_goes_on(tiny, tmp_path, capsys
         ("other", 0),
     ]
     for run in runs:
-        assert run["steps"] == list(range(32, 513, 32))
+        assert run["steps"] == list(range(64, 1025, 64))
         assert run["seconds"] == sorted(run["seconds"])
         assert len(run["mean_speed"]) == len(run["failed"]) == len(run["steps"])
     assert "| other " in (tmp_path / "b.md").read_text()
@@ -82,7 +82,7 @@ def test_a_run_says_how_far_it_was_and_when():
 def test_points_are_counted_by_the_peers_interval():
     peers = [run(seed, (1.0 + seed, 1.0 + seed, 1.0 + seed)) for seed in range(2)]
     own = [run(seed, (0.5, 1.5, 2.5)) for seed in range(2)]
-    assert training.points_within(own, peers) == (1, 1, 1)
+    assert [steps.tolist() for steps in training.compared(own, peers)] == [[100.0], [200.0], [300.0]]
     assert training.speed_difference(own, own).value == 0.0
 
 
