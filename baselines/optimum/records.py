@@ -210,7 +210,10 @@ def optimal_speed(M: float, mu: float) -> float:
 
 
 def optimal_front() -> list[tuple[float, float]]:
-    """Cost of transport and mean speed (cm/s) of the nominal plant's optima at every energy weight, slowest first."""
+    """Cost of transport and mean speed (cm/s) of the nominal plant's optima, none both slower and dearer than another.
+
+    One for every energy weight on file, slowest first.
+    """
     nominal = Problem()
     found = [
         (each.cost_of_transport, each.mean_speed)
@@ -218,7 +221,8 @@ def optimal_front() -> list[tuple[float, float]]:
         if (each.M, each.mu, each.hold, each.margin) == (nominal.M, nominal.mu, nominal.hold, nominal.margin)
         and each.cost_of_transport is not None
     ]
-    return sorted(found, key=lambda point: point[1])
+    undominated = [(cost, speed) for cost, speed in found if not any(c <= cost and s > speed for c, s in found)]
+    return sorted(undominated, key=lambda point: point[1])
 
 
 @lru_cache(maxsize=1)

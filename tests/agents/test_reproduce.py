@@ -59,7 +59,7 @@ def test_a_published_run_lies_within_its_own_rows_interval(tmp_path, monkeypatch
     monkeypatch.setattr(reproduce, "train_all", lambda jobs, *_: [trained(job) for job in jobs])
     assert reproduce.main(["direct-ppo", "--runs", str(tmp_path)]) == 0
     (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("direct-ppo")]
-    assert line.endswith("within") and "2 min" in line and "(3)" in line
+    assert line.endswith("within") and "2 min" in line and "(5)" in line
 
 
 def test_a_run_that_fails_is_told(tmp_path, monkeypatch, capsys):

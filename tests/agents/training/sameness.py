@@ -43,7 +43,9 @@ def same(a: Any, b: Any) -> bool:
 
 
 def rows(path: Path, without: tuple[str, ...] = ()) -> list[dict[str, str]]:
-    """The lines of a CSV file."""
+    """The lines of a CSV file; none where a run was too short to write one."""
+    if not path.is_file():
+        return []
     with path.open(newline="") as file:
         return [{name: value for name, value in row.items() if name not in without} for row in csv.DictReader(file)]
 
