@@ -83,6 +83,13 @@ def scalars(run: Path, tag: str) -> list[tuple[int, float]]:
     return [(event.step, event.value) for event in events.Scalars(tag)]
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _short_runs_write_a_log():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loop, "LOG_EVERY", 200)
+        yield
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> dict[str, Path]:
     """A run of each algorithm that nobody disturbed."""
