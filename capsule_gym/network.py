@@ -28,6 +28,7 @@ TILE = 4
 FEW = 8
 # Float64 in a cache line.
 LINE = 8
+
 Layer = tuple[np.ndarray, np.ndarray]
 
 

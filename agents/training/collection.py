@@ -165,7 +165,6 @@ def collect(
             broken = advance(world, first, first + n, False, fixed, observations)
             if broken >= 0:
                 return cuts, endings, broken
-            begun = 0
             for j in range(n):
                 i = first + j
                 reward = block[AT.reward + j]
@@ -191,8 +190,8 @@ def collect(
                         ended[endings, 2 + k] = block[k * LANES + j]
                     endings += 1
                 row[0] = i
-                share, _ = draw_two(keys[i, 0], keys[i, 1], DISTURBANCES, np.uint64(episodes[i]))
                 if told:
+                    share, _ = draw_two(keys[i, 0], keys[i, 1], DISTURBANCES, np.uint64(episodes[i]))
                     log_weights[i] = way.least + share * (way.most - way.least)
                 draw_apart(lines, start_noise, row, keys, episodes, starts)
                 renew_apart(world[b : b + 1], law_memory, plant.m, plant.g, row - first, starts, episodes[first:])
@@ -203,7 +202,6 @@ def collect(
                 returns[i], lengths[i] = 0.0, 0
                 for k in range(CELLS if header.identifies else 0):
                     memory[i * CELLS + k] = 0.0
-                begun += 1
             perceive_apart(network, observations, first, n, memory, inputs)
             for j in range(n):
                 complete(way, block, j, log_weights, first + j, header.inputs, inputs)

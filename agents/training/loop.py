@@ -45,6 +45,7 @@ from agents.training.presets import (
     EVALUATIONS,
     Config,
     OffPolicyConfig,
+    OnPolicyConfig,
     PPOConfig,
     RecurrentPPOConfig,
     TD3Config,
@@ -86,7 +87,7 @@ class Falling:
     share: float
 
     def __call__(self, left: float) -> float:
-        """The rate where that share of the run is left; below 0 where the last rollout goes beyond the end."""
+        """The rate where that share of the run is left, which is below 0 where the last rollout goes beyond the end."""
         return self.end + (self.start - self.end) * max(0.0, min(1.0, left / self.share))
 
 
@@ -141,23 +142,25 @@ def make_model(config: Config, env: VecNormalize, sac: type[SAC] = LeanSAC, fuse
         "seed": config.seed,
         "device": "cpu",
     }
+    if isinstance(config, OnPolicyConfig):
+        network |= {"log_std_init": config.log_std_init, "optimizer_kwargs": {"eps": 1e-5, "fused": fused}}
+        shared |= {
+            "n_steps": config.n_steps,
+            "n_epochs": config.n_epochs,
+            "gae_lambda": config.gae_lambda,
+            "ent_coef": config.ent_coef,
+        }
     if isinstance(config, PPOConfig):
         venv: Any = env.venv
         model = CapsulePPO(
             ActorCritic,
             env,
-            n_steps=config.n_steps,
-            n_epochs=config.n_epochs,
-            gae_lambda=config.gae_lambda,
-            ent_coef=config.ent_coef,
             policy_kwargs={
                 **network,
                 "policy_inputs": venv.header.inputs,
-                "log_std_init": config.log_std_init,
                 "least_log_std": config.least_log_std,
                 "tanh_mean": config.tanh_mean,
                 "activation_fn": {"tanh": FastTanh, "relu": nn.ReLU}[config.activation],
-                "optimizer_kwargs": {"eps": 1e-5, "fused": fused},
             },
             **shared,
         )
@@ -167,17 +170,11 @@ def make_model(config: Config, env: VecNormalize, sac: type[SAC] = LeanSAC, fuse
         return RecurrentPPO(
             RecurrentActorCritic,
             env,
-            n_steps=config.n_steps,
-            n_epochs=config.n_epochs,
-            gae_lambda=config.gae_lambda,
-            ent_coef=config.ent_coef,
             policy_kwargs={
                 **network,
                 "lstm_hidden_size": config.hidden,
                 "enable_critic_lstm": config.recurrent_critic,
-                "log_std_init": config.log_std_init,
                 "activation_fn": FastTanh,
-                "optimizer_kwargs": {"eps": 1e-5, "fused": fused},
             },
             **shared,
         )
@@ -456,9 +453,8 @@ def _train_stage(
             transfer(before, model)
     monitor.config = config
     model.set_logger(make_logger(run, model.num_timesteps))
-    # The last stage's end is the run's.
-    earlier = sum(stage.total_steps for stage in stages[: progress.stage]) if progress.stage < len(stages) - 1 else 0
-    remaining = earlier + config.total_steps - model.num_timesteps
+    # A stage's total_steps are the run's by its end.
+    remaining = config.total_steps - model.num_timesteps
     try:
         if before is None and latest is not None:
             set_streams()

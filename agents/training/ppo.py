@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import math
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -25,11 +24,10 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from torch import nn
 
 from agents.training.collection import Rollout, RolloutVecEnv
-from agents.training.update import LOSSES, Numbers, Settings, make_steps
+from agents.training.update import HALF_LOG_2_PI, LOSSES, Numbers, Settings, make_steps
 from capsule_gym.network import Layer, pack
 from capsule_gym.task import BASE_OBSERVATION
 
-HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 # Of glibc's mallopt.
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, LARGEST = -1, -3, 2**30
 
@@ -307,8 +305,7 @@ class CapsulePPO(PPO):
     def _numbers(self, of: dict[torch.Tensor, torch.Tensor]) -> Numbers:
         """What belongs to the parameters, in the memory of torch."""
         policy: Any = self.policy
-        hidden = policy.mlp_extractor
-        networks = ([*hidden.policy_net[::2], policy.action_net], [*hidden.value_net[::2], policy.value_net])
+        networks = acting_layers(policy), [*policy.mlp_extractor.value_net[::2], policy.value_net]
         actor, critic = (
             [(of[layer.weight].numpy(), of[layer.bias].numpy()) for layer in layers] for layers in networks
         )
@@ -353,11 +350,17 @@ def transfer(before: BaseAlgorithm, model: BaseAlgorithm) -> None:
     model.critic_steps += before.num_timesteps
 
 
+def acting_layers(policy: ActorCritic) -> list[Any]:
+    """The linear layers that a policy acts by."""
+    hidden: Any = policy.mlp_extractor.policy_net
+    return [*hidden[::2], policy.action_net]
+
+
 def linear_layers(policy: ActorCritic) -> list[Layer]:
     """Weights and biases of the layers that a policy acts by, copied, float32."""
-    hidden: Any = policy.mlp_extractor.policy_net
-    layers: list[Any] = [*hidden[::2], policy.action_net]
-    return [(layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in layers]
+    return [
+        (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in acting_layers(policy)
+    ]
 
 
 def log_density(actions: torch.Tensor, mean: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:

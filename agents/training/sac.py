@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from stable_baselines3 import SAC
 from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN, Actor
 from torch import nn
 
-HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
+from agents.training.update import HALF_LOG_2_PI
+
 # As in SB3: keeps the logarithm finite where tanh has saturated.
 EPSILON = 1e-6
 

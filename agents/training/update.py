@@ -37,7 +37,9 @@ LINE = 16
 
 F32 = np.float32
 ZERO, HALF, ONE, TWO = F32(0.0), F32(0.5), F32(1.0), F32(2.0)
-HALF_LOG_2_PI = F32(0.5 * math.log(2.0 * math.pi))
+# Of the normal density; as the update takes it, and as torch does.
+HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
+NORMAL = F32(HALF_LOG_2_PI)
 LOG2_E = F32(1.0 / math.log(2.0))
 # The logarithm of 2, of which a first part so short that its multiples are exact.
 LN_2 = F32(355.0 / 512.0)
@@ -404,7 +406,7 @@ def judge(
     for j in range(LANES):
         mean = tanh(outputs[j]) if tanh_mean else outputs[j]
         deviation = (actions[j] - mean) * precision
-        log_ratio = -HALF * deviation * deviation - log_std - HALF_LOG_2_PI - old[j]
+        log_ratio = -HALF * deviation * deviation - log_std - NORMAL - old[j]
         bounded = LARGEST if log_ratio > LARGEST else log_ratio
         bounded = -LARGEST if bounded < -LARGEST else bounded
         ratio = exponential(bounded)
@@ -682,7 +684,7 @@ def update(
                 sums[1] += total_apart(samples[ROW.squared_error]) / size
                 sums[3] += total_apart(samples[ROW.divergence]) / size
                 sums[4] += total_apart(samples[ROW.clipped]) / size
-            sums[2] -= log_std + HALF_LOG_2_PI + HALF
+            sums[2] -= log_std + NORMAL + HALF
             gradients[last] = gradients[last] - s.ent_coef if parameters[last] >= F32(s.least_log_std) else 0.0
             norm = math.sqrt(sum_of_squares_apart(gradients))
             power_1 *= s.beta_1
