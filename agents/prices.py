@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,12 +12,13 @@ import numpy as np
 
 import capsule_gym
 from agents.evaluation.candidates import find_candidate
-from agents.evaluation.episodes import evaluate, scores
+from agents.evaluation.episodes import failures, scores
 from agents.evaluation.sets import load_set
 from agents.evaluation.statistics import Estimate, estimate
+from agents.evaluation.tables import MEASURES
+from agents.evidence.material import fronts
 from baselines.drawing import BLUE, INK, MUTED, add_note, new_figure, save, style
 from baselines.gaits.archive import pareto_front
-from baselines.optimum.records import optimal_front
 from baselines.tables import markdown_table
 from capsule_gym.command_line import parse, refuse
 from capsule_gym.files import write_atomically
@@ -25,6 +26,9 @@ from capsule_gym.files import write_atomically
 PROG = "python -m agents.prices"
 # cm/J; from what the reward costs by default to where it pays to creep.
 WEIGHTS = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0, 20.0)
+
+
+SPEED, COST = MEASURES["mean_speed"], MEASURES["cost_of_transport"]
 
 
 class Price(NamedTuple):
@@ -81,10 +85,9 @@ def measure(name: str, set_name: str, weights: Sequence[float] = WEIGHTS) -> lis
         for run in runs:
             if not isinstance(run.policy, capsule_gym.Policy):
                 raise ValueError(f"policy must be a trained one that is told the energy weight, got {name!r}")
-            own = evaluate(run.policy.with_energy_weight(weight), evaluation_set)
-            episodes += [{**episode, "training_seed": run.training_seed} for episode in own]
-        speed, cost = (estimate(scores(episodes, metric)) for metric in ("mean_speed", "cost_of_transport"))
-        prices.append(Price(weight, speed, cost, int(scores(episodes, "failed").sum()), len(episodes)))
+            episodes += replace(run, policy=run.policy.with_energy_weight(weight)).evaluate(evaluation_set)
+        speed, cost = (estimate(scores(episodes, measure.metric)) for measure in (SPEED, COST))
+        prices.append(Price(weight, speed, cost, failures(episodes), len(episodes)))
     return prices
 
 
@@ -96,11 +99,11 @@ def cost_of_gaits(speed: float) -> float:
 
 def table(prices: Sequence[Price]) -> str:
     """The table as Markdown."""
-    measured = ("mean speed (cm/s) [95 %]", "cost of transport [95 %]")
+    measured = (f"{measure.label} [95 %]" for measure in (SPEED, COST))
     rows = [["energy weight (cm/J)", *measured, "over the gaits'", "failures"]]
     for each in prices:
         ratio = each.cost.value / cost_of_gaits(each.speed.value)
-        cells = (f"{e.value:.2f} [{e.low:.2f}, {e.high:.2f}]" for e in (each.speed, each.cost))
+        cells = SPEED.with_interval(each.speed.to_dict()), COST.with_interval(each.cost.to_dict())
         shown = f"{ratio:.2f}" if np.isfinite(ratio) else "-"
         rows.append([f"{each.weight:g}", *cells, shown, f"{each.failures}/{each.episodes}"])
     return markdown_table(rows)
@@ -110,10 +113,7 @@ def draw(prices: Sequence[Price], set_name: str) -> Any:
     """Speed against cost of transport."""
     figure = new_figure(4.2)
     axes = figure.subplots()
-    for name, points, colour in (
-        ("best-known gaits", [(gait.cost_of_transport, gait.mean_speed) for gait in pareto_front()], MUTED),
-        ("optimum", optimal_front(), INK),
-    ):
+    for (name, points), colour in zip(fronts().items(), (MUTED, INK), strict=True):
         x, y = zip(*points, strict=True)
         axes.plot(x, y, ".--", color=colour, markersize=4.0, linewidth=1.0, label=f"front of the {name}")
     axes.plot(

@@ -23,6 +23,7 @@ from agents.evaluation.statistics import (
 )
 from agents.leaderboard.page import RANKING_SET
 from agents.leaderboard.rows import Row
+from agents.training.presets import EVALUATED, EVALUATIONS
 from baselines.gaits.archive import pareto_front
 from baselines.optimum.records import optimal_front
 
@@ -33,7 +34,6 @@ REFERENCES = (BASELINE, "direct-ppo", BASE)
 # The sets whose plants are drawn and do not jump: the paper's ranges and the wide ones.
 SHOWN_SETS = ("paper", "wide")
 PROFILE_POINTS = 101
-EVALUATIONS = "evaluations.csv"
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def read_learning(folder: Path) -> Learning:
         try:
             with path.open(newline="", encoding="utf-8") as file:
                 # Where a stage of a run ends it may be evaluated twice: the last line counts.
-                lines = {int(line["steps"]): float(line["mean_speed_cm_s"]) for line in csv.DictReader(file)}
+                lines = {int(line[EVALUATED]): float(line["mean_speed_cm_s"]) for line in csv.DictReader(file)}
             steps, speeds = np.array(sorted(lines.items()), np.float64).T
             seeds[int(path.parent.name.removeprefix("seed-"))] = (steps, speeds)
         except (KeyError, TypeError, ValueError) as error:

@@ -13,8 +13,8 @@ shape (metrics, training seeds, episodes), and under `header` a JSON text in UTF
 | `versions` | of Python and of the packages that evaluated it |
 | `disturbed` | the range of the mean speed under noise (`agents.leaderboard.chaos`) |
 
-Distance and energy are left out: they follow from speed and cost of transport. So is the share of the best-known speed,
-which follows from speed and plant.
+Distance and energy are left out: they follow from speed and cost of transport. So is the share of the optimum, which
+follows from speed and plant.
 """
 
 from __future__ import annotations
