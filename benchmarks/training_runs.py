@@ -13,7 +13,6 @@ from agents.evaluation.sets import EvaluationSet
 from agents.evaluation.statistics import interquartile_mean
 from agents.training.export import export
 from agents.training.loop import own_draws
-from agents.training.ppo import keep_memory
 from agents.training.runs import git_revision
 from benchmarks.trainers import Run, Trainer
 from benchmarks.training_turns import training, unit
@@ -70,8 +69,6 @@ class Curve(BaseCallback):
 
 def warm_up(trainer: Trainer) -> None:
     """Compiles what the training needs, or reads it from the cache; before a clock runs."""
-    # What is freed stays with the process, as train.py has it.
-    keep_memory()
     with training(trainer) as model:
         model.learn(unit(model))
 

@@ -37,7 +37,7 @@ from agents.training.errors import RunError
 from agents.training.export import export
 from agents.training.lock import locked
 from agents.training.logs import Table, make_logger, told_once
-from agents.training.ppo import ActorCritic, CapsulePPO, FastTanh, keep_memory, transfer
+from agents.training.ppo import ActorCritic, CapsulePPO, FastTanh, transfer
 from agents.training.presets import (
     BEST,
     CONFIG,
@@ -408,7 +408,6 @@ def train(run: Path, config: Config) -> bool:
         OSError: if the folder cannot be written to; what it held is still there.
     """
     torch.set_num_threads(config.torch_threads)
-    keep_memory()
     with naming(run), locked(run), told_once():
         revision = note_changes(run, config)
         checkpoint.clean_up(run)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
-import sys
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -27,9 +24,6 @@ from agents.training.collection import Rollout, RolloutVecEnv
 from agents.training.update import HALF_LOG_2_PI, LOSSES, Numbers, Settings, make_steps
 from capsule_gym.network import Layer, pack
 from capsule_gym.task import BASE_OBSERVATION
-
-# Of glibc's mallopt.
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, LARGEST = -1, -3, 2**30
 
 
 class _Tanh(torch.autograd.Function):
@@ -117,18 +111,6 @@ class Extractor(MlpExtractor):
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
         """What the policy's layers make of the features."""
         return self.policy_net(features[..., : self.policy_inputs])
-
-
-def keep_memory() -> None:
-    """Has the C library keep what is freed, where that can be said to it: every minibatch asks for the same again.
-
-    Pages that are given back and asked for anew cost a fifth of an update.
-    """
-    if sys.platform == "linux":
-        with suppress(OSError, AttributeError):
-            mallopt = ctypes.CDLL(None).mallopt
-            mallopt(M_MMAP_THRESHOLD, LARGEST)
-            mallopt(M_TRIM_THRESHOLD, LARGEST)
 
 
 class CapsulePPO(PPO):
