@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import math
 import re
@@ -12,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym.parameters import check_number, written
+from capsule_gym.parameters import check_number, nearest, written
 
 Law = Callable[..., tuple[float, tuple[float, ...]]]
 
@@ -156,8 +155,8 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
             ) from None
         found = getattr(module, attribute, None)
         if found is None:
-            near = difflib.get_close_matches(attribute, [name for name in vars(module) if name[0] != "_"], 1)
-            meant = f"; did you mean {module_name + ':' + near[0]!r}?" if near else ""
+            names = [f"{module_name}:{name}" for name in dir(module) if name[0] != "_"]
+            meant = nearest(controller, names)
             raise ValueError(f"controller={controller!r}: the module {module_name!r} has no {attribute!r}{meant}")
     if callable(found):
         try:

@@ -38,6 +38,7 @@ from capsule_gym.compilation import (
     rebound,
     use_widest_vectors,
 )
+from capsule_gym.observation import write_observation
 from capsule_gym.parameters import Plant
 
 # Environments that one loop takes through a step together. Their rows lie side by side at offsets that the compiler
@@ -459,7 +460,7 @@ def observe(block: np.ndarray, n: int, begin: bool, settings: Settings, cycle: i
     """Writes the observations of a block's environments that take part."""
     for j in range(n):
         if block[AT.active + j] != 0.0:
-            task.write_observation(
+            write_observation(
                 observations[j],
                 (block[AT.theta + j], block[AT.theta_dot + j], block[AT.x_dot + j]),
                 0.0 if begin else block[AT.action + j],

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-
-from capsule_gym.compilation import inlined
-from capsule_gym.exponential import exp, log
 
 NormalForce = Literal["newton", "paper"]
 
@@ -45,6 +43,11 @@ def written(value: Any) -> str:
         return repr(value)
     except ValueError:
         return f"{type(value).__name__} of more digits than can be shown"
+
+
+def nearest(given: str, names: Iterable[str]) -> str:
+    """The end of a message that refuses a name: the most similar one that there is, or nothing where none is."""
+    return "".join(f"; did you mean {name!r}?" for name in difflib.get_close_matches(given, list(names), n=1))
 
 
 def check_number(
@@ -247,20 +250,6 @@ NOMINAL = Capsule()
 """The capsule of the paper."""
 
 
-@inlined
-def plant_at(lines: Sequence[float], share_M: float, share_mu: float) -> tuple[float, float]:
-    """M in kg and mu at these shares, in [0, 1), of their ranges.
-
-    Args:
-        lines: from `Randomization.lines`.
-        share_M: of the range of M.
-        share_mu: of the range of mu, or of log(mu) where that is drawn.
-    """
-    low_M, growth_M, low_mu, growth_mu, growth_log_mu = lines[0], lines[1], lines[2], lines[3], lines[4]
-    mu = low_mu * exp(growth_log_mu * share_mu) if growth_log_mu > 0.0 else low_mu + growth_mu * share_mu
-    return low_M + growth_M * share_M, mu
-
-
 def _check_range(name: str, value: Any, *, positive: bool) -> tuple[float, float]:
     """Validates one range (low, high) of a Randomization."""
     accepted = f"a pair (low, high) of finite numbers with {'0 <' if positive else '0 <='} low <= high"
@@ -349,14 +338,20 @@ class Randomization:
 
     def draw(self, rng: np.random.Generator, capsule: Capsule) -> tuple[float, float]:
         """Draws M in kg and mu for one episode: always two numbers of the stream, so that ranges do not shift it."""
+        # Here, since it comes with numba, which takes most of a second to import.
+        from capsule_gym.ranges import plant_at
+
         return plant_at(self.lines(capsule), *rng.random(2).tolist())
 
     def lines(self, capsule: Capsule) -> tuple[float, float, float, float, float]:
-        """What `plant_at` takes: where M (kg) and mu begin, how much they grow, and how much log(mu) grows.
+        """What `ranges.plant_at` takes: where M (kg) and mu begin, how much they grow, and how much log(mu) grows.
 
         Args:
             capsule: where what is not drawn comes from.
         """
+        # As in `draw`.
+        from capsule_gym.exponential import log
+
         M, mu = self.M or (capsule.M, capsule.M), self.mu or (capsule.mu, capsule.mu)
         growth = log(mu[1] / mu[0]) if self.mu and self.log_mu else 0.0
         return float(M[0]), float(M[1] - M[0]), float(mu[0]), float(mu[1] - mu[0]), growth

@@ -24,13 +24,11 @@ A file is in the safetensors format:
 
 from __future__ import annotations
 
-import difflib
 import json
 import os
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -39,28 +37,22 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from capsule_gym import identification, task
+from capsule_gym.committed import POLICY, committed, policy_names
 from capsule_gym.controller import is_own
 from capsule_gym.exponential import log
 from capsule_gym.files import write_bytes_atomically
 from capsule_gym.network import Header, Layer, decision, input_names, pack
-from capsule_gym.options import LARGEST_COST, Options
-from capsule_gym.parameters import SMALLEST, Capsule, Randomization, check_number
+from capsule_gym.options import TOLD, TOLD_ENERGY_WEIGHTS, Options
+from capsule_gym.parameters import Capsule, Randomization, check_number, nearest
 
-POLICY = "policy.safetensors"
 FORMAT, FORMAT_VERSION = "capsule_gym policy", "2"
 ACTIVATIONS, SQUASHINGS, OUTPUTS = ("tanh", "relu"), ("clip", "tanh"), ("action", "torque")
 # No float32 weights give a sum beyond float64 in so many layers of so many units, and no finite observation a NaN.
 MOST_LAYERS, MOST_UNITS, LARGEST_CLIP = 6, 1024, 1e6
-# Energy weights that a policy can be told, cm/J: their logarithms are numbers.
-TOLD_ENERGY_WEIGHTS = SMALLEST, LARGEST_COST
-TOLD = f"a number of cm/J from {SMALLEST:g} to {LARGEST_COST:g}"
 # Nothing larger is read: more than the layers above can fill, many times what a policy takes.
 LARGEST_FILE, LARGEST_METADATA = 32 * 2**20, 2**16
 # The options of the environment that change what a policy meets.
 ENV_ARGUMENTS = tuple(each.name for each in fields(Options) if each.name not in ("threads", "render_mode"))
-SEED_FOLDER = re.compile(r"seed-([0-9]{1,18})")
-# A wheel carries the committed policies in the package; in a checkout they lie with the training commands.
-FOLDERS = (Path(__file__).with_name("checkpoints"), Path(__file__).parents[1] / "agents" / "checkpoints")
 
 
 class Actor:
@@ -320,7 +312,7 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
     """
     if not isinstance(name_or_path, (str, os.PathLike)):
         raise TypeError(f"name_or_path must be a policy's name or a path, got {name_or_path!r}")
-    path = _committed().get(name_or_path) if isinstance(name_or_path, str) else None
+    path = committed().get(name_or_path) if isinstance(name_or_path, str) else None
     if path is not None:
         return _read(str(name_or_path), path, trust_controller)
     path = Path(name_or_path)
@@ -332,35 +324,10 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
     if path.is_file():
         folder = path.absolute().parent
         return _read(folder.parent.name if folder.name == "best" else folder.name, path, trust_controller)
-    near = difflib.get_close_matches(str(name_or_path), _committed(), n=1)
     raise ValueError(
         f"name_or_path must be one of {', '.join(policy_names())}, one run of it as NAME/seed-0, or the path of a "
-        f"policy file or of a run's folder, got {str(name_or_path)!r}"
-        + "".join(f"; did you mean {name!r}?" for name in near)
+        f"policy file or of a run's folder, got {str(name_or_path)!r}{nearest(str(name_or_path), committed())}"
     )
-
-
-def policy_names(*, seeds: bool = False) -> list[str]:
-    """The names of the policies that come with the package.
-
-    Args:
-        seeds: name every training run, as "residual-ppo/seed-2", in place of the policies that they are runs of.
-    """
-    return [name for name in _committed() if ("/" in name) is seeds]
-
-
-@lru_cache(maxsize=1)
-def _committed() -> dict[str, Path]:
-    """The files of the policies that come with the package: every run's, and under the plain name the first run's."""
-    folder = next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[0])
-    runs = [
-        (file.parents[1].name, SEED_FOLDER.fullmatch(file.parent.name), file) for file in folder.glob(f"*/*/{POLICY}")
-    ]
-    found: dict[str, Path] = {}
-    for name, seed, file in sorted((name, int(match[1]), file) for name, match, file in runs if match):
-        found.setdefault(name, file)
-        found[f"{name}/seed-{seed}"] = file
-    return found
 
 
 def _options(env_kwargs: Any) -> Options:

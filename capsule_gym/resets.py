@@ -13,7 +13,7 @@ from numba import types
 
 from capsule_gym.compilation import compile_now, fingerprint, inlined, kernel
 from capsule_gym.kernels import AT, LANES, MEMORY, Row
-from capsule_gym.parameters import plant_at
+from capsule_gym.ranges import plant_at
 from capsule_gym.task import START_THETA
 
 

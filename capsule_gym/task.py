@@ -11,9 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capsule_gym.compilation import inlined
+from capsule_gym.inlining import inlined
 from capsule_gym.parameters import Capsule, Randomization
-from capsule_gym.trigonometry import sincos
 
 ENV_ID = "CapsuleStickSlip-v0"
 EPISODE_STEPS = 1650
@@ -193,45 +192,3 @@ def continues(theta: float, normal_force: float) -> bool:
 def bounded(theta_dot: float, x_dot: float) -> bool:
     """Whether the rates are those of a motion that the integrator resolves; NaN is not."""
     return abs(theta_dot) + abs(x_dot) <= RATE_LIMIT
-
-
-@inlined
-def write_observation(
-    out: np.ndarray,
-    state: tuple[float, float, float],
-    last_action: float,
-    reference: tuple[float, float, float],
-    law_torque: float,
-    parameters: tuple[float, float],
-    with_reference: bool,
-    with_parameters: bool,
-) -> None:
-    """Writes the observation of one environment.
-
-    Args:
-        out: shape (entries,), float32, written in the order of `observation_names`.
-        state: theta (rad), theta_dot (rad/s), x_dot (m/s).
-        last_action: in [-1, 1].
-        reference: theta_d (rad), theta_d_dot (rad/s), phase of the cycle in [0, 1).
-        law_torque: what the law asks for at this instant, clipped to the torque limit, N m.
-        parameters: M (kg) and mu.
-        with_reference: whether the entries of the law are there.
-        with_parameters: whether M and mu are.
-    """
-    theta, theta_dot, x_dot = state
-    out[0] = clip(theta, THETA_LIMIT)
-    out[1] = clip(theta_dot, THETA_DOT_BOUND)
-    out[2] = clip(x_dot, X_DOT_BOUND)
-    out[3] = 1.0 if x_dot == 0.0 else 0.0
-    out[4] = last_action
-    next_entry = 5
-    if with_reference:
-        theta_d, theta_d_dot, phase = reference
-        out[5] = clip(theta_d, THETA_LIMIT)
-        out[6] = clip(theta_d_dot, THETA_DOT_BOUND)
-        out[7], out[8] = sincos(2.0 * math.pi * phase)
-        out[9] = law_torque
-        next_entry = 10
-    if with_parameters:
-        out[next_entry] = parameters[0]
-        out[next_entry + 1] = parameters[1]

@@ -18,8 +18,8 @@ from capsule_gym.exponential import exp
 from capsule_gym.identification import CELLS
 from capsule_gym.kernels import AT, LANES, record
 from capsule_gym.network import LAW_TORQUE, Header, input_names, perceive_apart, think_apart, to_action, workspace
-from capsule_gym.parameters import plant_at
 from capsule_gym.policy import make_header
+from capsule_gym.ranges import plant_at
 from capsule_gym.resets import Stream, draw_two, random_stream
 from capsule_gym.simulation import episode_metrics
 from capsule_gym.task import observation_names

@@ -19,9 +19,8 @@ from tyro.conf import Fixed, Suppress
 
 from agents.training.errors import RunError
 from capsule_gym.command_line import Count, described
-from capsule_gym.options import DOCS, Options
+from capsule_gym.options import DOCS, TOLD, TOLD_ENERGY_WEIGHTS, Options
 from capsule_gym.parameters import check_number
-from capsule_gym.policy import TOLD, TOLD_ENERGY_WEIGHTS
 from capsule_gym.task import HORIZON
 
 # Of numpy's generators, which SB3 seeds.

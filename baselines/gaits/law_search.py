@@ -32,7 +32,8 @@ from capsule_gym.command_line import Count, parse, refuse
 from capsule_gym.controller import Controller
 from capsule_gym.files import write_atomically
 from capsule_gym.kernels import ROWS
-from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, plant_at
+from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
+from capsule_gym.ranges import plant_at
 from capsule_gym.task import HORIZON
 
 PROG = "python -m baselines.gaits.law_search"

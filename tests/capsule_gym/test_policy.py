@@ -18,8 +18,7 @@ from safetensors.numpy import load_file, save
 
 import capsule_gym
 from capsule_gym import Capsule, Policy, Randomization, load_policy, policy_names
-from capsule_gym import policy as policy_module
-from capsule_gym.policy import POLICY
+from capsule_gym.committed import POLICY, committed
 from tests.capsule_gym.test_network import make_layers
 
 ROOT = Path(__file__).parents[2]
@@ -296,7 +295,7 @@ def test_names_are_known_and_mean_the_first_seed():
 
 
 def test_committed_policies_take_little_room():
-    files = set(policy_module._committed().values())
+    files = set(committed().values())
     assert len(files) == len(COMMITTED)
     assert 0 < sum(path.stat().st_size for path in files) < SIZE_LIMIT
 
@@ -321,7 +320,7 @@ def test_an_unknown_name_is_answered_with_the_known_ones():
         load_policy("direct-sac/seed-9")
     # No name leads out of the policies' own folder, or to a file in it that is no policy's.
     for name in ("residual-ppo/../direct-ppo", "residual-ppo/seed-0/..", "residual-ppo/seed-00", ".", "", "seed-0"):
-        assert name not in policy_module._committed()
+        assert name not in committed()
     with pytest.raises(ValueError, match=r"got 'residual-ppo/\.\./direct-ppo'"):
         load_policy("residual-ppo/../direct-ppo")
     with pytest.raises(TypeError, match="name_or_path must be a policy's name or a path, got 3"):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from capsule_gym import Capsule, Randomization, task
+from capsule_gym.observation import write_observation
 
 
 @pytest.mark.parametrize(("value", "limit", "expected"), [(3.0, 1.0, 1.0), (-3.0, 1.0, -1.0), (0.5, 1.0, 0.5)])
@@ -72,7 +73,7 @@ def observe(with_reference: bool, with_parameters: bool, **values: float) -> dic
         dict.fromkeys((*names, "phase"), 0.25) | dict.fromkeys(("theta_d", "theta_d_dot", "law_torque"), 0.5) | values
     )
     out = np.full(len(names), np.nan, np.float32)
-    task.write_observation(
+    write_observation(
         out,
         (given["theta"], given["theta_dot"], given["x_dot"]),
         given["last_action"],

@@ -7,11 +7,13 @@ from typing import Any
 
 import pytest
 
+from capsule_gym.plants import SET_NAMES
+
 tomllib = pytest.importorskip("tomllib", reason="from Python 3.11 on", exc_type=ImportError)
 
 ROOT = Path(__file__).resolve().parents[2]
-# A package of data alone, which lies in another folder.
-POLICIES = "capsule_gym.checkpoints"
+# Packages of data alone, which lie in other folders.
+POLICIES, SETS = "capsule_gym.checkpoints", "capsule_gym.frozen"
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +25,7 @@ def test_every_package_is_installed(setuptools):
     folders = [path.parent for top in ("capsule_gym", "baselines") for path in (ROOT / top).rglob("__init__.py")]
     names = {".".join(folder.relative_to(ROOT).parts) for folder in folders}
     assert {"capsule_gym", "baselines", "baselines.laws"} <= names
-    assert sorted(setuptools["packages"]) == sorted({*names, POLICIES})
+    assert sorted(setuptools["packages"]) == sorted({*names, POLICIES, SETS})
 
 
 def test_the_committed_policies_are_installed(setuptools):
@@ -32,3 +34,9 @@ def test_the_committed_policies_are_installed(setuptools):
     installed = set(folder.glob(pattern))
     assert installed == set((ROOT / "agents" / "checkpoints").glob("*/seed-*/policy.safetensors"))
     assert len(installed) > 10
+
+
+def test_the_frozen_sets_are_installed(setuptools):
+    folder = ROOT / setuptools["package-dir"][SETS]
+    (pattern,) = setuptools["package-data"][SETS]
+    assert {path.stem for path in folder.glob(pattern)} == set(SET_NAMES)

@@ -21,7 +21,7 @@ from capsule_gym.exponential import exp
 from capsule_gym.identification import CELLS, estimates, identify
 from capsule_gym.kernels import LANES, Row
 from capsule_gym.network import LAW_TORQUE, input_names, pack, to_action
-from capsule_gym.parameters import plant_at
+from capsule_gym.ranges import plant_at
 from capsule_gym.resets import Stream, random_stream
 from capsule_gym.task import METRICS, Termination, observation_names
 from tests.agents.training.small import small

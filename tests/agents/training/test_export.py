@@ -21,7 +21,7 @@ from agents.training.runs import archive
 from agents.training.sac import LeanSAC
 from agents.training.vec_env import CapsuleSB3VecEnv
 from capsule_gym import load_policy
-from capsule_gym.policy import POLICY
+from capsule_gym.committed import POLICY
 
 # Largest difference of an action from torch's, which computes in float32.
 AGREEMENT = 2e-6

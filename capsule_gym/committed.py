@@ -1,0 +1,35 @@
+"""The policies that come with the package: their names and their files, without what it takes to load one."""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+from pathlib import Path
+
+POLICY = "policy.safetensors"
+SEED_FOLDER = re.compile(r"seed-([0-9]{1,18})")
+# A wheel carries the committed policies in the package; in a checkout they lie with the training commands.
+FOLDERS = (Path(__file__).with_name("checkpoints"), Path(__file__).parents[1] / "agents" / "checkpoints")
+
+
+def policy_names(*, seeds: bool = False) -> list[str]:
+    """The names of the policies that come with the package.
+
+    Args:
+        seeds: name every training run, as "residual-ppo/seed-2", in place of the policies that they are runs of.
+    """
+    return [name for name in committed() if ("/" in name) is seeds]
+
+
+@lru_cache(maxsize=1)
+def committed() -> dict[str, Path]:
+    """The files of the policies that come with the package: every run's, and under the plain name the first run's."""
+    folder = next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[0])
+    runs = [
+        (file.parents[1].name, SEED_FOLDER.fullmatch(file.parent.name), file) for file in folder.glob(f"*/*/{POLICY}")
+    ]
+    found: dict[str, Path] = {}
+    for name, seed, file in sorted((name, int(match[1]), file) for name, match, file in runs if match):
+        found.setdefault(name, file)
+        found[f"{name}/seed-{seed}"] = file
+    return found

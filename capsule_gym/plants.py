@@ -1,0 +1,195 @@
+"""The plants that policies are judged and shown on: evaluation sets and their files, the frozen ones among them.
+
+`agents.evaluation.sets` says what the frozen ones are, and draws them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from capsule_gym.files import canonical_hash
+from capsule_gym.parameters import NOMINAL, check_number, nearest
+from capsule_gym.task import HORIZON, START_THETA, THETA_LIMIT
+
+SET_NAMES = ("nominal", "paper", "wide", "extrapolation", "drift")
+# A wheel carries their files in the package; in a checkout they lie with the evaluation.
+FOLDERS = (Path(__file__).with_name("frozen"), Path(__file__).parents[1] / "agents" / "evaluation" / "frozen")
+
+
+@dataclass(frozen=True)
+class Change:
+    """A jump of the plant within an episode.
+
+    Attributes:
+        t: when, in s from the start of the episode.
+        M: mass of the platform from then on, kg.
+        mu: friction coefficient from then on.
+    """
+
+    t: float
+    M: float
+    mu: float
+
+    def to_dict(self) -> dict[str, float]:
+        """The fields as plain types."""
+        return {"t": self.t, "M": self.M, "mu": self.mu}
+
+
+@dataclass(frozen=True)
+class PlantSpec:
+    """One episode of an evaluation set.
+
+    Attributes:
+        M: mass of the platform, kg.
+        mu: friction coefficient.
+        seed: seeds the episode's environment and the policy, where they draw random numbers.
+        changes: the plant's jumps in order of time.
+        theta: the angle that the episode starts from, at rest, rad.
+    """
+
+    M: float
+    mu: float
+    seed: int
+    changes: tuple[Change, ...] = ()
+    theta: float = START_THETA
+
+    def to_dict(self) -> dict[str, Any]:
+        """The fields as plain types."""
+        start = {} if self.theta == START_THETA else {"theta": self.theta}
+        changes = [change.to_dict() for change in self.changes]
+        return {"M": self.M, "mu": self.mu, "seed": self.seed, **start, "changes": changes}
+
+
+NOMINAL_PLANT = PlantSpec(NOMINAL.M, NOMINAL.mu, seed=0)
+
+
+@dataclass(frozen=True)
+class EvaluationSet:
+    """A named list of episodes.
+
+    Attributes:
+        name: as it appears in results.
+        plants: the episodes, at least one.
+    """
+
+    name: str
+    plants: tuple[PlantSpec, ...]
+
+    @cached_property
+    def hash(self) -> str:
+        """The sha256 of the content in canonical JSON; the file's layout does not matter."""
+        return canonical_hash(self.to_dict())
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of the set's file."""
+        return {"name": self.name, "plants": [plant.to_dict() for plant in self.plants]}
+
+    def to_json(self) -> str:
+        """The text of the set's file: one plant a line."""
+        plants = ",\n".join("  " + json.dumps(plant.to_dict()) for plant in self.plants)
+        return f'{{\n "name": {json.dumps(self.name)},\n "plants": [\n{plants}\n ]\n}}\n'
+
+
+def _fields(where: str, value: Any, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Any]:
+    """The JSON object, after a check that it has these fields and no others."""
+    accepted = f"an object with the fields {', '.join(required)}" + "".join(f" and optionally {o}" for o in optional)
+    if not isinstance(value, dict):
+        raise ValueError(f"{where} must be {accepted}, got {value!r}")
+    for name in required:
+        if name not in value:
+            raise ValueError(f"{where} must be {accepted}; {name} is missing")
+    for name in value:
+        if name not in required and name not in optional:
+            raise ValueError(f"{where} must be {accepted}, got a field {name!r}")
+    return value
+
+
+def _items(where: str, value: Any, accepted: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise ValueError(f"{where} must be {accepted}, got {value!r}")
+    return value
+
+
+def _mass_and_friction(where: str, entry: dict[str, Any]) -> tuple[float, float]:
+    M = check_number(f"{where}.M", entry["M"], "a finite number > 0 (kg)", 0.0, open_low=True)
+    mu = check_number(f"{where}.mu", entry["mu"], "a finite number > 0", 0.0, open_low=True)
+    try:
+        NOMINAL.check_plant(M, mu)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+    return M, mu
+
+
+def _parse_change(where: str, value: Any, after: float) -> Change:
+    entry = _fields(where, value, ("t", "M", "mu"))
+    accepted = f"a number of seconds within (0, {HORIZON:g}), later than the change before"
+    t = check_number(f"{where}.t", entry["t"], accepted, after, math.nextafter(HORIZON, 0.0), open_low=True)
+    return Change(t, *_mass_and_friction(where, entry))
+
+
+def _parse_plant(where: str, value: Any) -> PlantSpec:
+    entry = _fields(where, value, ("M", "mu", "seed"), ("theta", "changes"))
+    M, mu = _mass_and_friction(where, entry)
+    accepted = f"an angle in rad within {THETA_LIMIT:.4g} of 0"
+    largest = math.nextafter(THETA_LIMIT, 0.0)
+    theta = check_number(f"{where}.theta", entry.get("theta", START_THETA), accepted, -largest, largest)
+    seed = entry["seed"]
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise ValueError(f"{where}.seed must be an integer >= 0, got {seed!r}")
+    changes: list[Change] = []
+    for j, change in enumerate(_items(f"{where}.changes", entry.get("changes", []), "a list of changes")):
+        changes.append(_parse_change(f"{where}.changes[{j}]", change, changes[-1].t if changes else 0.0))
+    return PlantSpec(M, mu, seed, tuple(changes), theta)
+
+
+def parse_set(content: Any) -> EvaluationSet:
+    """Validates the parsed JSON of a set.
+
+    Args:
+        content: `{"name": .., "plants": [{"M": .., "mu": .., "seed": .., "theta": .., "changes": [{"t": .., "M": ..,
+            "mu": ..}]}]}` with M in kg, theta in rad and t in s; `theta` and `changes` may be left out.
+
+    Raises:
+        TypeError: if a number is of the wrong type.
+        ValueError: if anything else is malformed; the message names the field, its value and what is accepted.
+    """
+    entry = _fields("set", content, ("name", "plants"))
+    name = entry["name"]
+    if not isinstance(name, str) or not name.strip():
+        raise ValueError(f"set.name must be a string that is not empty, got {name!r}")
+    plants = _items("set.plants", entry["plants"], "a list of at least one plant")
+    if not plants:
+        raise ValueError("set.plants must be a list of at least one plant, got []")
+    return EvaluationSet(name, tuple(_parse_plant(f"set.plants[{i}]", plant) for i, plant in enumerate(plants)))
+
+
+def frozen_folder() -> Path:
+    """Where the files of the frozen sets lie."""
+    return next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[-1])
+
+
+def load_set(name_or_path: str | Path) -> EvaluationSet:
+    """Loads an evaluation set.
+
+    Args:
+        name_or_path: one of `SET_NAMES`, or the path of a JSON file of the same form (see `parse_set`).
+
+    Raises:
+        ValueError: if there is no such set, or its file is malformed.
+    """
+    path = frozen_folder() / f"{name_or_path}.json" if name_or_path in SET_NAMES else Path(name_or_path)
+    if not path.is_file():
+        raise ValueError(
+            f"set must be one of {', '.join(SET_NAMES)}, or the path of a JSON file, got {str(name_or_path)!r}"
+            f"{nearest(str(name_or_path), SET_NAMES)}"
+        )
+    try:
+        return parse_set(json.loads(path.read_text(encoding="utf-8")))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path} is not an evaluation set: {error}") from error
