@@ -20,12 +20,12 @@ from baselines.policies import SCRIPTED
 from capsule_gym.command_line import Positional, check_output, parse, refuse
 from capsule_gym.files import replacing
 from capsule_gym.parameters import check_number
+from capsule_gym.pictures import FRAME_SECONDS
+from capsule_gym.pictures import write_gif as write_gif
 from capsule_gym.task import CONTROL_DT, HORIZON
 
 PROG = "python -m agents.recording"
 NOMINAL_TITLE = f"Nominal plant (M = {NOMINAL_PLANT.M:g} kg, μ = {NOMINAL_PLANT.mu:g})"
-# Between the frames of a moving picture: 25 a second, which a GIF can keep exactly.
-FRAME_SECONDS = 0.04
 # The part of an episode that a moving picture shows unless told otherwise, s.
 ANIMATION_START, ANIMATION_SECONDS = 10.0, 6.0
 
@@ -112,40 +112,6 @@ def draw_comparison(recordings: Sequence[Recording], path: Path, title: str, sec
         torque.set(xlabel="time (s)", ylabel="torque u (N m)", xlim=(first, window))
         with replacing(path) as temporary:
             figure.savefig(temporary, dpi=DPI)
-
-
-def write_gif(frames: Sequence[np.ndarray], path: Path, frame_seconds: float = FRAME_SECONDS, width: int = 640) -> None:
-    """Writes pictures as a looping GIF.
-
-    Args:
-        frames: (height, width, 3) uint8 each.
-        path: the GIF; written whole or not at all.
-        frame_seconds: time between frames; GIF counts hundredths of a second.
-        width: of the result, in pixels.
-
-    Raises:
-        ValueError: if there are no pictures.
-    """
-    if not frames:
-        raise ValueError("frames must hold at least one picture, got none: the episode ended before the first")
-    from PIL import Image
-
-    pictures = [Image.fromarray(frame) for frame in frames]
-    height = round(pictures[0].height * width / pictures[0].width)
-    pictures = [picture.resize((width, height), Image.Resampling.LANCZOS) for picture in pictures]
-    # One palette for all frames: colours do not flicker, and only what moves is stored anew.
-    # By coverage, not by frequency: the few pixels of a legend keep their colour too.
-    palette = pictures[len(pictures) // 2].quantize(128, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-    pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-    with replacing(path) as temporary:
-        pictures[0].save(
-            temporary,
-            save_all=True,
-            append_images=pictures[1:],
-            duration=round(1000 * frame_seconds),
-            loop=0,
-            optimize=True,
-        )
 
 
 @dataclass(frozen=True)

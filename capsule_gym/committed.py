@@ -1,12 +1,15 @@
-"""The policies that come with the package: their names and their files, without what it takes to load one."""
+"""What comes with the package and can drive, by name: without what it takes to load it."""
 
 from __future__ import annotations
 
 import re
 from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 
 POLICY = "policy.safetensors"
+# Drives with no torque.
+NOBODY = "zero"
 SEED_FOLDER = re.compile(r"seed-([0-9]{1,18})")
 # A wheel carries the committed policies in the package; in a checkout they lie with the training commands.
 FOLDERS = (Path(__file__).with_name("checkpoints"), Path(__file__).parents[1] / "agents" / "checkpoints")
@@ -33,3 +36,13 @@ def committed() -> dict[str, Path]:
         found.setdefault(name, file)
         found[f"{name}/seed-{seed}"] = file
     return found
+
+
+def law_names() -> list[str]:
+    """The names of the control laws, as "adaptive" for `controller="baselines:adaptive"`."""
+    return list(import_module("baselines").__all__)
+
+
+def driver_names() -> list[str]:
+    """Everything that drives by its name: no torque, the control laws, the trained policies."""
+    return [NOBODY, *law_names(), *policy_names()]

@@ -306,7 +306,14 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
                 self.metadata["render_fps"],
                 self.simulation.settings.torque_limit,
             )
-        return draw(self._renderer, self.simulation, 0)
+        return self._renderer.draw(**shown_state(self.simulation, 0))
+
+    def get_keys_to_action(self) -> dict[tuple[str, ...], np.ndarray]:
+        """What gymnasium's own `play` asks for: the key a swings the ball to the left, d to the right, at full torque.
+
+        `gymnasium.utils.play.play(env, noop=np.zeros(1, np.float32))` plays; without a `noop` its own is no action here.
+        """
+        return {("a",): np.ones(1, np.float32), ("d",): -np.ones(1, np.float32)}
 
     def close(self) -> None:
         """Closes the window, if there is one."""
@@ -357,18 +364,18 @@ def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> 
     return options
 
 
-def draw(renderer: Renderer, simulation: Simulation, i: int) -> np.ndarray | None:
-    """Draws environment i."""
+def shown_state(simulation: Simulation, i: int) -> dict[str, Any]:
+    """What `Renderer.draw` is told of environment i."""
     row = simulation.columns(np.array([i]))[:, 0]
     reference = float(simulation.reference[int(row[Row.clock]), 0]) if simulation.controller else None
-    return renderer.draw(
-        theta=float(row[Row.theta]),
-        theta_dot=float(row[Row.theta_dot]),
-        x=float(row[Row.x]),
-        x_dot=float(row[Row.x_dot]),
-        torque=float(row[Row.torque]),
-        time=float(row[Row.duration]),
-        M=float(row[Row.M]),
-        mu=float(row[Row.mu]),
-        theta_reference=reference,
-    )
+    return {
+        "theta": float(row[Row.theta]),
+        "theta_dot": float(row[Row.theta_dot]),
+        "x": float(row[Row.x]),
+        "x_dot": float(row[Row.x_dot]),
+        "torque": float(row[Row.torque]),
+        "time": float(row[Row.duration]),
+        "M": float(row[Row.M]),
+        "mu": float(row[Row.mu]),
+        "theta_reference": reference,
+    }

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,8 @@ from capsule_gym.parameters import NOMINAL, check_number, nearest
 from capsule_gym.task import HORIZON, START_THETA, THETA_LIMIT
 
 SET_NAMES = ("nominal", "paper", "wide", "extrapolation", "drift")
+# What makes an episode of a set, whatever a policy was trained with.
+EPISODE_SETTINGS: dict[str, Any] = {"randomization": "none", "initial_noise": 0.0}
 # A wheel carries their files in the package; in a checkout they lie with the evaluation.
 FOLDERS = (Path(__file__).with_name("frozen"), Path(__file__).parents[1] / "agents" / "evaluation" / "frozen")
 
@@ -59,6 +61,11 @@ class PlantSpec:
     changes: tuple[Change, ...] = ()
     theta: float = START_THETA
 
+    def reset_options(self) -> dict[str, Any]:
+        """What `reset` of an environment is told to begin this episode."""
+        changes = [change.to_dict() for change in self.changes]
+        return {"M": self.M, "mu": self.mu, "state": [self.theta, 0.0, 0.0, 0.0], "changes": changes}
+
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""
         start = {} if self.theta == START_THETA else {"theta": self.theta}
@@ -85,6 +92,33 @@ class EvaluationSet:
     def hash(self) -> str:
         """The sha256 of the content in canonical JSON; the file's layout does not matter."""
         return canonical_hash(self.to_dict())
+
+    def from_seed(self, seed: int, *, M: float | None = None, mu: float | None = None) -> tuple[PlantSpec, ...]:
+        """The plants in their order, begun with the one of that seed, behind whose last the first follows.
+
+        Args:
+            seed: of a plant of the set.
+            M: mass of the platform of all of them, kg, in place of their own; then none jumps.
+            mu: friction coefficient, likewise.
+
+        Raises:
+            TypeError: if M or mu is no number.
+            ValueError: if the set has no such plant, or M and mu are those of no plant.
+        """
+        seeds = [plant.seed for plant in self.plants]
+        if seed not in seeds:
+            raise ValueError(f"seed must be one of the set {self.name!r}, {min(seeds)} to {max(seeds)}, got {seed!r}")
+        first = seeds.index(seed)
+        plants = self.plants[first:] + self.plants[:first]
+        if M is None and mu is None:
+            return plants
+        changed = tuple(
+            replace(plant, M=plant.M if M is None else M, mu=plant.mu if mu is None else mu, changes=())
+            for plant in plants
+        )
+        for plant in changed:
+            NOMINAL.check_plant(plant.M, plant.mu)
+        return changed
 
     def to_dict(self) -> dict[str, Any]:
         """The content of the set's file."""

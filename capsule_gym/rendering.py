@@ -5,8 +5,9 @@ from __future__ import annotations
 import functools
 import math
 from collections import deque
+from collections.abc import Callable
 from itertools import groupby
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -34,6 +35,7 @@ SPRING_INNER, SPRING_OUTER, SPRING_TURNS = 9.0, 31.0, 2.5
 # Pixels of the speed arrow per m/s, and its longest.
 SPEED_ARROW, SPEED_ARROW_LIMIT = 320.0, 220.0
 TRAIL_SECONDS = 0.07
+BANNER, BANNER_HALF = FLOOR + 2, 330.0
 
 CHART_SECONDS = 10.0
 CHART_SAMPLE_SECONDS = 0.01
@@ -54,6 +56,7 @@ BALL_COLOUR: Colour = (13, 128, 124)
 TORQUE: Colour = (139, 76, 199)
 STICK: Colour = (37, 99, 186)
 SLIP: Colour = (238, 128, 36)
+GHOST: Colour = (196, 205, 217)
 
 
 def _nice_step(least: float) -> float:
@@ -135,6 +138,34 @@ def _body(contact: Colour) -> Canvas:
     return layer
 
 
+class Ghost(NamedTuple):
+    """Another robot on the same floor, drawn pale behind the first.
+
+    Attributes:
+        name: shown with its lead.
+        theta: angle of its pendulum from the upright, rad.
+        x: displacement of its platform, m.
+    """
+
+    name: str
+    theta: float
+    x: float
+
+
+class Overlay(NamedTuple):
+    """What may lie over the picture.
+
+    Attributes:
+        ghost: another robot.
+        note: a line of some 110 characters above the chart.
+        banner: a line of some 70 characters across the ruler.
+    """
+
+    ghost: Ghost | None = None
+    note: str = ""
+    banner: str = ""
+
+
 class Renderer:
     """Draws the robot on its floor, its figures, and the last seconds of its displacement.
 
@@ -149,6 +180,7 @@ class Renderer:
         fps: frames per second that the window is held to.
         torque_limit: torque that fills the gauge, N m.
         title: shown in the picture, where some 30 characters fit, and on the window.
+        on_key: hears of the keys of the window: pygame's name of a key, and whether it is pressed or let go.
 
     Raises:
         ValueError: if an argument is out of range.
@@ -156,7 +188,15 @@ class Renderer:
         gymnasium.error.DependencyNotInstalled: if pygame is not installed.
     """
 
-    def __init__(self, capsule: Capsule, mode: str, fps: int, torque_limit: float, title: str = ENV_ID) -> None:
+    def __init__(
+        self,
+        capsule: Capsule,
+        mode: str,
+        fps: int,
+        torque_limit: float,
+        title: str = ENV_ID,
+        on_key: Callable[[str, bool], None] | None = None,
+    ) -> None:
         if mode not in RENDER_MODES:
             raise ValueError(f"mode must be 'human' or 'rgb_array', got {mode!r}")
         self._mode = mode
@@ -168,6 +208,7 @@ class Renderer:
         self._major_pixels = round(SCALE * ROD / capsule.l * self._major) / SCALE
         self._samples: deque[tuple[float, float, bool]] = deque()
         self._closed = False
+        self._on_key = on_key
 
         self._canvas = Canvas(WIDTH, HEIGHT)
         self._window: Any = None
@@ -190,6 +231,7 @@ class Renderer:
         M: float,
         mu: float,
         theta_reference: float | None = None,
+        overlay: Overlay | None = None,
     ) -> NDArray[np.uint8] | None:
         """Draws one frame and, in a window, waits until it is due.
 
@@ -205,6 +247,7 @@ class Renderer:
             M: mass of the platform, kg.
             mu: friction coefficient.
             theta_reference: angle that a controller follows, rad; None draws none.
+            overlay: what lies over the picture.
 
         Returns:
             The frame as an array of uint8, (540, 960, 3), in mode "rgb_array"; None in mode "human".
@@ -220,6 +263,9 @@ class Renderer:
         self._record(time, 100.0 * x, x_dot == 0.0)
         self._canvas.overlay(_backdrop(self._title))
         self._draw_floor(x)
+        over = overlay or Overlay()
+        if over.ghost is not None:
+            self._draw_ghost(over.ghost, x)
         self._canvas.overlay(_body(contact))
         self._draw_speed(x_dot)
         self._draw_torque(torque)
@@ -228,6 +274,7 @@ class Renderer:
         self._canvas.write(f"M {M:.3f} kg     \N{GREEK SMALL LETTER MU} {mu:.4f}", 17, GREY, 24, HEADER + 46)
         self._draw_contact(x_dot, contact)
         self._draw_chart(time)
+        self._draw_words(over)
         if self._mode == "rgb_array":
             return self._canvas.array()
         self._window.blit(self._canvas.frame(), (0, 0))
@@ -245,13 +292,22 @@ class Renderer:
             self._window = None
             self._pygame.display.quit()
 
+    @property
+    def closed(self) -> bool:
+        """Whether nothing is drawn any more: after `close`, or since its user closed the window."""
+        return self._closed or (self._mode == "human" and self._window is None)
+
     def _window_is_open(self) -> bool:
         """Answers the window system and says whether the window is still there."""
         if self._window is not None:
             # Others may have called pygame.quit(). Taking every event keeps the queue from filling up.
-            alive = self._pygame.display.get_init()
-            if not alive or any(event.type == self._pygame.QUIT for event in self._pygame.event.get()):
+            events = self._pygame.event.get() if self._pygame.display.get_init() else None
+            if events is None or any(event.type == self._pygame.QUIT for event in events):
                 self._close_window()
+            elif self._on_key is not None:
+                for event in events:
+                    if event.type in (self._pygame.KEYDOWN, self._pygame.KEYUP):
+                        self._on_key(self._pygame.key.name(event.key), event.type == self._pygame.KEYDOWN)
         return self._window is not None
 
     def _draw_floor(self, x: float) -> None:
@@ -272,6 +328,26 @@ class Renderer:
             self._canvas.polygon([(start, FLOOR - 92), (start + 28, FLOOR - 82), (start, FLOOR - 72)], INK)
             self._canvas.box(start - 0.5, FLOOR - 93, 2, 93, INK)
         self._canvas.box(0, FLOOR - 1, WIDTH, 2, TICK)
+
+    def _draw_ghost(self, ghost: Ghost, x: float) -> None:
+        """The other robot as an outline, where it is on the same floor; and by how much it leads."""
+        canvas, lead = self._canvas, ghost.x - x
+        aside = lead / self._major * self._major_pixels
+        if abs(aside) < WIDTH / 2 + SHELL_HALF:
+            left, top = MIDDLE + aside - SHELL_HALF, FLOOR - SHELL_HEIGHT
+            canvas.box(left, top, 2 * SHELL_HALF, SHELL_HEIGHT, GHOST, radius=SHELL_HEIGHT / 2, line=2)
+            pivot, ball = ((at + aside, y) for at, y in (_polar(0.0, 0.0), _polar(ghost.theta, ROD)))
+            canvas.ribbon([pivot, ball], 5.0, GHOST)
+            canvas.disc(ball, BALL, GHOST)
+        text = f"{ghost.name} {_number(100.0 * abs(lead), 1)} cm {'ahead' if lead > 0.0 else 'behind'}"
+        canvas.write(text, 17, GREY, WIDTH - 24, HEADER + 46, "right")
+
+    def _draw_words(self, overlay: Overlay) -> None:
+        """The line above the chart, and the one across the ruler."""
+        self._canvas.write(overlay.note, 16, GREY, CHART_LEFT, CHART_TOP - 14)
+        if overlay.banner:
+            self._canvas.box(MIDDLE - BANNER_HALF, BANNER, 2 * BANNER_HALF, 32, INK, radius=6)
+            self._canvas.write(overlay.banner, 20, WHITE, MIDDLE, BANNER + 22, "centre")
 
     def _draw_speed(self, x_dot: float) -> None:
         """An arrow above the shell, as long as the platform is fast."""

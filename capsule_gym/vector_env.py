@@ -19,10 +19,10 @@ from capsule_gym.env import (
     REWARD_TERMS,
     as_actions,
     check_options,
-    draw,
     make_spaces,
     options_among,
     show,
+    shown_state,
 )
 from capsule_gym.kernels import Row
 from capsule_gym.options import Options
@@ -243,7 +243,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 Renderer(simulation.capsule, self.render_mode, self.metadata["render_fps"], torque_limit)
                 for _ in range(self.num_envs)
             ]
-        frames = (draw(renderer, self.simulation, i) for i, renderer in enumerate(self._renderers))
+        frames = (renderer.draw(**shown_state(self.simulation, i)) for i, renderer in enumerate(self._renderers))
         return tuple(frame for frame in frames if frame is not None)
 
     def close_extras(self, **kwargs: Any) -> None:

@@ -17,14 +17,13 @@ from agents.evaluation.tables import SHARE
 from baselines.gaits.archive import in_grid
 from baselines.optimum import optimal_speed
 from capsule_gym import CapsuleVectorEnv, __version__
+from capsule_gym.plants import EPISODE_SETTINGS as EPISODE_SETTINGS
 from capsule_gym.rollout import rollout
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA, TORQUE_LIMIT
 
 Act = Callable[[np.ndarray], np.ndarray]
 Episode = dict[str, Any]
 
-# What makes an episode of a set, whatever a policy was trained with.
-EPISODE_SETTINGS: dict[str, Any] = {"randomization": "none", "initial_noise": 0.0}
 # What an episode says beside its metrics.
 LABELS = ("M", "mu", "seed", "theta", "changes", "training_seed")
 PACKAGES = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
