@@ -74,6 +74,8 @@ class Options(Choice):
     """Folder of the run; a new one in runs/ where none is given."""
     no_comparison: bool = False
     """Skip evaluation, figure and animation at the end."""
+    wandb: bool = False
+    """Also log to Weights & Biases: pip install "capsule-gym[wandb]"."""
     trust_controller: bool = False
     """Go on with a run whose config.json names a control law from elsewhere: importing it runs its code."""
     hyperparameters: tyro.conf.OmitArgPrefixes[Config] = field(default_factory=PPOConfig)
@@ -151,7 +153,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             begin(run, config)
             print(f"Training {config.algo.upper()} on the {config.task} task, seed {config.seed}, in {run}.")
         LEAVING.message = f"Stopped. To go on: python train.py --resume {run}"
-        finished = training.train(run, config)
+        finished = training.train(run, config, wandb=options.wandb)
     except (RunError, OSError) as error:
         print(f"{PROG}: error: {error}", file=sys.stderr)
         return 2

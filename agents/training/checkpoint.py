@@ -57,6 +57,7 @@ class Progress:
         resumed_at: agent steps at which the run was gone on with.
         speeds: mean speeds of the last episodes, cm/s.
         failed: whether each of them failed.
+        recent: what else is shown of them, by its name in the log; None where it is infinite.
     """
 
     total_steps: int
@@ -68,6 +69,7 @@ class Progress:
     resumed_at: list[int] = field(default_factory=list)
     speeds: list[float] = field(default_factory=list)
     failed: list[float] = field(default_factory=list)
+    recent: dict[str, list[float | None]] = field(default_factory=dict)
 
     @classmethod
     def read(cls, checkpoint: Path) -> Progress:

@@ -17,8 +17,12 @@ from typing import Any
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat, filter_excluded_keys
 from torch.utils.tensorboard import SummaryWriter
 
+from agents.training.errors import RunError
 from agents.training.presets import LOG, LOGGED, LOGS
-from capsule_gym.files import synchronise, write_atomically
+from capsule_gym.files import canonical_hash, synchronise, write_atomically
+
+# The name of the project at Weights & Biases.
+PROJECT = "capsule_gym"
 
 
 class Table(KVWriter):
@@ -114,8 +118,63 @@ def told_once() -> Iterator[None]:
         threading.excepthook = before
 
 
-def make_logger(run: Path, until: int) -> Logger:
-    """SB3's logger for a run that goes on at that many agent steps."""
+class Dashboard(KVWriter):
+    """What Weights & Biases is told: the lines of SB3's logger, by agent steps.
+
+    Args:
+        run: the run's folder, whose name it gets there.
+        config: its settings.
+
+    Raises:
+        RunError: if wandb is not installed, or does not begin.
+    """
+
+    def __init__(self, run: Path, config: dict[str, Any]) -> None:
+        try:
+            import wandb
+        except ImportError:
+            raise RunError('--wandb needs wandb: pip install "capsule-gym[wandb]"') from None
+        # The same folder with the same settings is the same run, gone on with.
+        identity = canonical_hash([str(run.resolve()), {**config, "total_steps": None}])[:16]
+        try:
+            self._run = wandb.init(
+                project=PROJECT, name=run.name, id=identity, resume="allow", config=config, dir=run / LOGS
+            )
+        except wandb.errors.Error as error:
+            raise RunError(f"--wandb: {error}") from error
+
+    def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
+        """A line of SB3's logger."""
+        self._run.log(filter_excluded_keys(key_values, key_excluded, "wandb"), step=step)
+
+    def close(self) -> None:
+        """Nothing: a run of several stages has several loggers."""
+
+    def finish(self) -> None:
+        """Ends the run there."""
+        self._run.finish()
+
+
+@contextmanager
+def watched(run: Path, config: dict[str, Any], wandb: bool) -> Iterator[list[KVWriter]]:
+    """Where a run is logged besides its folder: nowhere, or at Weights & Biases while the block runs.
+
+    Raises:
+        RunError: if wandb is not installed, or does not begin.
+    """
+    if not wandb:
+        yield []
+        return
+    (run / LOGS).mkdir(exist_ok=True)
+    dashboard = Dashboard(run, config)
+    try:
+        yield [dashboard]
+    finally:
+        dashboard.finish()
+
+
+def make_logger(run: Path, until: int, writers: Sequence[KVWriter] = ()) -> Logger:
+    """SB3's logger for a run that goes on at that many agent steps; it also tells the writers."""
     folder = run / LOGS
     folder.mkdir(exist_ok=True)
-    return Logger(str(folder), [Table(folder / LOG, LOGGED, until), Events(folder, until)])
+    return Logger(str(folder), [Table(folder / LOG, LOGGED, until), Events(folder, until), *writers])

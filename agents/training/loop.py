@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 import shutil
 import sys
@@ -20,6 +21,7 @@ from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import KVWriter
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
@@ -36,7 +38,7 @@ from agents.training.collection import RolloutVecEnv
 from agents.training.errors import RunError
 from agents.training.export import export
 from agents.training.lock import locked
-from agents.training.logs import Table, make_logger, told_once
+from agents.training.logs import Table, make_logger, told_once, watched
 from agents.training.ppo import ActorCritic, CapsulePPO, FastTanh, transfer
 from agents.training.presets import (
     BEST,
@@ -257,10 +259,25 @@ class Monitor(BaseCallback):
     def _on_step(self) -> bool:
         for info in self.locals["infos"]:
             if "metrics" in info:
-                self.progress.speeds.append(info["metrics"]["mean_speed"])
-                self.progress.failed.append(info["metrics"]["failed"])
+                self._remember(info["metrics"], info["episode"]["r"])
         self.bar.update(self.num_timesteps - self.bar.n)
         return True
+
+    def _remember(self, metrics: dict[str, float], total: float) -> None:
+        """Keeps what is shown of an episode that has ended; the terms of its reward are cm, as `total` is."""
+        self.progress.speeds.append(metrics["mean_speed"])
+        self.progress.failed.append(metrics["failed"])
+        progress, failure = 100.0 * metrics["distance"], -self.config.termination_penalty * metrics["failed"]
+        shown = {
+            "cost_of_transport": metrics["cost_of_transport"],
+            "stuck_fraction": metrics["stuck_fraction"],
+            "reward_progress": progress,
+            # What is left, since an agent may be told another energy weight in every episode.
+            "reward_energy": total - progress - failure,
+            "reward_termination": failure,
+        }
+        for name, value in shown.items():
+            self.progress.recent.setdefault(name, []).append(value if math.isfinite(value) else None)
 
     def _on_rollout_start(self) -> None:
         # Between updates, so that a checkpoint holds a consistent model.
@@ -270,7 +287,8 @@ class Monitor(BaseCallback):
             raise Stopped
 
     def _on_rollout_end(self) -> None:
-        for values in (self.progress.speeds, self.progress.failed):
+        kept: list[list[Any]] = [self.progress.speeds, self.progress.failed, *self.progress.recent.values()]
+        for values in kept:
             del values[:-RECENT]
         if self.progress.speeds:
             self._record_episodes()
@@ -285,8 +303,19 @@ class Monitor(BaseCallback):
         self.logger.record("episodes/mean_speed", speed)
         self.logger.record("episodes/over_baseline", speed / self.baseline_speed)
         self.logger.record("episodes/failed", failed)
+        # Medians, since a single episode without progress has an infinite cost.
+        middle = {
+            name: float(np.median([math.inf if value is None else value for value in values]))
+            for name, values in self.progress.recent.items()
+        }
+        for name, value in middle.items():
+            if math.isfinite(value):
+                self.logger.record(f"episodes/{name}", value)
+        cost, stuck = middle.get("cost_of_transport", math.inf), middle.get("stuck_fraction", math.nan)
         self.bar.set_postfix_str(
-            f"{speed:.2f} cm/s ({BASELINE} {self.baseline_speed:.2f}), {100.0 * failed:.0f} % failed", refresh=False
+            f"{speed:.2f} cm/s ({BASELINE} {self.baseline_speed:.2f}), cost of transport {cost:.2f}, "
+            f"stuck {100.0 * stuck:.0f} %, failed {100.0 * failed:.0f} %",
+            refresh=False,
         )
 
     def _on_training_end(self) -> None:
@@ -303,6 +332,11 @@ class Monitor(BaseCallback):
         self.progress.evaluated_at = self.num_timesteps
         self.logger.record("evaluation/mean_speed", speed)
         self.logger.record("evaluation/failed", failed)
+        self.logger.record("evaluation/score", score)
+        cost = float(interquartile_mean(scores(episodes, "cost_of_transport"))[0])
+        if math.isfinite(cost):
+            self.logger.record("evaluation/cost_of_transport", cost)
+        self.logger.record("evaluation/stuck_fraction", float(scores(episodes, "stuck_fraction").mean()))
         self.evaluations.add(
             {
                 EVALUATED: self.num_timesteps,
@@ -391,7 +425,7 @@ def try_out(config: Config) -> None:
             env.close()
 
 
-def train(run: Path, config: Config) -> bool:
+def train(run: Path, config: Config, *, wandb: bool = False) -> bool:
     """Trains, or goes on training from the last whole checkpoint, until config.total_steps, Ctrl-C or SIGTERM.
 
     Gone on with, a run is the same run: it ends with the same policy, bit for bit, as one that was not stopped.
@@ -399,16 +433,17 @@ def train(run: Path, config: Config) -> bool:
     Args:
         run: the run's folder, as `begin` made it.
         config: its configuration, in which total_steps alone may be another now.
+        wandb: whether it is also logged to Weights & Biases.
 
     Returns:
         Whether it came to the end. Where it did not, the folder holds a checkpoint of that moment.
 
     Raises:
-        RunError: if another process trains it, or a file of the folder is broken.
+        RunError: if another process trains it, a file of the folder is broken, or Weights & Biases cannot be had.
         OSError: if the folder cannot be written to; what it held is still there.
     """
     torch.set_num_threads(config.torch_threads)
-    with naming(run), locked(run), told_once():
+    with naming(run), locked(run), told_once(), watched(run, config.to_dict(), wandb) as writers:
         revision = note_changes(run, config)
         checkpoint.clean_up(run)
         latest = checkpoint.newest_whole(run)
@@ -420,7 +455,7 @@ def train(run: Path, config: Config) -> bool:
         model: BaseAlgorithm | None = None
         with stop:
             while True:
-                model, done = _train_stage(run, stages, monitor, model)
+                model, done = _train_stage(run, stages, monitor, model, writers)
                 if not done or progress.stage == len(stages) - 1:
                     break
                 # The checkpoint of this moment stays the last stage's: who goes on from it comes here again.
@@ -430,7 +465,11 @@ def train(run: Path, config: Config) -> bool:
 
 
 def _train_stage(
-    run: Path, stages: Sequence[Config], monitor: Monitor, before: BaseAlgorithm | None
+    run: Path,
+    stages: Sequence[Config],
+    monitor: Monitor,
+    before: BaseAlgorithm | None,
+    writers: Sequence[KVWriter],
 ) -> tuple[BaseAlgorithm, bool]:
     """Trains the stage that a run has come to, from its checkpoint or from the agent of the stage before.
 
@@ -451,7 +490,7 @@ def _train_stage(
         if before is not None:
             transfer(before, model)
     monitor.config = config
-    model.set_logger(make_logger(run, model.num_timesteps))
+    model.set_logger(make_logger(run, model.num_timesteps, writers))
     # A stage's total_steps are the run's by its end.
     remaining = config.total_steps - model.num_timesteps
     try:

@@ -115,7 +115,7 @@ def test_a_whole_episode_ends_with_the_time_and_is_remembered_as_the_best(game):
 
 
 def test_a_drive_is_the_episode_of_the_environment_with_its_law():
-    drive = Drive(find_driver("baselines:adaptive"), PLANTS[0])
+    drive = Drive(find_driver("baselines:adaptive"), load_set("paper").plants[0])
     drive.advance(HORIZON)
     metrics = drive.env.episode_metrics()
     assert drive.mean_speed == pytest.approx(metrics["mean_speed"], rel=1e-12)
