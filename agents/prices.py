@@ -18,7 +18,6 @@ from agents.evaluation.statistics import Estimate, estimate
 from agents.evaluation.tables import MEASURES
 from agents.evidence.material import fronts
 from baselines.drawing import BLUE, INK, MUTED, add_note, new_figure, save, style
-from baselines.gaits.archive import pareto_front
 from baselines.tables import markdown_table
 from capsule_gym.command_line import parse, refuse
 from capsule_gym.files import write_atomically
@@ -93,6 +92,9 @@ def measure(name: str, set_name: str, weights: Sequence[float] = WEIGHTS) -> lis
 
 def cost_of_gaits(speed: float) -> float:
     """The cost of transport on the best-known gaits' front at a speed in cm/s, linear between its gaits; NaN beyond."""
+    # Here, since numba comes with it, which takes most of a second to import.
+    from baselines.gaits.archive import pareto_front
+
     speeds, costs = zip(*((gait.mean_speed, gait.cost_of_transport) for gait in pareto_front()), strict=True)
     return float(np.interp(speed, speeds, costs, left=np.nan, right=np.nan))
 

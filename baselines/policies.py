@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from baselines.gaits import performance
-from baselines.optimum import policy as optimum
+from baselines.gaits import GAIT_DT
 
 Act = Callable[[np.ndarray], np.ndarray]
+Start = Callable[[Sequence[int]], Act]
+GAIT: dict[str, Any] = {"control_dt": GAIT_DT}
+PERFORMANCE, OPTIMUM = "baselines.gaits.performance", "baselines.optimum.policy"
 
 
 def _no_action(seeds: Sequence[int]) -> Act:
@@ -24,6 +27,16 @@ def _random_actions(seeds: Sequence[int]) -> Act:
     """Uniform actions; each environment has a generator of its own, so that its episode depends on its seed alone."""
     generators = [np.random.default_rng([seed, 1]) for seed in seeds]
     return lambda observations: np.array([[rng.uniform(-1.0, 1.0)] for rng in generators], np.float32)
+
+
+def _later(module: str, function: str) -> Start:
+    """A `start` that is imported when it is first called: numba, which comes with it, takes most of a second."""
+
+    def start(seeds: Sequence[int]) -> Act:
+        begin: Start = getattr(import_module(module), function)
+        return begin(seeds)
+
+    return start
 
 
 @dataclass(frozen=True)
@@ -41,7 +54,7 @@ class ScriptedPolicy:
     name: str
     description: str
     env_kwargs: dict[str, Any] = field(default_factory=dict)
-    start: Callable[[Sequence[int]], Act] = _no_action
+    start: Start = _no_action
 
 
 def _with_law(name: str, attribute: str, description: str) -> ScriptedPolicy:
@@ -74,26 +87,26 @@ SCRIPTED = {
         ScriptedPolicy(
             "gait-nominal",
             "the tolerant gait of the nominal plant, whatever the plant; torque every 10 ms",
-            performance.ENV_KWARGS,
-            performance.start_nominal,
+            GAIT,
+            _later(PERFORMANCE, "start_nominal"),
         ),
         ScriptedPolicy(
             "gait-oracle",
             "sees M and mu and takes the known gait that proved fastest around such a plant; torque every 10 ms",
-            {**performance.ENV_KWARGS, "observe_parameters": True},
-            performance.start_oracle,
+            {**GAIT, "observe_parameters": True},
+            _later(PERFORMANCE, "start_oracle"),
         ),
         ScriptedPolicy(
             "optimum-nominal",
             "the optimum of the nominal plant that spares some contact, whatever the plant; looks one hold ahead",
             {},
-            optimum.start_nominal,
+            _later(OPTIMUM, "start_nominal"),
         ),
         ScriptedPolicy(
             "optimum-oracle",
             "sees M and mu and takes the torque of the optimum there; looks one hold ahead",
             {"observe_parameters": True},
-            optimum.start_oracle,
+            _later(OPTIMUM, "start_oracle"),
         ),
     )
 }

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+import capsule_gym
 from agents.authority.design import BASES, Arm, own_plants
 from agents.evaluation.episodes import Episode, evaluate, versions
 from agents.study.jobs import Job, evaluations, revision_of
 from baselines.policies import SCRIPTED
-from capsule_gym import load_policy
 from capsule_gym.files import write_atomically
 
 RESULTS = Path(__file__).with_name("results.json")
@@ -86,7 +86,7 @@ def judge(job: Job, arm: Arm) -> Run:
     """Evaluates what a finished run has chosen as its best policy, on draws of its own."""
     found = [(each.steps, each.mean_speed, each.failed) for each in evaluations(job.run)]
     more = {"seed": job.config.seed, "learning": tuple(found), "revision": revision_of(job.run)}
-    return _judged(arm, evaluate(load_policy(job.run), own_plants(arm.plants)), **more)
+    return _judged(arm, evaluate(capsule_gym.load_policy(job.run), own_plants(arm.plants)), **more)
 
 
 def laws_alone(arms: Iterable[Arm]) -> list[Run]:

@@ -10,10 +10,8 @@ import numpy as np
 
 from agents.evaluation.episodes import EPISODE_SETTINGS, Policy
 from agents.evaluation.sets import NOMINAL_PLANT, PlantSpec
-from capsule_gym.kernels import Row
 from capsule_gym.options import DIRECT_PHYSICS_DT, Options
 from capsule_gym.parameters import NOMINAL
-from capsule_gym.simulation import Simulation, divide
 from capsule_gym.task import CONTROL_DT, HORIZON
 
 # The cycle is sought in the last so many seconds: three of the paper's cycles, of 6.6 s, and a little.
@@ -80,6 +78,10 @@ def follow(name: str, policy: Policy, plant: PlantSpec = NOMINAL_PLANT, *, secon
         plant: without jumps.
         seconds: length of the recording.
     """
+    # Here, since numba comes with it, which takes most of a second to import.
+    from capsule_gym.kernels import Row
+    from capsule_gym.simulation import Simulation, divide
+
     names = {each.name for each in fields(Options)}
     settings = {key: value for key, value in {**policy.env_kwargs, **EPISODE_SETTINGS}.items() if key in names}
     whole = Simulation(1, Options(**settings))

@@ -14,11 +14,8 @@ import capsule_gym
 from agents.evaluation.sets import EvaluationSet, PlantSpec
 from agents.evaluation.statistics import Estimate, estimate, paired_difference
 from agents.evaluation.tables import SHARE
-from baselines.gaits.archive import in_grid
-from baselines.optimum import optimal_speed
-from capsule_gym import CapsuleVectorEnv, __version__
+from capsule_gym import __version__
 from capsule_gym.plants import EPISODE_SETTINGS as EPISODE_SETTINGS
-from capsule_gym.rollout import rollout
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA, TORQUE_LIMIT
 
 Act = Callable[[np.ndarray], np.ndarray]
@@ -90,6 +87,9 @@ def as_episodes(
         shared: whether a share of the optimum belongs to them, where `has_optimum` says so as well.
     """
     shared = shared and has_optimum(evaluation_set)
+    if shared:
+        # Here, as in other functions, since numba comes with it, which takes most of a second to import.
+        from baselines.optimum import optimal_speed
     episodes = []
     for i, plant in enumerate(evaluation_set.plants):
         values = {name: float(column[i]) for name, column in metrics.items()}
@@ -106,7 +106,7 @@ def _run(policy: Policy, settings: Mapping[str, Any], plants: Sequence[PlantSpec
     """The metrics of one episode per plant, all run side by side; each of shape (plants,)."""
     seeds = [plant.seed for plant in plants]
     batch = {"num_envs": len(plants), "max_episode_steps": steps, "autoreset_mode": AutoresetMode.DISABLED}
-    env = CapsuleVectorEnv(**{**settings, **batch})
+    env = capsule_gym.CapsuleVectorEnv(**{**settings, **batch})
     try:
         observations, _ = env.reset(
             seed=seeds,
@@ -118,6 +118,8 @@ def _run(policy: Policy, settings: Mapping[str, Any], plants: Sequence[PlantSpec
             },
         )
         if isinstance(policy, capsule_gym.Policy):
+            from capsule_gym.rollout import rollout
+
             return rollout(env.simulation, policy, steps)
         act = policy.start(seeds)
         for _ in range(steps):
@@ -132,6 +134,8 @@ def _run(policy: Policy, settings: Mapping[str, Any], plants: Sequence[PlantSpec
 
 def has_optimum(evaluation_set: EvaluationSet) -> bool:
     """Whether all episodes of a set are such as the table of optima holds: its start, its grid, no jumps."""
+    from baselines.gaits.archive import in_grid
+
     return all(
         plant.theta == START_THETA and not plant.changes and in_grid(plant.M, plant.mu)
         for plant in evaluation_set.plants

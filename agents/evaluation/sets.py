@@ -42,11 +42,9 @@ from pathlib import Path
 import numpy as np
 
 from capsule_gym.command_line import parse
-from capsule_gym.exponential import exp, log
 from capsule_gym.files import write_atomically
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, Randomization
 from capsule_gym.plants import NOMINAL_PLANT, SET_NAMES, Change, EvaluationSet, PlantSpec, load_set, parse_set
-from capsule_gym.resets import Stream, random_stream
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
 
 __all__ = [
@@ -88,6 +86,9 @@ def _uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    # Here, as in `drawn_as`, since numba comes with it, which takes most of a second to import.
+    from capsule_gym.exponential import exp, log
+
     return float(low * exp(float(rng.random()) * log(high / low)))
 
 
@@ -165,6 +166,8 @@ def drawn_as(randomization: str, name: str, first_seed: int, count: int) -> Eval
         first_seed: the episodes' seeds are this and those that follow; far from 0, 1, .., which the frozen sets use.
         count: how many.
     """
+    from capsule_gym.resets import Stream, random_stream
+
     drawn = Randomization.named(randomization)
     seeds = range(first_seed, first_seed + count)
     plants = [PlantSpec(*drawn.draw(random_stream(seed, 0, Stream.parameters), NOMINAL), seed) for seed in seeds]

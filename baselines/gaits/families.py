@@ -20,14 +20,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from baselines.gaits import GAIT_DT as GAIT_DT
 from baselines.laws.gait import COEFFICIENTS, cubic
 from capsule_gym.trigonometry import sines_and_cosines
 
 # The torque of many candidates at once: parameters of shape (size, n), time in s, observations of shape (n, entries).
 Torque = Callable[[np.ndarray, float, np.ndarray], np.ndarray]
 
-# Half the environment's own step: switching times matter, and shorter steps gained nothing worth their cost.
-GAIT_DT = 0.01
 HARMONICS = 4
 
 FEEDBACK = ("theta", "theta_dot", "x_dot")
