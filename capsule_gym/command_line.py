@@ -9,10 +9,12 @@ from __future__ import annotations
 import inspect
 import io
 import math
+import os
+import re
 import sys
-from collections.abc import Sequence
-from contextlib import redirect_stderr
-from itertools import takewhile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr
+from itertools import dropwhile, takewhile
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
 
@@ -20,11 +22,15 @@ try:
     import tyro
     from tyro.conf import Positional
 except ImportError as error:
-    raise ImportError('this command needs tyro: pip install "capsule-gym[paper]"') from error
+    raise ImportError('this command needs tyro: pip install "capsule-gym[render]"') from error
+
+from capsule_gym.parameters import nearest
 
 __all__ = ["Count", "Positional", "check_output", "described", "parse", "parse_some", "refuse"]
 
 T = TypeVar("T")
+# The codes that a terminal takes for colours.
+STYLE = re.compile(r"\x1b\[[0-9;]*m")
 
 
 def _count(text: str) -> int:
@@ -99,18 +105,48 @@ def _read(kind: Any, prog: str, arguments: Sequence[str] | None, **settings: Any
     """What tyro reads; its errors in one line instead of a box of several."""
     box = io.StringIO()
     try:
-        with redirect_stderr(box):
+        with redirect_stderr(box), _plain_where_asked():
             return tyro.cli(kind, prog=prog, args=arguments, config=(tyro.conf.FlagCreatePairsOff,), **settings)
     except SystemExit as stop:
         if stop.code == 2:
-            refuse(prog, _first_paragraph(box.getvalue()) or box.getvalue())
+            text = STYLE.sub("", box.getvalue())
+            refuse(prog, (_first_paragraph(text) or text) + _suggestion(text))
         raise
 
 
+@contextmanager
+def _plain_where_asked() -> Iterator[None]:
+    """Keeps tyro from colouring where NO_COLOR is set (https://no-color.org), of which it knows nothing."""
+    before = os.environ.get("TERM")
+    if os.environ.get("NO_COLOR"):
+        os.environ["TERM"] = "dumb"
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop("TERM", None)
+        else:
+            os.environ["TERM"] = before
+
+
 def _first_paragraph(box: str) -> str:
-    """The text in a box, below its title and above its first rule."""
-    lines = [line.strip("│ ") for line in box.splitlines()[1:]]
-    return " ".join(takewhile(lambda line: not line.startswith(("─", "╰")), lines))
+    """The text in a box, below its title and above its first rule; in ASCII a rule is below the title, too."""
+    lines = [line.strip("│╭╰╮╯ ") for line in box.splitlines()[1:]]
+    return " ".join(takewhile(lambda line: not _is_rule(line), dropwhile(_is_rule, lines)))
+
+
+def _is_rule(line: str) -> bool:
+    """Whether a line of a box is empty or drawn across."""
+    return set(line) <= {"─", "-"}
+
+
+def _suggestion(box: str) -> str:
+    """What the user may have meant: the first option that tyro names, or the choice that is most similar."""
+    option = re.search(r"Perhaps you meant:[^\w-]+(-[\w-]*\w)", box)
+    if option:
+        return f"; did you mean {option[1]!r}?"
+    choice = re.search(r"invalid choice '([^']*)'.*?\((.*?)\)", " ".join(box.split()))
+    return nearest(choice[1], re.findall(r"'([^']*)'", choice[2])) if choice else ""
 
 
 def refuse(prog: str, message: str) -> NoReturn:

@@ -260,7 +260,12 @@ def run(variables: dict[str, str], *names: str) -> subprocess.CompletedProcess[s
 
 @dataclass(frozen=True)
 class Options:
-    """Computes the bits of whole episodes; exit status 1 where they are not the committed ones."""
+    """Computes the bits of whole episodes; exit status 1 where they are not the committed ones.
+
+    Examples:
+      python -m tests.bits
+      python -m tests.bits --variants
+    """
 
     write: bool = False
     """Commit new ones: write them to tests/bits.json."""

@@ -10,6 +10,7 @@ import capsule_gym
 from agents.evaluation.episodes import Episode, Policy, evaluate
 from agents.evaluation.sets import EvaluationSet
 from baselines.policies import SCRIPTED
+from capsule_gym.parameters import nearest
 from capsule_gym.task import HORIZON, TORQUE_LIMIT
 
 # The paper's controller, which everything else is compared with.
@@ -143,6 +144,7 @@ def find_candidate(name_or_path: str, *, trust_controller: bool = False) -> Cand
     raise ValueError(
         f"policy must be a scripted policy ({_listed(list(SCRIPTED))}), a checkpoint "
         f"({_listed(checkpoint_names())}), or the path of a run's folder or of a policy file, got {name_or_path!r}"
+        f"{nearest(name_or_path, [*SCRIPTED, *checkpoint_names()])}"
     )
 
 

@@ -188,7 +188,12 @@ def stale_sets(folder: Path = SETS_FOLDER) -> list[str]:
 
 @dataclass(frozen=True)
 class Options:
-    """Draws the frozen evaluation sets from their fixed seeds and writes agents/evaluation/frozen/*.json."""
+    """Draws the frozen evaluation sets from their fixed seeds and writes agents/evaluation/frozen/*.json.
+
+    Examples:
+      python -m agents.evaluation.sets
+      python -m agents.evaluation.sets --check
+    """
 
     check: bool = False
     """Write nothing; fail where a file differs from its draw."""

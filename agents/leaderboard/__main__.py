@@ -30,6 +30,7 @@ from agents.leaderboard.check import check
 from agents.leaderboard.page import COMMAND
 from agents.leaderboard.rows import RESULTS, load_rows, save_row
 from capsule_gym.command_line import Positional, parse, refuse
+from capsule_gym.parameters import nearest
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -68,8 +69,9 @@ def _chosen(options: Options, candidates: Sequence[Candidate]) -> list[Candidate
         return []
     unknown = [name for name in options.names if name not in [candidate.name for candidate in candidates]]
     if unknown:
-        known = ", ".join(candidate.name for candidate in candidates)
-        raise ValueError(f"names must be out of {known}, got {', '.join(unknown)}")
+        known = [candidate.name for candidate in candidates]
+        near = nearest(unknown[0], known)
+        raise ValueError(f"names must be out of {', '.join(known)}, got {', '.join(unknown)}{near}")
     return [candidate for candidate in candidates if candidate.name in (options.names or [candidate.name])]
 
 

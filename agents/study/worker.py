@@ -48,6 +48,9 @@ def wait_for(run: Path) -> None:
 
 def main() -> int:
     """The process; its argument is the run's folder."""
+    if len(sys.argv) != 2 or sys.argv[1].startswith("-"):
+        print("agents.study.worker: started by python -m agents.study, for each of its runs", file=sys.stderr)
+        return 2
     Leaving().install()
     run = Path(sys.argv[1])
     config = pickle.load(sys.stdin.buffer)

@@ -20,7 +20,7 @@ from tyro.conf import Fixed, Suppress
 from agents.training.errors import RunError
 from capsule_gym.command_line import Count, described
 from capsule_gym.options import DOCS, TOLD, TOLD_ENERGY_WEIGHTS, Options
-from capsule_gym.parameters import check_number
+from capsule_gym.parameters import check_number, nearest
 from capsule_gym.task import HORIZON
 
 # Of numpy's generators, which SB3 seeds.
@@ -428,7 +428,7 @@ def row_settings(name: str) -> Config:
         ValueError: if there is no such row.
     """
     if name not in ROWS:
-        raise ValueError(f"a row must be one of {', '.join(ROWS)}, got {name!r}")
+        raise ValueError(f"a row must be one of {', '.join(ROWS)}, got {name!r}{nearest(name, ROWS)}")
     return ROWS[name]
 
 
@@ -444,7 +444,8 @@ def named_settings(name: str) -> Config:
     presets = {f"{task}-{algo}": config for (task, algo), config in PRESETS.items()}
     found = presets.get(name) or ROWS.get(name)
     if found is None:
-        raise ValueError(f"a preset or row must be one of {', '.join(dict.fromkeys((*presets, *ROWS)))}, got {name!r}")
+        names = list(dict.fromkeys((*presets, *ROWS)))
+        raise ValueError(f"a preset or row must be one of {', '.join(names)}, got {name!r}{nearest(name, names)}")
     return found
 
 

@@ -216,6 +216,10 @@ class Options:
     """Searches the parameters of `baselines:gait`. Ctrl-C keeps the best so far.
 
     The file is written only where what is found scores better than what is in it.
+
+    Examples:
+      python -m baselines.gaits.law_search
+      python -m baselines.gaits.law_search --seed 1 --generations 100 --file found.json
     """
 
     seed: int = 0

@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,6 @@ from baselines.gaits.families import FAMILIES, GAIT_DT, actions
 from capsule_gym.parameters import Capsule
 
 Act = Callable[[np.ndarray], np.ndarray]
-ENV_KWARGS: dict[str, Any] = {"control_dt": GAIT_DT}
 
 
 class Performance:

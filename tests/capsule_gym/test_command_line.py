@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import pytest
 
@@ -20,6 +24,8 @@ class Arguments:
     """how many"""
     fast: bool = False
     """without waiting"""
+    order: Literal["up", "down"] = "up"
+    """which way"""
 
     def check(self) -> None:
         """Refuses what cannot be counted."""
@@ -50,6 +56,8 @@ def test_defaults_and_switches():
         (["sheep", "--steps", "many"], "many"),
         (["sheep", "--slow"], "--slow"),
         ([], "required"),
+        (["sheep", "--stesp", "3"], "did you mean '--steps'?"),
+        (["sheep", "--order", "dwon"], "did you mean 'down'?"),
         (["sand"], "name must be something countable, got 'sand'"),
     ],
 )
@@ -67,6 +75,30 @@ def test_help_tells_what_the_dataclass_says(capsys):
     shown = capsys.readouterr().out
     for said in ("python -m count", "Counts things.", "what is counted", "how many", "100", "without waiting"):
         assert said in shown
+
+
+@pytest.mark.parametrize(("variable", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False), ({"TERM": "dumb"}, False)])
+def test_help_has_colours_on_a_terminal_unless_they_are_not_wanted(monkeypatch, capsys, variable, coloured):
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    for name, value in {"TERM": "xterm", **variable}.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    with pytest.raises(SystemExit):
+        read("--help")
+    assert ("\x1b[" in capsys.readouterr().out) is coloured
+    with pytest.raises(SystemExit):
+        read("sheep", "--stesp", "3")
+    error = capsys.readouterr().err
+    assert "\x1b[" not in error and error.count("\n") == 1 and "did you mean '--steps'?" in error
+    assert os.environ["TERM"] == {"TERM": "xterm", **variable}["TERM"]
+
+
+def test_where_only_ascii_can_be_shown_an_error_is_a_line_as_well():
+    code = "from capsule_gym.play import main; main(['--sped', '3'])"
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
+    expected = "python -m capsule_gym.play: error: Unrecognized options: --sped, 3; did you mean '--speed'?\n"
+    assert (done.returncode, done.stderr) == (2, expected)
 
 
 def test_a_refusal_is_one_line(capsys):

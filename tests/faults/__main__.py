@@ -29,7 +29,12 @@ Trial = Callable[[Bench], None]
 
 @dataclass(frozen=True)
 class Options:
-    """Breaks trainings and caches in every way a machine can, and counts what is lost."""
+    """Breaks trainings and caches in every way a machine can, and counts what is lost.
+
+    Examples:
+      python -m tests.faults --short
+      python -m tests.faults --fault kill stop --kills 20
+    """
 
     fault: tuple[Fault, ...] = ("kill", "stop", "disk", "readonly", "processes", "cache", "fork")
     """which of them"""

@@ -21,7 +21,12 @@ SHORT_STEPS = 500_000
 
 @dataclass(frozen=True)
 class Options:
-    """Throws arguments, options, states and actions at the environments until something breaks."""
+    """Throws arguments, options, states and actions at the environments until something breaks.
+
+    Examples:
+      python -m tests.fuzz --short
+      python -m tests.fuzz --first 1000 --steps 1e7
+    """
 
     steps: Count = 1_000_000
     """agent steps, over all environments"""
