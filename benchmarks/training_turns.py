@@ -19,9 +19,9 @@ from tqdm import tqdm
 from agents.training.loop import Falling, make_env, make_model
 from agents.training.presets import PPOConfig
 from agents.training.sac import LeanSAC
-from agents.training.vec_env import CapsuleSB3VecEnv
 from benchmarks.trainers import Trainer
 from capsule_gym import ENV_ID
+from capsule_gym.sb3 import CapsuleSB3VecEnv
 
 
 def make(trainer: Trainer) -> BaseAlgorithm:

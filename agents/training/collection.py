@@ -11,7 +11,6 @@ from gymnasium import spaces
 from numba import types
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from agents.training.vec_env import CapsuleSB3VecEnv
 from capsule_gym import kernels, resets
 from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, kernel
 from capsule_gym.exponential import exp
@@ -21,6 +20,7 @@ from capsule_gym.network import LAW_TORQUE, Header, input_names, perceive_apart,
 from capsule_gym.policy import make_header
 from capsule_gym.ranges import plant_at
 from capsule_gym.resets import Stream, draw_two, random_stream
+from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.simulation import episode_metrics
 from capsule_gym.task import observation_names
 

@@ -58,9 +58,9 @@ from agents.training.recurrent import RecurrentActorCritic, present_policy
 from agents.training.runs import git_revision, save
 from agents.training.sac import LeanSAC
 from agents.training.stopping import Stop
-from agents.training.vec_env import CapsuleSB3VecEnv
 from baselines.policies import SCRIPTED
 from capsule_gym.files import naming, to_json, write_atomically
+from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.task import HORIZON
 
 # Far from the seeds 0, 1, .. that training runs and evaluation sets use: model selection sees draws of its own.

@@ -11,7 +11,7 @@ from agents.evaluation.candidates import find_candidate
 from agents.evaluation.episodes import evaluate as evaluate_policy
 from agents.evaluation.outside import adopt, evaluate, find
 from agents.evaluation.sets import parse_set
-from agents.training.vec_env import CapsuleSB3VecEnv
+from capsule_gym.sb3 import CapsuleSB3VecEnv
 from tests.agents.fakes import PLANTS, Sine, make_policy, write_run
 
 TINY = parse_set(PLANTS)

@@ -19,9 +19,9 @@ from stable_baselines3.common.vec_env import VecNormalize
 from agents.training.export import export
 from agents.training.runs import archive
 from agents.training.sac import LeanSAC
-from agents.training.vec_env import CapsuleSB3VecEnv
 from capsule_gym import load_policy
 from capsule_gym.committed import POLICY
+from capsule_gym.sb3 import CapsuleSB3VecEnv
 
 # Largest difference of an action from torch's, which computes in float32.
 AGREEMENT = 2e-6

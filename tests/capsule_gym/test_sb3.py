@@ -1,9 +1,14 @@
+import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from stable_baselines3 import PPO
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.monitor import Monitor
 
-from agents.training.vec_env import CapsuleSB3VecEnv
 from capsule_gym import CapsuleVectorEnv
+from capsule_gym.kernels import Row
+from capsule_gym.sb3 import CapsuleSB3VecEnv
 
 
 def test_sb3_batch_is_the_native_batch_with_terminal_observations():
@@ -43,8 +48,34 @@ def test_interface_of_the_vec_env():
     assert env.get_attr("max_episode_steps") == [1650] * 3
     assert env.get_attr("render_mode", [0]) == ["rgb_array"]
     assert [set(m) >= {"mean_speed"} for m in env.env_method("episode_metrics")] == [True] * 3
-    assert env.env_is_wrapped(type(None)) == [False] * 3
+    assert env.env_is_wrapped(gym.Wrapper) == [False] * 3
+    assert env.env_is_wrapped(Monitor, [0, 2]) == [True] * 2
     with pytest.raises(AttributeError, match="share their settings"):
         env.set_attr("render_mode", None)
     assert len(env.get_images()) == 3
     env.close()
+
+
+def test_options_of_the_next_reset_reach_each_environment_and_only_that_reset():
+    env = CapsuleSB3VecEnv(2, seed=0)
+    env.set_options([{"M": 0.6, "state": [0.1, 0.0, 0.0, 0.0]}, {"M": 0.7, "state": [0.2, 0.0, 0.0, 0.0]}])
+    observations = env.reset()
+    assert env.batch.simulation.row(Row.M).tolist() == [0.6, 0.7]
+    assert observations[:, 0].tolist() == pytest.approx([0.1, 0.2])
+    env.reset()
+    assert (env.batch.simulation.row(Row.M) <= 0.55).all()
+
+
+def test_options_with_different_keys_are_refused():
+    env = CapsuleSB3VecEnv(2, seed=0)
+    env.set_options([{"M": 0.6}, {}])
+    with pytest.raises(ValueError, match="same keys"):
+        env.reset()
+
+
+def test_an_evaluation_counts_whole_episodes_without_a_warning():
+    env = CapsuleSB3VecEnv(3, seed=0, max_episode_steps=20)
+    model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, seed=0, device="cpu")
+    _, lengths = evaluate_policy(model, env, n_eval_episodes=6, return_episode_rewards=True)
+    assert len(lengths) == 6
+    assert set(lengths) <= set(range(1, 21))

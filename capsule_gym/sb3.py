@@ -1,4 +1,4 @@
-"""The native batch as Stable-Baselines3 wants it."""
+"""The native batch as Stable-Baselines3 wants it. Nothing else in this package needs that library (extra `sb3`)."""
 
 from __future__ import annotations
 
@@ -8,22 +8,32 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from capsule_gym import CapsuleVectorEnv
+from capsule_gym.parameters import written
+from capsule_gym.vector_env import CapsuleVectorEnv
 
 
 class CapsuleSB3VecEnv(VecEnv):
     """`CapsuleVectorEnv` behind the interface of Stable-Baselines3, without a Python loop over environments.
 
-    Only where episodes end infos are built one by one: "terminal_observation", "TimeLimit.truncated", SB3's "episode"
-    (return, length), and the episode's "metrics".
+    It stands where `make_vec_env("capsule_gym:CapsuleStickSlip-v0", n_envs=num_envs)` would. An info is empty but where
+    an episode ends; there it holds "terminal_observation", "TimeLimit.truncated", "episode" with the return "r" and the
+    length "l", as SB3's `Monitor` writes it, and the episode's "metrics" (`capsule_gym.task.Metrics`).
 
     Args:
         num_envs: number of environments.
         seed: environment i gets seed + i.
-        **env_kwargs: what `CapsuleVectorEnv` takes.
+        **env_kwargs: what `CapsuleVectorEnv` takes; the autoreset mode is the wrapper's own.
+
+    Raises:
+        TypeError: if an argument is of the wrong type, or `autoreset_mode` is given.
+        ValueError: if an argument is out of range.
+
+    Attributes:
+        batch: the `CapsuleVectorEnv`, stepped with SAME_STEP.
     """
 
     def __init__(self, num_envs: int, seed: int | None = None, **env_kwargs: Any) -> None:
@@ -46,12 +56,27 @@ class CapsuleSB3VecEnv(VecEnv):
         return [None if seed is None else seed + i for i in range(self.num_envs)]
 
     def reset(self) -> VecEnvObs:
-        """Begins new episodes everywhere and returns the observations."""
-        observations, _ = self.batch.reset(seed=self._seed)
+        """Begins new episodes everywhere, with what `set_options` has set.
+
+        Returns:
+            Observations, float32 of shape (num_envs, entries).
+
+        Raises:
+            ValueError: if the options of the environments have different keys, or an option is unknown or out of range.
+        """
+        observations, _ = self.batch.reset(seed=self._seed, options=self._gathered_options())
         self._seed = None
+        self._reset_options()
         self._returns[:] = 0.0
         self._lengths[:] = 0
         return observations
+
+    def _gathered_options(self) -> dict[str, list[Any]] | None:
+        """SB3's options, one dict per environment, as the batch takes them: under each key a value per environment."""
+        names = self._options[0].keys()
+        if any(options.keys() != names for options in self._options):
+            raise ValueError(f"options must have the same keys for every environment, got {written(self._options)}")
+        return {name: [options[name] for options in self._options] for name in names} or None
 
     def step_async(self, actions: np.ndarray) -> None:
         """Takes the actions of the next step, shape (num_envs, 1)."""
@@ -113,5 +138,5 @@ class CapsuleSB3VecEnv(VecEnv):
         return [result[i] if isinstance(result, (tuple, list, np.ndarray)) else result for i in rows]
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
-        """False everywhere: a native batch has no wrappers."""
-        return [False] * len(list(self._get_indices(indices)))
+        """False but for `Monitor`, whose infos a batch gives: where it is True, SB3 evaluates by whole episodes."""
+        return [wrapper_class is Monitor] * len(list(self._get_indices(indices)))
