@@ -6,7 +6,7 @@ import { Lane } from "./lane.js";
 import { clamp, written } from "./numbers.js";
 import { Player } from "./player.js";
 import { END, YOURSELF, driverNamed, firstScene, handAction, hasOwnJumps, limits, readScene, takePlant, titleOf, writeScene } from "./scene.js";
-import { Stage } from "./stage.js";
+import { Contact, Stage } from "./stage.js";
 
 const DT = constants.control_dt;
 const SPEEDS = [0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10, 15, 20];
@@ -40,6 +40,7 @@ let told = "";
 let best = remembered();
 
 const redraw = () => { dirty = true; };
+const contacts = [new Contact(), new Contact()];
 const stage = new Stage(element("scene"), redraw);
 const charts = makeCharts();
 
@@ -93,7 +94,7 @@ function remember(speed) {
 function jump(M, mu) {
   player.branch();
   if (player.step === 0) {
-    Object.assign(scene, { set: "", M, mu });
+    Object.assign(scene, { set: "", M, mu, theta: undefined });
     return open();
   }
   const t = Number((player.step * DT).toFixed(6));
@@ -130,8 +131,11 @@ function drive(action) {
   const hand = player.lanes[0]?.hand;
   if (!hand) return;
   const value = handAction(action);
-  element("torque").value = value;
-  show("torque-value", `${written(value * constants.torque_limit, 2)} N m`);
+  const text = `${written(value * constants.torque_limit, 2)} N m`;
+  // The angle grows to the left: a torque below zero turns the ball to where the slider is drawn.
+  element("torque").value = -value;
+  element("torque").setAttribute("aria-valuetext", text);
+  show("torque-value", text);
   if (value === hand.live) return;
   const recorded = player.lanes[0].steps > player.step || hand.replay.length > player.step;
   if (value !== 0 && recorded) {
@@ -148,14 +152,14 @@ function driveByKeys() {
 }
 
 function followKeys(event) {
-  const control = event.target.closest?.("input, select, textarea, dialog");
+  const control = event.target.closest?.("input:not(#torque), select, dialog");
   if (control || event.ctrlKey || event.metaKey || event.altKey) return;
   if (event.key in KEYS && scene.driver === YOURSELF) {
     event.preventDefault();
     held.add(event.key);
     driveByKeys();
     if (!player.playing && !event.repeat && !player.over) setPlaying(true);
-  } else if (event.key === " " && !event.target.closest?.("button, a")) {
+  } else if (event.key === " " && !event.target.closest?.("button, a, input")) {
     event.preventDefault();
     togglePlay();
   } else if (event.key === "." && element("stage") === event.target) {
@@ -176,7 +180,7 @@ function bindHands() {
   window.addEventListener("blur", release);
   const torque = element("torque");
   torque.addEventListener("input", () => {
-    drive(Number(torque.value));
+    drive(-Number(torque.value));
     if (!player.over) setPlaying(true);
   });
   for (const end of ["change", "pointerup", "pointercancel", "blur"]) torque.addEventListener(end, release);
@@ -189,7 +193,6 @@ function bindHands() {
     if (!player.over) setPlaying(true);
   });
   area.addEventListener("pointermove", (event) => {
-    // The angle grows to the left, and the ball goes where the finger does.
     if (begin !== null) drive((begin - event.clientX) / DRAG);
   });
   for (const end of ["pointerup", "pointercancel"]) {
@@ -402,13 +405,17 @@ function bindPage() {
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 }
 
+let checking = false;
+
 /** Replays the committed episodes before the reader's eyes. */
 async function runCheck() {
   setPlaying(false);
+  element("checks").showModal();
+  if (checking) return;
+  checking = true;
   const rows = element("check-rows");
   rows.replaceChildren();
   show("verdict", "Replaying …");
-  element("checks").showModal();
   try {
     const equal = await check(({ name, equal, steps, doubles }) => {
       const row = rows.insertRow();
@@ -426,6 +433,7 @@ async function runCheck() {
   } catch (error) {
     show("verdict", `The check broke off: ${error.message}`);
   }
+  checking = false;
 }
 
 // --- What is shown -------------------------------------------------------------------------------------------------
@@ -516,7 +524,7 @@ function makeCharts() {
     make("Phase portrait: rate, rad/s, over angle", "1", (canvas) => new PhasePortrait(canvas, redraw), "tall");
   const made = [first, portrait, ...others].map((build) => build());
   for (const chart of made.filter(({ curve }) => curve)) {
-    chart.sheet.canvas.addEventListener("pointerdown", (event) => {
+    chart.sheet.canvas.addEventListener("click", (event) => {
       seek(chart.value(event.offsetX));
       link();
     });
@@ -541,9 +549,11 @@ function draw() {
   const smooth = !reduced.matches;
   const views = player.lanes.map((lane) => ({ name: lane.title, view: lane.at(player.now, smooth) }));
   const [driver, rival = null] = views;
+  for (const [index, { view }] of views.entries()) view.contact = contacts[index].see(view.x_dot === 0);
   stage.draw(driver, rival, { lanes: scene.view === "lane", still: !smooth });
   for (const chart of charts) chart.draw(player.lanes, player.now, span);
   showFigures(driver.view);
+  if (!player.playing) describe(views);
   MEASURES.forEach(([, , text], index) => {
     const cells = element("rows").rows[index].cells;
     [driver, rival].forEach((one, column) => {
@@ -554,21 +564,31 @@ function draw() {
   showEnd();
 }
 
-function showFigures({ x, x_dot, torque, metrics }) {
+function showFigures({ x, x_dot, torque, metrics, contact }) {
   const { now } = player;
   show("figure-time", written(now, 2));
   show("figure-x", written(100 * x, 1));
   show("figure-speed", written(100 * x_dot, 1));
   show("figure-mean", written(metrics.mean_speed, 2));
   show("figure-torque", written(torque, 2));
-  const contact = x_dot === 0 ? "stick" : x_dot > 0 ? "slip →" : "← slip";
-  show("figure-contact", contact);
-  element("figure-contact").classList.toggle("slip", x_dot !== 0);
+  const words = { stick: "stick", slip: x_dot > 0 ? "slip →" : "← slip", both: "stick, slip" };
+  show("figure-contact", words[contact]);
+  element("figure-contact").dataset.contact = contact;
   const scrub = element("scrub");
   if (player.goal === null) scrub.value = now;
   scrub.setAttribute("aria-valuetext", `${written(now, 2)} s`);
   show("scrub-value", `${written(now, 2)} s`);
   show("best", Number.isFinite(best) ? `${written(best, 2)} cm/s` : "none yet");
+}
+
+/** What a picture that stands still shows, in words. */
+function describe(views) {
+  const told = views.map(({ name, view }) => {
+    const contact = view.x_dot === 0 ? "in stick" : `slipping at ${written(100 * view.x_dot, 1)} cm/s`;
+    const angle = written((view.theta * 180) / Math.PI, 0);
+    return `${name}: at ${written(100 * view.x, 1)} cm, ${contact}, pendulum at ${angle}°, torque ${written(view.torque, 2)} N m`;
+  });
+  element("scene").setAttribute("aria-label", `At ${written(player.now, 2)} s. ${told.join(". ")}.`);
 }
 
 /** Failures and the end of the episode, once they are on the screen. */

@@ -13,7 +13,27 @@ const MAJOR = niceStep(50 / PER_METRE);
 const ABOVE = 44;
 const BELOW = 40;
 const WIDEST = 1.6;
+// Changes of the contact's colour in a second; three flashes, which are six, may harm.
+const MOST_CHANGES = 4;
 const TURN = 2 * Math.PI;
+
+/** Stick or slip, as it can be shown: neither, where it would flash. */
+export class Contact {
+  constructor() {
+    this.stuck = true;
+    this.changes = [];
+  }
+
+  /** @returns {"stick" | "slip" | "both"} */
+  see(stuck) {
+    const now = performance.now();
+    if (stuck !== this.stuck) this.changes.push(now);
+    this.stuck = stuck;
+    this.changes = this.changes.filter((time) => time > now - 1000);
+    if (this.changes.length > MOST_CHANGES) return "both";
+    return stuck ? "stick" : "slip";
+  }
+}
 
 /** The picture of one lane, of two, or of one with a ghost. */
 export class Stage {
@@ -53,7 +73,7 @@ export class Stage {
     context.translate(width / 2, top + height - BELOW * scale);
     context.scale(scale, scale);
     drawFloor(context, view.x, half, scale, height / scale);
-    drawBody(context, view.x_dot === 0);
+    drawBody(context, view.contact);
     if (ghost) drawGhost(context, ghost, (ghost.view.x - view.x) * PER_METRE, half, scale);
     drawSpeed(context, view.x_dot);
     drawTorque(context, view.torque / constants.torque_limit);
@@ -133,9 +153,9 @@ function drawFloor(context, x, half, scale, height) {
 }
 
 /** The shell, the platform and the gauge's scale; the contact beneath. */
-function drawBody(context, stuck) {
+function drawBody(context, state) {
   const { PLATFORM_HALF, PLATFORM_HEIGHT, SPRING_OUTER } = figure;
-  const contact = colour(stuck ? "stick" : "slip");
+  const contact = colour(state === "both" ? "tick" : state);
   context.beginPath();
   context.roundRect(-SHELL_HALF, -SHELL_HEIGHT, 2 * SHELL_HALF, SHELL_HEIGHT, SHELL_HEIGHT / 2);
   context.globalAlpha = 0.13;
