@@ -5,7 +5,6 @@ import { clamp, decimals, niceStep, written } from "./numbers.js";
 import { Sheet, colour, font, rem } from "./paint.js";
 import { END } from "./scene.js";
 
-const DT = constants.control_dt;
 const DEGREES = 180 / Math.PI;
 
 /** What is shown over time: a channel of a lane, its title, unit and factor, and bounds that it always has. */
@@ -96,11 +95,9 @@ export class TimeChart extends Plot {
       if (x > box.left + 8 && x < box.right - 8) context.fillText(`${t} s`, x, this.sheet.height - 3);
     }
     this.clip();
-    const first = Math.max(0, Math.floor(from / DT));
-    const last = Math.ceil(to / DT);
-    this.shade(lanes[0], first, last);
+    this.shade(lanes[0], from, to);
     lanes.forEach((lane, index) => {
-      this.path(lane, first, last);
+      this.path(lane, from, to);
       this.stroke(index === 1);
     });
     context.fillStyle = colour("tick");
@@ -109,17 +106,17 @@ export class TimeChart extends Plot {
   }
 
   /** Bands where the driver sticks, and where it slips. */
-  shade(lane, first, last) {
+  shade(lane, from, to) {
     const { context } = this.sheet;
     const { top, bottom } = this.box;
     const { x_dot } = lane.trace;
     const shades = [colour("slip-shade"), colour("stick-shade")];
-    const end = Math.min(last, lane.steps);
+    const [first, end] = within(lane, from, to);
     for (let k = first; k <= end; ) {
       const stuck = x_dot[k] === 0;
       let next = k + 1;
       while (next <= end && (x_dot[next] === 0) === stuck) next++;
-      const [left, right] = [this.x(k * DT), this.x(Math.min(next, end) * DT)];
+      const [left, right] = [this.x(k * lane.dt), this.x(Math.min(next, end) * lane.dt)];
       context.fillStyle = shades[Number(stuck)];
       context.fillRect(left, top, right - left, bottom - top);
       k = next;
@@ -127,12 +124,12 @@ export class TimeChart extends Plot {
   }
 
   /** The curve; where many steps share a column of pixels, the lowest and the highest of them. */
-  path(lane, first, last) {
+  path(lane, from, to) {
     const { context } = this.sheet;
     const values = lane.trace[this.curve.channel];
     const { factor } = this.curve;
-    const end = Math.min(last, lane.steps);
-    const each = Math.max(1, Math.floor((last - first) / (this.box.right - this.box.left)));
+    const [first, end] = within(lane, from, to);
+    const each = Math.max(1, Math.floor((to - from) / lane.dt / (this.box.right - this.box.left)));
     context.beginPath();
     for (let k = first - (first % each); k <= end; k += each) {
       let [low, high] = [values[k], values[k]];
@@ -141,7 +138,7 @@ export class TimeChart extends Plot {
         high = Math.max(high, values[j]);
       }
       if (!Number.isFinite(low + high)) continue;
-      const x = this.x(k * DT);
+      const x = this.x(k * lane.dt);
       context.lineTo(x, this.y(factor * low));
       if (high > low) context.lineTo(x, this.y(factor * high));
     }
@@ -163,8 +160,7 @@ export class PhasePortrait extends Plot {
     context.fillRect(this.x(0), box.top, 1, box.bottom - box.top);
     lanes.forEach((lane, index) => {
       const { theta, theta_dot } = lane.trace;
-      const last = Math.min(Math.floor(now / DT + 1e-9), lane.steps);
-      const first = span ? Math.max(0, last - Math.round(span / DT)) : 0;
+      const [first, last] = within(lane, span ? now - span : 0, now);
       context.beginPath();
       for (let k = first; k <= last; k++) context.lineTo(this.x(DEGREES * theta[k]), this.y(theta_dot[k]));
       context.globalAlpha = 0.75;
@@ -177,6 +173,11 @@ export class PhasePortrait extends Plot {
     });
     context.restore();
   }
+}
+
+/** The first and the last step of a lane between two times. */
+function within(lane, from, to) {
+  return [Math.max(0, Math.floor(from / lane.dt)), Math.min(Math.floor(to / lane.dt + 1e-6), lane.steps)];
 }
 
 /** The range of an axis that holds all that was recorded, in whole steps, and the step of its marks. */

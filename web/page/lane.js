@@ -1,12 +1,11 @@
 // One driver on one plant: an episode, everything that was recorded of it, and the way back to any step.
 
 import { constants, drive, load } from "./capsule.mjs";
-import { YOURSELF, driverNamed, titleOf } from "./scene.js";
+import { YOURSELF, titleOf } from "./scene.js";
 
-const DT = constants.control_dt;
 // As `Simulation` compares an episode's time with that of a jump.
 const TIME_TOLERANCE = 1e-9;
-const SNAPSHOT_STEPS = Math.round(1 / DT);
+const SNAPSHOT_SECONDS = 1;
 const CHANNELS = ["theta", "theta_dot", "x", "x_dot", "torque", "normal", "speed", "transport", "action"];
 
 /** The reader: the direct task, and an action that the page changes between two steps. */
@@ -24,20 +23,16 @@ class Hand {
     return this.capsule.step(this.action);
   }
 
-  snapshot() {
-    return this.capsule.snapshot();
-  }
-
-  restore(snapshot) {
-    this.capsule.restore(snapshot);
-  }
 }
 
 async function start(name, plant, weight, replay) {
-  if (name !== YOURSELF) return drive(name, { ...plant, ...(weight === null ? {} : { energyWeight: weight }) });
+  if (name !== YOURSELF) {
+    const episode = await drive(name, { ...plant, ...(weight === null ? {} : { energyWeight: weight }) });
+    return { capsule: episode, driver: episode };
+  }
   const capsule = await load("direct");
   capsule.reset(plant);
-  return new Hand(capsule, replay);
+  return { capsule, driver: new Hand(capsule, replay) };
 }
 
 /** An episode as it is recorded. */
@@ -55,53 +50,68 @@ export class Lane {
     return new Lane(name, await start(name, plant, weight, scene.hand), scene.jumps);
   }
 
-  constructor(name, episode, jumps) {
+  constructor(name, { capsule, driver }, jumps) {
     this.name = name;
     this.title = titleOf(name);
-    this.kind = driverNamed(name)?.kind;
-    this.episode = episode;
-    this.capsule = episode.capsule;
+    this.capsule = capsule;
+    this.driver = driver;
     this.jumps = jumps;
+    /** Length of a step, s, and how many an episode has. */
+    this.dt = capsule.controlDt;
+    this.horizon = capsule.horizon;
+    this.stepsOfSnapshot = Math.round(SNAPSHOT_SECONDS / this.dt);
     this.steps = 0;
     /** Why the episode ended: "", or what happened. */
     this.failure = "";
-    this.trace = Object.fromEntries(CHANNELS.map((name) => [name, new Float64Array(constants.steps + 1)]));
+    this.trace = Object.fromEntries(CHANNELS.map((name) => [name, new Float64Array(this.horizon + 1)]));
     /** Lowest and highest value so far, per channel. */
     this.extent = Object.fromEntries(CHANNELS.map((name) => [name, [Infinity, -Infinity]]));
-    this.metrics = new Array(constants.steps + 1);
-    this.snapshots = [episode.snapshot()];
+    this.metrics = new Array(this.horizon + 1);
+    this.snapshots = [capsule.snapshot()];
     this.record();
   }
 
   /** The reader's hands, where they are what drives. */
   get hand() {
-    return this.name === YOURSELF ? this.episode : null;
+    return this.name === YOURSELF ? this.driver : null;
+  }
+
+  /** How far the episode was simulated, s. */
+  get time() {
+    return this.steps * this.dt;
   }
 
   get ended() {
-    return this.failure !== "" || this.steps >= constants.steps;
+    return this.failure !== "" || this.steps >= this.horizon;
   }
 
   /** One agent step, unless the episode has ended. */
   advance() {
     if (this.ended) return;
     this.applyJump();
-    const { terminated } = this.episode.tick();
+    const { terminated } = this.driver.tick();
     this.steps += 1;
     if (terminated) this.failure = this.reason();
     this.record();
-    if (this.steps % SNAPSHOT_STEPS === 0) this.snapshots[this.steps / SNAPSHOT_STEPS] = this.episode.snapshot();
+    const seconds = this.steps / this.stepsOfSnapshot;
+    if (Number.isInteger(seconds)) this.snapshots[seconds] = this.capsule.snapshot();
   }
 
-  /** Forgets what came after that step, and stands there again. */
-  rewind(step) {
+  /** The first step that begins at that time (s) or after it. */
+  stepAt(time) {
+    return Math.min(Math.ceil(time / this.dt - 1e-6), this.horizon);
+  }
+
+  /** Forgets what came after that time (s), and stands there again. */
+  rewind(time) {
+    const step = this.stepAt(time);
     if (step >= this.steps) return;
-    const nearest = Math.floor(step / SNAPSHOT_STEPS);
+    const nearest = Math.floor(step / this.stepsOfSnapshot);
     const live = this.hand?.live;
     if (this.hand) this.hand.replay = Array.from(this.trace.action.subarray(1, step + 1));
-    this.episode.restore(this.snapshots[nearest]);
+    this.capsule.restore(this.snapshots[nearest]);
     this.snapshots.length = nearest + 1;
-    this.steps = nearest * SNAPSHOT_STEPS;
+    this.steps = nearest * this.stepsOfSnapshot;
     this.failure = "";
     while (this.steps < step) this.advance();
     if (this.hand) this.hand.live = live;
@@ -110,11 +120,11 @@ export class Lane {
   /** What is seen at that time (s), between two steps if `smooth`: SI units. */
   at(time, smooth) {
     const { trace } = this;
-    const place = Math.min(time / DT, this.steps);
+    const place = Math.min(time / this.dt, this.steps);
     const k = Math.min(Math.floor(place + 1e-9), this.steps);
     const share = smooth && k < this.steps ? place - k : 0;
     const between = (name, rate) =>
-      share > 1e-9 ? cubic(trace[name], trace[rate], k, share) : trace[name][k];
+      share > 1e-9 ? cubic(trace[name], trace[rate], k, share, this.dt) : trace[name][k];
     const later = share > 0.5 ? k + 1 : k;
     return {
       step: k, theta: between("theta", "theta_dot"), x: between("x", "x_dot"), theta_dot: trace.theta_dot[later],
@@ -126,7 +136,7 @@ export class Lane {
     const { state, info, metrics } = this.capsule;
     const values = {
       ...state, torque: info.torque, normal: info.normal_force, speed: metrics.mean_speed,
-      transport: metrics.cost_of_transport, action: this.episode.action,
+      transport: metrics.cost_of_transport, action: this.driver.action,
     };
     for (const name of CHANNELS) {
       const value = values[name];
@@ -140,9 +150,9 @@ export class Lane {
   }
 
   applyJump() {
-    const now = this.steps * DT + TIME_TOLERANCE;
+    const now = this.time + TIME_TOLERANCE;
     const due = this.jumps.findLast(({ t }) => t <= now);
-    if (due && due.t > now - DT) this.capsule.setPlant(due);
+    if (due && due.t > now - this.dt) this.capsule.setPlant(due);
   }
 
   reason() {
@@ -155,9 +165,9 @@ export class Lane {
 }
 
 /** A cubic between two steps through both values and both rates. */
-function cubic(values, rates, k, share) {
+function cubic(values, rates, k, share, dt) {
   const [a, b] = [values[k], values[k + 1]];
-  const [da, db] = [rates[k] * DT, rates[k + 1] * DT];
+  const [da, db] = [rates[k] * dt, rates[k + 1] * dt];
   const rise = b - a;
   return a + share * (da + share * (3 * rise - 2 * da - db + share * (da + db - 2 * rise)));
 }

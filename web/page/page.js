@@ -68,7 +68,7 @@ async function open({ time = 0, play = player.playing } = {}) {
 }
 
 player.stepped = (lane) => {
-  if (!lane.hand || scene.hand.length || lane.steps * DT < BEST_FROM) return;
+  if (!lane.hand || scene.hand.length || lane.time < BEST_FROM) return;
   const speed = lane.metrics[lane.steps].mean_speed;
   if (!(speed <= best)) remember(speed);
 };
@@ -93,11 +93,11 @@ function remember(speed) {
 /** Lets M and mu jump now; before the first step they are the plant's. */
 function jump(M, mu) {
   player.branch();
-  if (player.step === 0) {
+  if (player.moment === 0) {
     Object.assign(scene, { set: "", M, mu, theta: undefined });
     return open();
   }
-  const t = Number((player.step * DT).toFixed(6));
+  const t = Number(player.moment.toFixed(6));
   const others = scene.jumps.filter((jump) => Math.abs(jump.t - t) > DT / 2);
   // The lanes hold this very list.
   scene.jumps.splice(0, Infinity, ...[...others, { t, M, mu }].sort((a, b) => a.t - b.t));
@@ -107,7 +107,7 @@ function jump(M, mu) {
 }
 
 function plantNow() {
-  return scene.jumps.findLast(({ t }) => t <= player.step * DT + 1e-9) ?? scene;
+  return scene.jumps.findLast(({ t }) => t <= player.moment + 1e-9) ?? scene;
 }
 
 function plantText({ M, mu }) {
@@ -137,10 +137,11 @@ function drive(action) {
   element("torque").setAttribute("aria-valuetext", text);
   show("torque-value", text);
   if (value === hand.live) return;
-  const recorded = player.lanes[0].steps > player.step || hand.replay.length > player.step;
+  const step = player.lanes[0].stepAt(player.moment);
+  const recorded = Math.max(player.lanes[0].steps, hand.replay.length) > step;
   if (value !== 0 && recorded) {
     player.branch();
-    hand.replay.length = Math.min(hand.replay.length, player.step);
+    hand.replay.length = Math.min(hand.replay.length, step);
     scene.hand = [];
   }
   hand.live = value;
@@ -312,7 +313,6 @@ function bindChoices() {
     scene[key] = element(id).value;
     after();
   });
-  const again = () => open({ play: player.playing || !reduced.matches });
   choose("driver", "driver", () => {
     Object.assign(scene, { weight: null, hand: [] });
     // A hand begins when the reader does.
@@ -328,10 +328,12 @@ function bindChoices() {
     link();
   });
   for (const [id, key] of [["weight", "weight"], ["rival-weight", "rivalWeight"]]) {
-    element(id).addEventListener("input", () => show(`${id}-value`, written(element(id).value, 2)));
+    const price = () => Number((10 ** Number(element(id).value)).toPrecision(3));
+    element(id).addEventListener("input", () => show(`${id}-value`, `${price()} cm/J`));
     element(id).addEventListener("change", () => {
-      scene[key] = Number(element(id).value);
-      again();
+      scene[key] = price();
+      scene.hand = handsSoFar();
+      open({ time: 0 });
     });
   }
   element("span").addEventListener("change", () => {
@@ -459,8 +461,9 @@ function showScene() {
   element("view").value = scene.view;
   element("view").disabled = !scene.rival;
   const own = "Keys, the slider below the stage, or a finger on it: hold to turn the motor.";
-  show("driver-text", driverNamed(scene.driver)?.description ?? own);
-  show("rival-text", scene.rival ? driverNamed(scene.rival).description : "");
+  const described = (name) => driverNamed(name).description.replaceAll("`", "");
+  show("driver-text", scene.driver === YOURSELF ? own : described(scene.driver));
+  show("rival-text", scene.rival ? described(scene.rival) : "");
   showWeight("weight", driverNamed(scene.driver), scene.weight);
   showWeight("rival-weight", driverNamed(scene.rival), scene.rivalWeight);
   element("hand").hidden = scene.driver !== YOURSELF;
@@ -481,9 +484,11 @@ function showWeight(id, driver, weight) {
   const bounds = driver?.energyWeight;
   element(`${id}-row`).hidden = !bounds;
   if (!bounds) return;
-  [element(id).min, element(id).max] = bounds;
-  element(id).value = weight ?? bounds[0];
-  show(`${id}-value`, written(Number(element(id).value), 2));
+  const price = weight ?? bounds[0];
+  [element(id).min, element(id).max] = bounds.map(Math.log10);
+  element(id).value = Math.log10(price);
+  element(id).setAttribute("aria-valuetext", `${price} cm/J`);
+  show(`${id}-value`, `${price} cm/J`);
 }
 
 function showPlant() {
@@ -497,7 +502,7 @@ function showPlant() {
   element("mu").value = Math.log10(mu);
   element("M").setAttribute("aria-valuetext", `${M} kg`);
   element("mu").setAttribute("aria-valuetext", String(mu));
-  const hint = player.step === 0 ? "A change sets the plant of the episode." : "A change is a jump at the time that is shown.";
+  const hint = player.moment === 0 ? "A change sets the plant of the episode." : "A change is a jump at the time that is shown.";
   show("plant-text", hint);
   const jumps = scene.jumps.map((jump) => `${written(jump.t, 2)} s: ${plantText(jump)}`);
   show("jumps", jumps.length ? `Jumps: ${jumps.join("; ")}` : "No jumps.");
@@ -593,10 +598,10 @@ function describe(views) {
 
 /** Failures and the end of the episode, once they are on the screen. */
 function showEnd() {
-  const shown = (lane) => player.now >= lane.steps * DT - 1e-9;
+  const shown = (lane) => player.now >= lane.time - 1e-9;
   const failures = player.lanes
     .filter((lane) => lane.failure && shown(lane))
-    .map((lane) => `${lane.title} failed at ${written(lane.steps * DT, 2)} s: ${lane.failure}.`);
+    .map((lane) => `${lane.title} failed at ${written(lane.time, 2)} s: ${lane.failure}.`);
   if (player.over && failures.length < player.lanes.length) failures.push(`The episode of ${END} s has ended.`);
   const text = failures.join(" ");
   element("banner").hidden = text === "";

@@ -22,14 +22,14 @@ export class Player {
     this.stepped = () => {};
   }
 
-  /** The step that is shown, or the one that comes to be shown. */
-  get step() {
-    return Math.min(Math.ceil(this.now / DT - 1e-6), constants.steps);
+  /** The time of the step that is shown, or of the one that comes to be shown, s: a multiple of 20 ms. */
+  get moment() {
+    return Math.min(Math.ceil(this.now / DT - 1e-6) * DT, END);
   }
 
   /** Whether no lane can go on, and what it did has been shown. */
   get over() {
-    return this.lanes.every((lane) => lane.ended && this.now >= lane.steps * DT - 1e-9);
+    return this.lanes.every((lane) => lane.ended && this.now >= lane.time - 1e-9);
   }
 
   /** Goes to that time, simulating what is missing. */
@@ -46,9 +46,9 @@ export class Player {
 
   /** Forgets in every lane what came after the present step. */
   branch() {
-    this.now = this.step * DT;
+    this.now = this.moment;
     this.goal = null;
-    for (const lane of this.lanes) lane.rewind(this.step);
+    for (const lane of this.lanes) lane.rewind(this.now);
   }
 
   /**
@@ -70,29 +70,26 @@ export class Player {
 
   /** Takes every lane up to that time, and answers how far the budget of a frame went. */
   simulate(time) {
-    const target = Math.min(Math.ceil(time / DT - 1e-6), constants.steps);
     const begin = performance.now();
     for (;;) {
-      const behind = this.lanes.filter((lane) => !lane.ended && lane.steps < target);
+      const behind = this.lanes.filter((lane) => !lane.ended && lane.steps < lane.stepAt(time));
       if (behind.length === 0) return time;
-      const step = Math.min(...behind.map((lane) => lane.steps));
-      if (performance.now() - begin > BUDGET) return step * DT;
-      for (const lane of behind) {
-        if (lane.steps > step) continue;
-        lane.advance();
-        this.stepped(lane);
-      }
+      const lane = behind.reduce((one, other) => (other.time < one.time ? other : one));
+      if (performance.now() - begin > BUDGET) return lane.time;
+      lane.advance();
+      this.stepped(lane);
     }
   }
 
   /** The time at which the last lane ends, as far as is known. */
   get last() {
-    return this.lanes.every((lane) => lane.ended) ? Math.max(...this.lanes.map((lane) => lane.steps)) * DT : END;
+    return this.lanes.every((lane) => lane.ended) ? Math.max(...this.lanes.map((lane) => lane.time)) : END;
   }
 
   /** How far `seek` may go: hands that have not moved yet cannot be foreseen. */
   get reach() {
-    const hand = this.lanes.find((lane) => lane.hand);
-    return hand ? Math.min(this.last, Math.max(hand.steps, hand.hand.replay.length, this.step + 1) * DT) : this.last;
+    const lane = this.lanes.find(({ hand }) => hand);
+    if (!lane) return this.last;
+    return Math.min(this.last, Math.max(lane.time, lane.hand.replay.length * lane.dt, this.moment + DT));
   }
 }
