@@ -1,1 +1,1 @@
-"""The live page: the agent step as WebAssembly, and a page that shows it at work."""
+"""The environment in a browser: the compiled step as WebAssembly, its data, and the page around it."""
