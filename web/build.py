@@ -1,6 +1,7 @@
-"""Writes the module and its data for browsers and node: `python -m web.build`, which `make web` runs.
+"""Writes the live page and its module: `python -m web.build`, which `make web` runs.
 
-Into the folder of the site go `capsule.mjs`, which needs no other file, and its types `capsule.d.mts`.
+Into the folder of the site go the page `index.html` and the module `capsule.mjs`, neither of which needs another file,
+and the module's types `capsule.d.mts`.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from pathlib import Path
 
 from capsule_gym.command_line import parse, refuse
 from capsule_gym.files import write_atomically
+from web.bundle import bundle
 from web.data import pack_data
 
 PROG = "python -m web.build"
@@ -48,8 +50,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         archive = pack_data()
     except subprocess.CalledProcessError as error:
         refuse(PROG, f"the modules cannot be built: {error}")
+    module = build_module(archive)
     for name, text in (
-        ("capsule.mjs", build_module(archive)),
+        ("index.html", bundle(module)),
+        ("capsule.mjs", module),
         ("capsule.d.mts", (SOURCES / "capsule.d.mts").read_text(encoding="utf-8")),
     ):
         write_atomically(options.folder / name, text)

@@ -89,7 +89,9 @@ def _wrapped(name: str, source: str) -> str:
     exported = _EXPORT.findall(source)
     body = _EXPORT.sub("", _IMPORT.sub(_taken, source))
     if other := _OTHER.search(body):
-        raise ValueError(f'{name} must import as in import {{a}} from "./b.js"; and export declarations, got {other[0]!r}')
+        raise ValueError(
+            f'{name} must import as in import {{a}} from "./b.js"; and export declarations, got {other[0]!r}'
+        )
     return f'modules["{name}"] = await (async () => {{\n{body}\nreturn {{ {", ".join(exported)} }};\n}})();'
 
 
