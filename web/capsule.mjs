@@ -34,7 +34,7 @@ const SHOWN = QUANTITIES.slice(0, ROW.clock + 1);
 const MODULES = new Map();
 
 /** Every driver, with what a page shows of it. */
-export const drivers = DRIVERS.map(({ settings, network, units, default_energy_weight, ...shown }) => ({
+export const drivers = DRIVERS.map(({ settings, network, units, ...shown }) => ({
   ...shown,
   controlDt: settings.control_dt,
   steps: settings.steps,

@@ -10,25 +10,23 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from agents.evaluation.sets import SET_NAMES, load_set
-from agents.training.presets import ROWS
+from agents.training.presets import ROWS, PPOConfig
 from baselines.policies import SCRIPTED
-from capsule_gym import Policy, kernels, load_policy, policy_names, task
+from capsule_gym import Policy, kernels, load_policy, task
 from capsule_gym.identification import CELLS
 from capsule_gym.kernels import LANES, Row, Settings
 from capsule_gym.network import HEADER, Header
 from capsule_gym.options import Options
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
 from capsule_gym.simulation import NO_CONTROLLER, check_step, count_rows, make_settings
+from web.episodes import FILE, describe_plant, driver_names, env_kwargs, trained
 from web.modules import DIRECT, ENTRIES, NETWORK, STARTS, TASKS, build, find_law
 
-EPISODES = Path(__file__).with_name("episodes.json")
 # Below the platform's smallest mass no friction up to the largest may be too much for it, kg.
 LIGHTEST = 0.2
 
@@ -72,10 +70,10 @@ def pack_data() -> str:
             "modules": {name: archive.add(content) for name, content in modules.items()},
             "layout": layout(),
             "tasks": {name: describe_task(name, archive) for name in TASKS},
-            "drivers": list(drivers(archive)),
+            "drivers": [describe_driver(name, archive) for name in driver_names()],
             "sets": {name: describe_set(name) for name in SET_NAMES},
             "constants": constants(),
-            "episodes": json.loads(EPISODES.read_text(encoding="utf-8")),
+            "episodes": json.loads(FILE.read_text(encoding="utf-8")),
         }
     )
 
@@ -130,51 +128,38 @@ def task_of(options: Options) -> str:
     return DIRECT if options.controller is None else str(options.controller).removeprefix("baselines:")
 
 
-def drivers(archive: Archive) -> Iterator[dict[str, Any]]:
-    """Everything that can drive the capsule: scripted policies that run inside the step, and trained ones."""
-    for scripted in SCRIPTED.values():
-        controller = scripted.env_kwargs.get("controller")
-        if controller or scripted.name == "zero":
-            options = Options(**scripted.env_kwargs)
-            yield {
-                "name": scripted.name,
-                "title": scripted.name.replace("-", " "),
-                "description": scripted.description,
-                "kind": "law" if controller else "none",
-                "task": task_of(options),
-                "settings": describe_settings(options),
-            }
-    for name in policy_names():
-        yield describe_policy(name, load_policy(name), archive)
+def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
+    """What acts, for the page and for the step."""
+    options = Options(**env_kwargs(name))
+    described = {
+        "name": name,
+        "title": name.replace("-", " "),
+        "task": task_of(options),
+        "settings": describe_settings(options),
+    }
+    if trained(name):
+        return {**described, "kind": "policy", **describe_policy(name, load_policy(name), archive)}
+    kind = "none" if options.controller is None else "law"
+    return {**described, "kind": kind, "description": SCRIPTED[name].description}
 
 
 def describe_policy(name: str, policy: Policy, archive: Archive) -> dict[str, Any]:
     """A trained policy: the run with the lowest seed."""
-    network, options = policy._network, Options(**policy.env_kwargs)
-    widths = network[HEADER : HEADER + len(policy.layers) + 1]
-    told = ROWS[name].energy_weights if policy.told_energy_weight else None
+    network, row = policy._network, ROWS[name]
+    weights = row.energy_weights if isinstance(row, PPOConfig) else None
     return {
-        "name": name,
-        "title": name.replace("-", " "),
         "description": policy.description,
-        "kind": "policy",
-        "task": task_of(options),
         "seed": policy.training_seed,
-        **({"energyWeight": told, "default_energy_weight": options.energy_weight} if told else {}),
-        "settings": describe_settings(options),
+        **({"energyWeight": weights} if weights else {}),
         "network": archive.add_array(network),
-        "units": int(widths.max()),
+        "units": int(network[HEADER : HEADER + len(policy.layers) + 1].max()),
     }
 
 
 def describe_set(name: str) -> dict[str, Any]:
-    """A frozen set: its hash and its plants, without what is as it always is."""
+    """A frozen set: its hash and its plants."""
     found = load_set(name)
-    plants = [
-        {key: value for key, value in plant.to_dict().items() if key != "seed" and value != []}
-        for plant in found.plants
-    ]
-    return {"hash": found.hash, "plants": plants}
+    return {"hash": found.hash, "plants": [describe_plant(plant) for plant in found.plants]}
 
 
 def constants() -> dict[str, Any]:

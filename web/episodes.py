@@ -1,8 +1,8 @@
-"""Whole episodes by hash, which the module replays: `python -m web.episodes` compares Python's own with the committed ones.
+"""Whole episodes by hash, which the module replays: `python -m web.episodes` compares Python's with the committed ones.
 
-Every driver has one, on a plant of the frozen set `drift`, whose M and mu jump twice; torques drawn at random have some,
-without a law and with one. A hash is over the bytes of all steps: each quantity of the environment, the law's memory and
-its line of the reference, float64, and then the observation, float32.
+Every driver has one, on a plant of the frozen set `drift`, whose M and mu jump twice; torques drawn at random have two
+each, without a law and with one. A hash is over the bytes of all steps: each quantity of the environment, the law's
+memory and its line of the reference, float64, and then the observation, float32.
 """
 
 from __future__ import annotations
@@ -109,7 +109,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_atomically(FILE, "[\n" + ",\n".join(json.dumps(course) for course in found) + "\n]\n")
     committed = json.loads(FILE.read_text(encoding="utf-8"))
     wrong = [course["name"] for course in found if course not in committed]
-    print(*(f"{name}: differs from web/episodes.json" for name in wrong), f"{len(found)} episodes, {len(wrong)} differ", sep="\n")
+    print(
+        *(f"{name}: differs from web/episodes.json" for name in wrong),
+        f"{len(found)} episodes, {len(wrong)} differ",
+        sep="\n",
+    )
     return int(bool(wrong or len(found) != len(committed)))
 
 

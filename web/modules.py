@@ -128,7 +128,14 @@ def build(names: Sequence[str], cache: Path | None = CACHE) -> dict[str, bytes]:
             # numba's optimiser looks at this processor, and its disk cache does not know whether it was on.
             environment = {**os.environ, "NUMBA_OPT": "0", "NUMBA_CACHE_DIR": str(Path(temporary) / "cache")}
             # Without the optimiser it also refuses to keep some functions on disk, and warns of each.
-            command = [sys.executable, "-W", "ignore", "-m", "web.modules", *(f"{name}={file}" for file, name in missing.items())]
+            command = [
+                sys.executable,
+                "-W",
+                "ignore",
+                "-m",
+                "web.modules",
+                *(f"{name}={file}" for file, name in missing.items()),
+            ]
             subprocess.run(command, cwd=ROOT, env=environment, check=True)
         return {name: file.read_bytes() for name, file in files.items()}
 
