@@ -7,7 +7,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help train test coverage venv lint types docs leaderboard leaderboard-check reproduce regression faults fuzz bits boundscheck check clean
+.PHONY: help train test coverage venv lint types docs web leaderboard leaderboard-check reproduce regression faults fuzz bits boundscheck check clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
@@ -40,8 +40,13 @@ lint: $(STAMP)  ## Check style, formatting and which module imports which
 types: $(STAMP)  ## Check types
 	$(BIN)/mypy
 
-docs: $(STAMP)  ## Build the documentation into site/
+# mkdocs empties the folder first.
+docs: $(STAMP)  ## Build the documentation into site/, with the live module in it
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	$(BIN)/python -m web.build
+
+web: $(STAMP)  ## Build the environment for browsers and node into site/live/ alone
+	$(BIN)/python -m web.build
 
 leaderboard: $(STAMP)  ## Evaluate all policies, and rewrite the leaderboard and the evidence
 	$(BIN)/python -m agents.leaderboard
@@ -65,6 +70,7 @@ fuzz: $(STAMP)  ## Throw anything at the environments; fail where something brea
 
 bits: $(STAMP)  ## Compare the bits of whole episodes with the committed ones, on every processor this one can stand for
 	$(BIN)/python -m tests.bits --variants
+	$(BIN)/python -m web.episodes
 
 # What asks whether kernels compiled for other processors agree would compile them a second time.
 CHECKED := $(addprefix tests/capsule_gym/test_,$(addsuffix .py,kernels dynamics simulation resets network identification \

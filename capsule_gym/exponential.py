@@ -82,6 +82,17 @@ def tanh(x: float) -> float:
     return math.copysign(e / (e + 2.0), x)
 
 
+@inlined
+def logarithm(x: float) -> float:
+    """`log` for compiled code: of what is no positive, normal number it is nothing that means anything."""
+    mantissa, exponent = math.frexp(x)
+    y = fma(float(exponent), LN_2, mantissa - 1.0)
+    for _ in range(4):
+        power = exp(y)
+        y += 2.0 * (x - power) / (x + power)
+    return y
+
+
 def log(x: float) -> float:
     """The natural logarithm of a positive, normal number, within 2.2e-16 of the exact value, beyond +-1 relative to it.
 
@@ -92,9 +103,4 @@ def log(x: float) -> float:
     """
     if not 0.0 < x < math.inf:
         raise ValueError(f"x must be a finite number > 0, got {x!r}")
-    mantissa, exponent = math.frexp(x)
-    y = fma(float(exponent), LN_2, mantissa - 1.0)
-    for _ in range(4):
-        power = exp(y)
-        y += 2.0 * (x - power) / (x + power)
-    return y
+    return logarithm(x)

@@ -538,6 +538,29 @@ SIGNATURE = (
 )
 
 
+def bind(
+    law_function: Callable[..., Any], digest: str, memory_size: int, reference_size: int, pivot_torque_on_contact: float
+) -> dict[str, Any]:
+    """The globals that `advance` needs to have another value with a law.
+
+    Args:
+        law_function: the law, plain.
+        digest: for the names of what is compiled: no two laws may have the same.
+        memory_size: number of its memory cells.
+        reference_size: number of columns of its reference table.
+        pivot_torque_on_contact: 1.0 for the paper's normal force, 0.0 for Newton's.
+    """
+    bindings: dict[str, Any] = {
+        "law": inner(distinct(law_function, digest)),
+        "MEMORY_SIZE": memory_size,
+        "REFERENCE_SIZE": reference_size,
+        "PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact,
+    }
+    for function in (consult, observe):
+        bindings[function.__name__] = inlined(rebound(function, f"{function.__name__}_{digest}", bindings))
+    return bindings
+
+
 def build(
     law_function: Callable[..., Any],
     memory_size: int,
@@ -562,15 +585,7 @@ def build(
     key = f"{fingerprint(source)}:{shape}:{_own_fingerprint()}"
     digest = hashlib.sha256(key.encode()).hexdigest()[:16]
     if digest not in _built:
-        bindings: dict[str, Any] = {
-            "law": inner(distinct(source, digest)),
-            "MEMORY_SIZE": memory_size,
-            "REFERENCE_SIZE": reference_size,
-            "PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact,
-        }
-        for function in (consult, observe):
-            bindings[function.__name__] = inlined(rebound(function, f"{function.__name__}_{digest}", bindings))
-        built = kernel(advance, digest, bindings)
+        built = kernel(advance, digest, bind(source, digest, memory_size, reference_size, pivot_torque_on_contact))
         try:
             compile_now(built, SIGNATURE, f"the physics with {name}")
         except (NumbaError, NotImplementedError, ValueError) as error:

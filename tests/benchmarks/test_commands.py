@@ -19,6 +19,7 @@ COMMANDS = (
     "training_profile",
     "training_speed",
     "tricks",
+    "web",
 )
 HEAVY = ("torch", "stable_baselines3", "matplotlib", "mujoco", "envpool", "scipy.integrate", "scipy.optimize")
 

@@ -1,0 +1,213 @@
+"""From functions to a WebAssembly module: numba's intermediate code, LLVM's optimiser and backend, and an export list.
+
+Whatever the processor and its features, the same versions of Python, numba and LLVM make the same bytes: numba's own
+optimiser, which looks at them, must be off (`NUMBA_OPT=0`), and loops stay scalar.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import llvmlite.binding as llvm
+import numba
+from numba import types
+from numba.core.compiler import Flags, compile_extra
+from numba.core.registry import cpu_target
+
+from capsule_gym.compilation import OPTIONS
+from web.fused import fused
+
+TRIPLE = "wasm32-unknown-unknown"
+# What every engine has had since 2021.
+FEATURES = "+bulk-memory,+mutable-globals,+nontrapping-fptoint,+sign-ext"
+LLVM_TYPES = {types.float64: "double", types.int32: "i32", types.uint64: "i64"}
+
+# Calls that count the references to an array.
+COUNTING = re.compile(r"^ *(tail )?call void @NRT_(incref|decref)\(.*$", re.MULTILINE)
+
+# What numba takes from a library of its own, for positive, normal numbers.
+RUNTIME = f"""
+define double @numba_frexp(double %x, ptr %exponent) {{
+  %bits = bitcast double %x to i64
+  %biased = lshr i64 %bits, 52
+  %narrow = trunc i64 %biased to i32
+  %power = sub i32 %narrow, 1022
+  store i32 %power, ptr %exponent
+  %fraction = and i64 %bits, {2**52 - 1}
+  %half = or i64 %fraction, {1022 << 52}
+  %mantissa = bitcast i64 %half to double
+  ret double %mantissa
+}}
+"""
+
+# Of a WebAssembly module: how many bytes it begins with, and the numbers of its sections and of what they name.
+PREAMBLE = 8
+CUSTOM, IMPORT, FUNCTION, EXPORT, CODE, DATA = 0, 2, 3, 7, 10, 11
+FUNCTION_KIND, TABLE_KIND, MEMORY_KIND, GLOBAL_KIND = range(4)
+
+
+class Entry(NamedTuple):
+    """A function that a module exports.
+
+    Attributes:
+        name: under which it does.
+        function: plain; it takes and returns numbers, and takes arrays as pointers.
+        result: numba's type of what it returns.
+        arguments: of what it takes.
+    """
+
+    name: str
+    function: Callable[..., Any]
+    result: Any
+    arguments: tuple[Any, ...]
+
+
+def assemble(entries: Sequence[Entry]) -> bytes:
+    """The module that exports these functions, and imports nothing but its memory and the pointer to its stack.
+
+    Raises:
+        RuntimeError: if numba's optimiser is on, or the functions need more than that.
+    """
+    if numba.config.OPT != 0:
+        raise RuntimeError(f"NUMBA_OPT must be 0, got {numba.config.OPT}: the module would depend on this processor")
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    machine = llvm.Target.from_triple(TRIPLE).create_target_machine(features=FEATURES, opt=3)
+    linked = _lower(Entry("fused", fused.py_func, types.float64, (types.float64,) * 3))
+    linked.link_in(llvm.parse_assembly(RUNTIME))
+    for entry in entries:
+        linked.link_in(_lower(entry))
+    module = llvm.parse_assembly(_adapted(str(linked)))
+    module.triple, module.data_layout = TRIPLE, str(machine.target_data)
+    names = [entry.name for entry in entries]
+    for function in module.functions:
+        if not function.is_declaration:
+            function.linkage = "external" if function.name in names else "internal"
+    for variable in module.global_variables:
+        if not variable.is_declaration:
+            variable.linkage = "internal"
+    _optimise(module, machine)
+    exported = [function.name for function in module.functions if not function.is_declaration]
+    return _module(machine.emit_object(module), {name: exported.index(name) for name in names})
+
+
+def _adapted(text: str) -> str:
+    """Intermediate code without what WebAssembly lacks."""
+    # The instruction becomes a call; the declaration of what is defined must go.
+    text = text.replace("declare double @llvm.fma.f64(", "declare double @unused(").replace("@llvm.fma.f64(", "@fused(")
+    # All arrays are the page's, and have no counts of references.
+    return COUNTING.sub("", text)
+
+
+def _lower(entry: Entry) -> Any:
+    """LLVM's module of a function, under the entry's name with plain arguments and result."""
+    flags = Flags()
+    flags.error_model = OPTIONS["error_model"]
+    flags.nrt = True
+    flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
+    result = compile_extra(
+        cpu_target.typing_context, cpu_target.target_context, entry.function, entry.arguments, entry.result, flags, {}
+    )
+    module = llvm.parse_assembly(result.library.get_llvm_str())
+    kinds = [LLVM_TYPES.get(kind, "ptr") for kind in entry.arguments]
+    given = ", ".join(f"{kind} %{n}" for n, kind in enumerate(kinds))
+    kind, inner = LLVM_TYPES[entry.result], result.fndesc.mangled_name
+    # numba's functions return whether they have raised an exception, which none of these does, and the result through
+    # a pointer.
+    wrapper = (
+        f'declare i32 @"{inner}"(ptr, ptr, {", ".join(kinds)})\n'
+        f"define {kind} @{entry.name}({given}) {{\n"
+        f"  %room = alloca {kind}\n"
+        f'  %status = call i32 @"{inner}"(ptr %room, ptr null, {given})\n'
+        f"  %value = load {kind}, ptr %room\n"
+        f"  ret {kind} %value\n}}\n"
+    )
+    module.link_in(llvm.parse_assembly(wrapper))
+    return module
+
+
+def _optimise(module: Any, machine: Any) -> None:
+    """LLVM's passes, without those that make vectors of loops."""
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    options.loop_vectorization = options.slp_vectorization = False
+    builder = llvm.create_pass_builder(machine, options)
+    builder.getModulePassManager().run(module, builder)
+
+
+def _number(value: int) -> bytes:
+    """An unsigned number as WebAssembly writes it: seven bits a byte."""
+    out = bytearray()
+    while value > 127:
+        out.append(value & 127 | 128)
+        value >>= 7
+    return bytes([*out, value])
+
+
+def _read_number(content: bytes, at: int) -> tuple[int, int]:
+    """A number at that place, and the place behind it."""
+    value = shift = 0
+    while True:
+        byte = content[at]
+        value |= (byte & 127) << shift
+        at, shift = at + 1, shift + 7
+        if byte < 128:
+            return value, at
+
+
+def _sections(content: bytes) -> Iterator[tuple[int, bytes]]:
+    """The sections of a module: their numbers and contents."""
+    at = PREAMBLE
+    while at < len(content):
+        size, start = _read_number(content, at + 1)
+        yield content[at], content[start : start + size]
+        at = start + size
+
+
+def _section(number: int, content: bytes) -> bytes:
+    """A section as it stands in a module."""
+    return bytes([number]) + _number(len(content)) + content
+
+
+def _module(built: bytes, exports: dict[str, int]) -> bytes:
+    """The object file as a module: with its exports, without what only a linker reads.
+
+    Args:
+        built: the object. It holds no data, so that all indices in it are final.
+        exports: names and indices of functions.
+
+    Raises:
+        RuntimeError: if it does hold data, or needs functions that it lacks.
+    """
+    sections = dict(pair for pair in _sections(built) if pair[0] != CUSTOM)
+    missing = sorted(name for kind, name in _imports(sections[IMPORT]) if kind == FUNCTION_KIND)
+    if DATA in sections or missing:
+        raise RuntimeError(f"the module must need neither data nor functions of others, it lacks {missing}")
+    listed = [
+        _number(len(name)) + name.encode() + bytes([FUNCTION_KIND]) + _number(index) for name, index in exports.items()
+    ]
+    sections[EXPORT] = _number(len(listed)) + b"".join(listed)
+    return built[:PREAMBLE] + b"".join(_section(number, sections[number]) for number in sorted(sections))
+
+
+def _imports(content: bytes) -> Iterator[tuple[int, str]]:
+    """Kinds and names of what a module imports."""
+    count, at = _read_number(content, 0)
+    for _ in range(count):
+        for _ in range(2):
+            size, start = _read_number(content, at)
+            name, at = content[start : start + size].decode(), start + size
+        kind, at = content[at], at + 1
+        yield kind, name
+        # A function's type; a global's type and whether it changes; of a table also its type; limits of one or two.
+        if kind == GLOBAL_KIND:
+            at += 2
+        elif kind == FUNCTION_KIND:
+            _, at = _read_number(content, at)
+        else:
+            at += kind == TABLE_KIND
+            limits = 1 + content[at]
+            at += 1
+            for _ in range(limits):
+                _, at = _read_number(content, at)

@@ -1,0 +1,63 @@
+"""Writes the live page and its module: `python -m web.build`, which `make web` runs.
+
+Into the folder of the site go the page `index.html` and the module `capsule.mjs`, neither of which needs another file,
+and the module's types `capsule.d.mts`.
+"""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from capsule_gym.command_line import parse, refuse
+from capsule_gym.files import write_atomically
+from web.bundle import bundle
+from web.data import pack_data
+
+PROG = "python -m web.build"
+FOLDER = Path("site/live")
+SOURCES = Path(__file__).parent
+# The line of web/capsule.mjs that the archive takes the place of.
+PLACE = 'const ARCHIVE = "";'
+
+
+def build_module(archive: str) -> str:
+    """The text of capsule.mjs with the archive in it."""
+    source = (SOURCES / "capsule.mjs").read_text(encoding="utf-8")
+    before, after = source.split(PLACE)
+    return f'{before}const ARCHIVE = "{archive}";{after}'
+
+
+@dataclass(frozen=True)
+class Options:
+    """Builds the environment for browsers and node."""
+
+    folder: Path = FOLDER
+    """Where the files go; it is made where it does not exist."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The command line."""
+    options = parse(Options, PROG, arguments)
+    try:
+        options.folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        refuse(PROG, f"--folder must be a folder that can be written to, got {str(options.folder)!r}: {error}")
+    try:
+        archive = pack_data()
+    except subprocess.CalledProcessError as error:
+        refuse(PROG, f"the modules cannot be built: {error}")
+    module = build_module(archive)
+    for name, text in (
+        ("index.html", bundle(module)),
+        ("capsule.mjs", module),
+        ("capsule.d.mts", (SOURCES / "capsule.d.mts").read_text(encoding="utf-8")),
+    ):
+        write_atomically(options.folder / name, text)
+        print(f"{options.folder / name}: {len(text.encode()) / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()

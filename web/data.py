@@ -1,0 +1,181 @@
+"""What the JavaScript is given besides the modules: drivers, settings, tables, networks, plants and episodes.
+
+Everything is one archive: the length of a header in four bytes, the header as JSON, and behind it what the header says
+the place of. Arrays of float64 lie there column by column, and of each column first the lowest bytes of all numbers,
+then the next: neighbours are alike, which makes them a third smaller.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from typing import Any
+
+import numpy as np
+
+from agents.evaluation.sets import SET_NAMES, load_set
+from agents.training.presets import ROWS, PPOConfig
+from baselines.policies import SCRIPTED
+from capsule_gym import Policy, kernels, load_policy, task
+from capsule_gym.identification import CELLS
+from capsule_gym.kernels import LANES, Row, Settings
+from capsule_gym.network import HEADER, Header
+from capsule_gym.options import Options
+from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
+from capsule_gym.simulation import NO_CONTROLLER, check_step, count_rows, make_settings
+from web.episodes import FILE, describe_plant, driver_names, env_kwargs, trained
+from web.modules import DIRECT, ENTRIES, NETWORK, STARTS, TASKS, build, find_law
+
+# Below the platform's smallest mass no friction up to the largest may be too much for it, kg.
+LIGHTEST = 0.2
+
+
+class Archive:
+    """Arrays and bytes, each kept once."""
+
+    def __init__(self) -> None:
+        self._content = b""
+        self._known: dict[tuple[str, bytes], dict[str, int]] = {}
+
+    def add(self, content: bytes) -> dict[str, int]:
+        """Keeps bytes; returns what the header says of them."""
+        return self._keep("bytes", content, {"size": len(content)})
+
+    def add_array(self, array: np.ndarray) -> dict[str, int]:
+        """Keeps a float64 array of one or two dimensions; returns what the header says of it."""
+        table = np.ascontiguousarray(array, "<f8").reshape(len(array), -1)
+        rows, columns = table.shape
+        content = table.view(np.uint8).reshape(rows, columns, 8).transpose(1, 2, 0).tobytes()
+        return self._keep(f"{rows} {columns}", content, {"rows": rows, "columns": columns})
+
+    def _keep(self, kind: str, content: bytes, place: dict[str, int]) -> dict[str, int]:
+        key = kind, content
+        if key not in self._known:
+            self._known[key] = {"at": len(self._content), **place}
+            self._content += content
+        return self._known[key]
+
+    def pack(self, header: dict[str, Any]) -> str:
+        """The archive behind its header, deflated, in base64."""
+        text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
+        return base64.b64encode(zlib.compress(len(text).to_bytes(4, "little") + text + self._content, 9)).decode()
+
+
+def pack_data() -> str:
+    """All that the JavaScript is given."""
+    archive, modules = Archive(), build([NETWORK, *TASKS])
+    return archive.pack(
+        {
+            "modules": {name: archive.add(content) for name, content in modules.items()},
+            "layout": layout(),
+            "tasks": {name: describe_task(name, archive) for name in TASKS},
+            "drivers": [describe_driver(name, archive) for name in driver_names()],
+            "sets": {name: describe_set(name) for name in SET_NAMES},
+            "constants": constants(),
+            "episodes": json.loads(FILE.read_text(encoding="utf-8")),
+        }
+    )
+
+
+def layout() -> dict[str, Any]:
+    """Where what lies in the arrays that the modules take."""
+    return {
+        "lanes": LANES,
+        "quantities": Row._fields,
+        "starts": STARTS,
+        "entries": ENTRIES,
+        "cells": CELLS,
+        "energy_weight": kernels.SETTINGS + Settings._fields.index("energy_weight"),
+        "log_energy_weight": Header._fields.index("log_energy_weight"),
+        "terminations": [termination.name for termination in task.Termination],
+    }
+
+
+def describe_task(name: str, archive: Archive) -> dict[str, Any]:
+    """A law, and the table that it follows."""
+    law = find_law(name)
+    acting = law or NO_CONTROLLER
+    return {
+        "rows": count_rows(law),
+        "entries": len(task.observation_names(law is not None, False)),
+        "memory": acting.memory,
+        "table": archive.add_array(acting.reference),
+        "settings": describe_settings(Options(controller=f"baselines:{name}" if law else None)),
+    }
+
+
+def describe_settings(options: Options) -> dict[str, Any]:
+    """What the step needs to be told of an environment, and how long its episodes are.
+
+    Raises:
+        ValueError: if it is not an environment of the paper's capsule that shows no parameters.
+    """
+    if options.capsule not in (None, NOMINAL) or options.observe_parameters:
+        raise ValueError(f"options must be of the nominal capsule, and not observe_parameters, got {options}")
+    settings = make_settings(options, find_law(task_of(options)))
+    # Whatever M and mu the page allows.
+    check_step(NOMINAL, LIGHTEST, task.MU_BOUND, settings)
+    return {
+        "fixed": kernels.pack(NOMINAL.plant(), settings, np.zeros((0, 0))).tolist(),
+        "control_dt": options.control_dt,
+        "steps": round(task.HORIZON / options.control_dt),
+    }
+
+
+def task_of(options: Options) -> str:
+    """Which of `TASKS` an environment has."""
+    return DIRECT if options.controller is None else str(options.controller).removeprefix("baselines:")
+
+
+def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
+    """What acts, for the page and for the step."""
+    options = Options(**env_kwargs(name))
+    described = {
+        "name": name,
+        "title": name.replace("-", " "),
+        "task": task_of(options),
+        "settings": describe_settings(options),
+    }
+    if trained(name):
+        return {**described, "kind": "policy", **describe_policy(name, load_policy(name), archive)}
+    kind = "none" if options.controller is None else "law"
+    return {**described, "kind": kind, "description": SCRIPTED[name].description}
+
+
+def describe_policy(name: str, policy: Policy, archive: Archive) -> dict[str, Any]:
+    """A trained policy: the run with the lowest seed."""
+    network, row = policy._network, ROWS[name]
+    weights = row.energy_weights if isinstance(row, PPOConfig) else None
+    return {
+        "description": policy.description,
+        "seed": policy.training_seed,
+        **({"energyWeight": weights} if weights else {}),
+        "network": archive.add_array(network),
+        "units": int(network[HEADER : HEADER + len(policy.layers) + 1].max()),
+    }
+
+
+def describe_set(name: str) -> dict[str, Any]:
+    """A frozen set: its hash and its plants."""
+    found = load_set(name)
+    return {"hash": found.hash, "plants": [describe_plant(plant) for plant in found.plants]}
+
+
+def constants() -> dict[str, Any]:
+    """The numbers of the task and of the plant, in SI units."""
+    NOMINAL.check_plant(LIGHTEST, task.MU_BOUND)
+    return {
+        "control_dt": task.CONTROL_DT,
+        "steps": task.EPISODE_STEPS,
+        "torque_limit": task.TORQUE_LIMIT,
+        "theta_limit": task.THETA_LIMIT,
+        "m": NOMINAL.m,
+        "l": NOMINAL.l,
+        "g": NOMINAL.g,
+        "nominal": {"M": NOMINAL.M, "mu": NOMINAL.mu},
+        "ranges": {name: {"M": each.M, "mu": each.mu} for name, each in RANDOMIZATIONS.items() if each.M and each.mu},
+        "limits": {"M": [LIGHTEST, task.M_BOUND * NOMINAL.M], "mu": [0.0, task.MU_BOUND]},
+        "start": {"theta": task.START_THETA, "theta_dot": 0.0, "x": 0.0, "x_dot": 0.0},
+        "largest_state": dict(zip(Row._fields, task.LARGEST_STATE, strict=False)),
+    }

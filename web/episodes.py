@@ -1,0 +1,121 @@
+"""Whole episodes by hash, which the module replays: `python -m web.episodes` compares Python's with the committed ones.
+
+Every driver has one, on a plant of the frozen set `drift`, whose M and mu jump twice; torques drawn at random have two
+each, without a law and with one. A hash is over the bytes of all steps: each quantity of the environment, the law's
+memory and its line of the reference, float64, and then the observation, float32.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.evaluation.sets import PlantSpec, load_set
+from baselines.policies import SCRIPTED
+from capsule_gym import CapsuleEnv, load_policy, policy_names
+from capsule_gym.command_line import parse
+from capsule_gym.files import write_atomically
+from capsule_gym.task import CONTROL_DT, HORIZON
+
+FILE = Path(__file__).with_name("episodes.json")
+# Random actions and for how many steps each holds, or nothing would move.
+ACTIONS, HOLD = 97, 5
+# The scale of random actions, by the driver that they are added to.
+SCALES = {"zero": 0.15, "adaptive": 0.05, "gait-identifying": 0.05}
+
+Course = dict[str, Any]
+
+
+def trained(name: str) -> bool:
+    """Whether a driver is a trained policy."""
+    return name in policy_names()
+
+
+def driver_names() -> list[str]:
+    """Everything that can drive the capsule in a browser: what acts inside the compiled step, and trained policies.
+
+    Of a policy the run with the lowest seed.
+    """
+    inside = [each.name for each in SCRIPTED.values() if "controller" in each.env_kwargs or each.name == "zero"]
+    return [*inside, *policy_names()]
+
+
+def env_kwargs(name: str) -> dict[str, Any]:
+    """The arguments of the environment that a driver acts in."""
+    return load_policy(name).env_kwargs if trained(name) else SCRIPTED[name].env_kwargs
+
+
+def courses() -> Iterator[Course]:
+    """What has a hash: which driver on which plant, and the random actions where there are any."""
+    for name, plant in zip(driver_names(), load_set("drift").plants, strict=False):
+        yield {"name": name, "driver": name, **describe_plant(plant)}
+    plants = load_set("wide").plants
+    for n, (name, scale) in enumerate(SCALES.items()):
+        for i in (2 * n, 2 * n + 1):
+            actions = np.random.default_rng(i).uniform(-scale, scale, ACTIONS).round(4).tolist()
+            described = {"driver": name, **describe_plant(plants[i]), "actions": actions, "hold": HOLD}
+            yield {"name": f"random torque on {name}, {i % 2 + 1}", **described}
+
+
+def describe_plant(plant: PlantSpec) -> dict[str, Any]:
+    """A plant without what is as it always is."""
+    return {key: value for key, value in plant.to_dict().items() if key != "seed" and value != []}
+
+
+def compute(course: Course) -> tuple[int, str]:
+    """How many steps an episode takes, and its hash, by Python's environment."""
+    kwargs = env_kwargs(course["driver"])
+    env = CapsuleEnv(**kwargs)
+    changes = course.get("changes", [])
+    observation, _ = env.reset(options={"M": course["M"], "mu": course["mu"], "changes": changes})
+    act = load_policy(course["driver"]).start([0]) if trained(course["driver"]) else None
+    digest, terminated, step = hashlib.sha256(), False, 0
+    while not terminated and step < round(HORIZON / kwargs.get("control_dt", CONTROL_DT)):
+        action = np.zeros(1, np.float32)
+        if "actions" in course:
+            action[0] = course["actions"][step // course["hold"] % len(course["actions"])]
+        elif act:
+            action = act(observation)
+        observation, _, terminated, _, _ = env.step(action)
+        digest.update(env.simulation.world[0, :, 0].tobytes() + observation.tobytes())
+        step += 1
+    env.close()
+    return step, digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class Options:
+    """Computes the episodes that the page replays; exit status 1 where they are not the committed ones."""
+
+    write: bool = False
+    """Commit new ones: write them to web/episodes.json."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    options = parse(Options, "python -m web.episodes", arguments)
+    found = []
+    for course in courses():
+        steps, digest = compute(course)
+        found.append({**course, "steps": steps, "sha256": digest})
+    if options.write:
+        write_atomically(FILE, "[\n" + ",\n".join(json.dumps(course) for course in found) + "\n]\n")
+    committed = json.loads(FILE.read_text(encoding="utf-8"))
+    wrong = [course["name"] for course in found if course not in committed]
+    print(
+        *(f"{name}: differs from web/episodes.json" for name in wrong),
+        f"{len(found)} episodes, {len(wrong)} differ",
+        sep="\n",
+    )
+    return int(bool(wrong or len(found) != len(committed)))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,173 @@
+// One driver on one plant: an episode, everything that was recorded of it, and the way back to any step.
+
+import { constants, drive, load } from "./capsule.mjs";
+import { YOURSELF, titleOf } from "./scene.js";
+
+// As `Simulation` compares an episode's time with that of a jump.
+const TIME_TOLERANCE = 1e-9;
+const SNAPSHOT_SECONDS = 1;
+const CHANNELS = ["theta", "theta_dot", "x", "x_dot", "torque", "normal", "speed", "transport", "action"];
+
+/** The reader: the direct task, and an action that the page changes between two steps. */
+class Hand {
+  /** @param {number[]} replay the actions of its first steps. */
+  constructor(capsule, replay) {
+    this.capsule = capsule;
+    this.replay = replay;
+    this.live = 0;
+    this.action = 0;
+  }
+
+  tick() {
+    this.action = this.replay[this.capsule.info.steps] ?? this.live;
+    return this.capsule.step(this.action);
+  }
+
+}
+
+async function start(name, plant, weight, replay) {
+  if (name !== YOURSELF) {
+    const episode = await drive(name, { ...plant, ...(weight === null ? {} : { energyWeight: weight }) });
+    return { capsule: episode, driver: episode };
+  }
+  const capsule = await load("direct");
+  capsule.reset(plant);
+  return { capsule, driver: new Hand(capsule, replay) };
+}
+
+/** An episode as it is recorded. */
+export class Lane {
+  /**
+   * Opens the lane of a driver at the start of its episode.
+   *
+   * @param {string} name of the driver.
+   * @param {object} scene whose plant, jumps and hand it gets.
+   * @param {number | null} weight the price of energy; null for the driver's own.
+   */
+  static async open(name, scene, weight) {
+    const { M, mu, theta } = scene;
+    const plant = theta === undefined ? { M, mu } : { M, mu, theta };
+    return new Lane(name, await start(name, plant, weight, scene.hand), scene.jumps);
+  }
+
+  constructor(name, { capsule, driver }, jumps) {
+    this.name = name;
+    this.title = titleOf(name);
+    this.capsule = capsule;
+    this.driver = driver;
+    this.jumps = jumps;
+    /** Length of a step, s, and how many an episode has. */
+    this.dt = capsule.controlDt;
+    this.horizon = capsule.horizon;
+    this.stepsOfSnapshot = Math.round(SNAPSHOT_SECONDS / this.dt);
+    this.steps = 0;
+    /** Why the episode ended: "", or what happened. */
+    this.failure = "";
+    this.trace = Object.fromEntries(CHANNELS.map((name) => [name, new Float64Array(this.horizon + 1)]));
+    /** Lowest and highest value so far, per channel. */
+    this.extent = Object.fromEntries(CHANNELS.map((name) => [name, [Infinity, -Infinity]]));
+    this.metrics = new Array(this.horizon + 1);
+    this.snapshots = [capsule.snapshot()];
+    this.record();
+  }
+
+  /** The reader's hands, where they are what drives. */
+  get hand() {
+    return this.name === YOURSELF ? this.driver : null;
+  }
+
+  /** How far the episode was simulated, s. */
+  get time() {
+    return this.steps * this.dt;
+  }
+
+  get ended() {
+    return this.failure !== "" || this.steps >= this.horizon;
+  }
+
+  /** One agent step, unless the episode has ended. */
+  advance() {
+    if (this.ended) return;
+    this.applyJump();
+    const { terminated } = this.driver.tick();
+    this.steps += 1;
+    if (terminated) this.failure = this.reason();
+    this.record();
+    const seconds = this.steps / this.stepsOfSnapshot;
+    if (Number.isInteger(seconds)) this.snapshots[seconds] = this.capsule.snapshot();
+  }
+
+  /** The first step that begins at that time (s) or after it. */
+  stepAt(time) {
+    return Math.min(Math.ceil(time / this.dt - 1e-6), this.horizon);
+  }
+
+  /** Forgets what came after that time (s), and stands there again. */
+  rewind(time) {
+    const step = this.stepAt(time);
+    if (step >= this.steps) return;
+    const nearest = Math.floor(step / this.stepsOfSnapshot);
+    const live = this.hand?.live;
+    if (this.hand) this.hand.replay = Array.from(this.trace.action.subarray(1, step + 1));
+    this.capsule.restore(this.snapshots[nearest]);
+    this.snapshots.length = nearest + 1;
+    this.steps = nearest * this.stepsOfSnapshot;
+    this.failure = "";
+    while (this.steps < step) this.advance();
+    if (this.hand) this.hand.live = live;
+  }
+
+  /** What is seen at that time (s), between two steps if `smooth`: SI units. */
+  at(time, smooth) {
+    const { trace } = this;
+    const place = Math.min(time / this.dt, this.steps);
+    const k = Math.min(Math.floor(place + 1e-9), this.steps);
+    const share = smooth && k < this.steps ? place - k : 0;
+    const between = (name, rate) =>
+      share > 1e-9 ? cubic(trace[name], trace[rate], k, share, this.dt) : trace[name][k];
+    const later = share > 0.5 ? k + 1 : k;
+    return {
+      step: k, theta: between("theta", "theta_dot"), x: between("x", "x_dot"), theta_dot: trace.theta_dot[later],
+      x_dot: trace.x_dot[later], torque: trace.torque[share > 1e-9 ? k + 1 : k], metrics: this.metrics[k],
+    };
+  }
+
+  record() {
+    const { state, info, metrics } = this.capsule;
+    const values = {
+      ...state, torque: info.torque, normal: info.normal_force, speed: metrics.mean_speed,
+      transport: metrics.cost_of_transport, action: this.driver.action,
+    };
+    for (const name of CHANNELS) {
+      const value = values[name];
+      this.trace[name][this.steps] = value;
+      if (!Number.isFinite(value)) continue;
+      const extent = this.extent[name];
+      if (value < extent[0]) extent[0] = value;
+      if (value > extent[1]) extent[1] = value;
+    }
+    this.metrics[this.steps] = metrics;
+  }
+
+  applyJump() {
+    const now = this.time + TIME_TOLERANCE;
+    const due = this.jumps.findLast(({ t }) => t <= now);
+    if (due && due.t > now - this.dt) this.capsule.setPlant(due);
+  }
+
+  reason() {
+    const { theta } = this.capsule.state;
+    if (Math.abs(theta) >= constants.theta_limit) return "the ball met the platform (|θ| reached 90°)";
+    return this.capsule.info.normal_force <= 0
+      ? "the platform left the floor (the normal force fell to 0)"
+      : "the motion was lost";
+  }
+}
+
+/** A cubic between two steps through both values and both rates. */
+function cubic(values, rates, k, share, dt) {
+  const [a, b] = [values[k], values[k + 1]];
+  const [da, db] = [rates[k] * dt, rates[k + 1] * dt];
+  const rise = b - a;
+  return a + share * (da + share * (3 * rise - 2 * da - db + share * (da + db - 2 * rise)));
+}

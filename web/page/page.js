@@ -1,0 +1,655 @@
+// The page: its controls, its lanes, and what is drawn of them.
+
+import { check, constants, drivers, sets } from "./capsule.mjs";
+import { CURVES, PhasePortrait, TimeChart } from "./charts.js";
+import { Lane } from "./lane.js";
+import { clamp, written } from "./numbers.js";
+import { Player } from "./player.js";
+import { END, YOURSELF, driverNamed, firstScene, handAction, hasOwnJumps, limits, readScene, takePlant, titleOf, writeScene } from "./scene.js";
+import { Contact, Stage } from "./stage.js";
+
+const DT = constants.control_dt;
+const SPEEDS = [0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10, 15, 20];
+const KINDS = { law: "Control laws", gait: "Gaits", policy: "Trained policies", none: "Without a motor" };
+const KEYS = { ArrowLeft: 1, a: 1, A: 1, ArrowRight: -1, d: -1, D: -1 };
+// A run of a hand counts from here on, s; a shorter one may owe its speed to the start.
+const BEST_FROM = 10;
+const BEST_KEY = "capsule_gym.best";
+// Pixels that a finger drags for the whole torque.
+const DRAG = 140;
+
+/** The measures of an episode: what the module calls them, and how they are written. */
+const MEASURES = [
+  ["Mean speed", "cm/s", (metrics) => written(metrics.mean_speed, 2)],
+  ["Cost of transport", "1", (metrics) => written(metrics.cost_of_transport, 2)],
+  ["Distance", "cm", (metrics) => written(100 * metrics.distance, 1)],
+  ["Energy", "J", (metrics) => written(metrics.energy, 2)],
+  ["Peak torque", "N m", (metrics) => written(metrics.peak_torque, 3)],
+  ["Time in stick", "%", (metrics) => written(100 * metrics.stuck_fraction, 1)],
+  ["Backward / forward", "1", (metrics) => written(metrics.backward_ratio, 3)],
+];
+
+const element = (id) => document.getElementById(id);
+const reduced = window.matchMedia("(prefers-reduced-motion: reduce)");
+const player = new Player();
+let scene = firstScene();
+let opening = 0;
+let dirty = true;
+let span = reduced.matches ? 0 : 10;
+let told = "";
+let best = remembered();
+
+const redraw = () => { dirty = true; };
+const contacts = [new Contact(), new Contact()];
+const stage = new Stage(element("scene"), redraw);
+const charts = makeCharts();
+
+// --- Lanes -------------------------------------------------------------------------------------------------------
+
+/** Opens the scene's lanes anew, at a time, and plays or waits. */
+async function open({ time = 0, play = player.playing } = {}) {
+  const turn = ++opening;
+  player.playing = false;
+  try {
+    const lanes = [await Lane.open(scene.driver, scene, scene.weight)];
+    if (scene.rival) lanes.push(await Lane.open(scene.rival, scene, scene.rivalWeight));
+    if (turn !== opening) return;
+    player.lanes = lanes;
+  } catch (error) {
+    if (turn === opening) complain(error.message);
+    return;
+  }
+  player.now = 0;
+  player.goal = null;
+  told = "";
+  if (time > 0) player.seek(time);
+  showScene();
+  setPlaying(play);
+}
+
+player.stepped = (lane) => {
+  if (!lane.hand || scene.hand.length || lane.time < BEST_FROM) return;
+  const speed = lane.metrics[lane.steps].mean_speed;
+  if (!(speed <= best)) remember(speed);
+};
+
+function remembered() {
+  try {
+    return Number(sessionStorage.getItem(BEST_KEY) ?? NaN);
+  } catch {
+    return NaN;
+  }
+}
+
+function remember(speed) {
+  best = speed;
+  try {
+    sessionStorage.setItem(BEST_KEY, String(speed));
+  } catch {
+    // A browser that keeps nothing keeps it until the page is closed.
+  }
+}
+
+/** Lets M and mu jump now; before the first step they are the plant's. */
+function jump(M, mu) {
+  player.branch();
+  if (player.moment === 0) {
+    Object.assign(scene, { set: "", M, mu, theta: undefined });
+    return open();
+  }
+  const t = Number(player.moment.toFixed(6));
+  const others = scene.jumps.filter((jump) => Math.abs(jump.t - t) > DT / 2);
+  // The lanes hold this very list.
+  scene.jumps.splice(0, Infinity, ...[...others, { t, M, mu }].sort((a, b) => a.t - b.t));
+  announce(`At ${written(t, 2)} s: ${plantText({ M, mu })}`);
+  showPlant();
+  link();
+}
+
+function plantNow() {
+  return scene.jumps.findLast(({ t }) => t <= player.moment + 1e-9) ?? scene;
+}
+
+function plantText({ M, mu }) {
+  return `M ${written(M, 4)} kg, μ ${written(mu, 4)}`;
+}
+
+/** The actions of the hand that drives: those of a link, or those that were recorded. */
+function handsSoFar() {
+  const [lane] = player.lanes;
+  if (!lane?.hand) return [];
+  const { replay } = lane.hand;
+  return replay.length > lane.steps ? replay : Array.from(lane.trace.action.subarray(1, lane.steps + 1));
+}
+
+// --- The reader's hands --------------------------------------------------------------------------------------------
+
+const held = new Set();
+
+/** Takes over with that action, from the present step where what follows was recorded. */
+function drive(action) {
+  const hand = player.lanes[0]?.hand;
+  if (!hand) return;
+  const value = handAction(action);
+  const text = `${written(value * constants.torque_limit, 2)} N m`;
+  // The angle grows to the left: a torque below zero turns the ball to where the slider is drawn.
+  element("torque").value = -value;
+  element("torque").setAttribute("aria-valuetext", text);
+  show("torque-value", text);
+  if (value === hand.live) return;
+  const step = player.lanes[0].stepAt(player.moment);
+  const recorded = Math.max(player.lanes[0].steps, hand.replay.length) > step;
+  if (value !== 0 && recorded) {
+    player.branch();
+    hand.replay.length = Math.min(hand.replay.length, step);
+    scene.hand = [];
+  }
+  hand.live = value;
+}
+
+function driveByKeys() {
+  const turn = [...held].reduce((sum, key) => sum + KEYS[key], 0);
+  drive(clamp(turn, -1, 1) * Number(element("strength").value));
+}
+
+function followKeys(event) {
+  const control = event.target.closest?.("input:not(#torque), select, dialog");
+  if (control || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.key in KEYS && scene.driver === YOURSELF) {
+    event.preventDefault();
+    held.add(event.key);
+    driveByKeys();
+    if (!player.playing && !event.repeat && !player.over) setPlaying(true);
+  } else if (event.key === " " && !event.target.closest?.("button, a, input")) {
+    event.preventDefault();
+    togglePlay();
+  } else if (event.key === "." && element("stage") === event.target) {
+    player.nudge(1);
+  }
+}
+
+function release() {
+  held.clear();
+  drive(0);
+}
+
+function bindHands() {
+  document.addEventListener("keydown", followKeys);
+  document.addEventListener("keyup", (event) => {
+    if (held.delete(event.key)) driveByKeys();
+  });
+  window.addEventListener("blur", release);
+  const torque = element("torque");
+  torque.addEventListener("input", () => {
+    drive(-Number(torque.value));
+    if (!player.over) setPlaying(true);
+  });
+  for (const end of ["change", "pointerup", "pointercancel", "blur"]) torque.addEventListener(end, release);
+  const area = element("stage");
+  let begin = null;
+  area.addEventListener("pointerdown", (event) => {
+    if (scene.driver !== YOURSELF || event.target.closest("button")) return;
+    begin = event.clientX;
+    area.setPointerCapture(event.pointerId);
+    if (!player.over) setPlaying(true);
+  });
+  area.addEventListener("pointermove", (event) => {
+    if (begin !== null) drive((begin - event.clientX) / DRAG);
+  });
+  for (const end of ["pointerup", "pointercancel"]) {
+    area.addEventListener(end, () => {
+      if (begin !== null) release();
+      begin = null;
+    });
+  }
+  element("strength").addEventListener("input", showStrength);
+}
+
+function showStrength() {
+  show("strength-value", `${written(element("strength").value * constants.torque_limit, 2)} N m`);
+}
+
+// --- Playback ------------------------------------------------------------------------------------------------------
+
+function setPlaying(playing) {
+  const changed = playing !== player.playing;
+  player.playing = playing;
+  const button = element("play");
+  button.classList.toggle("playing", playing);
+  button.setAttribute("aria-label", playing ? "Pause" : "Play");
+  button.title = playing ? "Pause" : "Play";
+  redraw();
+  if (changed && !playing) link();
+}
+
+function togglePlay() {
+  if (player.playing) return setPlaying(false);
+  if (player.over) return restart();
+  setPlaying(true);
+}
+
+function restart() {
+  scene.hand = [];
+  open({ play: true });
+}
+
+/** Puts the scene into the page's address; with the time where it stands still. */
+function link() {
+  const time = player.goal ?? player.now;
+  scene.t = player.playing || time === 0 ? null : Number(time.toFixed(3));
+  history.replaceState(null, "", writeScene({ ...scene, hand: handsSoFar() }));
+}
+
+function bindPlayback() {
+  element("play").addEventListener("click", togglePlay);
+  element("restart").addEventListener("click", restart);
+  element("again").addEventListener("click", restart);
+  element("step").addEventListener("click", () => nudge(1));
+  element("back").addEventListener("click", () => nudge(-1));
+  const scrub = element("scrub");
+  scrub.max = END;
+  scrub.step = DT;
+  scrub.addEventListener("input", () => seek(Number(scrub.value)));
+  scrub.addEventListener("change", link);
+  const speed = element("speed");
+  speed.max = SPEEDS.length - 1;
+  speed.addEventListener("input", () => {
+    scene.speed = SPEEDS[speed.value];
+    showSpeed();
+    link();
+  });
+}
+
+function nudge(steps) {
+  setPlaying(false);
+  player.nudge(steps);
+  redraw();
+}
+
+function seek(time) {
+  setPlaying(false);
+  player.seek(time);
+  redraw();
+}
+
+function showSpeed() {
+  player.speed = scene.speed;
+  const distances = SPEEDS.map((speed) => Math.abs(Math.log(speed / scene.speed)));
+  const slider = element("speed");
+  slider.value = distances.indexOf(Math.min(...distances));
+  slider.setAttribute("aria-valuetext", `${scene.speed} times`);
+  show("speed-value", `${scene.speed} ×`);
+}
+
+// --- Controls ------------------------------------------------------------------------------------------------------
+
+function option(value, text) {
+  return new Option(text, value);
+}
+
+function fillChoices() {
+  element("driver").append(option(YOURSELF, "Yourself"));
+  element("rival").append(option("", "nobody"));
+  for (const select of [element("driver"), element("rival")]) {
+    for (const [kind, label] of Object.entries(KINDS)) {
+      const rows = drivers.filter((driver) => driver.kind === kind);
+      if (rows.length === 0) continue;
+      const group = document.createElement("optgroup");
+      group.label = label;
+      group.append(...rows.map((driver) => option(driver.name, driver.title)));
+      select.append(group);
+    }
+  }
+  element("set").append(option("", "own values"), ...Object.keys(sets).map((name) => option(name, name)));
+  // Friction spans two powers of ten: its slider is even in the logarithm.
+  for (const [name, map] of [["M", Number], ["mu", Math.log10]]) {
+    [element(name).min, element(name).max] = limits[name].map(map);
+    [element(`${name}-number`).min, element(`${name}-number`).max] = limits[name];
+  }
+}
+
+function bindChoices() {
+  const choose = (id, key, after) => element(id).addEventListener("change", () => {
+    scene[key] = element(id).value;
+    after();
+  });
+  choose("driver", "driver", () => {
+    Object.assign(scene, { weight: null, hand: [] });
+    // A hand begins when the reader does.
+    open({ play: scene.driver !== YOURSELF && !reduced.matches });
+  });
+  choose("rival", "rival", () => {
+    scene.rivalWeight = null;
+    scene.hand = handsSoFar();
+    open({ time: player.now });
+  });
+  choose("view", "view", () => {
+    showScene();
+    link();
+  });
+  for (const [id, key] of [["weight", "weight"], ["rival-weight", "rivalWeight"]]) {
+    const price = () => Number((10 ** Number(element(id).value)).toPrecision(3));
+    element(id).addEventListener("input", () => show(`${id}-value`, `${price()} cm/J`));
+    element(id).addEventListener("change", () => {
+      scene[key] = price();
+      scene.hand = handsSoFar();
+      open({ time: 0 });
+    });
+  }
+  element("span").addEventListener("change", () => {
+    span = Number(element("span").value);
+    redraw();
+  });
+}
+
+function bindPlant() {
+  const choosePlant = () => {
+    const set = element("set").value;
+    const index = element("plant");
+    if (set) {
+      const last = sets[set].plants.length - 1;
+      index.value = clamp(Math.trunc(Number(index.value)) || 0, 0, last);
+      takePlant(scene, set, Number(index.value));
+    } else {
+      Object.assign(scene, { set: "", theta: undefined, jumps: [] });
+    }
+    scene.hand = [];
+    open();
+  };
+  element("set").addEventListener("change", choosePlant);
+  element("plant").addEventListener("change", choosePlant);
+  const values = { M: [Number, (value) => value], mu: [Math.log10, (value) => 10 ** value] };
+  for (const [name, [, back]] of Object.entries(values)) {
+    const [slider, field] = [element(name), element(`${name}-number`)];
+    const set = (value) => {
+      const kept = clamp(Number.isFinite(value) ? value : plantNow()[name], ...limits[name]);
+      jump(...["M", "mu"].map((other) => (other === name ? Number(kept.toPrecision(4)) : plantNow()[other])));
+    };
+    slider.addEventListener("input", () => { field.value = Number(back(Number(slider.value)).toPrecision(4)); });
+    slider.addEventListener("change", () => set(back(Number(slider.value))));
+    field.addEventListener("change", () => set(field.value === "" ? NaN : Number(field.value)));
+  }
+  element("jump").addEventListener("click", () => {
+    const range = constants.ranges.wide ?? Object.fromEntries(Object.entries(limits));
+    const [M, mu] = ["M", "mu"].map((name) => drawn(...range[name], name === "mu"));
+    jump(M, mu);
+  });
+  element("clear").addEventListener("click", () => {
+    scene.hand = handsSoFar();
+    const time = player.now;
+    if (scene.set) takePlant(scene, scene.set, scene.plant);
+    else scene.jumps = [];
+    open({ time });
+  });
+}
+
+/** A number between two, evenly or evenly in the logarithm, with four digits. */
+function drawn(low, high, logarithmic) {
+  const share = Math.random();
+  return Number((logarithmic ? low * (high / low) ** share : low + (high - low) * share).toPrecision(4));
+}
+
+function bindPage() {
+  element("copy").addEventListener("click", async () => {
+    link();
+    try {
+      await navigator.clipboard.writeText(location.href);
+      announce("The link is copied");
+      element("copy").textContent = "Copied";
+    } catch {
+      announce("The link stands in the address of the page");
+      element("copy").textContent = "In the address bar";
+    }
+    setTimeout(() => { element("copy").textContent = "Copy link"; }, 2000);
+  });
+  element("check").addEventListener("click", runCheck);
+  window.addEventListener("hashchange", readLink);
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+}
+
+let checking = false;
+
+/** Replays the committed episodes before the reader's eyes. */
+async function runCheck() {
+  setPlaying(false);
+  element("checks").showModal();
+  if (checking) return;
+  checking = true;
+  const rows = element("check-rows");
+  rows.replaceChildren();
+  show("verdict", "Replaying …");
+  try {
+    const equal = await check(({ name, equal, steps, doubles }) => {
+      const row = rows.insertRow();
+      const head = document.createElement("th");
+      head.scope = "row";
+      head.textContent = name;
+      row.append(head);
+      for (const text of [steps, doubles]) row.insertCell().textContent = Number(text).toLocaleString("en");
+      const bits = row.insertCell();
+      bits.textContent = equal ? "equal" : "different";
+      bits.className = bits.textContent;
+      row.scrollIntoView({ block: "nearest" });
+    });
+    show("verdict", equal ? `All ${rows.rows.length} episodes are equal, bit for bit.` : "Some episodes are different.");
+  } catch (error) {
+    show("verdict", `The check broke off: ${error.message}`);
+  }
+  checking = false;
+}
+
+// --- What is shown -------------------------------------------------------------------------------------------------
+
+function show(id, text) {
+  const node = element(id);
+  if (node.textContent !== text) node.textContent = text;
+}
+
+function announce(text) {
+  show("status", text);
+}
+
+function complain(text) {
+  element("trouble").hidden = text === "";
+  show("trouble", text);
+}
+
+/** Everything that says what the scene is; not what happens in it. */
+function showScene() {
+  element("driver").value = scene.driver;
+  element("rival").value = scene.rival;
+  element("view").value = scene.view;
+  element("view").disabled = !scene.rival;
+  const own = "Keys, the slider below the stage, or a finger on it: hold to turn the motor.";
+  const described = (name) => driverNamed(name).description.replaceAll("`", "");
+  show("driver-text", scene.driver === YOURSELF ? own : described(scene.driver));
+  show("rival-text", scene.rival ? described(scene.rival) : "");
+  showWeight("weight", driverNamed(scene.driver), scene.weight);
+  showWeight("rival-weight", driverNamed(scene.rival), scene.rivalWeight);
+  element("hand").hidden = scene.driver !== YOURSELF;
+  element("stage").classList.toggle("driving", scene.driver === YOURSELF);
+  element("stage").classList.toggle("two", scene.view === "lane" && scene.rival !== "");
+  show("head-driver", titleOf(scene.driver));
+  show("head-rival", scene.rival ? titleOf(scene.rival) : "");
+  show("key-driver", titleOf(scene.driver));
+  show("key-rival", scene.rival ? titleOf(scene.rival) : "");
+  element("key-rival-part").hidden = !scene.rival;
+  showSpeed();
+  showPlant();
+  redraw();
+  link();
+}
+
+function showWeight(id, driver, weight) {
+  const bounds = driver?.energyWeight;
+  element(`${id}-row`).hidden = !bounds;
+  if (!bounds) return;
+  const price = weight ?? bounds[0];
+  [element(id).min, element(id).max] = bounds.map(Math.log10);
+  element(id).value = Math.log10(price);
+  element(id).setAttribute("aria-valuetext", `${price} cm/J`);
+  show(`${id}-value`, `${price} cm/J`);
+}
+
+function showPlant() {
+  element("set").value = scene.set;
+  element("plant").value = scene.plant;
+  element("plant").disabled = !scene.set;
+  const { M, mu } = plantNow();
+  if (document.activeElement !== element("M-number")) element("M-number").value = M;
+  if (document.activeElement !== element("mu-number")) element("mu-number").value = mu;
+  element("M").value = M;
+  element("mu").value = Math.log10(mu);
+  element("M").setAttribute("aria-valuetext", `${M} kg`);
+  element("mu").setAttribute("aria-valuetext", String(mu));
+  const hint = player.moment === 0 ? "A change sets the plant of the episode." : "A change is a jump at the time that is shown.";
+  show("plant-text", hint);
+  const jumps = scene.jumps.map((jump) => `${written(jump.t, 2)} s: ${plantText(jump)}`);
+  show("jumps", jumps.length ? `Jumps: ${jumps.join("; ")}` : "No jumps.");
+  element("clear").disabled = !hasOwnJumps(scene);
+}
+
+function makeCharts() {
+  const make = (title, unit, build, shape = "") => {
+    const figure = document.createElement("figure");
+    figure.className = shape;
+    const caption = document.createElement("figcaption");
+    caption.textContent = unit === "1" ? title : `${title}, ${unit}`;
+    const canvas = document.createElement("canvas");
+    canvas.setAttribute("role", "img");
+    canvas.setAttribute("aria-label", `Chart: ${caption.textContent}`);
+    figure.append(caption, canvas);
+    element("charts").append(figure);
+    return build(canvas);
+  };
+  const [first, ...others] = CURVES.map((curve) => () =>
+    make(curve.title, curve.unit, (canvas) => new TimeChart(canvas, curve, redraw)),
+  );
+  const portrait = () =>
+    make("Phase portrait: rate, rad/s, over angle", "1", (canvas) => new PhasePortrait(canvas, redraw), "tall");
+  const made = [first, portrait, ...others].map((build) => build());
+  for (const chart of made.filter(({ curve }) => curve)) {
+    chart.sheet.canvas.addEventListener("click", (event) => {
+      seek(chart.value(event.offsetX));
+      link();
+    });
+  }
+  return made;
+}
+
+function makeRows() {
+  for (const [name, unit] of MEASURES) {
+    const row = element("rows").insertRow();
+    const head = document.createElement("th");
+    head.scope = "row";
+    head.textContent = unit === "1" ? name : `${name}, ${unit}`;
+    row.append(head);
+    row.insertCell();
+    row.insertCell();
+  }
+}
+
+/** All that changes with time. */
+function draw() {
+  const smooth = !reduced.matches;
+  const views = player.lanes.map((lane) => ({ name: lane.title, view: lane.at(player.now, smooth) }));
+  const [driver, rival = null] = views;
+  for (const [index, { view }] of views.entries()) view.contact = contacts[index].see(view.x_dot === 0);
+  stage.draw(driver, rival, { lanes: scene.view === "lane", still: !smooth });
+  for (const chart of charts) chart.draw(player.lanes, player.now, span);
+  showFigures(driver.view);
+  if (!player.playing) describe(views);
+  MEASURES.forEach(([, , text], index) => {
+    const cells = element("rows").rows[index].cells;
+    [driver, rival].forEach((one, column) => {
+      const value = one ? text(one.view.metrics) : "";
+      if (cells[column + 1].textContent !== value) cells[column + 1].textContent = value;
+    });
+  });
+  showEnd();
+}
+
+function showFigures({ x, x_dot, torque, metrics, contact }) {
+  const { now } = player;
+  show("figure-time", written(now, 2));
+  show("figure-x", written(100 * x, 1));
+  show("figure-speed", written(100 * x_dot, 1));
+  show("figure-mean", written(metrics.mean_speed, 2));
+  show("figure-torque", written(torque, 2));
+  const words = { stick: "stick", slip: x_dot > 0 ? "slip →" : "← slip", both: "stick, slip" };
+  show("figure-contact", words[contact]);
+  element("figure-contact").dataset.contact = contact;
+  const scrub = element("scrub");
+  if (player.goal === null) scrub.value = now;
+  scrub.setAttribute("aria-valuetext", `${written(now, 2)} s`);
+  show("scrub-value", `${written(now, 2)} s`);
+  show("best", Number.isFinite(best) ? `${written(best, 2)} cm/s` : "none yet");
+}
+
+/** What a picture that stands still shows, in words. */
+function describe(views) {
+  const told = views.map(({ name, view }) => {
+    const contact = view.x_dot === 0 ? "in stick" : `slipping at ${written(100 * view.x_dot, 1)} cm/s`;
+    const angle = written((view.theta * 180) / Math.PI, 0);
+    return `${name}: at ${written(100 * view.x, 1)} cm, ${contact}, pendulum at ${angle}°, torque ${written(view.torque, 2)} N m`;
+  });
+  element("scene").setAttribute("aria-label", `At ${written(player.now, 2)} s. ${told.join(". ")}.`);
+}
+
+/** Failures and the end of the episode, once they are on the screen. */
+function showEnd() {
+  const shown = (lane) => player.now >= lane.time - 1e-9;
+  const failures = player.lanes
+    .filter((lane) => lane.failure && shown(lane))
+    .map((lane) => `${lane.title} failed at ${written(lane.time, 2)} s: ${lane.failure}.`);
+  if (player.over && failures.length < player.lanes.length) failures.push(`The episode of ${END} s has ended.`);
+  const text = failures.join(" ");
+  element("banner").hidden = text === "";
+  show("banner-text", text);
+  if (text !== told) announce(text);
+  told = text;
+}
+
+// --- The loop ------------------------------------------------------------------------------------------------------
+
+let last = performance.now();
+let shownPlant = null;
+let sought = false;
+
+function frame(time) {
+  const elapsed = Math.max(0, time - last) / 1000;
+  last = time;
+  if (player.lanes.length > 0) {
+    if (player.pass(elapsed)) dirty = true;
+    if (dirty) draw();
+    dirty = false;
+    if (plantNow() !== shownPlant) {
+      shownPlant = plantNow();
+      showPlant();
+    }
+    if (player.playing && player.over) setPlaying(false);
+    if (sought && player.goal === null) link();
+    sought = player.goal !== null;
+  }
+  requestAnimationFrame(frame);
+}
+
+/** Shows what the page's address says. */
+async function readLink() {
+  const { scene: read, complaints } = readScene(location.hash);
+  scene = read;
+  complain(complaints.join(". "));
+  await open({ time: scene.t ?? 0, play: scene.t === null && scene.driver !== YOURSELF && !reduced.matches });
+}
+
+fillChoices();
+makeRows();
+bindPlayback();
+bindHands();
+bindChoices();
+bindPlant();
+bindPage();
+showStrength();
+element("span").value = String(span);
+requestAnimationFrame(frame);
+await readLink();

@@ -1,0 +1,183 @@
+// What a link says: who drives which plant, how it is shown, and when.
+
+import { constants, drivers, sets } from "./capsule.mjs";
+import { clamp } from "./numbers.js";
+
+/** The name of the driver who is the reader of the page. */
+export const YOURSELF = "yourself";
+/** Every torque of a hand is one of these many steps, from -1 to 1, so that a link can hold it exactly. */
+export const HAND_STEPS = 41;
+export const SPEEDS = { least: 0.1, most: 20 };
+/** The steps of an episode at which nothing has happened yet, and at which it ends; s. */
+export const END = constants.steps * constants.control_dt;
+
+const LETTERS = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNO";
+const HALF = (HAND_STEPS - 1) / 2;
+
+/** The lowest and highest M (kg) and mu of any range of plants. */
+export const limits = Object.fromEntries(
+  ["M", "mu"].map((name) => {
+    const bounds = Object.values(constants.ranges).map((range) => range[name]);
+    return [name, [Math.min(...bounds.map(([low]) => low)), Math.max(...bounds.map(([, high]) => high))]];
+  }),
+);
+
+/** The row of `drivers` of that name; undefined for the reader, and for nobody. */
+export function driverNamed(name) {
+  return drivers.find((driver) => driver.name === name);
+}
+
+/** A driver's title. */
+export function titleOf(name) {
+  return name === YOURSELF ? "Yourself" : driverNamed(name).title;
+}
+
+/** The scene that an empty link shows. */
+export function firstScene() {
+  const known = (name) => (driverNamed(name) ? name : drivers[0].name);
+  return {
+    driver: known("residual-ppo"), rival: known("adaptive"), weight: null, rivalWeight: null, view: "ghost",
+    set: "", plant: 0, M: constants.nominal.M, mu: constants.nominal.mu, theta: undefined, jumps: [],
+    speed: 1, t: null, hand: [],
+  };
+}
+
+/** Puts a plant of a frozen set, with its start and its jumps, into a scene. */
+export function takePlant(scene, set, index) {
+  const { M, mu, theta, changes = [] } = sets[set].plants[index];
+  Object.assign(scene, { set, plant: index, M, mu, theta, jumps: changes.map(({ t, M, mu }) => ({ t, M, mu })) });
+}
+
+/**
+ * Reads the part of a link behind its #.
+ *
+ * What cannot be shown is left as it was in the first scene, and said.
+ *
+ * @param {string} hash with or without the #.
+ * @returns {{scene: object, complaints: string[]}}
+ */
+export function readScene(hash) {
+  const scene = firstScene();
+  const complaints = [];
+  const given = new URLSearchParams(hash.replace(/^#/, ""));
+  if ([...given.keys()].length > 0) scene.rival = "";
+  readDrivers(given, scene, complaints);
+  readPlant(given, scene, complaints);
+  scene.speed = readNumber(given, "speed", SPEEDS.least, SPEEDS.most, complaints) ?? scene.speed;
+  scene.t = readNumber(given, "t", 0, END, complaints);
+  if (given.get("view") === "lane") scene.view = "lane";
+  if (scene.driver === YOURSELF && given.has("hand")) {
+    try {
+      scene.hand = readHand(given.get("hand"));
+    } catch (error) {
+      complaints.push(error.message);
+    }
+  }
+  return { scene, complaints };
+}
+
+/** The part of a link behind the #, with all that differs from what `readScene` supposes. */
+export function writeScene(scene) {
+  const first = firstScene();
+  const parts = new URLSearchParams({ driver: scene.driver });
+  if (scene.rival) parts.set("rival", scene.rival);
+  if (scene.weight !== null) parts.set("weight", shortened(scene.weight));
+  if (scene.rivalWeight !== null) parts.set("rival-weight", shortened(scene.rivalWeight));
+  if (scene.rival && scene.view !== first.view) parts.set("view", scene.view);
+  if (scene.set) {
+    parts.set("set", scene.set);
+    parts.set("plant", scene.plant);
+  } else {
+    parts.set("M", shortened(scene.M));
+    parts.set("mu", shortened(scene.mu));
+  }
+  if (hasOwnJumps(scene)) parts.set("jumps", writeJumps(scene.jumps));
+  if (scene.speed !== first.speed) parts.set("speed", shortened(scene.speed));
+  if (scene.t !== null) parts.set("t", shortened(scene.t));
+  if (scene.hand.length) parts.set("hand", writeHand(scene.hand));
+  return `#${parts}`.replaceAll("%3A", ":").replaceAll("%2C", ",");
+}
+
+/** Whether M and mu jump otherwise than the set has it. */
+export function hasOwnJumps({ set, plant, jumps }) {
+  const expected = set ? (sets[set].plants[plant].changes ?? []) : [];
+  return writeJumps(jumps) !== writeJumps(expected);
+}
+
+/** The nearest action that a link can hold. */
+export function handAction(action) {
+  return Math.round(clamp(action, -1, 1) * HALF) / HALF;
+}
+
+function readDrivers(given, scene, complaints) {
+  for (const [part, weight] of [["driver", "weight"], ["rival", "rivalWeight"]]) {
+    const name = given.get(part);
+    if (name === null || name === "") continue;
+    const accepted = drivers.map((driver) => driver.name).concat(part === "driver" ? YOURSELF : []);
+    if (accepted.includes(name)) scene[part] = name;
+    else complaints.push(`${part} must be one of ${accepted.join(", ")}, got "${name}"`);
+    const bounds = driverNamed(scene[part])?.energyWeight;
+    if (bounds) scene[weight] = readNumber(given, part === "driver" ? "weight" : "rival-weight", ...bounds, complaints);
+  }
+}
+
+function readPlant(given, scene, complaints) {
+  const set = given.get("set");
+  if (set !== null && !(set in sets)) complaints.push(`set must be one of ${Object.keys(sets).join(", ")}, got "${set}"`);
+  else if (set !== null) {
+    const last = sets[set].plants.length - 1;
+    takePlant(scene, set, Math.trunc(readNumber(given, "plant", 0, last, complaints) ?? 0));
+  }
+  for (const name of ["M", "mu"]) {
+    const value = readNumber(given, name, ...limits[name], complaints);
+    if (value === null || value === scene[name]) continue;
+    scene.set = "";
+    scene[name] = value;
+  }
+  if (given.has("jumps")) scene.jumps = readJumps(given.get("jumps"), complaints);
+}
+
+function readNumber(given, name, low, high, complaints) {
+  const text = given.get(name);
+  if (text === null) return null;
+  const value = Number(text);
+  if (text !== "" && value >= low && value <= high) return value;
+  complaints.push(`${name} must be a number from ${low} to ${high}, got "${text}"`);
+  return null;
+}
+
+function readJumps(text, complaints) {
+  const jumps = [];
+  for (const part of text.split(",").filter(Boolean)) {
+    const [t, M, mu, ...rest] = part.split(":").map(Number);
+    const within = (value, [low, high]) => value >= low && value <= high;
+    if (rest.length || !within(t, [jumps.at(-1)?.t ?? 0, END]) || !within(M, limits.M) || !within(mu, limits.mu)) {
+      complaints.push(`jumps must be t:M:mu, in order of time and within the ranges of M and mu, got "${part}"`);
+      return [];
+    }
+    jumps.push({ t, M, mu });
+  }
+  return jumps;
+}
+
+function writeJumps(jumps) {
+  return jumps.map(({ t, M, mu }) => [t, M, mu].map(shortened).join(":")).join(",");
+}
+
+/** Run lengths: a letter per torque, before it how often it stands where that is not once. */
+function writeHand(actions) {
+  const letters = actions.map((action) => LETTERS[Math.round((action + 1) * HALF)]).join("");
+  return letters.replace(/(.)\1+/g, (run, letter) => run.length + letter);
+}
+
+function readHand(text) {
+  if (!/^(\d{0,4}[a-zA-O])*$/.test(text)) throw new RangeError("hand must be letters a to O with counts before them");
+  const actions = [...text.matchAll(/(\d*)(\D)/g)].flatMap(([, count, letter]) =>
+    new Array(Number(count || 1)).fill(LETTERS.indexOf(letter) / HALF - 1),
+  );
+  return actions.slice(0, constants.steps).map(handAction);
+}
+
+function shortened(value) {
+  return String(Number(value.toPrecision(6)));
+}
