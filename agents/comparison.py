@@ -18,6 +18,7 @@ from agents.recording import (
     record,
     write_gif,
 )
+from agents.report.page import write as write_report
 from agents.training.recurrent import load_best
 from baselines.policies import SCRIPTED
 from capsule_gym.files import to_json, write_atomically
@@ -28,7 +29,7 @@ def compare(run: Path, set_name: str = "paper") -> None:
     """Evaluates a run's best model and the baseline on the same frozen episodes; prints and draws the comparison.
 
     Args:
-        run: the run's folder; gets comparison.json, comparison.png and animation.gif.
+        run: the run's folder; gets comparison.json, comparison.png, animation.gif and report.html.
         set_name: a frozen set, or the path of one.
     """
     evaluation_set = load_set(set_name)
@@ -49,4 +50,11 @@ def compare(run: Path, set_name: str = "paper") -> None:
     moving = record(policy, seconds=ANIMATION_START + ANIMATION_SECONDS, frames_from=ANIMATION_START)
     if moving.frames:
         write_gif(moving.frames, run / "animation.gif")
-    print(f"Episodes: {run / 'comparison.json'}\nFigure:   {run / 'comparison.png'}\nMoving:   {run / 'animation.gif'}")
+    write_report(run / "report.html", [str(run)], trust_controller=True)
+    names = {
+        "Episodes": "comparison.json",
+        "Figure": "comparison.png",
+        "Moving": "animation.gif",
+        "Report": "report.html",
+    }
+    print("\n".join(f"{what + ':':9} {run / name}" for what, name in names.items()))

@@ -76,12 +76,12 @@ def style() -> Iterator[None]:
         yield
 
 
-def new_figure(height: float) -> Any:
-    """An empty figure of the full text width, `height` inches high, with its own canvas."""
+def new_figure(height: float, width: float = WIDTH) -> Any:
+    """An empty figure of the full text width, or `width` inches wide, `height` inches high, with its own canvas."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 

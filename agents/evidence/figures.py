@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from agents.evaluation.statistics import estimate
+from agents.evaluation.statistics import Curve, estimate
 from agents.evidence.material import (
     BASE,
     REFERENCES,
     SPEED,
     Evidence,
+    Learning,
     difference,
     fronts,
     improvements,
     profile,
 )
-from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, Pen, add_note, new_figure, save, style
+from agents.leaderboard.rows import Row
+from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, WIDTH, Pen, add_note, new_figure, save, style
 
 COLUMNS = 4
 PANEL_HEIGHT = 1.3
@@ -56,11 +59,21 @@ def draw_all(evidence: Evidence, folder: Path) -> list[Path]:
     return written
 
 
-def _panels(names: Sequence[str], top: float) -> tuple[Any, Iterator[Any]]:
-    """A figure with a panel per name, all with the same axes, and the panels in order."""
-    columns = min(COLUMNS, len(names))
+def panels(
+    names: Sequence[str], top: float, *, columns: int = COLUMNS, height: float = PANEL_HEIGHT, width: float = WIDTH
+) -> tuple[Any, Iterator[Any]]:
+    """A figure with a panel per name, all with the same axes, and the panels in order.
+
+    Args:
+        names: the panels' titles.
+        top: height of what stands outside of the panels, in.
+        columns: the most panels side by side.
+        height: of a line of panels, in.
+        width: of the figure, in.
+    """
+    columns = min(columns, len(names))
     lines = math.ceil(len(names) / columns)
-    figure = new_figure(top + PANEL_HEIGHT * lines)
+    figure = new_figure(top + height * lines, width)
     grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     for axes, name in zip(grid.flat, names, strict=False):
         axes.set_title(name)
@@ -74,12 +87,10 @@ def _panels(names: Sequence[str], top: float) -> tuple[Any, Iterator[Any]]:
 def draw_profiles(evidence: Evidence) -> Any:
     """The share of episodes faster than a speed, a panel per trained row."""
     fastest = max(float(row.score(name, SPEED).max()) for row in evidence.trained for name in evidence.shown_sets)
-    figure, panels = _panels([row.name for row in evidence.trained], 0.9)
-    for row, axes in zip(evidence.trained, panels, strict=False):
+    figure, places = panels([row.name for row in evidence.trained], 0.9)
+    for row, axes in zip(evidence.trained, places, strict=False):
         for set_name, pen in zip(evidence.shown_sets, PENS, strict=False):
-            found = profile(row, set_name, fastest)
-            axes.fill_between(found.x, found.low, found.high, color=pen.colour, alpha=0.18, linewidth=0.0)
-            axes.plot(found.x, found.value, **pen.line(label=f"on {set_name}"))
+            plot_curve(axes, profile(row, set_name, fastest), pen, label=f"on {set_name}")
         axes.set(xlim=(0.0, fastest), ylim=(0.0, 1.02))
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
@@ -92,15 +103,24 @@ def draw_profiles(evidence: Evidence) -> Any:
     return figure
 
 
+def plot_curve(axes: Any, curve: Curve, pen: Pen, **more: Any) -> None:
+    """A curve on its band."""
+    axes.fill_between(curve.x, curve.low, curve.high, color=pen.colour, alpha=0.18, linewidth=0.0)
+    axes.plot(curve.x, curve.value, **pen.line(**more))
+
+
+def plot_learning(axes: Any, learning: Learning) -> None:
+    """The speeds of all seeds over millions of steps, and their interquartile mean."""
+    for steps, speeds in learning.seeds.values():
+        axes.plot(steps / 1e6, speeds, color=MUTED, linewidth=0.5, alpha=0.6)
+    plot_curve(axes, replace(learning.curve, x=learning.curve.x / 1e6), PENS[0])
+
+
 def draw_learning(evidence: Evidence) -> Any:
     """Mean speed on own draws over the steps of training, a panel per row."""
-    figure, panels = _panels(list(evidence.learning), 0.75)
-    for learning, axes in zip(evidence.learning.values(), panels, strict=False):
-        for steps, speeds in learning.seeds.values():
-            axes.plot(steps / 1e6, speeds, color=MUTED, linewidth=0.5, alpha=0.6)
-        curve = learning.curve
-        axes.fill_between(curve.x / 1e6, curve.low, curve.high, color=BLUE, alpha=0.18, linewidth=0.0)
-        axes.plot(curve.x / 1e6, curve.value, color=BLUE)
+    figure, places = panels(list(evidence.learning), 0.75)
+    for learning, axes in zip(evidence.learning.values(), places, strict=False):
+        plot_learning(axes, learning)
     axes.set(xlim=(0.0, None), ylim=(0.0, None))
     figure.supylabel("mean speed (cm/s)", fontsize=8.0)
     add_note(
@@ -178,17 +198,21 @@ def draw_improvement(evidence: Evidence) -> Any:
     return figure
 
 
-def draw_transport(evidence: Evidence) -> Any:
-    """Speed against cost of transport of all rows, with the fronts of what is known, on the nominal plant."""
-    figure = new_figure(max(4.4, 1.4 + 0.145 * len(evidence.rows)))
-    # Room for the names on the right, which the layout takes for a little shorter than they are.
-    figure.get_layout_engine().set(rect=(0.0, 0.0, 0.985, 1.0))
-    axes = figure.subplots()
+def plot_transport(axes: Any, rows: Sequence[Row]) -> list[str]:
+    """Speed against cost of transport on the nominal plant, with the fronts of what is known.
+
+    Args:
+        axes: where.
+        rows: one or more.
+
+    Returns:
+        The names of the rows that make no progress, and so have no place.
+    """
     for (name, points), pen in zip(fronts().items(), FRONTS, strict=False):
         x, y = zip(*points, strict=True)
         axes.plot(x, y, **pen.line(marker=".", markersize=4.0, linewidth=1.0, label=f"front of the {name}"))
     marks, absent = [], []
-    for row in evidence.rows:
+    for row in rows:
         cost = estimate(row.score("nominal", "cost_of_transport"))
         speed = estimate(row.score("nominal", SPEED))
         if not math.isfinite(cost.value):
@@ -203,8 +227,19 @@ def draw_transport(evidence: Evidence) -> Any:
     axes.plot([], [], "o-", color=BLUE, markersize=4.0, linewidth=0.9, label="trained, 95 % over seeds")
     axes.plot([], [], "s", color=INK, markersize=4.0, label="scripted")
     axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)", xlim=(0.0, None), ylim=(-0.5, None))
+    if marks:
+        _label_beside(axes, marks)
+    return absent
+
+
+def draw_transport(evidence: Evidence) -> Any:
+    """Speed against cost of transport of all rows, with the fronts of what is known, on the nominal plant."""
+    figure = new_figure(max(4.4, 1.4 + 0.145 * len(evidence.rows)))
+    # Room for the names on the right, which the layout takes for a little shorter than they are.
+    figure.get_layout_engine().set(rect=(0.0, 0.0, 0.985, 1.0))
+    axes = figure.subplots()
+    absent = plot_transport(axes, evidence.rows)
     axes.set_title("Speed against cost of transport, the paper's plant from 100 starts")
-    _label_beside(axes, marks)
     axes.legend(loc="upper left")
     no_progress = f" Without forward progress, and so without a cost: {', '.join(absent)}." if absent else ""
     add_note(

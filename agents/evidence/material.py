@@ -113,19 +113,30 @@ def read_learning(folder: Path) -> Learning:
     Raises:
         ValueError: if a file is not what a training run writes.
     """
-    seeds = {}
-    for path in sorted(folder.glob(f"seed-*/{EVALUATIONS}")):
-        try:
-            with path.open(newline="", encoding="utf-8") as file:
-                # Where a stage of a run ends it may be evaluated twice: the last line counts.
-                lines = {int(line[EVALUATED]): float(line["mean_speed_cm_s"]) for line in csv.DictReader(file)}
-            steps, speeds = np.array(sorted(lines.items()), np.float64).T
-            seeds[int(path.parent.name.removeprefix("seed-"))] = (steps, speeds)
-        except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(
-                f"{path} must be what a training run writes, got {type(error).__name__}: {error}"
-            ) from error
-    return Learning(dict(sorted(seeds.items())))
+    found = {
+        int(path.parent.name.removeprefix("seed-")): read_evaluations(path)
+        for path in sorted(folder.glob(f"seed-*/{EVALUATIONS}"))
+    }
+    return Learning(dict(sorted(found.items())))
+
+
+def read_evaluations(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """The steps and the mean speeds (cm/s) of the evaluations that a run made while it trained.
+
+    Args:
+        path: its evaluations.csv.
+
+    Raises:
+        ValueError: if the file is not what a training run writes.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            # Where a stage of a run ends it may be evaluated twice: the last line counts.
+            lines = {int(line[EVALUATED]): float(line["mean_speed_cm_s"]) for line in csv.DictReader(file)}
+        steps, speeds = np.array(sorted(lines.items()), np.float64).T
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} must be what a training run writes, got {type(error).__name__}: {error}") from error
+    return steps, speeds
 
 
 def difference(row: Row, reference: Row, set_name: str) -> Estimate:

@@ -16,7 +16,8 @@ from baselines.tables import markdown_table
 RANKING_SET = "paper"
 HEAD_ROWS = 9
 COMMAND = "python -m agents.leaderboard"
-START, END = "<!-- leaderboard:start -->", "<!-- leaderboard:end -->"
+# As mkdocs includes a part of a file: docs/index.md does.
+START, END = "<!-- --8<-- [start:leaderboard] -->", "<!-- --8<-- [end:leaderboard] -->"
 
 RATIO = Measure("ratio", f"x {BASELINE}", 2)
 SPEED = MEASURES["mean_speed"]
@@ -49,29 +50,61 @@ def _share(summary: Mapping[str, Any]) -> str:
 
 
 def _main_table(board: Mapping[str, Any]) -> str:
-    shown = [MEASURES[name] for name in ("cost_of_transport", "peak_torque", "backward_ratio")]
-    table = [
-        [
-            *("", "policy", f"{SPEED.label} [95 %]", RATIO.label, SHARE.label),
-            *(measure.label for measure in shown),
-            *("failures", "training seeds", "revision", "command"),
-        ]
-    ]
+    """The ranking, in columns narrow enough for a telephone."""
+    table = [["", "policy", "cm/s [95 %]", RATIO.label, "of optimum", "CoT", "failed"]]
     for place, row in enumerate(rank(board["rows"]), start=1):
         summary = row["results"][RANKING_SET]
-        table.append(
-            [
-                str(place),
-                row["policy"],
-                *_speed_cells(board, row),
-                _share(summary),
-                *(measure.with_interval(summary[measure.metric]) for measure in shown),
-                _failures(summary),
-                str(len(row["training_seeds"]) or "-"),
-                f"`{row['revision']}`" if row["revision"] else "-",
-                f"`python -m agents.evaluate {row['policy']} --set {RANKING_SET}`",
-            ]
-        )
+        speed, ratio = _speed_cells(board, row)
+        cost = MEASURES["cost_of_transport"].format(summary["cost_of_transport"]["iqm"])
+        table.append([str(place), row["policy"], _unbroken(speed), ratio, _share(summary), cost, _failures(summary)])
+    return markdown_table(table)
+
+
+def _unbroken(text: str) -> str:
+    """A number with its interval, in which a line may end between the two alone."""
+    return text.replace(", ", ",\N{NO-BREAK SPACE}")
+
+
+def _details_table(board: Mapping[str, Any]) -> str:
+    """What the ranking leaves out."""
+    shown = [measure for measure in MEASURES.values() if measure != SPEED]
+    table = [["policy", *(measure.label for measure in shown), "training seeds", "revision"]]
+    for row in rank(board["rows"]):
+        summary = row["results"][RANKING_SET]
+        revision = f"`{row['revision']}`" if row["revision"] else "-"
+        cells = (_unbroken(measure.with_interval(summary[measure.metric])) for measure in shown)
+        table.append([row["policy"], *cells, str(len(row["training_seeds"]) or "-"), revision])
+    return markdown_table(table)
+
+
+def _sets_table(board: Mapping[str, Any]) -> str:
+    """Mean speeds alone, with the share of failed episodes where there are any."""
+    table = [["policy", *board["sets"]]]
+    for row in rank(board["rows"]):
+        summaries = [row["results"][name] for name in board["sets"]]
+        cells = [SPEED.format(summary["mean_speed"]["iqm"]) + _failed_share(summary) for summary in summaries]
+        table.append([row["policy"], *cells])
+    return markdown_table(table)
+
+
+def _failed_share(summary: Mapping[str, Any]) -> str:
+    """The share of episodes that failed, in brackets; nothing where none did."""
+    share = 100.0 * summary["failures"] / summary["episodes"]
+    if not share:
+        return ""
+    return f" ({share:.0f}\N{NO-BREAK SPACE}%)" if share >= 1.0 else " (<\N{NO-BREAK SPACE}1\N{NO-BREAK SPACE}%)"
+
+
+def _intervals_table(board: Mapping[str, Any]) -> str:
+    """Mean speeds with their intervals, and failures as counts."""
+    table = [["policy", *board["sets"]]]
+    for row in rank(board["rows"]):
+        cells = []
+        for name in board["sets"]:
+            summary = row["results"][name]
+            failed = f", {_failures(summary)} failed" if summary["failures"] else ""
+            cells.append(_unbroken(SPEED.with_interval(summary["mean_speed"])) + failed)
+        table.append([row["policy"], *cells])
     return markdown_table(table)
 
 
@@ -81,18 +114,6 @@ def _shares_table(board: Mapping[str, Any]) -> str:
     names = [name for name in board["sets"] if any(SHARE.metric in row["results"][name] for row in rows)]
     table = [[row["policy"], *(_share(row["results"][name]) for name in names)] for row in rows]
     return markdown_table([["policy", *names], *table])
-
-
-def _sets_table(board: Mapping[str, Any]) -> str:
-    table = [["policy", *board["sets"]]]
-    for row in rank(board["rows"]):
-        cells = []
-        for name in board["sets"]:
-            summary = row["results"][name]
-            failed = f", {_failures(summary)} failed" if summary["failures"] else ""
-            cells.append(SPEED.with_interval(summary["mean_speed"]) + failed)
-        table.append([row["policy"], *cells])
-    return markdown_table(table)
 
 
 def _chaos_table(board: Mapping[str, Any]) -> str:
@@ -117,47 +138,59 @@ def _notes(board: Mapping[str, Any]) -> list[str]:
     hashes = ", ".join(f"`{name}` {value[:12]}" for name, value in board["sets"].items())
     versions = ", ".join(f"{name} {value}" for name, value in board["versions"].items())
     return [
+        "- Numbers are interquartile means: of the middle half of the episodes. A failed episode ends there: its mean "
+        "speed is the distance it had made over the whole 33 s, its other numbers are of the time until then.",
         "- Intervals. Where a policy was trained with several seeds, whole seeds are resampled, all episodes of a seed "
         "together; with three seeds the interval is the range from the worst to the best seed, which holds the true "
         "median of training runs with a probability of 75 %, not 95 %. Scripted policies, and policies of a single "
         "seed, have their episodes resampled: the interval then says how much the choice of plants matters, not what "
         "another training run would give; on `nominal`, how much the start matters.",
-        "- Failures are counted over all episodes of all training seeds.",
         "- Revision: the git revision that a checkpoint was trained at. Scripted policies are this checkout's own "
         "code, which the check runs, so they need none.",
         "- A dash stands for what does not exist: the cost of transport where more than a quarter of the episodes make "
         "no forward progress, the revision of a scripted policy.",
+        f"- Made from the results of all episodes (`agents/leaderboard/results`). `{COMMAND} --check` evaluates every "
+        "row again, and fails where any digit of an episode, a set or a checkpoint is not what it was: the same code "
+        "gives the same bits on every machine.",
         f"- Sets (sha256 of the content): {hashes}.",
         f"- Written with {versions}.",
     ]
 
 
-def render(board: Mapping[str, Any]) -> str:
-    """The text of LEADERBOARD.md.
+def _folded(summary: str, table: str) -> list[str]:
+    """Lines of Markdown that a reader unfolds, on GitHub and on the site."""
+    return ['<details markdown="1">', f"<summary>{summary}</summary>", "", table, "", "</details>"]
 
-    Args:
-        board: the content of leaderboard.json.
-    """
-    lines = [
-        "# Leaderboard",
-        "",
-        f"Written by `{COMMAND}` from the results of all episodes (`agents/leaderboard/results`); do not edit. "
-        f"`{COMMAND} --check` evaluates every row again, and fails where any digit of an episode, a set or a "
-        "checkpoint is not what it was: the same code gives the same bits on every machine.",
-        "",
-        "Every policy runs the same frozen episodes: 33 s from rest (on `nominal` the paper's plant from 100 angles, "
-        "on the other sets 100 plants from one). Numbers are interquartile means (the middle half "
-        "of the episodes) with 95 % bootstrap intervals. A failed episode (the pendulum reaches 90 degrees, or the "
-        "platform leaves the floor) ends there: its mean speed is the distance it had made over the whole 33 s, its "
-        "other numbers are of the time until then.",
-        "",
-        f"## On the set `{RANKING_SET}`, by mean speed",
+
+def _ranking(board: Mapping[str, Any]) -> list[str]:
+    """Who is fastest, and what the columns say."""
+    return [
+        f"Who is fastest on the set `{RANKING_SET}`: 100 frozen episodes of 33 s from rest, each on a capsule with a "
+        "mass and a friction of its own, the same for every policy. Interquartile means with 95 % intervals.",
         "",
         _main_table(board),
         "",
-        "## Mean speed (cm/s) on every set",
+        f"`{RATIO.label}`: the speed over that of the paper's controller. Of optimum: the share of the fastest that is "
+        "known for each plant. CoT: cost of transport, what is spent per weight and distance. Failed: episodes in "
+        "which the pendulum reaches 90 degrees or the platform leaves the floor, of all training seeds.",
+        "",
+        *_folded("All measures, training seeds and revisions", _details_table(board)),
+        "",
+        f"`python -m agents.evaluate NAME --set {RANKING_SET}` evaluates one line beside the paper's controller.",
+    ]
+
+
+def _every_set(board: Mapping[str, Any]) -> list[str]:
+    """The speeds on all sets, and their shares of the optimum's."""
+    return [
+        "## On every set",
+        "",
+        "Mean speed, cm/s; in brackets the share of episodes that fail. `nominal` is the paper's plant from 100 "
+        "angles; `wide` and `extrapolation` hold plants far from it, and in `drift` the plant jumps on the way.",
         "",
         _sets_table(board),
+        "",
+        *_folded("With intervals and counts of failures", _intervals_table(board)),
         "",
         "## Share of the optimum",
         "",
@@ -167,8 +200,13 @@ def render(board: Mapping[str, Any]) -> str:
         "by that of the optimum itself, and by a torque that changes more often. Sets with plants outside the grid, or "
         "whose plants change on the way, have none. Here too, interquartile means.",
         "",
-        _shares_table(board),
-        "",
+        *_folded("Shares on every set that has them", _shares_table(board)),
+    ]
+
+
+def _chaos(board: Mapping[str, Any]) -> list[str]:
+    """How far a policy's speed is known."""
+    return [
         "## Chaos",
         "",
         f"The mean speed (cm/s) on the paper's plant, of {COPIES} copies of one episode with noise of up to "
@@ -176,17 +214,27 @@ def render(board: Mapping[str, Any]) -> str:
         "the most. The speed of a policy with a wide range is known as a distribution only: a single episode of it "
         "says little, here as on a robot.",
         "",
-        _chaos_table(board),
-        "",
-        "## The policies",
-        "",
-        *(_policy(row) for row in rank(board["rows"])),
-        "",
-        "## Notes",
-        "",
-        *_notes(board),
+        *_folded("Ranges of all policies", _chaos_table(board)),
     ]
-    return "\n".join(lines) + "\n"
+
+
+def render(board: Mapping[str, Any]) -> str:
+    """The text of LEADERBOARD.md.
+
+    Args:
+        board: the content of leaderboard.json.
+    """
+    policies = ["## The policies", "", *(_policy(row) for row in rank(board["rows"]))]
+    parts = [
+        [f"<!-- Written by `{COMMAND}`; do not edit. -->"],
+        ["# Leaderboard"],
+        _ranking(board),
+        _every_set(board),
+        _chaos(board),
+        policies,
+        ["## Notes", "", *_notes(board)],
+    ]
+    return "\n\n".join("\n".join(part) for part in parts) + "\n"
 
 
 def head(board: Mapping[str, Any]) -> str:

@@ -82,6 +82,16 @@ def test_pages_show_examples() -> None:
     assert len(COMMANDS) > 20
 
 
+def test_no_block_escapes() -> None:
+    # What is in no known language, or fenced in another way, would be neither run nor checked.
+    known = {"python", "bash", "sh", "shell", "console", "text"}
+    assert {f"{block.name}:{block.line}": block.language for block in BLOCKS if block.language not in known} == {}
+    fences = re.compile(r"^ *(?:```|~~~)", re.MULTILINE)
+    for path in PAGES:
+        found = len(list(blocks(path)))
+        assert len(fences.findall(path.read_text(encoding="utf-8"))) == 2 * found, path.relative_to(ROOT)
+
+
 @pytest.mark.parametrize("block", PYTHON, ids=[f"{block.name}:{block.line + 1}" for block in PYTHON])
 def test_block_runs(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -1,0 +1,1 @@
+"""One page about a run, about some policies, or about the whole leaderboard: `python -m agents.report`."""

@@ -1,0 +1,131 @@
+import html
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from agents.report import __main__ as report
+from agents.report import material
+from agents.report.page import embedded, render, write
+from tests.agents.fakes import write_run
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Page(HTMLParser):
+    """What a page consists of."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.ids, self.loads, self.tags, self.rows = [], [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        given = dict(attrs)
+        self.tags.append(tag)
+        if "id" in given:
+            self.ids.append(given["id"])
+        self.loads += [given[name] for name in ("src", "srcset") if name in given]
+        if tag in ("a", "link", "use", "image"):
+            self.loads += [value for name, value in attrs if name.endswith("href") and not value.startswith("#")]
+        if tag == "tr":
+            self.rows.append([])
+        if "data-value" in given:
+            self.rows[-1].append(float(given["data-value"]))
+
+
+@pytest.fixture(scope="module")
+def published():
+    return material.collect(["direct-ppo"])
+
+
+def test_a_report_shows_the_numbers_of_the_leaderboard(published):
+    text = render(published, "A <title>", live=Path("nowhere"))
+    page = Page(text)
+    # A colour bar is an image, inside of the page.
+    assert all(address.startswith("data:") for address in page.loads) and "iframe" not in page.tags
+    assert len(page.ids) == len(set(page.ids))
+    assert page.tags.count("svg") == 4
+    assert "<title>A &lt;title&gt;</title>" in text and "<h1>A &lt;title&gt;</h1>" in text
+    assert len(text) < 3_000_000
+    board = json.loads((ROOT / "leaderboard.json").read_text())
+    results = {row["policy"]: row["results"] for row in board["rows"]}
+    assert len(page.rows) == 1 + 2 * len(board["sets"])
+    speeds = [row[0] for row in page.rows[1:]]
+    expected = [results[name][s]["mean_speed"]["iqm"] for name in ("direct-ppo", "adaptive") for s in board["sets"]]
+    assert speeds == pytest.approx(expected, abs=1e-12)
+
+
+def test_what_does_not_exist_is_nan_to_the_script(published):
+    found = {len([value for value in row if value != value]) for row in Page(render(published, "t")).rows[1:]}
+    # The share of the optimum, on three sets of five.
+    assert found == {0, 1}
+
+
+def test_the_live_page_is_embedded_at_the_policy_where_it_is_built(published, tmp_path):
+    live = tmp_path / "index.html"
+    live.write_text('<!doctype html><html><head><meta charset="utf-8"></head><body>"a" & b</body></html>')
+    text = render(published, "t", live=live)
+    (source,) = re.findall(r'srcdoc="([^"]*)"', text)
+    scene = "driver=direct-ppo&rival=adaptive&set=paper&plant=0"
+    begin = f'<head><script>location.hash = "{scene}"</script>'
+    assert html.unescape(source) == live.read_text().replace("<head>", begin)
+    assert 'title="x &lt;y&gt;"' in embedded(live.read_text(), scene, "x <y>")
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """A run's folder with what a report reads of it, and short episodes."""
+    monkeypatch.setattr(material, "HORIZON", 0.6)
+    folder = tmp_path / "mine"
+    write_run(folder, 3)
+    (folder / "evaluations.csv").write_text("steps,mean_speed_cm_s,failed\n100,1.0,0\n200,2.0,0\n")
+    content = {"algo": "ppo", "seed": 3, "hyperparameters": {"gamma": 0.123, "note": "<b>"}}
+    (folder / "config.json").write_text(json.dumps(content))
+    return folder
+
+
+def test_a_run_is_evaluated_and_shown_beside_the_papers_controller(run, tmp_path):
+    page = tmp_path / "report.html"
+    write(page, [str(run)])
+    text = page.read_text()
+    for word in ("<h1>mine</h1>", "Learning curve", "Settings of mine", "0.123", "&lt;b&gt;", ">adaptive</th>"):
+        assert word in text
+    assert "iframe" not in Page(text).tags
+    assert not list(tmp_path.glob("*.tmp*"))
+
+
+def test_a_run_without_evaluations_has_no_learning_curve(run, tmp_path):
+    (run / "evaluations.csv").unlink()
+    write(tmp_path / "report.html", [str(run)])
+    assert "Learning curve" not in (tmp_path / "report.html").read_text()
+
+
+def test_two_policies_of_one_name_are_refused(run, tmp_path):
+    other = tmp_path / "other" / "mine"
+    write_run(other, 4)
+    with pytest.raises(ValueError, match="different names, got mine more than once"):
+        write(tmp_path / "report.html", [str(run), str(other)])
+    assert not (tmp_path / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["nobody"], "got 'nobody'"),
+        (["adaptive", "-o", "/nowhere/x.html"], "--output must name a file in a folder that exists"),
+        (["adaptive", "-o", "there.html"], "--output must name a new file unless --overwrite is given"),
+    ],
+)
+def test_wrong_options_are_named(words, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there.html").write_text("mine")
+    with pytest.raises(SystemExit) as stop:
+        report.main(words)
+    assert stop.value.code == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert (tmp_path / "there.html").read_text() == "mine"
