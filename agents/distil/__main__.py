@@ -13,7 +13,7 @@ from tyro.conf import arg
 
 from agents.distil.lessons import STUDENTS
 from agents.distil.run import COMPARED_SEED, Budget, distil, own_draws, read_result
-from agents.evaluation.candidates import CHECKPOINTS, Candidate, find_candidate
+from agents.evaluation.candidates import CHECKPOINTS, find_candidate
 from agents.evaluation.episodes import failures, scores
 from agents.evaluation.statistics import interquartile_mean
 from agents.evaluation.tables import MEASURES, SHARE
@@ -87,15 +87,15 @@ def comparison(name: str, folders: Sequence[Path], count: int) -> str:
     """
     student = STUDENTS[name]
     draws = own_draws(student, COMPARED_SEED, count)
-    candidates: list[Candidate] = [find_candidate(str(folder)) for folder in folders]
-    candidates += [find_candidate(rival) for rival in student.rivals]
+    policies = {f"{name}/{folder.name}": str(folder) for folder in folders} | {rival: rival for rival in student.rivals}
     speed = MEASURES["mean_speed"]
     rows = [["policy", "runs", speed.label, SHARE.label, "failed"]]
-    for each in tqdm(candidates, "comparing", file=sys.stderr, disable=None):
-        episodes = each.evaluate(draws)
+    for label, found in tqdm(policies.items(), "comparing", file=sys.stderr, disable=None):
+        candidate = find_candidate(found)
+        episodes = candidate.evaluate(draws)
         values = [float(interquartile_mean(scores(episodes, m).ravel())) for m in ("mean_speed", SHARE.metric)]
         shown = [measure.format(value) for measure, value in zip((speed, SHARE), values, strict=True)]
-        rows.append([each.name, str(len(each.runs)), *shown, f"{failures(episodes)}/{len(episodes)}"])
+        rows.append([label, str(len(candidate.runs)), *shown, f"{failures(episodes)}/{len(episodes)}"])
     return text_table(rows, left=1)
 
 

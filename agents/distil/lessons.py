@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode
 
 from baselines.optimum.policy import TORQUES, Oracle
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym.task import PARAMETER_OBSERVATION
+from capsule_gym.task import observation_names
 
 Act = Callable[[np.ndarray], np.ndarray]
 
@@ -94,9 +94,7 @@ class Classroom:
             observe_parameters=True,
             autoreset_mode=AutoresetMode.DISABLED,
         )
-        self._entries = self._env.single_observation_space.shape[0] - (
-            0 if student.told else len(PARAMETER_OBSERVATION)
-        )
+        self._entries = len(observation_names(False, student.told))
         self._teacher = Oracle(num_envs)
         self._rng = rng
 
