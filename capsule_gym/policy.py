@@ -11,7 +11,7 @@ A file is in the safetensors format:
 | metadata | meaning |
 |---|---|
 | `format`, `format_version` | "capsule_gym policy", "2" |
-| `algorithm` | what trained it: "ppo", "sac", "td3", "tqc" |
+| `algorithm` | what trained it: "ppo", "sac", "td3", "tqc", "dagger" |
 | `activation` | after the hidden layers: "tanh" or "relu" |
 | `squashing` | of the last output to [-1, 1]: "clip" or "tanh" |
 | `output` | what that is: the "action", or the "torque" in torque limits, of which the action is what the law lacks |

@@ -13,6 +13,20 @@ from capsule_gym.committed import POLICY
 from capsule_gym.files import write_bytes_atomically
 
 
+def refuse_revision(run: Path, revision: str) -> None:
+    """Refuses a run that was begun at a revision that nobody can check out.
+
+    Args:
+        run: its folder.
+        revision: as `agents.training.runs.git_revision` gave it.
+
+    Raises:
+        RunError: if that was no commit, or had changes on it.
+    """
+    if not re.fullmatch(r"[0-9a-f]+", revision):
+        raise RunError(f"{run} must be begun at a revision with nothing uncommitted, got {revision!r}: train it again")
+
+
 def publish(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
     """Copies a run's best policy and its evaluations into the folder of its row and seed.
 
@@ -30,11 +44,7 @@ def publish(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
     if not job.finished:
         raise RunError(f"{job.run} is not finished")
     refuse_other_settings(job)
-    revision = revision_of(job.run)
-    if not re.fullmatch(r"[0-9a-f]+", revision):
-        raise RunError(
-            f"{job.run} must be begun at a revision with nothing uncommitted, got {revision!r}: train it again"
-        )
+    refuse_revision(job.run, revision_of(job.run))
     contents = {name: (job.run / source).read_bytes() for name, source in _SOURCES.items()}
     folder = checkpoints / job.row / f"seed-{job.config.seed}"
     folder.mkdir(parents=True, exist_ok=True)

@@ -24,8 +24,9 @@ from capsule_gym.parameters import NOMINAL
 
 Act = Callable[[np.ndarray], np.ndarray]
 
-# Torques tried, evenly spaced over the limits.
+# Torques tried, evenly spaced over the limits; as coarse as an action that is handed to the environment.
 TRIED = 41
+TORQUES = np.linspace(-1.0, 1.0, TRIED).astype(np.float32)
 # What a torque scores that ends the episode, cm.
 FATAL = -1e6
 # N: the observation is coarser than the state, so that less may be none.
@@ -46,9 +47,9 @@ def _score(
     axes: np.ndarray,
     bends: np.ndarray,
     fatal: float,
-    best: np.ndarray,
+    scores: np.ndarray,
 ) -> None:
-    """Writes, for every environment, which of its torques is best.
+    """Writes what every environment's torques are worth.
 
     Args:
         states: after the holds, shape (3, environments torques).
@@ -62,11 +63,10 @@ def _score(
         axes: shape (tables, 3, 2).
         bends: of the tables, cm.
         fatal: what a torque scores that ends the episode, cm.
-        best: written.
+        scores: cm, shape (environments, torques); written.
     """
-    tried = rewards.size // best.size
-    for n in range(best.size):
-        highest = -np.inf
+    tried = scores.shape[1]
+    for n in range(scores.shape[0]):
         for a in range(tried):
             lane = n * tried + a
             score = rewards[lane]
@@ -84,9 +84,7 @@ def _score(
                             table, confined(i, size[0]), confined(j, size[1]), confined(k, size[2]), bends[t]
                         )
                         score += weights[n, c] * value
-            if score > highest:
-                highest = score
-                best[n] = a
+            scores[n, a] = score
 
 
 @lru_cache(maxsize=1)
@@ -123,10 +121,8 @@ class Lookahead:
     def __init__(self, count: int, tables: Tables, margin: float) -> None:
         self._tables, self._margin = tables, margin
         self._holds = Holds(count * TRIED, Problem().options)
-        # As coarse as an action that is handed to the environment.
-        self._torques = np.linspace(-1.0, 1.0, TRIED).astype(np.float32)
-        self._actions = np.tile(self._torques.astype(np.float64), count)
-        self._best = np.zeros(count, np.int64)
+        self._actions = np.tile(TORQUES.astype(np.float64), count)
+        self._scores = np.empty((count, TRIED))
 
     def believe(self, M: np.ndarray, mu: np.ndarray, corners: np.ndarray, weights: np.ndarray) -> None:
         """Sets the plants: M in kg and mu, shape (count,), the tables around them and their weights, (count, n)."""
@@ -134,8 +130,15 @@ class Lookahead:
         self._q = NOMINAL.m * NOMINAL.l / (M + NOMINAL.m)
         self._corners, self._weights = corners, weights
 
-    def act(self, observations: np.ndarray) -> np.ndarray:
-        """The actions for observations of shape (count, entries): shape (count, 1), float32."""
+    def scores(self, observations: np.ndarray) -> np.ndarray:
+        """What each torque is worth: its reward and the value after it, cm; `FATAL` where it ends the episode.
+
+        Args:
+            observations: shape (count, entries); theta, theta_dot and x_dot come first.
+
+        Returns:
+            Shape (count, TRIED), float64, in the order of `TORQUES`; the next call changes it.
+        """
         self._holds.put(np.repeat(observations[:, :3].T.astype(np.float64), TRIED, axis=1))
         states, rewards, dead = self._holds.take(self._actions)
         dead |= self._holds.normal_force() <= self._margin
@@ -152,9 +155,37 @@ class Lookahead:
             tables.axes,
             tables.bends,
             FATAL,
-            self._best,
+            self._scores,
         )
-        return self._torques[self._best][:, None]
+        return self._scores
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """The actions for observations of shape (count, entries): shape (count, 1), float32."""
+        return TORQUES[self.scores(observations).argmax(axis=1)][:, None]
+
+
+class Oracle(Lookahead):
+    """The policy that sees the plants: M and mu are the last two entries of an observation.
+
+    Args:
+        count: environments.
+    """
+
+    def __init__(self, count: int) -> None:
+        super().__init__(count, _oracle_tables(), LEAST_CONTACT)
+        self._seen = np.zeros((count, 2), np.float32)
+
+    def scores(self, observations: np.ndarray) -> np.ndarray:
+        """As of any lookahead, on the plants that the observations show."""
+        plants = observations[:, -2:]
+        # On most steps no plant has changed.
+        if not np.array_equal(plants, self._seen):
+            self._seen[:] = plants
+            M, mu = plants.T.astype(np.float64)
+            around = [surrounding(*plant) for plant in zip(M.tolist(), mu.tolist(), strict=True)]
+            corners, weights = zip(*around, strict=True)
+            self.believe(M, mu, np.array(corners), np.array(weights))
+        return super().scores(observations)
 
 
 def surrounding(M: float, mu: float) -> tuple[list[int], list[float]]:
@@ -188,18 +219,4 @@ def start_nominal(seeds: Sequence[int]) -> Act:
 
 def start_oracle(seeds: Sequence[int]) -> Act:
     """The optimum of the plant that it is shown; M and mu are the last two observations."""
-    lookahead = Lookahead(len(seeds), _oracle_tables(), LEAST_CONTACT)
-    seen = np.zeros((len(seeds), 2), np.float32)
-
-    def act(observations: np.ndarray) -> np.ndarray:
-        plants = observations[:, -2:]
-        # On most steps no plant has changed.
-        if not np.array_equal(plants, seen):
-            seen[:] = plants
-            M, mu = plants.T.astype(np.float64)
-            around = [surrounding(*plant) for plant in zip(M.tolist(), mu.tolist(), strict=True)]
-            corners, weights = zip(*around, strict=True)
-            lookahead.believe(M, mu, np.array(corners), np.array(weights))
-        return lookahead.act(observations)
-
-    return act
+    return Oracle(len(seeds)).act

@@ -10,6 +10,8 @@ from typing import get_args, get_type_hints
 import pytest
 
 import train
+from agents.distil.lessons import STUDENTS
+from agents.distil.network import HIDDEN
 from agents.evaluation.candidates import CHECKPOINTS, checkpoint_names, find_candidate
 from agents.training.presets import CONFIG, PRESETS, ROWS, PPOConfig, read_config
 from capsule_gym.options import DOCS, Options
@@ -39,7 +41,7 @@ def test_a_configuration_is_read_as_it_was_written(tmp_path, changes):
 
 
 def test_every_committed_policy_has_a_row_of_settings():
-    assert sorted(ROWS) == checkpoint_names()
+    assert set(ROWS) <= set(checkpoint_names()) <= {*ROWS, *STUDENTS}
 
 
 @pytest.mark.parametrize("name", ROWS)
@@ -54,6 +56,15 @@ def test_a_committed_policy_acts_as_its_rows_settings_say(name):
         assert [bias.size for _, bias in policy.layers] == [settings.hidden, settings.hidden, 1]
 
 
+@pytest.mark.parametrize("name", [name for name in STUDENTS if name in checkpoint_names()])
+def test_a_student_of_the_optimum_acts_as_it_was_taught(name):
+    for run in find_candidate(name).runs:
+        policy = run.policy
+        assert policy.env_kwargs == STUDENTS[name].env_kwargs
+        assert policy.algorithm == "dagger"
+        assert [bias.size for _, bias in policy.layers] == [HIDDEN, HIDDEN, 1]
+
+
 def test_rows_that_are_presets_are_the_same_instances():
     assert ROWS["residual-ppo"] is PRESETS["residual", "ppo"]
     assert ROWS["direct-sac"] is PRESETS["direct", "sac"]
@@ -62,10 +73,13 @@ def test_rows_that_are_presets_are_the_same_instances():
 def test_the_table_of_commands_names_every_row_and_its_seeds():
     page = (CHECKPOINTS / "README.md").read_text(encoding="utf-8")
     lines = re.findall(r"^\| `([\w-]+)` \| (\d+)(?: to (\d+))? \| `python (.*)` \|$", page, re.MULTILINE)
-    assert sorted(name for name, *_ in lines) == sorted(ROWS)
+    assert sorted(name for name, *_ in lines) == checkpoint_names()
     for name, first, last, command in lines:
         seeds = [run.training_seed for run in find_candidate(name).runs]
         assert seeds == list(range(int(first), int(last or first) + 1))
+        if name in STUDENTS:
+            assert command == f"-m agents.distil {name} --seeds N"
+            continue
         program, *words = command.replace(" N", " 7").split()
         assert program == "train.py"
         assert train.read_options(words).hyperparameters == dataclasses.replace(ROWS[name], seed=7)

@@ -1,0 +1,1 @@
+"""A network that is taught by the optimum: `python -m agents.distil`."""
