@@ -110,7 +110,7 @@ def _distributional(trial: Trial) -> dict[str, Any]:
     return {
         **_off_policy(trial),
         # The time of an update grows with the square of their number.
-        "quantiles": trial.suggest_categorical("quantiles", [5, 10, 25]),
+        "quantiles": trial.suggest_categorical("quantiles", [5, 10]),
         "dropped_quantiles": trial.suggest_int("dropped_quantiles", 0, 3),
     }
 
