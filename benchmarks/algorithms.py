@@ -2,12 +2,13 @@
 
 Runs are trained through `agents.study`, so that a comparison that is interrupted goes on when it is called again. A
 run's best policy is chosen on its own draws; the frozen set is looked at once, at the end. Minutes are those of the
-processor, so that what else runs on the machine counts little.
+processor, of the quickest run: what else the machine does counts little.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import json
 import statistics
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -22,6 +23,7 @@ from agents.evaluation.sets import EvaluationSet, load_set
 from agents.evaluation.tables import MEASURES
 from agents.study.jobs import Job, best, evaluations, plan_of, seeds_of
 from agents.study.study import check_jobs, leave, tell_failures, train_all
+from agents.study.tune import DATA
 from agents.training.errors import RunError
 from agents.training.presets import PRESETS, ROWS, Algorithm, Config
 from agents.training.stopping import INTERRUPTED
@@ -46,6 +48,15 @@ HEADER = [
     "own draws (cm/s)",
     "steps",
     "steps/s",
+    "minutes of one core",
+]
+SEARCHES = [
+    "search",
+    "trials",
+    "pruned",
+    "best score (cm/s)",
+    "median of whole trials",
+    "steps of the best",
     "minutes of one core",
 ]
 
@@ -169,11 +180,13 @@ def result_of(jobs: Sequence[Job], evaluation_set: EvaluationSet) -> dict[str, A
 
 
 def line_of(name: str, result: dict[str, Any]) -> list[str]:
-    """The line of a contender; steps, time and own draws are medians over its seeds."""
+    """The line of a contender; own draws are a median over its seeds, time is that of the quickest run.
+
+    All runs are equally long, and what else a machine does at the time only adds to the time they take.
+    """
     summary, runs = result["summary"], result["runs"]
-    steps, seconds, own = (
-        statistics.median(run[name] for run in runs) for name in ("steps", "core_seconds", "mean_speed_on_own_draws")
-    )
+    own = statistics.median(run["mean_speed_on_own_draws"] for run in runs)
+    steps, seconds = runs[0]["steps"], min(run["core_seconds"] for run in runs)
     return [
         name,
         str(len(runs)),
@@ -181,10 +194,37 @@ def line_of(name: str, result: dict[str, Any]) -> list[str]:
         f"{summary['failures']}/{summary['episodes']}",
         TRANSPORT.with_interval(summary["cost_of_transport"]),
         f"{own:.2f}",
-        f"{steps:,.0f}",
+        f"{steps:,}",
         f"{steps / seconds:,.0f}",
         f"{seconds / 60.0:.1f}",
     ]
+
+
+def searches(folder: Path = DATA) -> list[list[str]]:
+    """The table of the committed searches behind the presets; scores are those of the trials' own draws.
+
+    Args:
+        folder: of their files.
+    """
+    table = [SEARCHES]
+    for path in sorted(folder.glob("*.json")):
+        content = json.loads(path.read_text(encoding="utf-8"))
+        at = {name: column for column, name in enumerate(content["evaluations"])}
+        ends = [trial["evaluations"][-1] for trial in content["trials"]]
+        scores = [trial["score"] for trial in content["trials"] if trial["score"] is not None]
+        first = next(end for end, trial in zip(ends, content["trials"], strict=True) if trial["score"] == max(scores))
+        table.append(
+            [
+                content["row"],
+                str(len(ends)),
+                str(len(ends) - len(scores)),
+                f"{max(scores):.2f}",
+                f"{statistics.median(scores):.2f}",
+                f"{first[at['steps']]:,}",
+                f"{sum(end[at['core_seconds']] for end in ends) / 60.0:.0f}",
+            ]
+        )
+    return table
 
 
 def tables_of(results: dict[str, dict[str, Any]]) -> dict[str, list[list[str]]]:
@@ -200,8 +240,8 @@ def tables_of(results: dict[str, dict[str, Any]]) -> dict[str, list[list[str]]]:
 def note_on(found: dict[str, Any], sets: Iterable[str], part: float) -> str:
     """What stands under a table."""
     note = (
-        f"{describe(found)}. Interquartile means on the set {', '.join(sets)}, over training seeds; the other "
-        "columns are medians over seeds, processor time includes the evaluations while training."
+        f"{describe(found)}. Interquartile means on the set {', '.join(sets)}, over training seeds; on own draws "
+        "the median. Processor time is that of the quickest run, the evaluations while training included."
     )
     return note if part == 1.0 else f"{note} Trained for {part:g} of the settings' steps."
 
@@ -229,6 +269,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(text_table(table, left=1))
         sets = dict.fromkeys(results[line[0]]["set"] for line in table[1:])
         lines += section(comparison, [markdown_table(table), "", note_on(found, sets, options.part)])
+    lines += section("searches", [markdown_table(searches())])
     options.write(COMMAND, {"machine": found, "part": options.part, "contenders": results}, lines)
     if any(outcome.state == "stopped" for outcome in outcomes):
         print("Stopped; saved. The same command goes on.", file=sys.stderr)

@@ -343,17 +343,16 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ),
     ("direct", "ppo"): PPOConfig(task="direct", controller=None),
     ("residual", "sac"): SACConfig(),
-    ("direct", "sac"): SACConfig(task="direct", controller=None, learning_starts=4000),
+    ("direct", "sac"): SACConfig(task="direct", controller=None, batch_size=256, learning_starts=4000),
     ("residual", "td3"): TD3Config(),
-    ("direct", "td3"): TD3Config(task="direct", controller=None, learning_starts=4000),
+    ("direct", "td3"): TD3Config(task="direct", controller=None, batch_size=256, learning_starts=4000),
     ("residual", "tqc"): TQCConfig(),
-    ("direct", "tqc"): TQCConfig(task="direct", controller=None, learning_starts=4000),
+    ("direct", "tqc"): TQCConfig(task="direct", controller=None, batch_size=256, learning_starts=4000),
     ("residual", "recurrent-ppo"): RecurrentPPOConfig(),
     # Of agents/study/data/direct-recurrent-ppo.json.
     ("direct", "recurrent-ppo"): RecurrentPPOConfig(
         task="direct",
         controller=None,
-        total_steps=2_000_000,
         num_envs=128,
         n_steps=64,
         n_epochs=8,
@@ -361,7 +360,6 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
         final_learning_rate=1.35e-4,
         gamma=0.9946,
         gae_lambda=0.979,
-        evaluate_every=200_000,
     ),
 }
 

@@ -71,3 +71,14 @@ def test_bad_options_are_named(words, message, capsys):
         algorithms.main(words)
     assert end.value.code == 2
     assert message in capsys.readouterr().err
+
+
+def test_a_search_is_told_by_its_best_whole_trial_and_all_that_it_cost(tmp_path):
+    trials = [
+        {"score": 3.0, "evaluations": [[10, 1.5, 60.0], [20, 3.0, 90.0]]},
+        {"score": None, "evaluations": [[10, 9.0, 30.0]]},
+        {"score": 5.0, "evaluations": [[40, 5.0, 240.0]]},
+    ]
+    content = {"row": "a", "evaluations": ["steps", "score", "core_seconds"], "trials": trials}
+    (tmp_path / "a.json").write_text(json.dumps(content))
+    assert algorithms.searches(tmp_path)[1:] == [["a", "3", "1", "5.00", "4.00", "40", "6"]]
