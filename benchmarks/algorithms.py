@@ -1,15 +1,17 @@
-"""What each algorithm's preset learns of the direct task in the same time: `python -m benchmarks.algorithms`.
+"""What each algorithm's preset learns of the direct task, and what a memory does: `python -m benchmarks.algorithms`.
 
 Runs are trained through `agents.study`, so that a comparison that is interrupted goes on when it is called again. A
-run's best policy is chosen on its own draws; the frozen set is looked at once, at the end.
+run's best policy is chosen on its own draws; the frozen set is looked at once, at the end. Minutes are those of the
+processor, of the quickest run: what else the machine does counts little.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import json
 import statistics
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_args
@@ -21,8 +23,9 @@ from agents.evaluation.sets import EvaluationSet, load_set
 from agents.evaluation.tables import MEASURES
 from agents.study.jobs import Job, best, evaluations, plan_of, seeds_of
 from agents.study.study import check_jobs, leave, tell_failures, train_all
+from agents.study.tune import DATA
 from agents.training.errors import RunError
-from agents.training.presets import PRESETS, Algorithm, Config
+from agents.training.presets import PRESETS, ROWS, Algorithm, Config
 from agents.training.stopping import INTERRUPTED
 from baselines.tables import markdown_table, text_table
 from benchmarks.machine import describe, machine
@@ -33,7 +36,8 @@ from capsule_gym.parameters import check_number
 
 COMMAND = "python -m benchmarks.algorithms"
 RUNS = Path("runs/algorithms")
-ALGORITHMS: tuple[Algorithm, ...] = get_args(Algorithm)
+# Of a configuration, in environment steps.
+LENGTHS = ("total_steps", "evaluate_every")
 SPEED, TRANSPORT = MEASURES["mean_speed"], MEASURES["cost_of_transport"]
 HEADER = [
     "algorithm",
@@ -46,11 +50,49 @@ HEADER = [
     "steps/s",
     "minutes of one core",
 ]
+SEARCHES = [
+    "search",
+    "trials",
+    "pruned",
+    "best score (cm/s)",
+    "median of whole trials",
+    "steps of the best",
+    "minutes of one core",
+]
+
+
+def presets() -> dict[str, Config]:
+    """The presets of the direct task."""
+    return {algorithm: PRESETS["direct", algorithm] for algorithm in get_args(Algorithm)}
+
+
+def memories() -> dict[str, Config]:
+    """PPO that remembers nothing of the plant, that identifies M and mu, and that has the state of an LSTM.
+
+    All are trained for the steps of the last, on plants that differ enough for it to matter.
+    """
+    recurrent = dataclasses.replace(PRESETS["direct", "recurrent-ppo"], randomization="wide")
+    lengths = {name: getattr(recurrent, name) for name in LENGTHS}
+    plain = dataclasses.replace(ROWS["direct-ppo-wide"], **lengths)
+    return {
+        "wide-ppo": plain,
+        "wide-ppo-identifies": dataclasses.replace(plain, **{"identifies": True}),
+        "wide-recurrent-ppo": recurrent,
+    }
+
+
+# By the sections of the page; a contender is compared with those of its own.
+COMPARISONS: dict[str, Callable[[], dict[str, Config]]] = {"algorithms": presets, "memory": memories}
+
+
+def contenders() -> dict[str, Config]:
+    """What can be trained, by name."""
+    return {name: config for comparison in COMPARISONS.values() for name, config in comparison().items()}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options(Output):
-    """Trains the preset of every algorithm on the direct task and compares what they have learnt.
+    """Trains the preset of every algorithm on the direct task, and PPO with and without a memory, and compares them.
 
     Ctrl-C saves and stops; the same command goes on.
 
@@ -59,37 +101,47 @@ class Options(Output):
       python -m benchmarks.algorithms ppo sac --seeds 0 --part 0.5
     """
 
-    algorithms: Annotated[Positional[tuple[Algorithm, ...]], arg(metavar="ALGORITHM")] = ALGORITHMS
-    """Which of them; all where none is named."""
+    names: Annotated[
+        Positional[tuple[str, ...]],
+        arg(metavar="NAME", help=f"Any of {', '.join(contenders())}; all where none is named."),
+    ] = ()
     seeds: Annotated[tuple[str, ...], arg(metavar="N")] = ("0-2",)
     """Training seeds, and ranges of them such as 0-9."""
     part: float = 1.0
-    """Part of the preset's environment steps that is trained."""
+    """Part of the settings' environment steps that is trained."""
     jobs: int | None = None
     """Runs that are trained at a time; as many as there are cores."""
-    set: str = "paper"
-    """Evaluation set, by its name or its path."""
+    set: str | None = None
+    """Evaluation set, by its name or its path; that of the ranges that a run is trained in where none is given."""
     runs: Path = RUNS
-    """Folder of the runs, each in PRESET-STEPS/seed-N."""
+    """Folder of the runs, each in NAME-STEPS/seed-N."""
 
     def check(self) -> None:
         """Refuses what cannot be trained, evaluated or written."""
         super().check()
+        known = contenders()
+        for name in self.names:
+            if name not in known:
+                raise ValueError(f"NAME must be one of {', '.join(known)}, got {name!r}")
         seeds_of(self.seeds)
         check_jobs(self.jobs)
         check_number("--part", self.part, "a finite number > 0", 0.0, open_low=True)
-        load_set(self.set)
+        if self.set is not None:
+            load_set(self.set)
 
-
-def settings_of(algorithm: Algorithm, part: float) -> Config:
-    """The preset of an algorithm for the direct task, trained for a part of its steps."""
-    preset = PRESETS["direct", algorithm]
-    lengths = {name: max(1, round(part * getattr(preset, name))) for name in ("total_steps", "evaluate_every")}
-    return dataclasses.replace(preset, **lengths)
+    def settings(self) -> dict[str, Config]:
+        """What is trained, by name, for its part of the steps."""
+        return {
+            name: dataclasses.replace(
+                config, **{length: max(1, round(self.part * getattr(config, length))) for length in LENGTHS}
+            )
+            for name, config in contenders().items()
+            if name in self.names or not self.names
+        }
 
 
 def result_of(jobs: Sequence[Job], evaluation_set: EvaluationSet) -> dict[str, Any]:
-    """What the finished runs of an algorithm have learnt and cost.
+    """What the finished runs of a contender have learnt and cost.
 
     Args:
         jobs: its runs.
@@ -118,62 +170,107 @@ def result_of(jobs: Sequence[Job], evaluation_set: EvaluationSet) -> dict[str, A
                 "failed_on_own_draws": chosen.failed,
             }
         )
-    return {"settings": jobs[0].config.to_dict(), "summary": summarise(episodes), "runs": runs}
+    return {
+        "settings": {"algo": jobs[0].config.algo, **jobs[0].config.to_dict()},
+        "set": evaluation_set.name,
+        "set_hash": evaluation_set.hash,
+        "summary": summarise(episodes),
+        "runs": runs,
+    }
 
 
-def line_of(algorithm: str, result: dict[str, Any]) -> list[str]:
-    """The line of an algorithm; steps, time and own draws are medians over its seeds."""
+def line_of(name: str, result: dict[str, Any]) -> list[str]:
+    """The line of a contender; own draws are a median over its seeds, time is that of the quickest run.
+
+    All runs are equally long, and what else a machine does at the time only adds to the time they take.
+    """
     summary, runs = result["summary"], result["runs"]
-    steps, seconds, own = (
-        statistics.median(run[name] for run in runs) for name in ("steps", "core_seconds", "mean_speed_on_own_draws")
-    )
+    own = statistics.median(run["mean_speed_on_own_draws"] for run in runs)
+    steps, seconds = runs[0]["steps"], min(run["core_seconds"] for run in runs)
     return [
-        algorithm,
+        name,
         str(len(runs)),
         SPEED.with_interval(summary["mean_speed"]),
         f"{summary['failures']}/{summary['episodes']}",
         TRANSPORT.with_interval(summary["cost_of_transport"]),
         f"{own:.2f}",
-        f"{steps:,.0f}",
+        f"{steps:,}",
         f"{steps / seconds:,.0f}",
         f"{seconds / 60.0:.1f}",
     ]
 
 
+def searches(folder: Path = DATA) -> list[list[str]]:
+    """The table of the committed searches behind the presets; scores are those of the trials' own draws.
+
+    Args:
+        folder: of their files.
+    """
+    table = [SEARCHES]
+    for path in sorted(folder.glob("*.json")):
+        content = json.loads(path.read_text(encoding="utf-8"))
+        at = {name: column for column, name in enumerate(content["evaluations"])}
+        ends = [trial["evaluations"][-1] for trial in content["trials"]]
+        scores = [trial["score"] for trial in content["trials"] if trial["score"] is not None]
+        first = next(end for end, trial in zip(ends, content["trials"], strict=True) if trial["score"] == max(scores))
+        table.append(
+            [
+                content["row"],
+                str(len(ends)),
+                str(len(ends) - len(scores)),
+                f"{max(scores):.2f}",
+                f"{statistics.median(scores):.2f}",
+                f"{first[at['steps']]:,}",
+                f"{sum(end[at['core_seconds']] for end in ends) / 60.0:.0f}",
+            ]
+        )
+    return table
+
+
+def tables_of(results: dict[str, dict[str, Any]]) -> dict[str, list[list[str]]]:
+    """The table of every comparison that has results, by its name."""
+    tables = {}
+    for comparison, members in COMPARISONS.items():
+        lines = [line_of(name, results[name]) for name in members() if name in results]
+        if lines:
+            tables[comparison] = [HEADER, *lines]
+    return tables
+
+
+def note_on(found: dict[str, Any], sets: Iterable[str], part: float) -> str:
+    """What stands under a table."""
+    note = (
+        f"{describe(found)}. Interquartile means on the set {', '.join(sets)}, over training seeds; on own draws "
+        "the median. Processor time is that of the quickest run, the evaluations while training included."
+    )
+    return note if part == 1.0 else f"{note} Trained for {part:g} of the settings' steps."
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     options = parse(Options, COMMAND, arguments)
-    found, evaluation_set = machine(*PACKAGES, "sb3-contrib"), load_set(options.set)
-    settings = {algorithm: settings_of(algorithm, options.part) for algorithm in options.algorithms}
-    names = {algorithm: f"direct-{algorithm}-{config.total_steps}" for algorithm, config in settings.items()}
+    found = machine(*PACKAGES, "sb3-contrib")
+    settings = options.settings()
+    rows = {name: f"{name}-{config.total_steps}" for name, config in settings.items()}
     try:
-        jobs = plan_of({names[a]: config for a, config in settings.items()}, seeds_of(options.seeds), options.runs)
+        jobs = plan_of({rows[name]: config for name, config in settings.items()}, seeds_of(options.seeds), options.runs)
         outcomes = train_all(jobs, options.runs, options.jobs)
     except (RunError, OSError) as error:
         refuse(COMMAND, str(error))
     tell_failures(outcomes)
     finished = [outcome.job for outcome in outcomes if outcome.state == "finished"]
     results = {}
-    for algorithm, name in names.items():
-        own = [job for job in finished if job.row == name]
+    for name, config in settings.items():
+        own = [job for job in finished if job.row == rows[name]]
         if own:
-            results[algorithm] = result_of(own, evaluation_set)
-    table = [HEADER, *(line_of(algorithm, result) for algorithm, result in results.items())]
-    print(text_table(table, left=1))
-    note = (
-        f"{describe(found)}. Interquartile means on the set {evaluation_set.name}, over training seeds; the other "
-        "columns are medians over seeds, processor time includes the evaluations while training."
-    )
-    if options.part != 1.0:
-        note += f" Trained for {options.part:g} of the presets' steps."
-    numbers = {
-        "machine": found,
-        "part": options.part,
-        "set": evaluation_set.name,
-        "set_hash": evaluation_set.hash,
-        "algorithms": results,
-    }
-    options.write(COMMAND, numbers, section("algorithms", [markdown_table(table), "", note]))
+            results[name] = result_of(own, load_set(options.set or config.randomization))
+    lines = []
+    for comparison, table in tables_of(results).items():
+        print(text_table(table, left=1))
+        sets = dict.fromkeys(results[line[0]]["set"] for line in table[1:])
+        lines += section(comparison, [markdown_table(table), "", note_on(found, sets, options.part)])
+    lines += section("searches", [markdown_table(searches())])
+    options.write(COMMAND, {"machine": found, "part": options.part, "contenders": results}, lines)
     if any(outcome.state == "stopped" for outcome in outcomes):
         print("Stopped; saved. The same command goes on.", file=sys.stderr)
         return INTERRUPTED

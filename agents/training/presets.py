@@ -342,17 +342,16 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ),
     ("direct", "ppo"): PPOConfig(task="direct", controller=None),
     ("residual", "sac"): SACConfig(),
-    ("direct", "sac"): SACConfig(task="direct", controller=None),
+    ("direct", "sac"): SACConfig(task="direct", controller=None, batch_size=256, learning_starts=4000),
     ("residual", "td3"): TD3Config(),
-    ("direct", "td3"): TD3Config(task="direct", controller=None),
+    ("direct", "td3"): TD3Config(task="direct", controller=None, batch_size=256, learning_starts=4000),
     ("residual", "tqc"): TQCConfig(),
-    ("direct", "tqc"): TQCConfig(task="direct", controller=None),
+    ("direct", "tqc"): TQCConfig(task="direct", controller=None, batch_size=256, learning_starts=4000),
     ("residual", "recurrent-ppo"): RecurrentPPOConfig(),
     # Of agents/study/data/direct-recurrent-ppo.json.
     ("direct", "recurrent-ppo"): RecurrentPPOConfig(
         task="direct",
         controller=None,
-        total_steps=2_000_000,
         num_envs=128,
         n_steps=64,
         n_epochs=8,
@@ -360,7 +359,6 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
         final_learning_rate=1.35e-4,
         gamma=0.9946,
         gae_lambda=0.979,
-        evaluate_every=200_000,
     ),
 }
 
@@ -394,7 +392,8 @@ ROWS: dict[str, Config] = {
     "residual-ppo": PRESETS["residual", "ppo"],
     "direct-ppo": PRESETS["direct", "ppo"],
     "direct-ppo-wide": PPOConfig(task="direct", controller=None, randomization="wide"),
-    "direct-sac": PRESETS["direct", "sac"],
+    # Not the preset, which was searched for afterwards.
+    "direct-sac": SACConfig(task="direct", controller=None),
     "residual-on-gait": ON_GAIT,
     "residual-on-gait-wide": dataclasses.replace(ON_GAIT, randomization="wide"),
     "robust": dataclasses.replace(

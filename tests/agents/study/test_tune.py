@@ -87,3 +87,14 @@ def test_a_preset_is_searched_by_its_name_and_all_trials_make_as_many_updates(tm
         updates.add(config.total_steps // config.num_envs * config.gradient_steps)
         assert config.evaluate_every * 8 == config.total_steps
     assert updates == {64_000 // search.settings.num_envs * search.settings.gradient_steps}
+
+
+@pytest.mark.parametrize("algo", ["sac", "td3", "tqc", "recurrent-ppo"])
+def test_a_preset_is_the_best_trial_of_its_committed_search(algo):
+    content = json.loads((tune.DATA / f"direct-{algo}.json").read_text())
+    whole = [trial for trial in content["trials"] if trial["state"] == "complete"]
+    first = max(whole, key=lambda trial: trial["score"])
+    found = tune.SPACES[algo](optuna.trial.FixedTrial(first["parameters"]))
+    preset = PRESETS["direct", algo].to_dict()
+    # Rounded to two or three digits.
+    assert {name: preset[name] for name in found} == pytest.approx(found, rel=5e-3)

@@ -67,7 +67,7 @@ def test_a_student_of_the_optimum_acts_as_it_was_taught(name):
 
 def test_rows_that_are_presets_are_the_same_instances():
     assert ROWS["residual-ppo"] is PRESETS["residual", "ppo"]
-    assert ROWS["direct-sac"] is PRESETS["direct", "sac"]
+    assert ROWS["direct-ppo"] is PRESETS["direct", "ppo"]
 
 
 def test_the_table_of_commands_names_every_row_and_its_seeds():
