@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-# Started by other commands and by no user.
-INNER = {"agents.study.worker"}
+# Started by other commands and by tests, and by no user.
+INNER = {"agents.study.worker", "tests.agents.study.small"}
 HEAVY = {"torch", "stable_baselines3", "sb3_contrib", "matplotlib", "scipy", "numba", "joblib", "optuna", "mujoco"}
 # Searches and checks of the project itself: what they search or check is compiled when it is imported, and numba brings
 # a part of scipy.
