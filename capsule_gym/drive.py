@@ -133,7 +133,8 @@ class Drive:
     @property
     def mean_speed(self) -> float:
         """So far, cm/s; 0 at the start."""
-        return 100.0 * float(self._info["state"][2]) / self.time if self._steps else 0.0
+        shown = self.shown()
+        return 100.0 * shown["x"] / shown["time"] if shown["time"] > 0.0 else 0.0
 
     def shown(self) -> dict[str, Any]:
         """What `Renderer.draw` is told of the present state."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from functools import cache
@@ -11,8 +12,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-# Started by other commands and by no user.
-INNER = {"agents.study.worker"}
+# Started by other commands and by tests, and by no user.
+INNER = {"agents.study.worker", "tests.agents.study.small"}
 HEAVY = {"torch", "stable_baselines3", "sb3_contrib", "matplotlib", "scipy", "numba", "joblib", "optuna", "mujoco"}
 # Searches and checks of the project itself: what they search or check is compiled when it is imported, and numba brings
 # a part of scipy.
@@ -29,23 +30,6 @@ COMPILED = {
 }
 # Its subject is trainings, which it sets up as it is imported.
 TRAINING = {"tests.faults"}
-
-HELP = """
-import contextlib, io, runpy, sys
-name = sys.argv[1]
-sys.argv = [name, "--help"]
-shown = io.StringIO()
-try:
-    with contextlib.redirect_stdout(shown):
-        if name == "train":
-            runpy.run_path("train.py", run_name="__main__")
-        else:
-            runpy.run_module(name, run_name="__main__", alter_sys=True)
-except SystemExit as stop:
-    assert stop.code in (0, None), stop.code
-print("loaded:", *(module for module in sys.modules if "." not in module))
-print(shown.getvalue())
-"""
 
 
 def commands() -> list[str]:
@@ -65,18 +49,13 @@ COMMANDS = commands()
 
 @cache
 def help_of(name: str) -> tuple[set[str], str]:
-    """What a command has loaded when it has shown its help, and the help."""
-    done = subprocess.run(
-        [sys.executable, "-c", HELP, name],
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    """The packages that a command has imported when it has shown its help, and the help."""
+    words = ["train.py"] if name == "train" else ["-m", name]
+    command = [sys.executable, "-X", "importtime", *words, "--help"]
+    done = subprocess.run(command, cwd=ROOT, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    loaded, _, text = done.stdout.partition("\n")
-    return set(loaded.split()[1:]), text
+    imported = re.findall(r"^import time:.*\|\s*([\w.]+)$", done.stderr, re.MULTILINE)
+    return {module.partition(".")[0] for module in imported}, done.stdout
 
 
 def test_commands_are_found() -> None:
@@ -95,6 +74,7 @@ def test_help_shows_examples_of_the_command(name: str) -> None:
 @pytest.mark.parametrize("name", sorted(set(COMMANDS) - TRAINING))
 def test_help_needs_nothing_heavy(name: str) -> None:
     loaded, _ = help_of(name)
+    assert "numpy" in loaded
     allowed = {"numba", "scipy"} if name in COMPILED else set()
     assert not loaded & (HEAVY - allowed)
 
