@@ -1,0 +1,39 @@
+"""CleanRL: its scripts (PPO, SAC, TD3, ..) as they are, under gymnasium 1, which they were not written for.
+
+python examples/cleanrl_scripts.py cleanrl/cleanrl/ppo_continuous_action.py --env-id capsule_gym:CapsuleStickSlip-v0
+"""
+
+import functools
+import os
+import runpy
+import sys
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+
+class SameStep(SyncVectorEnv):
+    """Ends of episodes as gymnasium 0.29 told them, which these scripts read."""
+
+    def __init__(self, env_fns: Any) -> None:
+        super().__init__(env_fns, autoreset_mode=AutoresetMode.SAME_STEP)
+
+    def step(self, actions: np.ndarray) -> Any:
+        """Steps, and gives the infos of that time."""
+        observations, rewards, terminated, truncated, info = super().step(actions)
+        if "final_obs" in info:
+            ended, last = info["_final_obs"], info["final_info"]["episode"]
+            episodes = [{"episode": {name: last[name][i] for name in "rlt"}} for i in range(self.num_envs)]
+            info["final_observation"] = info["final_obs"]
+            info["final_info"] = [episodes[i] if ended[i] else None for i in range(self.num_envs)]
+        return observations, rewards, terminated, truncated, info
+
+
+if __name__ == "__main__":
+    gym.vector.SyncVectorEnv = SameStep
+    gym.wrappers.TransformObservation = functools.partial(gym.wrappers.TransformObservation, observation_space=None)
+    script, sys.argv = sys.argv[1], sys.argv[1:]
+    sys.path.insert(0, os.path.dirname(os.path.dirname(os.path.abspath(script))))
+    runpy.run_path(script, run_name="__main__")
