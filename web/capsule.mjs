@@ -173,27 +173,24 @@ export class Capsule {
     const { address, call, view } = this.#place;
     view.starts.set([...STATE.map((name) => start[name]), plant.M, plant.mu]);
     [this.#changes, this.#due] = [schedule, 0];
-    const { m, g } = constants;
-    this.#finish(
-      call.begin(
-        ...[address.world, address.fixed, view.fixed.length, address.observations],
-        ...[address.memory, m, g, address.starts, address.rows, address.episodes],
-      ),
+    call.renew(
+      ...[address.world, view.world.length, address.memory, view.memory.length, constants.m, constants.g],
+      ...[address.starts, address.rows, address.episodes],
     );
+    this.#advance(true);
     return { observation: this.observation, info: this.info };
   }
 
   /** One step under an action, which is clipped to [-1, 1] and as coarse as a float32. */
   step(action) {
     checkNumber("action", action);
-    const { address, call, view } = this.#place;
     if (this.#get(ROW.termination)) throw new Error("the episode has ended: reset() first");
     const now = this.#get(ROW.steps) * this.controlDt + 1e-9;
     while (this.#due < this.#changes.length && this.#changes[this.#due].t <= now) {
       this.#setPlant(this.#changes[this.#due++]);
     }
-    view.world[LANES * ROW.action] = Math.fround(action);
-    this.#finish(call.step(address.world, address.fixed, view.fixed.length, address.observations));
+    this.#place.view.world[LANES * ROW.action] = Math.fround(action);
+    this.#advance(false);
     const terminated = this.#get(ROW.termination) !== 0;
     return {
       observation: this.observation,
@@ -281,7 +278,10 @@ export class Capsule {
     this.#place.view.world[LANES * ROW.mu] = mu;
   }
 
-  #finish(broken) {
+  #advance(begin) {
+    const { address, call, view } = this.#place;
+    const { world, fixed, observations } = address;
+    const broken = call.advance(world, begin ? 1 : 0, fixed, view.fixed.length, observations);
     if (broken >= 0) throw new Error("the control law returned a torque that is not finite");
   }
 }
@@ -360,7 +360,7 @@ async function prepare(name, driver) {
     inputs: [Float32Array, LAYOUT.entries + LAYOUT.cells],
     scratch: [Float64Array, network.length ? 2 * driver.units * LANES : 0],
   };
-  const placed = await place(sizes, network.length ? [name, "network"] : [name]);
+  const placed = await place(sizes, [name, "common"]);
   placed.view.network.set(network);
   return [placed, task];
 }

@@ -25,7 +25,7 @@ from capsule_gym.options import Options
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
 from capsule_gym.simulation import NO_CONTROLLER, check_step, count_rows, make_settings
 from web.episodes import FILE, describe_plant, driver_names, env_kwargs, trained
-from web.modules import DIRECT, ENTRIES, NETWORK, STARTS, TASKS, build, find_law
+from web.modules import COMMON, DIRECT, ENTRIES, STARTS, TASKS, build, find_law
 
 # Below the platform's smallest mass no friction up to the largest may be too much for it, kg.
 LIGHTEST = 0.2
@@ -64,7 +64,7 @@ class Archive:
 
 def pack_data() -> str:
     """All that the JavaScript is given."""
-    archive, modules = Archive(), build([NETWORK, *TASKS])
+    archive, modules = Archive(), build([COMMON, *TASKS])
     return archive.pack(
         {
             "modules": {name: archive.add(content) for name, content in modules.items()},

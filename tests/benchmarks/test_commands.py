@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = (
     "accuracy",
     "algorithms",
+    "page",
     "regression",
     "throughput",
     "training",

@@ -67,5 +67,5 @@ def test_other_forms_are_refused(page: Path, source: str, words: str) -> None:
 
 def test_a_missing_module_is_named(page: Path) -> None:
     write(page, page='import { a } from "./gone.js";\n')
-    with pytest.raises(FileNotFoundError, match="gone.js"):
+    with pytest.raises(FileNotFoundError, match=r"gone\.js"):
         bundle.bundle("")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,10 +11,12 @@ from urllib.parse import parse_qs
 
 import pytest
 
+from benchmarks.page import BROWSERS, find_browser, started
+
 LAW = "#driver=adaptive&M=0.5&mu=0.01"
 PAUSED = f"{LAW}&t=0.1"
-# A user's machine may have none of these; a machine of CI must.
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+# Milliseconds that a machine with other work may take over anything here, but for the check.
+PATIENCE = 60_000
 MINUS = "\N{MINUS SIGN}"
 SIZE = {"width": 1280, "height": 800}
 
@@ -24,16 +25,13 @@ Open = Callable[..., Any]
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """A browser that this machine has."""
-    executable = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if executable is None and not os.environ.get("CI"):
+    """A browser. A user's machine may have none, CI must."""
+    executable = find_browser()
+    if executable is None and "CI" not in os.environ:
         pytest.skip(f"needs a browser: one of {', '.join(BROWSERS)}")
     assert executable, f"CI must have one of {', '.join(BROWSERS)}"
-    sync_api = pytest.importorskip("playwright.sync_api", exc_type=ImportError)
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=executable, args=["--no-sandbox"])
+    with started(executable) as browser:
         yield browser
-        browser.close()
 
 
 @pytest.fixture
@@ -47,7 +45,7 @@ def open_page(browser: Any, site: Path) -> Iterator[Open]:
         context = browser.new_context(**{"viewport": SIZE, **settings})
         contexts.append(context)
         page = context.new_page()
-        page.set_default_timeout(20_000)
+        page.set_default_timeout(PATIENCE)
         page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
         page.on("pageerror", lambda error: said.append(f"error: {error}"))
         page.on("request", lambda request: said.extend([request.url] if not _own(request.url, live) else []))
@@ -75,9 +73,10 @@ def reaches(page: Any, time: float) -> None:
     page.wait_for_function("time => Number(document.getElementById('figure-time').textContent) >= time", arg=time)
 
 
-def shows(page: Any, name: str, text: str) -> None:
+def shows(page: Any, name: str, text: str, patience: int = PATIENCE) -> None:
     """Waits until an element holds that text."""
-    page.wait_for_function("([id, text]) => document.getElementById(id).textContent.includes(text)", arg=[name, text])
+    holds = "([id, text]) => document.getElementById(id).textContent.includes(text)"
+    page.wait_for_function(holds, arg=[name, text], timeout=patience)
 
 
 def link(page: Any) -> dict[str, str]:
@@ -208,16 +207,21 @@ def test_a_chart_seeks_where_it_is_clicked(open_page: Open) -> None:
 
 
 def test_speed_is_what_time_passes_at(open_page: Open) -> None:
-    page = open_page(LAW)
+    page = open_page(f"{LAW}&speed=20")
+    reaches(page, 0.1)
+    begin = figure(page, "time")
+    page.wait_for_timeout(300)
+    quick = figure(page, "time") - begin
     page.focus("#speed")
+    page.keyboard.press("Home")
+    shows(page, "speed-value", "0.1 ")
+    assert link(page)["speed"] == "0.1"
+    begin = figure(page, "time")
+    page.wait_for_timeout(300)
+    assert figure(page, "time") - begin < quick
     page.keyboard.press("End")
     shows(page, "speed-value", "20 ")
     assert link(page)["speed"] == "20"
-    begin = page.evaluate("performance.now()")
-    reaches(page, 10.0)
-    assert page.evaluate("performance.now()") - begin < 5000.0
-    page.keyboard.press("Home")
-    shows(page, "speed-value", "0.1 ")
 
 
 def test_every_driver_drives_and_is_the_rival(open_page: Open) -> None:
@@ -363,9 +367,7 @@ def test_keys_turn_the_motor_while_they_are_held(open_page: Open) -> None:
     page.focus("#stage")
     for key, torque in (("ArrowLeft", "0.60"), ("d", f"{MINUS}0.60")):
         page.keyboard.down(key)
-        page.wait_for_function(
-            "torque => document.getElementById('figure-torque').textContent === torque", arg=torque
-        )
+        page.wait_for_function("torque => document.getElementById('figure-torque').textContent === torque", arg=torque)
         page.keyboard.up(key)
         shows(page, "torque-value", "0.00")
     assert page.input_value("#torque") == "0"
@@ -467,7 +469,7 @@ def test_check_replays_the_committed_episodes(open_page: Open) -> None:
     page = open_page(PAUSED)
     page.focus("#check")
     page.keyboard.press("Enter")
-    shows(page, "verdict", "equal, bit for bit")
+    shows(page, "verdict", "equal, bit for bit", 5 * PATIENCE)
     bits = page.locator("#check-rows td:last-child").all_inner_texts()
     assert bits
     assert set(bits) == {"equal"}

@@ -552,7 +552,7 @@ function makeRows() {
 /** All that changes with time. */
 function draw() {
   const smooth = !reduced.matches;
-  const views = player.lanes.map((lane) => ({ name: lane.title, view: lane.at(player.now, smooth) }));
+  const views = player.lanes.map((lane) => ({ name: named(lane), view: lane.at(player.now, smooth) }));
   const [driver, rival = null] = views;
   for (const [index, { view }] of views.entries()) view.contact = contacts[index].see(view.x_dot === 0);
   stage.draw(driver, rival, { lanes: scene.view === "lane", still: !smooth });
@@ -580,7 +580,7 @@ function showFigures({ x, x_dot, torque, metrics, contact }) {
   show("figure-contact", words[contact]);
   element("figure-contact").dataset.contact = contact;
   const scrub = element("scrub");
-  if (player.goal === null) scrub.value = now;
+  scrub.value = player.goal ?? now;
   scrub.setAttribute("aria-valuetext", `${written(now, 2)} s`);
   show("scrub-value", `${written(now, 2)} s`);
   show("best", Number.isFinite(best) ? `${written(best, 2)} cm/s` : "none yet");
@@ -596,12 +596,19 @@ function describe(views) {
   element("scene").setAttribute("aria-label", `At ${written(player.now, 2)} s. ${told.join(". ")}.`);
 }
 
+/** Whether a lane has failed, and that is on the screen. */
+function hasFailed(lane) {
+  return lane.failure !== "" && player.now >= lane.time - 1e-9;
+}
+
+/** A lane's title, and when it failed. */
+function named(lane) {
+  return hasFailed(lane) ? `${lane.title} failed at ${written(lane.time, 2)} s` : lane.title;
+}
+
 /** Failures and the end of the episode, once they are on the screen. */
 function showEnd() {
-  const shown = (lane) => player.now >= lane.time - 1e-9;
-  const failures = player.lanes
-    .filter((lane) => lane.failure && shown(lane))
-    .map((lane) => `${lane.title} failed at ${written(lane.time, 2)} s: ${lane.failure}.`);
+  const failures = player.lanes.filter(hasFailed).map((lane) => `${named(lane)}: ${lane.failure}.`);
   if (player.over && failures.length < player.lanes.length) failures.push(`The episode of ${END} s has ended.`);
   const text = failures.join(" ");
   element("banner").hidden = text === "";

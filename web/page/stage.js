@@ -82,9 +82,13 @@ export class Stage {
     context.font = font(0.88, 600);
     context.textAlign = "left";
     const names = ghost ? [[name, ink], [ghost.name, "rival"]] : [[name, ink]];
+    context.lineWidth = 5;
+    context.strokeStyle = colour("paper");
     names.forEach(([text, shade], row) => {
+      const place = [14, top + (1.5 + 1.4 * row) * rem(), width - 28];
+      context.strokeText(text, ...place);
       context.fillStyle = colour(shade);
-      context.fillText(text, 14, top + (1.5 + 1.4 * row) * rem(), width - 28);
+      context.fillText(text, ...place);
     });
   }
 }
