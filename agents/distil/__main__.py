@@ -11,8 +11,8 @@ from typing import Annotated
 from tqdm import tqdm
 from tyro.conf import arg
 
-from agents.distil.lessons import STUDENTS
-from agents.distil.run import COMPARED_SEED, Budget, distil, own_draws, read_result
+from agents.distil.lessons import STUDENTS, Budget
+from agents.distil.run import COMPARED_SEED, distil, own_draws, read_result
 from agents.evaluation.candidates import CHECKPOINTS, find_candidate
 from agents.evaluation.episodes import Episode, difference, failures, scores
 from agents.evaluation.statistics import estimate
@@ -40,7 +40,7 @@ class Options:
 
     Examples:
       python -m agents.distil --seeds 0-4 --publish
-      python -m agents.distil optimum-distilled-told --seeds 0
+      python -m agents.distil optimum-distilled-wide --seeds 0
     """
 
     name: Annotated[Positional[str], arg(metavar="NAME", help=f"One of {', '.join(STUDENTS)}.")] = ROW
@@ -127,7 +127,7 @@ def main(
     options = parse(Options, PROG, arguments)
     folders = {seed: options.runs / options.name / f"seed-{seed}" for seed in seeds_of(options.seeds)}
     try:
-        if not teach(options.name, folders, budget or Budget()):
+        if not teach(options.name, folders, budget or STUDENTS[options.name].budget):
             print("Stopped; the best policy so far is kept.")
             return INTERRUPTED
         if options.publish:
