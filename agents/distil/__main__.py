@@ -11,11 +11,11 @@ from typing import Annotated
 from tqdm import tqdm
 from tyro.conf import arg
 
-from agents.distil.lessons import STUDENTS
-from agents.distil.run import COMPARED_SEED, Budget, distil, own_draws, read_result
+from agents.distil.lessons import STUDENTS, Budget
+from agents.distil.run import COMPARED_SEED, distil, own_draws, read_result
 from agents.evaluation.candidates import CHECKPOINTS, find_candidate
-from agents.evaluation.episodes import failures, scores
-from agents.evaluation.statistics import interquartile_mean
+from agents.evaluation.episodes import Episode, difference, failures, scores
+from agents.evaluation.statistics import estimate
 from agents.evaluation.tables import MEASURES, SHARE
 from agents.study.jobs import seeds_of
 from agents.study.publication import refuse_revision
@@ -40,7 +40,7 @@ class Options:
 
     Examples:
       python -m agents.distil --seeds 0-4 --publish
-      python -m agents.distil optimum-distilled-told --seeds 0
+      python -m agents.distil optimum-distilled-wide --seeds 0
     """
 
     name: Annotated[Positional[str], arg(metavar="NAME", help=f"One of {', '.join(STUDENTS)}.")] = ROW
@@ -78,7 +78,7 @@ def teach(name: str, folders: dict[int, Path], budget: Budget) -> bool:
 
 
 def comparison(name: str, folders: Sequence[Path], count: int) -> str:
-    """The finished runs beside their rivals, on the same plants of own draws, as a table.
+    """The finished runs together, beside their rivals on the same plants of own draws, as a table.
 
     Args:
         name: of the student.
@@ -87,15 +87,20 @@ def comparison(name: str, folders: Sequence[Path], count: int) -> str:
     """
     student = STUDENTS[name]
     draws = own_draws(student, COMPARED_SEED, count)
-    policies = {f"{name}/{folder.name}": str(folder) for folder in folders} | {rival: rival for rival in student.rivals}
+    policies = {name: [run for folder in folders for run in find_candidate(str(folder)).runs]}
+    policies |= {rival: list(find_candidate(rival).runs) for rival in student.rivals}
     speed = MEASURES["mean_speed"]
-    rows = [["policy", "runs", speed.label, SHARE.label, "failed"]]
-    for label, found in tqdm(policies.items(), "comparing", file=sys.stderr, disable=None):
-        candidate = find_candidate(found)
-        episodes = candidate.evaluate(draws)
-        values = [float(interquartile_mean(scores(episodes, m).ravel())) for m in ("mean_speed", SHARE.metric)]
-        shown = [measure.format(value) for measure, value in zip((speed, SHARE), values, strict=True)]
-        rows.append([label, str(len(candidate.runs)), *shown, f"{failures(episodes)}/{len(episodes)}"])
+    rows = [["policy", "runs", f"{speed.label} [95 %]", SHARE.label, "failed", "student's lead (cm/s) [95 %]"]]
+    own: list[Episode] = []
+    for label, runs in tqdm(policies.items(), "comparing", file=sys.stderr, disable=None):
+        episodes = [episode for run in runs for episode in run.evaluate(draws)]
+        own = own or episodes
+        found, share = (estimate(scores(episodes, metric)).to_dict() for metric in (speed.metric, SHARE.metric))
+        lead = (
+            "" if label == name else speed.with_interval(difference(own, episodes, speed.metric).to_dict(), sign=True)
+        )
+        failed = f"{failures(episodes)}/{len(episodes)}"
+        rows.append([label, str(len(runs)), speed.with_interval(found), SHARE.format(share["iqm"]), failed, lead])
     return text_table(rows, left=1)
 
 
@@ -122,7 +127,7 @@ def main(
     options = parse(Options, PROG, arguments)
     folders = {seed: options.runs / options.name / f"seed-{seed}" for seed in seeds_of(options.seeds)}
     try:
-        if not teach(options.name, folders, budget or Budget()):
+        if not teach(options.name, folders, budget or STUDENTS[options.name].budget):
             print("Stopped; the best policy so far is kept.")
             return INTERRUPTED
         if options.publish:
@@ -130,7 +135,7 @@ def main(
     except (RunError, OSError) as error:
         refuse(PROG, str(error))
     print(comparison(options.name, list(folders.values()), count))
-    print(f"\nInterquartile means over {count} plants of own draws, never a frozen set.")
+    print(f"\nInterquartile means over {count} plants of own draws, never a frozen set; differences plant by plant.")
     return 0
 
 

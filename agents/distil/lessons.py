@@ -2,42 +2,85 @@
 
 The teacher is the optimum of the plant at hand, `baselines.optimum.policy.Oracle`. It is shown M and mu, the student
 only where it is told them; what is best for it then is what costs least over the plants that a state may belong to.
+One that identifies them on line is given what `capsule_gym.identification` finds besides.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from baselines.optimum.policy import TORQUES, Oracle
+from baselines.optimum.policy import LEAST_CONTACT, TORQUES, Oracle
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym.task import observation_names
+from capsule_gym.compilation import compile_cached
+from capsule_gym.identification import CELLS
+from capsule_gym.network import perceive
+from capsule_gym.options import Options
+from capsule_gym.parameters import NOMINAL, Randomization
+from capsule_gym.policy import make_header
+from capsule_gym.task import CONTROL_DT
 
 Act = Callable[[np.ndarray], np.ndarray]
 
 # Between two steps: that the lead is drawn anew, and that a step's torque is a random one.
 TURN, STRAY = 0.02, 0.01
-# cm: what a torque costs at most. The end of an episode, which costs more, is as clear as that.
-MOST_REGRET = 5.0
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much a run takes.
+
+    Attributes:
+        num_envs: episodes of a lesson.
+        steps: of each.
+        lessons: how many.
+        updates: gradient steps after a lesson.
+        last_updates: gradient steps at the end, in `parts`.
+        parts: evaluations in these.
+        batch_size: states in a gradient step.
+        learning_rate: step size of Adam; at the end it falls to 0.
+        episodes: of an evaluation.
+    """
+
+    num_envs: int = 64
+    steps: int = 800
+    lessons: int = 8
+    updates: int = 1000
+    last_updates: int = 12_000
+    parts: int = 6
+    batch_size: int = 512
+    learning_rate: float = 4e-3
+    episodes: int = 128
 
 
 @dataclass(frozen=True)
 class Student:
-    """What a student meets and sees.
+    """What a student meets and sees, and how it is taught.
 
     Attributes:
         randomization: where M and mu of its episodes come from.
         told: whether it observes them.
         rivals: policies that it is compared with.
+        identifies: whether it identifies them on line.
+        jump_rate: how often M and mu are drawn anew within a lesson, 1/s.
+        margin: normal force that the teacher leaves, N: a student that does not know M needs more than it does.
+        most_regret: what a torque costs at most, cm. The end of an episode costs more, and is as clear as that.
+        budget: how much its run takes.
     """
 
     randomization: str
     told: bool
     rivals: tuple[str, ...]
+    identifies: bool = False
+    jump_rate: float = 0.0
+    margin: float = LEAST_CONTACT
+    most_regret: float = 5.0
+    budget: Budget = Budget()
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
@@ -50,6 +93,16 @@ STUDENTS = {
     "optimum-distilled": Student(
         "paper", False, ("optimum-oracle", "optimum-nominal", "residual-on-gait", "direct-ppo")
     ),
+    "optimum-distilled-wide": Student(
+        "wide",
+        False,
+        ("optimum-oracle", "robust", "direct-ppo-wide"),
+        identifies=True,
+        jump_rate=0.2,
+        margin=0.4,
+        most_regret=30.0,
+        budget=Budget(num_envs=96, lessons=10, last_updates=24_000),
+    ),
     "optimum-distilled-told": Student("wide", True, ("optimum-oracle", "robust", "direct-ppo-wide")),
 }
 
@@ -58,24 +111,63 @@ class Lesson(NamedTuple):
     """Some states.
 
     Attributes:
-        observations: what the student sees, shape (states, entries), float32.
+        inputs: what the student's network is given, shape (states, inputs), float32.
         regrets: what each of `TORQUES` costs against the best, cm, shape (states, TRIED), float32.
     """
 
-    observations: np.ndarray
+    inputs: np.ndarray
     regrets: np.ndarray
 
 
-def regrets_of(scores: np.ndarray) -> np.ndarray:
-    """What each torque costs against the best, at most `MOST_REGRET`.
+def regrets_of(scores: np.ndarray, most: float) -> np.ndarray:
+    """What each torque costs against the best.
 
     Args:
         scores: what the torques are worth, cm, shape (states, TRIED).
+        most: what one costs at most, cm.
 
     Returns:
         cm, of the same shape, float32; 0 everywhere where every torque ends the episode.
     """
-    return np.minimum(scores.max(axis=1, keepdims=True) - scores, MOST_REGRET).astype(np.float32)
+    return np.minimum(scores.max(axis=1, keepdims=True) - scores, most).astype(np.float32)
+
+
+class Sight:
+    """What a student's network is given in some episodes, from their beginnings on.
+
+    Args:
+        student: whose.
+        count: episodes.
+    """
+
+    def __init__(self, student: Student, count: int) -> None:
+        options = Options(**student.env_kwargs)
+        header = make_header(
+            options,
+            layers=1,
+            relu=False,
+            tanh_squashing=True,
+            clip=1.0,
+            identifies=student.identifies,
+            told_energy_weight=False,
+            wants_torque=False,
+        )
+        self.observed = header.observed
+        self._header = np.array([*header], np.float64)
+        self._memory = np.zeros(count * CELLS)
+        self._inputs = np.zeros((count, header.inputs), np.float32)
+
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        """The inputs of the next step, shape (episodes, inputs), for what the student observes."""
+        seen = np.ascontiguousarray(observations)
+        _perceive()(self._header, seen, 0, len(seen), self._memory, self._inputs)
+        return self._inputs.copy()
+
+
+@lru_cache(maxsize=1)
+def _perceive() -> Any:
+    """`network.perceive`, compiled by itself."""
+    return compile_cached(perceive)
 
 
 class Classroom:
@@ -94,8 +186,8 @@ class Classroom:
             observe_parameters=True,
             autoreset_mode=AutoresetMode.DISABLED,
         )
-        self._entries = len(observation_names(False, student.told))
-        self._teacher = Oracle(num_envs)
+        self._student = student
+        self._teacher = Oracle(num_envs, student.margin)
         self._rng = rng
 
     def lesson(self, steps: int, share: float, act: Act | None, stopped: Callable[[], bool]) -> Lesson:
@@ -104,17 +196,19 @@ class Classroom:
         Args:
             steps: of each, at most.
             share: of the time in which the teacher leads.
-            act: the student, from what it sees to actions; None where the teacher leads alone.
+            act: the student, which begins now, from what it observes to actions; None where the teacher leads alone.
             stopped: whether to end early.
         """
         rng, count = self._rng, self._env.num_envs
-        observations, _ = self._env.reset(seed=rng.integers(2**31, size=count).tolist())
+        seeds = rng.integers(2**31, size=count).tolist()
+        observations, _ = self._env.reset(seed=seeds, options=self._jumps(steps * CONTROL_DT))
+        sight = Sight(self._student, count)
         going, leads = np.ones(count, bool), rng.random(count) < share
         seen, regrets = [], []
         for _ in range(steps):
-            regret = regrets_of(self._teacher.scores(observations))
-            view = observations[:, : self._entries]
-            seen.append(view[going])
+            regret = regrets_of(self._teacher.scores(observations), self._student.most_regret)
+            view = observations[:, : sight.observed]
+            seen.append(sight(view)[going])
             regrets.append(regret[going])
             actions = TORQUES[regret.argmin(axis=1)]
             if act is not None:
@@ -127,3 +221,14 @@ class Classroom:
             if stopped() or not going.any():
                 break
         return Lesson(np.concatenate(seen), np.concatenate(regrets))
+
+    def _jumps(self, seconds: float) -> dict[str, Any]:
+        """The options of a reset: when M and mu jump within so many seconds, and where to."""
+        if not self._student.jump_rate:
+            return {}
+        drawn, rng, changes = Randomization.named(self._student.randomization), self._rng, []
+        for _ in range(self._env.num_envs):
+            times = np.sort(rng.uniform(0.0, seconds, rng.poisson(self._student.jump_rate * seconds))).tolist()
+            plants = [drawn.draw(rng, NOMINAL) for _ in times]
+            changes.append([{"t": t, "M": M, "mu": mu} for t, (M, mu) in zip(times, plants, strict=True)])
+        return {"changes": changes}

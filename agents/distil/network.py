@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 from torch import nn
 
-from agents.distil.lessons import Lesson
+from agents.distil.lessons import Lesson, Student
 from agents.training.ppo import FastTanh
 from agents.training.runs import Normalisation
 from baselines.optimum.policy import TRIED
@@ -67,11 +66,11 @@ class Network:
     """
 
     def __init__(self, lesson: Lesson, seed: int) -> None:
-        observations = lesson.observations.astype(np.float64)
-        variance = np.maximum(observations.var(axis=0), LEAST_VARIANCE)
-        self._normalisation = Normalisation(observations.mean(axis=0), variance, CLIP, EPSILON)
+        inputs = lesson.inputs.astype(np.float64)
+        variance = np.maximum(inputs.var(axis=0), LEAST_VARIANCE)
+        self._normalisation = Normalisation(inputs.mean(axis=0), variance, CLIP, EPSILON)
         torch.manual_seed(seed)
-        first, second, last = nn.Linear(observations.shape[1], HIDDEN), nn.Linear(HIDDEN, HIDDEN), nn.Linear(HIDDEN, 1)
+        first, second, last = nn.Linear(inputs.shape[1], HIDDEN), nn.Linear(HIDDEN, HIDDEN), nn.Linear(HIDDEN, 1)
         self._layers = first, second, last
         self._module = nn.Sequential(first, FastTanh(), second, FastTanh(), last, FastTanh())
         self._optimiser = torch.optim.Adam(self._module.parameters())
@@ -92,8 +91,8 @@ class Network:
             report: is told after every step what the torques of its states cost, cm/s; False ends the fit.
         """
         of = self._normalisation
-        observations = np.concatenate([lesson.observations for lesson in lessons])
-        scaled = np.clip((observations - of.mean) / np.sqrt(of.var + of.epsilon), -of.clip, of.clip)
+        given = np.concatenate([lesson.inputs for lesson in lessons])
+        scaled = np.clip((given - of.mean) / np.sqrt(of.var + of.epsilon), -of.clip, of.clip)
         inputs = torch.from_numpy(scaled.astype(np.float32))
         regrets = torch.from_numpy(np.concatenate([lesson.regrets for lesson in lessons]))
         for n in range(how.updates):
@@ -107,8 +106,15 @@ class Network:
             if not report(loss.item()):
                 break
 
-    def policy(self, name: str, env_kwargs: dict[str, Any], seed: int, revision: str) -> Policy:
-        """The policy as it is now; the arguments are fields of `capsule_gym.Policy`."""
+    def policy(self, name: str, student: Student, seed: int, revision: str) -> Policy:
+        """The policy as it is now.
+
+        Args:
+            name: its own, as the rest a field of `capsule_gym.Policy`.
+            student: what it meets and sees.
+            seed: of its training.
+            revision: of the code.
+        """
         of = self._normalisation
         return Policy(
             name=name,
@@ -122,7 +128,8 @@ class Network:
             variance=of.var,
             clip=of.clip,
             epsilon=of.epsilon,
-            env_kwargs=env_kwargs,
+            env_kwargs=student.env_kwargs,
             training_seed=seed,
             revision=revision,
+            identifies=student.identifies,
         )

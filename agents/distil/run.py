@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from agents.distil.lessons import Classroom, Lesson, Student
+from agents.distil.lessons import Budget, Classroom, Lesson, Student
 from agents.distil.network import Fit, Network
 from agents.evaluation.episodes import evaluate, scores
 from agents.evaluation.sets import EvaluationSet, drawn_as
@@ -31,35 +31,10 @@ from capsule_gym.policy import POLICY
 
 # Seeds of own draws, far from those of other draws and of the frozen sets: to compare policies, and to select the best.
 SELECTION_SEED, COMPARED_SEED = 6_000_000, 7_000_000
-# The share of the time in which the teacher leads, lesson by lesson.
-SHARES = (1.0, 0.5, 0.3, 0.2, 0.1, 0.0, 0.0, 0.0)
+# The share of the time in which the teacher leads, lesson by lesson, and then none.
+SHARES = (1.0, 0.5, 0.3, 0.2, 0.1)
 # What is left of the step size at the end of the fit after a lesson.
 LEFT = 0.3
-
-
-@dataclass(frozen=True)
-class Budget:
-    """How much a run takes.
-
-    Attributes:
-        num_envs: episodes of a lesson.
-        steps: of each.
-        updates: gradient steps after a lesson.
-        last_updates: gradient steps at the end, in `parts`.
-        parts: evaluations in these.
-        batch_size: states in a gradient step.
-        learning_rate: step size of Adam; at the end it falls to 0.
-        episodes: of an evaluation.
-    """
-
-    num_envs: int = 64
-    steps: int = 800
-    updates: int = 1000
-    last_updates: int = 12_000
-    parts: int = 6
-    batch_size: int = 512
-    learning_rate: float = 4e-3
-    episodes: int = 128
 
 
 @dataclass(frozen=True)
@@ -87,7 +62,8 @@ def own_draws(student: Student, first_seed: int, count: int) -> EvaluationSet:
 def plan(budget: Budget) -> list[tuple[float | None, Fit]]:
     """The course of a run: the teacher's share of a lesson, None for no lesson, and the fit after it."""
     rate, size = budget.learning_rate, budget.batch_size
-    course: list[tuple[float | None, Fit]] = [(share, Fit(budget.updates, rate, LEFT * rate, size)) for share in SHARES]
+    shares = (*SHARES, *[0.0] * budget.lessons)[: budget.lessons]
+    course: list[tuple[float | None, Fit]] = [(share, Fit(budget.updates, rate, LEFT * rate, size)) for share in shares]
     for n in range(budget.parts):
         start, end = (rate * (1.0 - m / budget.parts) for m in (n, n + 1))
         course.append((None, Fit(budget.last_updates // budget.parts, start, end, size)))
@@ -145,12 +121,13 @@ def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop, bud
 
         for share, fit in course:
             if share is not None:
-                lessons.append(classroom.lesson(budget.steps, share, policy, lambda: stop.requested))
+                act = policy.start(range(budget.num_envs)) if policy else None
+                lessons.append(classroom.lesson(budget.steps, share, act, lambda: stop.requested))
             network = network or Network(lessons[0], seed)
             network.fit(lessons, fit, rng, report)
             if stop.requested:
                 return None
-            policy = network.policy(name, student.env_kwargs, seed, revision)
+            policy = network.policy(name, student, seed, revision)
             speed, failed = judge(policy, draws)
             bar.set_postfix_str(f"{speed:.2f} cm/s, {100.0 * failed:.0f} % failed")
             found = (speed - FAILURE_COST * failed, speed, failed)

@@ -169,10 +169,11 @@ class Oracle(Lookahead):
 
     Args:
         count: environments.
+        margin: normal force that a torque must leave, N.
     """
 
-    def __init__(self, count: int) -> None:
-        super().__init__(count, _oracle_tables(), LEAST_CONTACT)
+    def __init__(self, count: int, margin: float = LEAST_CONTACT) -> None:
+        super().__init__(count, _oracle_tables(), margin)
         self._seen = np.zeros((count, 2), np.float32)
 
     def scores(self, observations: np.ndarray) -> np.ndarray:

@@ -13,9 +13,8 @@ import torch
 
 from agents.distil import __main__ as command
 from agents.distil import run
-from agents.distil.lessons import MOST_REGRET, STUDENTS, Classroom, regrets_of
+from agents.distil.lessons import STUDENTS, Budget, Classroom, regrets_of
 from agents.distil.network import Fit, Network, interpolated
-from agents.distil.run import Budget
 from agents.training.errors import RunError
 from agents.training.stopping import INTERRUPTED
 from baselines.optimum.policy import FATAL, TORQUES, TRIED
@@ -50,16 +49,16 @@ def test_a_torque_costs_what_the_best_is_worth_more():
     scores[0] = -((np.arange(TRIED) - 7.0) ** 2)
     scores[1, 5:] = FATAL
     scores[2] = FATAL
-    regrets = regrets_of(scores)
+    regrets = regrets_of(scores, 5.0)
     assert regrets.dtype == np.float32
-    assert regrets[0, 7] == 0.0 and regrets[0, 8] == 1.0 and regrets[0, -1] == MOST_REGRET
-    assert (regrets[1, :5] == 0.0).all() and (regrets[1, 5:] == MOST_REGRET).all()
+    assert regrets[0, 7] == 0.0 and regrets[0, 8] == 1.0 and regrets[0, -1] == 5.0
+    assert (regrets[1, :5] == 0.0).all() and (regrets[1, 5:] == 5.0).all()
     # Where nothing helps any more nothing is learnt.
     assert (regrets[2] == 0.0).all()
 
 
 def test_the_teachers_own_torques_cost_nothing(lesson):
-    assert len(lesson.observations) == len(lesson.regrets)
+    assert len(lesson.inputs) == len(lesson.regrets)
     torques = torch.from_numpy(TORQUES[lesson.regrets.argmin(axis=1)])
     assert interpolated(torch.from_numpy(lesson.regrets), torques).max() < 1e-6 < 0.1 < lesson.regrets.max()
 
@@ -75,11 +74,30 @@ def test_the_cost_is_linear_between_the_torques_that_were_tried():
 
 
 def test_a_student_sees_the_plant_only_where_it_is_told(lesson):
-    assert lesson.observations.shape[1] == 5
+    assert lesson.inputs.shape[1] == 5
     told = lesson_of("optimum-distilled-told", steps=3)
-    assert told.observations.shape[1] == 7
+    assert told.inputs.shape[1] == 7
     # Drawn for every episode.
-    assert len(np.unique(told.observations[:, -1])) == 4
+    assert len(np.unique(told.inputs[:, -1])) == 4
+
+
+def test_a_student_that_identifies_is_given_what_the_filter_finds():
+    name = "optimum-distilled-wide"
+    assert STUDENTS[name].jump_rate > 0.0
+    taught = lesson_of(name, steps=150)
+    assert taught.inputs.shape[1] == 9
+    first, last = taught.inputs[:4], taught.inputs[-4:]
+    assert (first[:, 5:] == first[0, 5:]).all()
+    assert (last[:, 7] < 0.2 * first[:, 7]).all()
+    policy = Network(taught, 0).policy(name, STUDENTS[name], 0, "none")
+    # What the policy makes of its observations is what its network makes of these inputs.
+    act = policy.start(range(4))
+    for n in range(0, len(taught.inputs), 4):
+        inputs = taught.inputs[n : n + 4]
+        given = np.clip((inputs - policy.mean) / np.sqrt(policy.variance + policy.epsilon), -policy.clip, policy.clip)
+        for weights, bias in policy.layers:
+            given = np.tanh(given @ weights.T.astype(np.float64) + bias)
+        np.testing.assert_allclose(act(inputs[:, :5]), given, atol=1e-6)
 
 
 def test_who_leads_decides_where_it_goes(lesson):
@@ -91,7 +109,7 @@ def test_who_leads_decides_where_it_goes(lesson):
 
     alone = lesson_of(share=0.0, act=act)
     assert set(seen) == {(4, 5)}
-    assert np.abs(alone.observations[:, 4]).mean() < 0.1 < np.abs(lesson.observations[:, 4]).mean()
+    assert np.abs(alone.inputs[:, 4]).mean() < 0.1 < np.abs(lesson.inputs[:, 4]).mean()
 
 
 def test_a_fit_makes_the_torques_cheaper_and_the_file_acts_as_the_network_does(lesson, tmp_path):
@@ -99,10 +117,10 @@ def test_a_fit_makes_the_torques_cheaper_and_the_file_acts_as_the_network_does(l
     network.fit([lesson], Fit(150, 3e-3, 3e-3, 128), rng, lambda cost: costs.append(cost) is None)
     assert len(costs) == 150
     assert np.mean(costs[-20:]) < 0.5 * np.mean(costs[:5])
-    policy = network.policy("student", STUDENTS[NAME].env_kwargs, 0, "none")
+    policy = network.policy("student", STUDENTS[NAME], 0, "none")
     policy.save(tmp_path / "policy.safetensors")
-    actions = load_policy(tmp_path)(lesson.observations)
-    assert actions.tobytes() == policy(lesson.observations).tobytes()
+    actions = load_policy(tmp_path)(lesson.inputs)
+    assert actions.tobytes() == policy(lesson.inputs).tobytes()
     cost = interpolated(torch.from_numpy(lesson.regrets), torch.from_numpy(actions[:, 0])).mean().item() / CONTROL_DT
     assert cost == pytest.approx(np.mean(costs[-20:]), rel=0.3)
 
@@ -125,7 +143,8 @@ def test_the_same_seed_gives_the_same_policy_and_a_finished_run_is_kept(tmp_path
     assert distil(tmp_path / "a") == 0
     assert files[0].stat().st_mtime_ns == before
     shown = capsys.readouterr().out
-    assert all(name in shown for name in (f"{NAME}/seed-0", *STUDENTS[NAME].rivals))
+    lines = {line.split()[0]: line.split()[1] for line in shown.splitlines() if line.startswith((NAME, "zero"))}
+    assert lines == {NAME: "1", "zero": "1"}
 
 
 def test_ctrl_c_keeps_the_best_policy_and_nothing_writes_over_it(tmp_path, monkeypatch, capsys):
