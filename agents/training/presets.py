@@ -343,11 +343,23 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ),
     ("direct", "ppo"): PPOConfig(task="direct", controller=None),
     ("residual", "sac"): SACConfig(),
-    ("direct", "sac"): SACConfig(task="direct", controller=None, batch_size=256, learning_starts=4000),
+    # Of agents/study/data/direct-sac.json.
+    ("direct", "sac"): SACConfig(
+        task="direct",
+        controller=None,
+        total_steps=100_000,
+        learning_starts=4000,
+        gradient_steps=16,
+        learning_rate=2.08e-3,
+        final_learning_rate=2.08e-4,
+        gamma=0.9942,
+        tau=0.0187,
+        evaluate_every=10_000,
+    ),
     ("residual", "td3"): TD3Config(),
-    ("direct", "td3"): TD3Config(task="direct", controller=None, batch_size=256, learning_starts=4000),
+    ("direct", "td3"): TD3Config(task="direct", controller=None, learning_starts=4000),
     ("residual", "tqc"): TQCConfig(),
-    ("direct", "tqc"): TQCConfig(task="direct", controller=None, batch_size=256, learning_starts=4000),
+    ("direct", "tqc"): TQCConfig(task="direct", controller=None, learning_starts=4000),
     ("residual", "recurrent-ppo"): RecurrentPPOConfig(),
     # Of agents/study/data/direct-recurrent-ppo.json.
     ("direct", "recurrent-ppo"): RecurrentPPOConfig(
