@@ -359,7 +359,21 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("residual", "td3"): TD3Config(),
     ("direct", "td3"): TD3Config(task="direct", controller=None, learning_starts=4000),
     ("residual", "tqc"): TQCConfig(),
-    ("direct", "tqc"): TQCConfig(task="direct", controller=None, learning_starts=4000),
+    # Of agents/study/data/direct-tqc.json.
+    ("direct", "tqc"): TQCConfig(
+        task="direct",
+        controller=None,
+        total_steps=100_000,
+        learning_starts=4000,
+        gradient_steps=16,
+        learning_rate=6.9e-4,
+        final_learning_rate=6.9e-5,
+        gamma=0.9949,
+        tau=5.07e-3,
+        quantiles=10,
+        dropped_quantiles=0,
+        evaluate_every=10_000,
+    ),
     ("residual", "recurrent-ppo"): RecurrentPPOConfig(),
     # Of agents/study/data/direct-recurrent-ppo.json.
     ("direct", "recurrent-ppo"): RecurrentPPOConfig(
