@@ -25,7 +25,7 @@ from agents.study.jobs import Job, best, evaluations, plan_of, seeds_of
 from agents.study.study import check_jobs, leave, tell_failures, train_all
 from agents.study.tune import DATA
 from agents.training.errors import RunError
-from agents.training.presets import PRESETS, ROWS, Algorithm, Config
+from agents.training.presets import PRESETS, ROWS, Algorithm, Config, PPOConfig
 from agents.training.stopping import INTERRUPTED
 from baselines.tables import markdown_table, text_table
 from benchmarks.machine import describe, machine
@@ -73,10 +73,12 @@ def memories() -> dict[str, Config]:
     """
     recurrent = dataclasses.replace(PRESETS["direct", "recurrent-ppo"], randomization="wide")
     lengths = {name: getattr(recurrent, name) for name in LENGTHS}
-    plain = dataclasses.replace(ROWS["direct-ppo-wide"], **lengths)
+    row = ROWS["direct-ppo-wide"]
+    assert isinstance(row, PPOConfig)
+    plain = dataclasses.replace(row, **lengths)
     return {
         "wide-ppo": plain,
-        "wide-ppo-identifies": dataclasses.replace(plain, **{"identifies": True}),
+        "wide-ppo-identifies": dataclasses.replace(plain, identifies=True),
         "wide-recurrent-ppo": recurrent,
     }
 

@@ -82,7 +82,7 @@ def _few(trial: Trial) -> dict[str, Any]:
     return {
         "learning_rate": rate,
         "final_learning_rate": 0.1 * rate,
-        "gamma": 1.0 - trial.suggest_float("one_minus_gamma", 5e-3, 3e-2, log=True),
+        "gamma": 1.0 - trial.suggest_float("one_minus_gamma", 5e-3, 1e-2, log=True),
     }
 
 
@@ -90,7 +90,8 @@ def _off_policy(trial: Trial) -> dict[str, Any]:
     return {
         **_few(trial),
         "num_envs": trial.suggest_categorical("num_envs", [32, 64, 128]),
-        "tau": trial.suggest_float("tau", 5e-3, 5e-2, log=True),
+        "gradient_steps": trial.suggest_categorical("gradient_steps", [4, 8, 16]),
+        "tau": trial.suggest_float("tau", 5e-3, 2e-2, log=True),
     }
 
 
