@@ -203,7 +203,8 @@ class Policy:
             limit = self.env_kwargs.get("residual_limit") or self.env_kwargs.get("torque_limit", task.TORQUE_LIMIT)
             action = f"a residual torque of up to {limit:g} N m on `{controller}`"
         randomization = self.env_kwargs.get("randomization", "paper")
-        return f"{self.algorithm.upper()}, {action}, trained with randomization {randomization}"
+        algorithm = "DAgger" if self.algorithm == "dagger" else self.algorithm.upper()
+        return f"{algorithm}, {action}, trained with randomization {randomization}"
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """The action for one observation or for many.
