@@ -116,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         refuse(PROG, f"{'no window' if options.output is None else 'no picture'}: {error}")
     try:
         show(options, drive, rival, renderer)
-    except ImportError as error:
+    except (ImportError, OSError) as error:
         refuse(PROG, str(error))
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
