@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 from agents.evaluate import comparison_table
@@ -45,9 +44,9 @@ def compare(run: Path, set_name: str = "paper") -> None:
     }
     write_atomically(run / "comparison.json", to_json(result))
 
-    recordings = [record(baseline), replace(record(policy), name=f"agent ({policy.name})")]
+    recordings = [record(baseline), record(policy, name="agent")]
     draw_comparison(recordings, run / "comparison.png", NOMINAL_TITLE)
-    moving = record(policy, seconds=ANIMATION_START + ANIMATION_SECONDS, frames_from=ANIMATION_START)
+    moving = record(policy, seconds=ANIMATION_START + ANIMATION_SECONDS, frames_from=ANIMATION_START, name="agent")
     if moving.frames:
         write_gif(moving.frames, run / "animation.gif")
     write_report(run / "report.html", [str(run)], trust_controller=True)

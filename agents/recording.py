@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,10 +18,12 @@ from agents.evaluation.sets import NOMINAL_PLANT, PlantSpec
 from baselines.drawing import BLUE, DPI, GREEN, MUTED, VERMILION, new_figure, style
 from baselines.policies import SCRIPTED
 from capsule_gym.command_line import Positional, check_output, parse, refuse
+from capsule_gym.env import draw
 from capsule_gym.files import replacing
 from capsule_gym.parameters import check_number
 from capsule_gym.pictures import FRAME_SECONDS
 from capsule_gym.pictures import write_gif as write_gif
+from capsule_gym.rendering import ChartAxes, Renderer
 from capsule_gym.task import CONTROL_DT, HORIZON
 
 PROG = "python -m agents.recording"
@@ -39,6 +41,7 @@ class Recording:
         t: s.
         theta: rad.
         x: m.
+        x_dot: m/s; exactly 0.0 where the platform sticks.
         torque: the motor's, N m.
         frames: pictures, each (height, width, 3) uint8; empty unless asked for.
     """
@@ -47,12 +50,19 @@ class Recording:
     t: np.ndarray
     theta: np.ndarray
     x: np.ndarray
+    x_dot: np.ndarray
     torque: np.ndarray
     frames: tuple[np.ndarray, ...] = ()
 
 
 def record(
-    policy: Policy, plant: PlantSpec = NOMINAL_PLANT, *, seconds: float = HORIZON, frames_from: float | None = None
+    policy: Policy,
+    plant: PlantSpec = NOMINAL_PLANT,
+    *,
+    seconds: float = HORIZON,
+    frames_from: float | None = None,
+    frame_seconds: float = FRAME_SECONDS,
+    name: str | None = None,
 ) -> Recording:
     """Runs a policy once on one plant, to the given time or the episode's end.
 
@@ -60,45 +70,60 @@ def record(
         policy: what acts.
         plant: the platform's mass and friction.
         seconds: length of the recording.
-        frames_from: the time in s of the first picture, from which one follows every `FRAME_SECONDS`; None draws none.
+        frames_from: the time in s of the first picture; None draws none.
+        frame_seconds: time between pictures. The axes of their charts stay the same.
+        name: of the recording; the policy's where none is given.
     """
+    name = name or policy.name
     settings: dict[str, Any] = {**policy.env_kwargs, **EPISODE_SETTINGS}
     dt = settings.get("control_dt", CONTROL_DT)
-    steps, frame_every = round(seconds / dt), round(FRAME_SECONDS / dt)
-    first_frame = steps + 1 if frames_from is None else round(frames_from / dt)
-    mode = None if frames_from is None else "rgb_array"
-    env = gym.make("CapsuleStickSlip-v0", render_mode=mode, max_episode_steps=steps, **settings)
+    steps, frame_every = round(seconds / dt), round(frame_seconds / dt)
+    env = gym.make("CapsuleStickSlip-v0", max_episode_steps=steps, **settings)
+    simulation = env.unwrapped.simulation  # type: ignore[attr-defined]
+    renderer, first_frame = None, steps + 1
+    if frames_from is not None:
+        first_frame = round(frames_from / dt)
+        renderer = Renderer(simulation.capsule, "rgb_array", 50, simulation.settings.torque_limit, name)
+        renderer.hold_axes(_axes(record(policy, plant, seconds=seconds), frames_from))
     act = policy.start([plant.seed])
     rows, frames, terminated = [], [], False
     start = [plant.theta, 0.0, 0.0, 0.0]
     observation, info = env.reset(seed=plant.seed, options={"M": plant.M, "mu": plant.mu, "state": start})
     for n in range(steps + 1):
-        rows.append((n * dt, info["state"][0], info["state"][2], info["torque"]))
-        if n >= first_frame and (n - first_frame) % frame_every == 0:
-            frames.append(np.asarray(env.render()))
+        theta, _, x, x_dot = info["state"]
+        rows.append((n * dt, theta, x, x_dot, info["torque"]))
+        if renderer is not None and n >= first_frame and (n - first_frame) % frame_every == 0:
+            frames.append(np.asarray(draw(renderer, simulation, 0)))
         if terminated or n == steps:
             break
         observation, _, terminated, _, info = env.step(act(observation[None])[0])
     env.close()
-    t, theta, x, torque = np.array(rows).T
-    return Recording(policy.name, t, theta, x, torque, tuple(frames))
+    t, theta_course, x_course, rates, torque = np.array(rows).T
+    return Recording(name, t, theta_course, x_course, rates, torque, tuple(frames))
+
+
+def _axes(course: Recording, begin: float) -> ChartAxes:
+    """Axes of the chart that hold all of a course from a time on."""
+    shown = 100.0 * course.x[course.t >= begin]
+    low, high = (shown.min(), shown.max()) if shown.size else (0.0, 0.0)
+    return ChartAxes(begin, max(course.t[-1] - begin, FRAME_SECONDS), float(low), max(float(high), low + 1.0))
 
 
 def draw_comparison(recordings: Sequence[Recording], path: Path, title: str, seconds: float = 6.6) -> None:
-    """Draws displacement over the episode, and torque and angle over its last seconds, as one PNG.
+    """Draws displacement over the episode, and torque, angle and contact over its last seconds, as one PNG.
 
     Args:
         recordings: one to four, the baseline first.
         path: the PNG; written whole or not at all.
         title: of the figure.
-        seconds: length of the windows of torque and angle.
+        seconds: length of the windows of torque, angle and contact.
     """
     with style():
-        figure = new_figure(5.6)
-        displacement, angle, torque = figure.subplots(3, 1, height_ratios=(1.5, 1.0, 1.0))
+        figure = new_figure(6.2)
+        displacement, angle, torque, contact = figure.subplots(4, 1, height_ratios=(1.5, 1.0, 1.0, 0.5))
         window = max(r.t[-1] for r in recordings)
         first = max(0.0, window - seconds)
-        for recording, colour in zip(recordings, (MUTED, BLUE, VERMILION, GREEN), strict=False):
+        for place, (recording, colour) in enumerate(zip(recordings, (MUTED, BLUE, VERMILION, GREEN), strict=False)):
             speed = 100.0 * (recording.x[-1] - recording.x[0]) / recording.t[-1]
             shown = recording.t >= first
             label = f"{recording.name}: {speed:.2f} cm/s"
@@ -106,12 +131,25 @@ def draw_comparison(recordings: Sequence[Recording], path: Path, title: str, sec
             angle.plot(recording.t[shown], np.degrees(recording.theta[shown]), color=colour)
             # The torque on record at an agent step is the one of the step before it.
             torque.step(recording.t[shown], recording.torque[shown], color=colour, lw=1.0, where="pre")
+            _shade(contact, recording, shown, place, colour)
         displacement.set(title=title, xlabel="time (s)", ylabel="displacement x (cm)", xlim=(0.0, window))
         displacement.legend(loc="upper left")
         angle.set(ylabel="angle θ (deg)", xlim=(first, window))
-        torque.set(xlabel="time (s)", ylabel="torque u (N m)", xlim=(first, window))
+        torque.set(ylabel="torque u (N m)", xlim=(first, window))
+        contact.set(xlabel="time (s); dark: the platform sticks, pale: it slips", xlim=(first, window))
+        contact.set_yticks(range(len(recordings)), [recording.name for recording in recordings])
+        contact.set_ylim(len(recordings) - 0.5, -0.5)
+        contact.grid(visible=False)
         with replacing(path) as temporary:
             figure.savefig(temporary, dpi=DPI)
+
+
+def _shade(axes: Any, recording: Recording, shown: np.ndarray, place: int, colour: str) -> None:
+    """A lane that is dark where the platform sticks and pale where it slips."""
+    stuck = recording.x_dot == 0.0
+    for where, alpha in ((shown, 0.2), (shown & stuck, 1.0)):
+        ends = (place - 0.35, place + 0.35)
+        axes.fill_between(recording.t, *ends, where=where, step="post", color=colour, alpha=alpha, linewidth=0.0)
 
 
 @dataclass(frozen=True)
@@ -154,10 +192,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ValueError as error:
         refuse(PROG, str(error))
     if options.png is not None:
-        recordings = [record(SCRIPTED[BASELINE]), replace(record(policy), name=options.policy)]
+        recordings = [record(SCRIPTED[BASELINE]), record(policy, name=options.policy)]
         draw_comparison(recordings, options.png, NOMINAL_TITLE)
     if options.gif is not None:
-        moving = record(policy, seconds=options.start + options.seconds, frames_from=options.start)
+        moving = record(policy, seconds=options.start + options.seconds, frames_from=options.start, name=options.policy)
         write_gif(moving.frames, options.gif)
     return 0
 

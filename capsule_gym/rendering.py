@@ -166,6 +166,22 @@ class Overlay(NamedTuple):
     banner: str = ""
 
 
+class ChartAxes(NamedTuple):
+    """Axes of the chart that stay the same from frame to frame.
+
+    Attributes:
+        begin: the first time, s.
+        seconds: length of the time axis.
+        low: the lowest displacement, cm.
+        high: the highest, cm.
+    """
+
+    begin: float
+    seconds: float
+    low: float
+    high: float
+
+
 class Renderer:
     """Draws the robot on its floor, its figures, and the last seconds of its displacement.
 
@@ -187,6 +203,8 @@ class Renderer:
         TypeError: if a number is no number.
         gymnasium.error.DependencyNotInstalled: if pygame is not installed.
     """
+
+    _axes: ChartAxes | None = None
 
     def __init__(
         self,
@@ -281,6 +299,10 @@ class Renderer:
         self._pygame.display.flip()
         self._clock.tick(self._fps)
         return None
+
+    def hold_axes(self, axes: ChartAxes) -> None:
+        """Keeps the chart's axes as they are given, instead of fitting them to its last seconds."""
+        self._axes = axes
 
     def close(self) -> None:
         """Closes the window, if there is one; safe to call again."""
@@ -429,23 +451,26 @@ class Renderer:
         while samples[0][0] < time - CHART_SECONDS:
             samples.popleft()
 
+    def _fitting_axes(self, time: float) -> ChartAxes:
+        """The last seconds, and what the displacement was in them."""
+        values = [x_cm for _, x_cm, _ in self._samples]
+        return ChartAxes(max(self._samples[0][0], time - CHART_SECONDS), CHART_SECONDS, min(values), max(values))
+
     def _draw_chart(self, time: float) -> None:
         """The displacement over the last seconds, in the colours of the contact."""
         canvas = self._canvas
-        begin = max(self._samples[0][0], time - CHART_SECONDS)
-        values = [x_cm for _, x_cm, _ in self._samples]
-        low, high = min(values), max(values)
+        begin, seconds, low, high = self._axes or self._fitting_axes(time)
         step = _nice_step(max(high - low, CHART_SMALLEST_SPAN_CM) / 2.0)
         bottom = math.floor(low / step)
         top = max(math.ceil(high / step), bottom + 1)
-        across = (CHART_RIGHT - CHART_LEFT) / CHART_SECONDS
+        across = (CHART_RIGHT - CHART_LEFT) / seconds
         up = (CHART_BOTTOM - CHART_TOP) / (top - bottom)
         for k in range(bottom, top + 1):
             y = CHART_BOTTOM - (k - bottom) * up
             canvas.box(CHART_LEFT, y, CHART_RIGHT - CHART_LEFT, 1, HAIRLINE)
             label = f"{k * step:.{_decimals(step)}f}".replace("-", "\N{MINUS SIGN}")
             canvas.write(label, 16, GREY, CHART_LEFT - 10, y + 4, "right")
-        for second in range(math.ceil(begin), math.floor(begin + CHART_SECONDS) + 1):
+        for second in range(math.ceil(begin), math.floor(begin + seconds) + 1):
             canvas.write(f"{second} s", 16, GREY, CHART_LEFT + (second - begin) * across, CHART_BOTTOM + 20, "centre")
         previous: list[tuple[float, float]] = []
         for stuck, run in groupby(self._samples, key=lambda sample: sample[2]):

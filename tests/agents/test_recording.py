@@ -7,6 +7,7 @@ from agents.evaluation import candidates
 from agents.evaluation.episodes import evaluate
 from agents.evaluation.sets import EvaluationSet, PlantSpec
 from agents.recording import draw_comparison, record, write_gif
+from capsule_gym.rendering import CHART_BOTTOM, CHART_LEFT, CHART_TOP
 from tests.agents.fakes import Sine
 
 PLANT = PlantSpec(0.6, 0.05, seed=3)
@@ -43,6 +44,20 @@ def test_pictures_are_25_a_second(control_dt, tmp_path):
     with pytest.raises(ValueError, match="at least one picture"):
         write_gif((), tmp_path / "none.gif")
     assert not (tmp_path / "none.gif").exists()
+
+
+def test_the_axes_of_a_moving_picture_stay():
+    found = record(Sine(0.5), PLANT, seconds=1.0, frames_from=0.2)
+    # The labels of the vertical axis, less what the first point covers.
+    first, *others = (frame[CHART_TOP - 6 : CHART_BOTTOM, : CHART_LEFT - 8] for frame in found.frames)
+    assert len(others) == 20
+    assert all(np.array_equal(first, other) for other in others)
+    assert len({frame.tobytes() for frame in found.frames}) == 21
+
+
+def test_pictures_are_as_often_as_asked_for():
+    found = record(Sine(0.5), PLANT, seconds=0.4, frames_from=0.2, frame_seconds=0.1, name="mine")
+    assert (found.name, len(found.frames)) == ("mine", 3)
 
 
 def test_figure_shows_one_to_four_recordings(tmp_path):

@@ -13,7 +13,18 @@ import pytest
 from numpy.typing import NDArray
 
 from capsule_gym.parameters import Capsule
-from capsule_gym.rendering import CHART_TOP, FLOOR, HEADER, HEIGHT, RULER, WIDTH, Renderer
+from capsule_gym.rendering import (
+    CHART_BOTTOM,
+    CHART_LEFT,
+    CHART_TOP,
+    FLOOR,
+    HEADER,
+    HEIGHT,
+    RULER,
+    WIDTH,
+    ChartAxes,
+    Renderer,
+)
 
 pygame = pytest.importorskip("pygame")
 
@@ -53,6 +64,19 @@ def test_frame_is_an_rgb_array() -> None:
     assert pixels.flags.c_contiguous and pixels.flags.writeable
     assert pixels.mean() > 128
     assert colours(pixels) > 100
+
+
+def test_held_axes_stay_while_the_robot_moves() -> None:
+    def labels(held: bool) -> list[NDArray[np.uint8]]:
+        renderer = Renderer(Capsule(), "rgb_array", 50, 1.5)
+        if held:
+            renderer.hold_axes(ChartAxes(0.0, 2.0, 0.0, 50.0))
+        drawn = [renderer.draw(**{**STATE, "x": 0.1 * n, "time": 0.4 * n}) for n in range(5)]
+        renderer.close()
+        return [pixels[CHART_TOP - 6 : CHART_BOTTOM, : CHART_LEFT - 8] for pixels in drawn if pixels is not None]
+
+    assert len(np.unique(labels(held=True), axis=0)) == 1
+    assert len(np.unique(labels(held=False), axis=0)) > 1
 
 
 def test_channels_are_in_the_order_red_green_blue() -> None:
