@@ -7,7 +7,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help train test coverage venv lint types docs web leaderboard leaderboard-check reproduce regression faults fuzz bits boundscheck check clean
+.PHONY: help train test examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression faults fuzz bits boundscheck check clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
@@ -17,6 +17,15 @@ train: $(STAMP)  ## Set everything up and train the default agent (TRAIN_ARGS="-
 
 test: $(STAMP)  ## Set everything up and run the tests (PYTEST_ARGS="-k kernels" for some)
 	$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
+
+# Those whose library is missing are skipped: each has an extra of its own, and they do not all go together.
+examples: $(STAMP)  ## Run the short programs of the libraries that are installed (make examples EXTRA=torchrl installs one)
+	$(if $(EXTRA),$(BIN)/python -m pip install --disable-pip-version-check -e ".[$(EXTRA)]" -c examples/constraints.txt)
+	$(BIN)/python -m pytest tests/examples $(PYTEST_ARGS)
+
+notebooks: $(STAMP)  ## Run the notebooks, and keep what they show
+	$(BIN)/python -m pip install --disable-pip-version-check -e ".[notebooks]" -c constraints.txt
+	$(BIN)/jupyter execute --inplace notebooks/*.ipynb
 
 # Up to a half longer than the tests alone before Python 3.12, hardly since. The floor stands in pyproject.toml.
 coverage: $(STAMP)  ## Run the tests and measure their coverage, which must reach its floor

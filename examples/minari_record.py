@@ -2,7 +2,6 @@
 
 import argparse
 from collections.abc import Callable
-from typing import Any
 
 import gymnasium as gym
 import minari
@@ -11,13 +10,10 @@ import numpy as np
 import capsule_gym
 
 ID = "capsule_gym:CapsuleStickSlip-v0"
-ABOUT = {
-    "author": "The capsule_gym authors",
-    "description": "Episodes of 33 s (docs/works_with.md)",
-}
+ABOUT = {"author": "The capsule_gym authors", "description": "Episodes of 33 s (docs/works_with.md)"}
 
 
-def record(name: str, episodes: int, act: Callable[[np.ndarray], np.ndarray], env_kwargs: dict[str, Any]) -> None:
+def record(name: str, episodes: int, act: Callable[[np.ndarray], np.ndarray], env_kwargs: dict) -> None:
     """Records one dataset, of the seeds 0, 1, .."""
     env = minari.DataCollector(gym.make(ID, **env_kwargs), record_infos=True)
     for seed in range(episodes):

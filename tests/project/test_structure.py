@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SIZE_LIMIT = 5_000_000
 # Put together here, so that this file does not hold them itself.
 MACHINE_PATHS = ["/work/" + "main", "/ro" + "ot/"]
-PACKAGES = ("capsule_gym", "baselines", "agents", "web", "benchmarks", "tests")
+PACKAGES = ("capsule_gym", "baselines", "agents", "web", "benchmarks", "examples", "tests")
 
 
 def name_of(path: Path) -> str:
@@ -53,6 +53,7 @@ def test_a_wrong_import_breaks_its_contract(tmp_path: Path):
         "agents/evaluation/sets.py": "import benchmarks.timing",
         "agents/training/runs.py": "import agents.comparison",
         "web/fused.py": "import web.modules",
+        "examples/sb3_ppo.py": "import agents.evaluation.outside",
     }.items():
         with (tmp_path / place).open("a", encoding="utf-8") as file:
             file.write(f"\n{line}\n")
