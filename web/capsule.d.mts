@@ -46,8 +46,11 @@ export interface FrozenPlant extends Plant {
   changes?: Change[];
 }
 
-/** Every quantity of the last step and of the episode, in SI units, by the names of `capsule_gym.kernels.Quantities`. */
-export type Info = { termination: "none" | "pendulum" | "contact" | "diverged" } & { [quantity: string]: number | string };
+/** Every quantity of the last step and of the episode, in SI units, under the names of `quantities`. */
+export type Info = {
+  [quantity: string]: number | string;
+  termination: "none" | "pendulum" | "contact" | "diverged";
+};
 
 /** The numbers of `capsule_gym.task.Metrics`. */
 export interface Metrics {

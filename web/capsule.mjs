@@ -401,7 +401,8 @@ async function replay({ driver, actions, hold, ...options }) {
   const episode = await drive(driver, options);
   const shown = [];
   for (let n = 0, over = false; !over; n++) {
-    const { terminated, truncated } = actions ? episode.step(actions[Math.floor(n / hold) % actions.length]) : episode.tick();
+    const action = actions?.[Math.floor(n / hold) % actions.length];
+    const { terminated, truncated } = actions ? episode.step(action) : episode.tick();
     shown.push(episode.world, episode.observation);
     over = terminated || truncated;
     // The page stays alive.
