@@ -555,8 +555,13 @@ function draw() {
   const views = player.lanes.map((lane) => ({ name: named(lane), view: lane.at(player.now, smooth) }));
   const [driver, rival = null] = views;
   for (const [index, { view }] of views.entries()) view.contact = contacts[index].see(view.x_dot === 0);
-  stage.draw(driver, rival, { lanes: scene.view === "lane", still: !smooth });
-  for (const chart of charts) chart.draw(player.lanes, player.now, span);
+  if (stage.sheet.seen) stage.draw(driver, rival, { lanes: scene.view === "lane", still: !smooth });
+  turn += 1;
+  for (const [index, chart] of charts.entries()) {
+    // What moves is drawn in every second frame, half of the charts in each.
+    const due = !player.playing || (index + turn) % 2 === 0;
+    if (due && chart.sheet.seen) chart.draw(player.lanes, player.now, span);
+  }
   showFigures(driver.view);
   if (!player.playing) describe(views);
   MEASURES.forEach(([, , text], index) => {
@@ -621,6 +626,7 @@ function showEnd() {
 
 let last = performance.now();
 let shownPlant = null;
+let turn = 0;
 let sought = false;
 
 function frame(time) {

@@ -31,13 +31,19 @@ export function font(rems, weight = 400) {
 export class Sheet {
   /**
    * @param {HTMLCanvasElement} canvas
-   * @param {() => void} changed called after its size has changed, when it is empty.
+   * @param {() => void} changed called when it is empty or old: after its size has changed, and when it is scrolled to.
    */
   constructor(canvas, changed) {
     this.canvas = canvas;
     this.context = canvas.getContext("2d");
     this.width = 0;
     this.height = 0;
+    /** Whether any of it is on the screen. */
+    this.seen = true;
+    new IntersectionObserver((entries) => {
+      this.seen = entries.at(-1).isIntersecting;
+      if (this.seen) changed();
+    }).observe(canvas);
     new ResizeObserver(() => {
       this.fit();
       changed();
