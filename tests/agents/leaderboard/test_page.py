@@ -33,12 +33,12 @@ def test_page_shows_shares_and_chaos(written):
 
 def test_head_always_shows_the_reference(written):
     board = read(written)
-    rows = [copy.deepcopy(row_of(board, "bold")) | {"policy": f"better-{i}"} for i in range(HEAD_ROWS + 1)]
+    rows = [copy.deepcopy(row_of(board, "bold")) | {"policy": f"better-{i:02}"} for i in range(HEAD_ROWS + 1)]
     for row in rows:
         row["results"]["paper"]["mean_speed"]["iqm"] = 1e3
     board["rows"] = rank([*board["rows"], *rows])
     names = [row[0] for row in table(head(board))[2:]]
-    assert names == [f"better-{i}" for i in range(HEAD_ROWS)] + ["adaptive"]
+    assert names == [f"better-{i:02}" for i in range(HEAD_ROWS)] + ["adaptive"]
 
 
 def test_readme_markers(written):
