@@ -59,12 +59,12 @@ def test_speeds_on_every_set_tell_the_share_that_fails(written, failures, episod
 
 def test_head_always_shows_the_reference(written):
     board = read(written)
-    rows = [copy.deepcopy(row_of(board, "bold")) | {"policy": f"better-{i}"} for i in range(HEAD_ROWS + 1)]
+    rows = [copy.deepcopy(row_of(board, "bold")) | {"policy": f"better-{i:02}"} for i in range(HEAD_ROWS + 1)]
     for row in rows:
         row["results"]["paper"]["mean_speed"]["iqm"] = 1e3
     board["rows"] = rank([*board["rows"], *rows])
     names = [row[0] for row in table(head(board))[2:]]
-    assert names == [f"better-{i}" for i in range(HEAD_ROWS)] + ["adaptive"]
+    assert names == [f"better-{i:02}" for i in range(HEAD_ROWS)] + ["adaptive"]
 
 
 def test_readme_markers(written):
