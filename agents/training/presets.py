@@ -356,13 +356,26 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
         evaluate_every=10_000,
     ),
     ("residual", "td3"): TD3Config(),
-    ("direct", "td3"): TD3Config(task="direct", controller=None, learning_starts=4000),
+    # Of agents/study/data/direct-td3.json.
+    ("direct", "td3"): TD3Config(
+        task="direct",
+        controller=None,
+        total_steps=100_000,
+        learning_starts=4000,
+        gradient_steps=16,
+        learning_rate=1.35e-3,
+        final_learning_rate=1.35e-4,
+        gamma=0.9946,
+        tau=6.91e-3,
+        action_noise=0.347,
+        evaluate_every=10_000,
+    ),
     ("residual", "tqc"): TQCConfig(),
     # Of agents/study/data/direct-tqc.json.
     ("direct", "tqc"): TQCConfig(
         task="direct",
         controller=None,
-        total_steps=100_000,
+        total_steps=50_000,
         learning_starts=4000,
         gradient_steps=16,
         learning_rate=6.9e-4,
@@ -371,7 +384,7 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
         tau=5.07e-3,
         quantiles=10,
         dropped_quantiles=0,
-        evaluate_every=10_000,
+        evaluate_every=5_000,
     ),
     ("residual", "recurrent-ppo"): RecurrentPPOConfig(),
     # Of agents/study/data/direct-recurrent-ppo.json.
