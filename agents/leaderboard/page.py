@@ -37,7 +37,7 @@ def _baseline_speed(board: Mapping[str, Any]) -> float:
 def _speed_cells(board: Mapping[str, Any], row: Mapping[str, Any]) -> list[str]:
     """Mean speed with interval, and as a multiple of the baseline's."""
     speed, baseline = row["results"][RANKING_SET]["mean_speed"], _baseline_speed(board)
-    return [SPEED.with_interval(speed), RATIO.format(speed["iqm"] / baseline if baseline > 0.0 else None)]
+    return [_unbroken(SPEED.with_interval(speed)), RATIO.format(speed["iqm"] / baseline if baseline > 0.0 else None)]
 
 
 def _failures(summary: Mapping[str, Any]) -> str:
@@ -56,7 +56,7 @@ def _main_table(board: Mapping[str, Any]) -> str:
         summary = row["results"][RANKING_SET]
         speed, ratio = _speed_cells(board, row)
         cost = MEASURES["cost_of_transport"].format(summary["cost_of_transport"]["iqm"])
-        table.append([str(place), row["policy"], _unbroken(speed), ratio, _share(summary), cost, _failures(summary)])
+        table.append([str(place), row["policy"], speed, ratio, _share(summary), cost, _failures(summary)])
     return markdown_table(table)
 
 
