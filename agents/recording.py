@@ -18,7 +18,7 @@ from agents.evaluation.sets import NOMINAL_PLANT, PlantSpec
 from baselines.drawing import BLUE, DPI, GREEN, MUTED, VERMILION, new_figure, style
 from baselines.policies import SCRIPTED
 from capsule_gym.command_line import Positional, check_output, parse, refuse
-from capsule_gym.env import draw
+from capsule_gym.env import shown_state
 from capsule_gym.files import replacing
 from capsule_gym.parameters import check_number
 from capsule_gym.pictures import FRAME_SECONDS
@@ -93,7 +93,7 @@ def record(
         theta, _, x, x_dot = info["state"]
         rows.append((n * dt, theta, x, x_dot, info["torque"]))
         if renderer is not None and n >= first_frame and (n - first_frame) % frame_every == 0:
-            frames.append(np.asarray(draw(renderer, simulation, 0)))
+            frames.append(np.asarray(renderer.draw(**shown_state(simulation, 0))))
         if terminated or n == steps:
             break
         observation, _, terminated, _, info = env.step(act(observation[None])[0])

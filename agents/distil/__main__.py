@@ -23,8 +23,8 @@ from agents.training.errors import RunError
 from agents.training.stopping import INTERRUPTED, Stop
 from baselines.tables import text_table
 from capsule_gym.command_line import Positional, parse, refuse
+from capsule_gym.committed import POLICY
 from capsule_gym.files import write_bytes_atomically
-from capsule_gym.policy import POLICY
 
 PROG = "python -m agents.distil"
 ROW = "optimum-distilled"
