@@ -2,8 +2,7 @@
 
 The page runs in a real browser, headless. Measured is the processor's time of the page's thread, which simulates, lays
 out and issues what is drawn; what the browser then does with that in other threads is not in it. Other work of the
-machine is not counted either, but where it makes frames fewer, each has more to simulate, and code that is not yet
-warm.
+machine is not counted either, but where it makes frames fewer, each has more to simulate, in code that is not warm.
 """
 
 from __future__ import annotations

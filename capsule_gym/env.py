@@ -132,10 +132,11 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
     ```python
     import gymnasium as gym
-    import capsule_gym
 
-    gym.make("CapsuleStickSlip-v0", controller="baselines:adaptive", randomization="paper")
+    gym.make("capsule_gym:CapsuleStickSlip-v0", controller="baselines:adaptive", randomization="paper")
     ```
+
+    The prefix imports the package, which registers the environment: in a spawned or a remote worker, too.
 
     | argument | default | meaning |
     |---|---|---|

@@ -46,6 +46,8 @@ from capsule_gym.options import TOLD, TOLD_ENERGY_WEIGHTS, Options
 from capsule_gym.parameters import Capsule, Randomization, check_number, nearest
 
 FORMAT, FORMAT_VERSION = "capsule_gym policy", "2"
+# The algorithm whose policies copy others, and learn from no reward.
+IMITATION = "dagger"
 ACTIVATIONS, SQUASHINGS, OUTPUTS = ("tanh", "relu"), ("clip", "tanh"), ("action", "torque")
 # No float32 weights give a sum beyond float64 in so many layers of so many units, and no finite observation a NaN.
 MOST_LAYERS, MOST_UNITS, LARGEST_CLIP = 6, 1024, 1e6
@@ -203,7 +205,7 @@ class Policy:
             limit = self.env_kwargs.get("residual_limit") or self.env_kwargs.get("torque_limit", task.TORQUE_LIMIT)
             action = f"a residual torque of up to {limit:g} N m on `{controller}`"
         randomization = self.env_kwargs.get("randomization", "paper")
-        algorithm = "DAgger" if self.algorithm == "dagger" else self.algorithm.upper()
+        algorithm = "DAgger" if self.algorithm == IMITATION else self.algorithm.upper()
         return f"{algorithm}, {action}, trained with randomization {randomization}"
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:

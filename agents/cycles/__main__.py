@@ -23,6 +23,7 @@ from baselines.policies import SCRIPTED
 from baselines.tables import markdown_table, text_table
 from capsule_gym.command_line import Positional, check_output, parse, refuse
 from capsule_gym.files import write_atomically
+from capsule_gym.policy import IMITATION, load_policy
 
 PROG = "python -m agents.cycles"
 ROOT = Path(__file__).resolve().parents[2]
@@ -66,12 +67,15 @@ class Options:
 
 
 def default_names(root: Path = ROOT) -> list[str]:
-    """The paper's law, the trained policies that the results know as the fastest three, and the optimum.
+    """The paper's law, the policies that learnt from reward and are the fastest three, and the optimum.
+
+    A network that copies the optimum moves as the optimum does.
 
     Raises:
         ValueError: if a checkpoint has no results.
     """
-    rows = load_rows(root / RESULTS, checkpoint_names())
+    learnt = [name for name in checkpoint_names() if load_policy(name).algorithm != IMITATION]
+    rows = load_rows(root / RESULTS, learnt)
     speeds = {row.name: float(interquartile_mean(row.score(RANKING_SET, "mean_speed").ravel())) for row in rows}
     best = sorted(speeds, key=lambda name: (-speeds[name], name))[:BEST]
     return [BASELINE, *best, next(name for name in OPTIMA if name in SCRIPTED)]

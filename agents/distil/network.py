@@ -15,6 +15,7 @@ from agents.training.ppo import FastTanh
 from agents.training.runs import Normalisation
 from baselines.optimum.policy import TRIED
 from capsule_gym import Policy
+from capsule_gym.policy import IMITATION
 from capsule_gym.task import CONTROL_DT
 
 HIDDEN = 64
@@ -119,7 +120,7 @@ class Network:
         of = self._normalisation
         return Policy(
             name=name,
-            algorithm="dagger",
+            algorithm=IMITATION,
             layers=tuple(
                 (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in self._layers
             ),

@@ -5,13 +5,15 @@ import { clamp, decimals, niceStep, written } from "./numbers.js";
 import { Sheet, colour, font, rem } from "./paint.js";
 import { END } from "./scene.js";
 
+const LIMIT = constants.torque_limit;
+const MARK = niceStep(LIMIT / 3);
 const DEGREES = 180 / Math.PI;
 
 /** What is shown over time: a channel of a lane, its title, unit and factor, and bounds that it always has. */
 export const CURVES = [
   { channel: "theta", title: "Angle θ", unit: "°", factor: DEGREES, bounds: [-90, 90], step: 45 },
   { channel: "x_dot", title: "Speed of the platform", unit: "cm/s", factor: 100, bounds: [-5, 5] },
-  { channel: "torque", title: "Motor torque", unit: "N m", factor: 1, bounds: [-1, 1].map((side) => side * constants.torque_limit), step: niceStep(constants.torque_limit / 3) },
+  { channel: "torque", title: "Motor torque", unit: "N m", factor: 1, bounds: [-LIMIT, LIMIT], step: MARK },
   { channel: "normal", title: "Normal force", unit: "N", factor: 1, bounds: [0, 8] },
   { channel: "speed", title: "Mean speed so far", unit: "cm/s", factor: 1, bounds: [0, 2], most: 40 },
   { channel: "transport", title: "Cost of transport so far", unit: "1", factor: 1, bounds: [0, 4], most: 12 },
@@ -153,7 +155,8 @@ export class PhasePortrait extends Plot {
     const { context } = this.sheet;
     context.fillStyle = colour("grey");
     for (const degrees of [-90, -45, 0, 45, 90]) {
-      context.fillText(`${written(degrees, 0)}°`, clamp(this.x(degrees), box.left + 10, box.right - 12), this.sheet.height - 3);
+      const x = clamp(this.x(degrees), box.left + 10, box.right - 12);
+      context.fillText(`${written(degrees, 0)}°`, x, this.sheet.height - 3);
     }
     this.clip();
     context.fillStyle = colour("tick");

@@ -5,7 +5,8 @@ import { CURVES, PhasePortrait, TimeChart } from "./charts.js";
 import { Lane } from "./lane.js";
 import { clamp, written } from "./numbers.js";
 import { Player } from "./player.js";
-import { END, YOURSELF, driverNamed, firstScene, handAction, hasOwnJumps, limits, readScene, takePlant, titleOf, writeScene } from "./scene.js";
+import { END, YOURSELF, driverNamed, firstScene, handAction, hasOwnJumps, limits, titleOf } from "./scene.js";
+import { readScene, takePlant, writeScene } from "./scene.js";
 import { Contact, Stage } from "./stage.js";
 
 const DT = constants.control_dt;
@@ -431,7 +432,8 @@ async function runCheck() {
       bits.className = bits.textContent;
       row.scrollIntoView({ block: "nearest" });
     });
-    show("verdict", equal ? `All ${rows.rows.length} episodes are equal, bit for bit.` : "Some episodes are different.");
+    const all = `All ${rows.rows.length} episodes are equal, bit for bit.`;
+    show("verdict", equal ? all : "Some episodes are different.");
   } catch (error) {
     show("verdict", `The check broke off: ${error.message}`);
   }
@@ -502,8 +504,6 @@ function showPlant() {
   element("mu").value = Math.log10(mu);
   element("M").setAttribute("aria-valuetext", `${M} kg`);
   element("mu").setAttribute("aria-valuetext", String(mu));
-  const hint = player.moment === 0 ? "A change sets the plant of the episode." : "A change is a jump at the time that is shown.";
-  show("plant-text", hint);
   const jumps = scene.jumps.map((jump) => `${written(jump.t, 2)} s: ${plantText(jump)}`);
   show("jumps", jumps.length ? `Jumps: ${jumps.join("; ")}` : "No jumps.");
   element("clear").disabled = !hasOwnJumps(scene);
@@ -556,11 +556,11 @@ function draw() {
   const [driver, rival = null] = views;
   for (const [index, { view }] of views.entries()) view.contact = contacts[index].see(view.x_dot === 0);
   if (stage.sheet.seen) stage.draw(driver, rival, { lanes: scene.view === "lane", still: !smooth });
-  turn += 1;
+  drawings += 1;
   for (const [index, chart] of charts.entries()) {
     // What moves is drawn in every second frame, half of the charts in each.
-    const due = !player.playing || (index + turn) % 2 === 0;
-    if (due && chart.sheet.seen) chart.draw(player.lanes, player.now, span);
+    const due = chart.sheet.seen && (index + drawings) % 2 === 0;
+    if (due || !player.playing) chart.draw(player.lanes, player.now, span);
   }
   showFigures(driver.view);
   if (!player.playing) describe(views);
@@ -571,6 +571,8 @@ function draw() {
       if (cells[column + 1].textContent !== value) cells[column + 1].textContent = value;
     });
   });
+  const change = player.moment === 0 ? "sets the plant of the episode" : "is a jump at this time";
+  show("plant-text", `A change ${change}.`);
   showEnd();
 }
 
@@ -596,7 +598,8 @@ function describe(views) {
   const told = views.map(({ name, view }) => {
     const contact = view.x_dot === 0 ? "in stick" : `slipping at ${written(100 * view.x_dot, 1)} cm/s`;
     const angle = written((view.theta * 180) / Math.PI, 0);
-    return `${name}: at ${written(100 * view.x, 1)} cm, ${contact}, pendulum at ${angle}°, torque ${written(view.torque, 2)} N m`;
+    const pendulum = `pendulum at ${angle}°, torque ${written(view.torque, 2)} N m`;
+    return `${name}: at ${written(100 * view.x, 1)} cm, ${contact}, ${pendulum}`;
   });
   element("scene").setAttribute("aria-label", `At ${written(player.now, 2)} s. ${told.join(". ")}.`);
 }
@@ -626,7 +629,7 @@ function showEnd() {
 
 let last = performance.now();
 let shownPlant = null;
-let turn = 0;
+let drawings = 0;
 let sought = false;
 
 function frame(time) {

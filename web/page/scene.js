@@ -123,8 +123,9 @@ function readDrivers(given, scene, complaints) {
 
 function readPlant(given, scene, complaints) {
   const set = given.get("set");
-  if (set !== null && !(set in sets)) complaints.push(`set must be one of ${Object.keys(sets).join(", ")}, got "${set}"`);
-  else if (set !== null) {
+  if (set !== null && !Object.hasOwn(sets, set)) {
+    complaints.push(`set must be one of ${Object.keys(sets).join(", ")}, got "${set}"`);
+  } else if (set !== null) {
     const last = sets[set].plants.length - 1;
     takePlant(scene, set, Math.trunc(readNumber(given, "plant", 0, last, complaints) ?? 0));
   }
