@@ -18,7 +18,6 @@ from agents.evaluation.sets import NOMINAL_PLANT, PlantSpec
 from baselines.drawing import BLUE, DPI, GREEN, MUTED, VERMILION, new_figure, style
 from baselines.policies import SCRIPTED
 from capsule_gym.command_line import Positional, check_output, parse, refuse
-from capsule_gym.env import shown_state
 from capsule_gym.files import replacing
 from capsule_gym.parameters import check_number
 from capsule_gym.pictures import FRAME_SECONDS
@@ -74,6 +73,9 @@ def record(
         frame_seconds: time between pictures. The axes of their charts stay the same.
         name: of the recording; the policy's where none is given.
     """
+    # numba takes most of a second to import, which --help need not wait for.
+    from capsule_gym.env import shown_state
+
     name = name or policy.name
     settings: dict[str, Any] = {**policy.env_kwargs, **EPISODE_SETTINGS}
     dt = settings.get("control_dt", CONTROL_DT)

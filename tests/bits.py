@@ -20,18 +20,21 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
 import baselines
+import capsule_gym
 from baselines.policies import SCRIPTED
-from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Policy, load_policy, policy_names
+from capsule_gym import Capsule, policy_names
 from capsule_gym.command_line import parse
 from capsule_gym.files import write_atomically
-from capsule_gym.rollout import rollout
 from capsule_gym.task import CONTROL_DT, HORIZON
+
+if TYPE_CHECKING:
+    from capsule_gym import CapsuleVectorEnv, Policy
 
 FILE = Path(__file__).with_name("bits.json")
 # Two blocks of lanes, the second with one in use.
@@ -110,7 +113,7 @@ def make_policy(inputs: int, env_kwargs: dict[str, Any], **changes: Any) -> Poli
         "revision": "none",
         "identifies": True,
     }
-    return Policy(env_kwargs=env_kwargs, **{**fields, **changes})
+    return capsule_gym.Policy(env_kwargs=env_kwargs, **{**fields, **changes})
 
 
 def subjects() -> Iterator[Subject]:
@@ -128,7 +131,7 @@ def subjects() -> Iterator[Subject]:
         if "controller" not in policy.env_kwargs:
             yield Subject(f"scripted {policy.name}", {**wide, **policy.env_kwargs}, policy.start)
     for name in policy_names(seeds=True):
-        trained = load_policy(name)
+        trained = capsule_gym.load_policy(name)
         yield Subject(f"policy {name}", trained.env_kwargs, trained.start, trained)
     law = {"controller": "baselines:adaptive", "residual_limit": 3.0}
     for name, made in (
@@ -166,7 +169,7 @@ def together(subject: Subject) -> tuple[Course, dict[str, np.ndarray]]:
 
 def alone(subject: Subject, i: int) -> tuple[bytes, int]:
     """The bytes of environment i of such a batch, run by itself, and how many steps its episode took."""
-    env = CapsuleEnv(**subject.env_kwargs)
+    env = capsule_gym.CapsuleEnv(**subject.env_kwargs)
     observation, _ = env.reset(seed=i)
     act = subject.start([i])
     rows = []
@@ -182,11 +185,14 @@ def alone(subject: Subject, i: int) -> tuple[bytes, int]:
 def batch(subject: Subject, threads: int = 1) -> CapsuleVectorEnv:
     """The batch of a subject, whose episodes end for good."""
     kwargs = {**subject.env_kwargs, "max_episode_steps": subject.steps, "threads": threads}
-    return CapsuleVectorEnv(NUM_ENVS, autoreset_mode=AutoresetMode.DISABLED, **kwargs)
+    return capsule_gym.CapsuleVectorEnv(NUM_ENVS, autoreset_mode=AutoresetMode.DISABLED, **kwargs)
 
 
 def compute(subject: Subject) -> tuple[str, list[str]]:
     """The hash of a subject, and where an episode differs from itself, one line each."""
+    # numba takes most of a second to import, which --help need not wait for.
+    from capsule_gym.rollout import rollout
+
     course, metrics = together(subject)
     wrong = []
     for i in ALONE:

@@ -14,7 +14,6 @@ from pathlib import Path
 from capsule_gym.command_line import parse, refuse
 from capsule_gym.files import write_atomically
 from web.bundle import bundle
-from web.data import pack_data
 
 PROG = "python -m web.build"
 FOLDER = Path("site/live")
@@ -32,7 +31,12 @@ def build_module(archive: str) -> str:
 
 @dataclass(frozen=True)
 class Options:
-    """Builds the environment for browsers and node."""
+    """Builds the environment for browsers and node, and the live page.
+
+    Examples:
+      python -m web.build
+      python -m web.build --folder elsewhere
+    """
 
     folder: Path = FOLDER
     """Where the files go; it is made where it does not exist."""
@@ -41,6 +45,9 @@ class Options:
 def main(arguments: Sequence[str] | None = None) -> None:
     """The command line."""
     options = parse(Options, PROG, arguments)
+    # After the command line is known to be right: the help needs none of it.
+    from web.data import pack_data
+
     try:
         options.folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

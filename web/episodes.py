@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
+import capsule_gym
 from agents.evaluation.sets import PlantSpec, load_set
 from baselines.policies import SCRIPTED
-from capsule_gym import CapsuleEnv, load_policy, policy_names
+from capsule_gym import policy_names
 from capsule_gym.command_line import parse
 from capsule_gym.files import write_atomically
 from capsule_gym.task import CONTROL_DT, HORIZON
@@ -49,7 +50,7 @@ def driver_names() -> list[str]:
 
 def env_kwargs(name: str) -> dict[str, Any]:
     """The arguments of the environment that a driver acts in."""
-    return load_policy(name).env_kwargs if trained(name) else SCRIPTED[name].env_kwargs
+    return capsule_gym.load_policy(name).env_kwargs if trained(name) else SCRIPTED[name].env_kwargs
 
 
 def courses() -> Iterator[Course]:
@@ -72,10 +73,10 @@ def describe_plant(plant: PlantSpec) -> dict[str, Any]:
 def compute(course: Course) -> tuple[int, str]:
     """How many steps an episode takes, and its hash, by Python's environment."""
     kwargs = env_kwargs(course["driver"])
-    env = CapsuleEnv(**kwargs)
+    env = capsule_gym.CapsuleEnv(**kwargs)
     changes = course.get("changes", [])
     observation, _ = env.reset(options={"M": course["M"], "mu": course["mu"], "changes": changes})
-    act = load_policy(course["driver"]).start([0]) if trained(course["driver"]) else None
+    act = capsule_gym.load_policy(course["driver"]).start([0]) if trained(course["driver"]) else None
     digest, terminated, step = hashlib.sha256(), False, 0
     while not terminated and step < round(HORIZON / kwargs.get("control_dt", CONTROL_DT)):
         action = np.zeros(1, np.float32)
@@ -92,7 +93,12 @@ def compute(course: Course) -> tuple[int, str]:
 
 @dataclass(frozen=True)
 class Options:
-    """Computes the episodes that the page replays; exit status 1 where they are not the committed ones."""
+    """Computes the episodes that the page replays; exit status 1 where they are not the committed ones.
+
+    Examples:
+      python -m web.episodes
+      python -m web.episodes --write
+    """
 
     write: bool = False
     """Commit new ones: write them to web/episodes.json."""

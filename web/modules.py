@@ -150,10 +150,15 @@ def _digest(name: str) -> str:
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
 
 
-def main(name: str, file: str) -> None:
-    """Builds a module in this process, in which numba's optimiser is off."""
+def main() -> int:
+    """Builds a module in this process, in which numba's optimiser is off; its arguments are its name and its file."""
+    if len(sys.argv) != 3:
+        print("web.modules: started by python -m web.build, for each of the modules", file=sys.stderr)
+        return 2
+    name, file = sys.argv[1:]
     write_bytes_atomically(Path(file), assemble(find_entries(name)))
+    return 0
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    sys.exit(main())

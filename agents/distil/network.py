@@ -9,7 +9,8 @@ import numpy as np
 import torch
 from torch import nn
 
-from agents.distil.lessons import Lesson, Student
+from agents.distil.lessons import Lesson
+from agents.distil.students import Student
 from agents.training.ppo import FastTanh
 from agents.training.runs import Normalisation
 from baselines.optimum.policy import TRIED

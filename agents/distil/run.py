@@ -17,8 +17,9 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from agents.distil.lessons import Budget, Classroom, Lesson, Student
+from agents.distil.lessons import Classroom, Lesson
 from agents.distil.network import Fit, Network
+from agents.distil.students import Budget, Student
 from agents.evaluation.episodes import evaluate, scores
 from agents.evaluation.sets import EvaluationSet, drawn_as
 from agents.study.jobs import FINISHED

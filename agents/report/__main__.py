@@ -10,7 +10,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from agents.report.page import COMMAND, write
+from agents.report import COMMAND
 from capsule_gym.command_line import Positional, check_output, parse, refuse
 
 
@@ -43,6 +43,9 @@ class Options:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     options = parse(Options, COMMAND, arguments)
+    # After the command line is known to be right: the help needs none of it.
+    from agents.report.page import write
+
     try:
         write(options.output, options.policies, trust_controller=options.trust_controller)
     except ValueError as error:

@@ -16,11 +16,10 @@ from agents.evaluation.tables import MEASURES, SHARE, Measure
 from agents.evidence.material import SPEED
 from agents.leaderboard.page import RANKING_SET
 from agents.leaderboard.rows import Row
-from agents.report import figures
+from agents.report import COMMAND, figures
 from agents.report.material import ROOT, Material, collect, fastest
 from capsule_gym.files import write_atomically
 
-COMMAND = "python -m agents.report"
 # The live page, where it has been built (`make web`).
 LIVE = ROOT / "site" / "live" / "index.html"
 HERE = Path(__file__).parent

@@ -1,4 +1,8 @@
 """Best-known gaits of the direct-torque task: `python -m baselines.gaits` searches them."""
 
+from pathlib import Path
+
 # Half the environment's own step: switching times matter, and shorter steps gained nothing worth their cost.
 GAIT_DT = 0.01
+# Of what the searches find.
+FOLDER = Path(__file__).with_name("data")

@@ -21,21 +21,27 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
+from typing import TYPE_CHECKING
 
-from baselines.gaits.archive import FOLDER, Archive, load_archive
-from baselines.gaits.families import FAMILIES
-from baselines.gaits.rounds import LARGEST_SENSITIVITY, PURPOSES, Search
-from baselines.gaits.simulation import choose, recheck
+from baselines.gaits import FOLDER
 from capsule_gym.command_line import Count, parse, refuse
 from capsule_gym.files import write_atomically
 
+if TYPE_CHECKING:
+    from baselines.gaits.archive import Archive
+
 PROG = "python -m baselines.gaits"
-# Rounding differs between machines and a gait may amplify it, by as much as the search lets a thousandth do.
-CHECK_TOLERANCE = LARGEST_SENSITIVITY
 
 
 def check(archive: Archive, threads: int) -> list[str]:
-    """Simulates every entry again; returns what differs from its record by more than the tolerance, one line each."""
+    """Simulates every entry again; returns what differs from its record by more than the tolerance, one line each.
+
+    Rounding differs between machines and a gait may amplify it, by as much as the search lets a thousandth do: that is
+    the tolerance.
+    """
+    from baselines.gaits.rounds import LARGEST_SENSITIVITY
+    from baselines.gaits.simulation import recheck
+
     stale = []
     gaits = archive.everything()
     for gait, speed, transport in zip(gaits, *recheck(gaits, threads=threads), strict=True):
@@ -43,7 +49,7 @@ def check(archive: Archive, threads: int) -> list[str]:
             ("mean_speed", gait.mean_speed, speed),
             ("cost_of_transport", gait.cost_of_transport, transport),
         ):
-            if not abs(new - old) <= CHECK_TOLERANCE * abs(old):
+            if not abs(new - old) <= LARGEST_SENSITIVITY * abs(old):
                 stale.append(
                     f"{gait.family} at M={gait.M}, mu={gait.mu}: {name} is {old:.6g} on file and {new:.6g} now"
                 )
@@ -69,10 +75,11 @@ class Options:
     """How long to search."""
     rounds: Count = 0
     """Rounds at most; 0 for as many as the time allows."""
-    families: tuple[str, ...] = tuple(FAMILIES)
-    """Families of gaits that take turns."""
-    purposes: tuple[str, ...] = tuple(PURPOSES)
-    """Purposes of the rounds that take turns."""
+    families: tuple[str, ...] = ()
+    """Families of gaits that take turns, of harmonics, bang-bang and phase-space; all where none is given."""
+    purposes: tuple[str, ...] = ()
+    """Purposes of the rounds that take turns, of explore, refine, finish, front and tolerate; all where none is
+    given."""
     seed: int = 0
     """Of the search."""
     threads: int = os.cpu_count() or 1
@@ -87,18 +94,22 @@ def _refuse_wrong(options: Options) -> None:
         refuse(PROG, f"--minutes must be a number > 0, got {options.minutes:g}")
     if options.threads < 1:
         refuse(PROG, f"--threads must be at least 1, got {options.threads}")
-    for name, given, known in (
-        ("--families", options.families, tuple(FAMILIES)),
-        ("--purposes", options.purposes, tuple(PURPOSES)),
-    ):
-        if not given or not set(given) <= set(known):
-            refuse(PROG, f"{name} must be some of {', '.join(known)}, got {' '.join(given) or 'none'}")
+    from baselines.gaits.families import FAMILIES
+    from baselines.gaits.rounds import PURPOSES
+
+    for name, given, known in (("--families", options.families, FAMILIES), ("--purposes", options.purposes, PURPOSES)):
+        if not set(given) <= set(known):
+            refuse(PROG, f"{name} must be some of {', '.join(known)}, got {' '.join(given)}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     options = parse(Options, PROG, arguments)
     _refuse_wrong(options)
+    # After the command line is known to be right: the help needs none of it.
+    from baselines.gaits.archive import load_archive
+    from baselines.gaits.simulation import choose
+
     archive = load_archive(options.folder)
     if options.check:
         stale = check(archive, options.threads)
@@ -118,15 +129,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _search(options: Options, archive: Archive) -> bool:
     """Searches on; returns whether it was Ctrl-C that ended it."""
+    from baselines.gaits.families import FAMILIES
+    from baselines.gaits.rounds import PURPOSES, Search
+
+    families, purposes = options.families or tuple(FAMILIES), options.purposes or tuple(PURPOSES)
     search = Search(
         archive,
-        families=options.families,
-        purposes=options.purposes,
+        families=families,
+        purposes=purposes,
         seed=options.seed,
         threads=options.threads,
         report=lambda line: print(line, flush=True),
-        command=f"{PROG} --seed {options.seed} --families {' '.join(options.families)} "
-        f"--purposes {' '.join(options.purposes)}",
+        command=f"{PROG} --seed {options.seed} --families {' '.join(families)} --purposes {' '.join(purposes)}",
     )
     interrupted = search.run(
         minutes=options.minutes,

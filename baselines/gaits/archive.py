@@ -22,11 +22,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from baselines.gaits import FOLDER
 from baselines.gaits.families import FAMILIES
 from capsule_gym.exponential import log
 from capsule_gym.parameters import Capsule
 
-FOLDER = Path(__file__).with_name("data")
 GRID_M = (0.35, 0.5, 0.75, 1.0)
 GRID_MU = (0.005, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5)
 PLANTS = tuple((M, mu) for M in GRID_M for mu in GRID_MU)

@@ -9,7 +9,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from baselines.gaits.archive import FOLDER, Gait, known_gaits
+from baselines.gaits import FOLDER
+from baselines.gaits.archive import Gait, known_gaits
 from baselines.gaits.families import FAMILIES, GAIT_DT, actions
 from capsule_gym.parameters import Capsule
 

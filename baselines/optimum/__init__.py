@@ -1,6 +1,29 @@
 """The optimum of the direct-torque task by dynamic programming: `python -m baselines.optimum` computes it."""
 
-from baselines.optimum.cycles import Cycle, cycle
-from baselines.optimum.records import optimal_speed
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from baselines.optimum.cycles import Cycle, cycle
+    from baselines.optimum.records import optimal_speed
 
 __all__ = ["Cycle", "cycle", "optimal_speed"]
+
+# N: the observation is coarser than the state, so that less may be none.
+LEAST_CONTACT = 0.02
+# Of what is computed.
+FOLDER = Path(__file__).with_name("data")
+
+_LATER = {"Cycle": "cycles", "cycle": "cycles", "optimal_speed": "records"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(f"{__name__}.{_LATER[name]}"), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

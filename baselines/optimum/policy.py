@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from baselines.gaits.archive import GRID_M, GRID_MU, log_grid, place
+from baselines.optimum import LEAST_CONTACT
 from baselines.optimum.grid import confined, interpolate, locate
 from baselines.optimum.holds import Holds
 from baselines.optimum.records import known_optima
@@ -29,8 +30,6 @@ TRIED = 41
 TORQUES = np.linspace(-1.0, 1.0, TRIED).astype(np.float32)
 # What a torque scores that ends the episode, cm.
 FATAL = -1e6
-# N: the observation is coarser than the state, so that less may be none.
-LEAST_CONTACT = 0.02
 # What `optimum-nominal` leaves between platform and floor, N, so that a lighter platform does not leave it.
 NOMINAL_MARGIN = 1.6
 

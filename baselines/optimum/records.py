@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from baselines.gaits.archive import GRID_M, GRID_MU, PLANTS, between_plants
+from baselines.optimum import FOLDER
 from baselines.optimum.grid import Grid
 from baselines.optimum.solver import Problem, Solution
 from capsule_gym.files import replacing, write_atomically
 
-FOLDER = Path(__file__).with_name("data")
 RECORDS, MOTIONS, VALUES = "optima.json", "motions.npz", "values.npz"
 # cm: in steps of this values are kept, or of what two bytes can count; a hold earns half a centimetre.
 RESOLUTION = 0.005

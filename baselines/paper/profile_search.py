@@ -14,11 +14,10 @@ from baselines.laws import profiles
 from baselines.laws.profiles import PROPOSED, seven_phases
 from baselines.paper.exact_tracking import assess
 from baselines.paper.profile_problems import TORQUE_LIMITS, Problem, Solution
+from baselines.paper.profile_settings import GENERATIONS, SEED
 from capsule_gym.task import START_THETA
 
-GENERATIONS = 200
 MEMBERS_PER_PARAMETER = 10
-SEED = 0
 # Demands on phase IV leave a narrow set that a single search often misses.
 RESTARTS = {"restoring": 4, "printed": 4}
 

@@ -12,8 +12,9 @@ from baselines.paper.adaptive_study import AdaptiveStudy, study_adaptive
 from baselines.paper.adaptive_verdicts import compare_adaptive, judge_adaptive
 from baselines.paper.demand_study import Implication, Keeping
 from baselines.paper.linearity import Linearity, check_linearity
-from baselines.paper.optimal_profiles import DATA, load
 from baselines.paper.printed_profile import PrintedPhase
+from baselines.paper.profile_records import load
+from baselines.paper.profile_settings import DATA
 from baselines.paper.proofs import LargestRate, PeakTorque
 from baselines.paper.reproduction import Progress, Reproduction, reproduce
 from baselines.paper.selection import BoundaryCondition, Consequence

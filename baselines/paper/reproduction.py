@@ -10,9 +10,9 @@ import numpy as np
 
 from baselines.laws.feedback_linearisation import feedback_linearising
 from baselines.laws.profiles import EPC, PROPOSED, Profile
-from baselines.paper import published, sensitivity
-from baselines.paper.sensitivity import ContactEffect, StepStudy
+from baselines.paper import published, variations
 from baselines.paper.traces import CYCLES, trace
+from baselines.paper.variations import ContactEffect, StepStudy
 from capsule_gym import Capsule
 from capsule_gym.controller import LAW_DT
 from capsule_gym.parameters import NormalForce
@@ -101,10 +101,10 @@ class FrictionFit:
 
 def fit_friction() -> tuple[FrictionFit, ...]:
     """The friction that gives the published speed, for each profile."""
-    frictions = np.geomspace(*sensitivity.MU_RANGE, FRICTIONS)
-    maps = [sensitivity.speed_map(profile, [Capsule().M], frictions) for profile in (PROPOSED, EPC)]
+    frictions = np.geomspace(*variations.MU_RANGE, FRICTIONS)
+    maps = [variations.speed_map(profile, [Capsule().M], frictions) for profile in (PROPOSED, EPC)]
     # Where EPC rests there is nothing to compare.
-    moving = maps[1].speed[0] > sensitivity.ALL_BUT_AT_REST
+    moving = maps[1].speed[0] > variations.ALL_BUT_AT_REST
     fits = []
     for speeds, numbers in zip(maps, (published.PROPOSED, published.EPC), strict=True):
         target = numbers["mean_speed"].value
@@ -156,13 +156,13 @@ def reproduce(progress: Progress | None = None) -> Reproduction:
     refined = tuple(track(profile, physics_dt=1e-4) for profile in profiles)
     tell("friction and contact")
     frictions = fit_friction()
-    contacts = tuple(sensitivity.contact_effect(profile, (0.003, 0.01, 0.03, 0.1, 0.3)) for profile in profiles)
+    contacts = tuple(variations.contact_effect(profile, (0.003, 0.01, 0.03, 0.1, 0.3)) for profile in profiles)
     tell("integration steps")
     return Reproduction(
         tracking,
         refined,
         frictions,
         contacts,
-        steps=tuple(sensitivity.step_study(profile) for profile in profiles),
-        physics_steps=tuple(sensitivity.step_study(profile, law_step=sensitivity.STEPS[-1]) for profile in profiles),
+        steps=tuple(variations.step_study(profile) for profile in profiles),
+        physics_steps=tuple(variations.step_study(profile, law_step=variations.STEPS[-1]) for profile in profiles),
     )

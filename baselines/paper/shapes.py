@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from baselines.laws.profiles import EPC, PROPOSED, Profile, Segment
-from baselines.paper.sensitivity import speed_map
+from baselines.paper.variations import speed_map
 from capsule_gym.parameters import NOMINAL
 
 # From 0 to the first velocity, and from the first to the second, rad/s, in the given time, s.

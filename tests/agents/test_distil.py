@@ -13,8 +13,9 @@ import torch
 
 from agents.distil import __main__ as command
 from agents.distil import run
-from agents.distil.lessons import STUDENTS, Budget, Classroom, regrets_of
+from agents.distil.lessons import Classroom, regrets_of
 from agents.distil.network import Fit, Network, interpolated
+from agents.distil.students import STUDENTS, Budget
 from agents.training.errors import RunError
 from agents.training.stopping import INTERRUPTED
 from baselines.optimum.policy import FATAL, TORQUES, TRIED

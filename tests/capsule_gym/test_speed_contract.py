@@ -134,12 +134,12 @@ def test_an_environment_of_a_large_batch_takes_half_a_kilobyte():
 def test_the_benchmark_of_the_tricks_undoes_each_of_them():
     # In a process of its own: nothing is bound back.
     code = """if True:
-        from benchmarks import tricks
+        from benchmarks import undoing
         from capsule_gym import kernels, simulation
         from capsule_gym.compilation import fingerprint
 
         seen = [fingerprint(kernels.advance)]
-        for name, undo in list(tricks.UNDO.items())[:5]:
+        for name, undo in list(undoing.UNDO.items())[:5]:
             undo()
             seen.append(fingerprint(kernels.advance))
         assert seen[0] == seen[1], "as it is"

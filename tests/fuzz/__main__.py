@@ -13,7 +13,6 @@ from tqdm import tqdm
 
 from agents.training.stopping import INTERRUPTED
 from capsule_gym.command_line import Count, parse
-from tests.fuzz.cases import Case, run
 from tests.fuzz.workers import CONTEXT, Tally, fuzz
 
 SHORT_STEPS = 500_000
@@ -52,6 +51,8 @@ class Options:
 
 def replay(number: int) -> int:
     """Runs one case; returns the exit status."""
+    from tests.fuzz.cases import Case
+
     case = Case(number)
     try:
         case.run()
@@ -66,6 +67,9 @@ def replay(number: int) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status, 1 where something broke."""
     options = parse(Options, "python -m tests.fuzz", arguments)
+    # After the command line is known to be right: the help needs none of it.
+    from tests.fuzz.cases import run
+
     if options.replay is not None:
         return replay(options.replay)
     CONTEXT.set_forkserver_preload(["tests.fuzz.cases"])

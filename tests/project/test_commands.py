@@ -12,30 +12,16 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-# Started by other commands and by tests, and by no user.
-INNER = {"agents.study.worker", "tests.agents.study.small"}
+# Started by other commands, and by no user; and by tests.
+STARTED = {"agents.study.worker": "agents.study", "web.modules": "web.build"}
+INNER = {*STARTED, "tests.agents.study.small"}
 HEAVY = {"torch", "stable_baselines3", "sb3_contrib", "matplotlib", "scipy", "numba", "joblib", "optuna", "mujoco"}
-# Searches and checks of the project itself: what they search or check is compiled when it is imported, and numba brings
-# a part of scipy.
-COMPILED = {
-    "baselines.gaits",
-    "baselines.gaits.law_search",
-    "baselines.optimum",
-    "baselines.paper.optimal_profiles",
-    "baselines.paper.sensitivity",
-    "benchmarks.regression",
-    "benchmarks.tricks",
-    "tests.bits",
-    "tests.fuzz",
-}
-# Its subject is trainings, which it sets up as it is imported.
-TRAINING = {"tests.faults"}
 
 
 def commands() -> list[str]:
     """Every module that can be run, as `python -m` takes it."""
     found = []
-    for package in ("capsule_gym", "baselines", "agents", "benchmarks", "tests"):
+    for package in ("capsule_gym", "baselines", "agents", "benchmarks", "tests", "web"):
         for path in (ROOT / package).rglob("*.py"):
             text = path.read_text(encoding="utf-8")
             guards = (node for node in ast.parse(text).body if isinstance(node, ast.If))
@@ -59,8 +45,7 @@ def help_of(name: str) -> tuple[set[str], str]:
 
 
 def test_commands_are_found() -> None:
-    assert {"capsule_gym.play", "capsule_gym.demo", "agents.evaluate", "agents.study", "train"} <= set(COMMANDS)
-    assert set(COMMANDS) >= COMPILED | TRAINING
+    assert set(COMMANDS) >= {"capsule_gym.play", "agents.evaluate", "baselines.paper", "tests.bits", "web.build", "train"}
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -71,16 +56,17 @@ def test_help_shows_examples_of_the_command(name: str) -> None:
     assert text.count(shown) >= 2 or f"{shown} " in text
 
 
-@pytest.mark.parametrize("name", sorted(set(COMMANDS) - TRAINING))
+@pytest.mark.parametrize("name", COMMANDS)
 def test_help_needs_nothing_heavy(name: str) -> None:
     loaded, _ = help_of(name)
     assert "numpy" in loaded
-    allowed = {"numba", "scipy"} if name in COMPILED else set()
-    assert not loaded & (HEAVY - allowed)
+    assert not loaded & HEAVY
 
 
-def test_a_part_of_a_study_is_started_by_the_study() -> None:
+@pytest.mark.parametrize("name", STARTED)
+def test_a_part_of_another_command_names_that_command(name: str) -> None:
     for words in ([], ["--help"]):
-        command = [sys.executable, "-m", "agents.study.worker", *words]
+        command = [sys.executable, "-m", name, *words]
         done = subprocess.run(command, cwd=ROOT, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
         assert done.returncode == 2 and done.stderr.count("\n") == 1
+        assert f"python -m {STARTED[name]}," in done.stderr

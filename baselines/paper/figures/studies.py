@@ -24,7 +24,7 @@ from baselines.paper import published
 from baselines.paper.principles import RESTORING_PHASES, Margin, principle_3, principle_4
 from baselines.paper.printed_profile import ROMAN
 from baselines.paper.proofs import swing_envelope
-from baselines.paper.sensitivity import (
+from baselines.paper.variations import (
     ALL_BUT_AT_REST,
     STEPS,
     SpeedMap,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
-from baselines.paper.optimal_profiles import DATA, PROG, Found, load
 from baselines.paper.profile_problems import Solution
+from baselines.paper.profile_records import Found, load
+from baselines.paper.profile_settings import DATA, PROG
 from baselines.paper.text.layout import paragraph, table, title
 from baselines.tables import printed_below
 

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from baselines.laws.profiles import EPC, PROPOSED
 from baselines.paper import published
 from baselines.paper.reproduction import Reproduction
-from baselines.paper.sensitivity import (
+from baselines.paper.shapes import ShapeSpeed
+from baselines.paper.text.layout import paragraph, table, title
+from baselines.paper.variations import (
     ALL_BUT_AT_REST,
     STEPS,
     contact_effect,
@@ -18,8 +20,6 @@ from baselines.paper.sensitivity import (
     step_study,
     turning_points,
 )
-from baselines.paper.shapes import ShapeSpeed
-from baselines.paper.text.layout import paragraph, table, title
 from capsule_gym.parameters import NOMINAL
 
 

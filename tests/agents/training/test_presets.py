@@ -10,8 +10,8 @@ from typing import get_args, get_type_hints
 import pytest
 
 import train
-from agents.distil.lessons import STUDENTS
 from agents.distil.network import HIDDEN
+from agents.distil.students import STUDENTS
 from agents.evaluation.candidates import CHECKPOINTS, checkpoint_names, find_candidate
 from agents.training.presets import CONFIG, PRESETS, ROWS, PPOConfig, read_config
 from capsule_gym.options import DOCS, Options

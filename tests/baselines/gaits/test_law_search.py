@@ -7,8 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from baselines.gaits import law_search
-from baselines.gaits.law_search import Search, Trials, draw_episodes, draw_plants, main
+from baselines.gaits import law_trials
+from baselines.gaits.law_search import main
+from baselines.gaits.law_trials import Search, Trials, draw_episodes, draw_plants
 from baselines.laws.gait import PARAMETERS, gait, known_parameters
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.kernels import Row
@@ -20,7 +21,7 @@ def quick(monkeypatch):
     pytest.importorskip("cma")
     sizes = {"POPULATION": 4, "PLANTS": 4, "LOOK_EPISODES": 4, "TRIAL": 0.4, "HORIZON": 0.4, "LOOK_EVERY": 2}
     for name, value in sizes.items():
-        monkeypatch.setattr(law_search, name, value)
+        monkeypatch.setattr(law_trials, name, value)
 
 
 def test_draws_lie_evenly_over_wide():

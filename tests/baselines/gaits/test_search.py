@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from baselines.gaits import __main__ as gait_search
-from baselines.gaits import archive, performance, rounds
+from baselines.gaits import archive, performance, rounds, simulation
 from baselines.gaits.__main__ import check
 from baselines.gaits.archive import Archive, known_gaits
+from baselines.gaits.families import FAMILIES
 from baselines.gaits.rounds import PURPOSES, Search
 from baselines.gaits.simulation import simulate
 from capsule_gym import Capsule
@@ -85,7 +86,7 @@ def test_an_interrupted_search_keeps_what_it_has_and_goes_on(quick, monkeypatch)
 
 def test_command_line(quick, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(
-        gait_search, "choose", lambda library, threads: performance.Choice((0.5,), (0.01,), ((library[0],),))
+        simulation, "choose", lambda library, threads: performance.Choice((0.5,), (0.01,), ((library[0],),))
     )
     common = ["--folder", str(tmp_path), "--threads", "1"]
     assert gait_search.main([*common, "--oracle"]) == 1
@@ -143,3 +144,10 @@ def test_failures_score_below_everything_and_better_late(quick):
     asked = rounds.score(results, 10.0, np.array([6.0, 5.0, 5.0]))
     assert asked[0] == -3.0 - rounds.FRONT_PENALTY
     assert asked[1] > asked[2]
+
+
+def test_the_help_names_families_and_purposes(capsys):
+    with pytest.raises(SystemExit):
+        gait_search.main(["--help"])
+    text = capsys.readouterr().out
+    assert all(name in text for name in (*FAMILIES, *PURPOSES))

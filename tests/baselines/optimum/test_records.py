@@ -9,7 +9,7 @@ from baselines import optimum
 from baselines.gaits.archive import GRID_M, GRID_MU, PLANTS, between_plants, known_gaits
 from baselines.gaits.bound import speed_bound
 from baselines.optimum import __main__ as command
-from baselines.optimum import optimal_speed
+from baselines.optimum import optimal_speed, parts
 from baselines.optimum.grid import Grid
 from baselines.optimum.levels import allotted, optimise
 from baselines.optimum.records import FOLDER, MOTIONS, RECORDS, Archive, key_of, known_optima
@@ -110,8 +110,8 @@ def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, monkeypatch, 
         report("on its way")
         return optimise(problem, [(13, 18, 7)], report)
 
-    monkeypatch.setattr(command, "PARTS", {"plants": problems})
-    monkeypatch.setattr(command, "optimise", quick)
+    monkeypatch.setattr(parts, "PARTS", {"plants": problems})
+    monkeypatch.setattr(parts, "optimise", quick)
     arguments = ["--folder", str(tmp_path), "--parts", "plants"]
     assert command.main(arguments) == 130
     assert [record.problem for record in Archive(tmp_path).records.values()] == list(problems[:2])
@@ -147,3 +147,10 @@ def test_the_cycle():
 
 def test_the_grid_of_plants_is_complete():
     assert {(M, mu) for M, mu in PLANTS} <= {(r.M, r.mu) for r in known_optima().records.values()}
+
+
+def test_the_help_names_the_parts(capsys):
+    with pytest.raises(SystemExit):
+        command.main(["--help"])
+    text = capsys.readouterr().out
+    assert all(part in text for part in parts.PARTS)

@@ -12,11 +12,12 @@ import pytest
 from baselines.laws.feedback_linearisation import feedback_linearising
 from baselines.laws.profiles import PROPOSED
 from baselines.laws.reference import reference_table
-from baselines.paper import optimal_profiles
+from baselines.paper import profile_records
 from baselines.paper.exact_tracking import STANDSTILLS, Assessment, Demands, assess, published_bounds
-from baselines.paper.optimal_profiles import format_row, format_spread, load, main
+from baselines.paper.optimal_profiles import main
 from baselines.paper.principles import principle_1, principle_2, principle_3, principle_4
 from baselines.paper.profile_problems import TORQUE_LIMITS, Problem, problems
+from baselines.paper.profile_records import format_row, format_spread, load
 from baselines.paper.profile_search import Spread, exchange, search, search_again, spread_problems
 from capsule_gym import CapsuleEnv
 from capsule_gym.parameters import NOMINAL
@@ -228,11 +229,11 @@ def test_exchange_adopts_what_another_search_has_found():
 
 def test_command_solves_resumes_and_checks(tmp_path, monkeypatch, capsys):
     pytest.importorskip("scipy")
-    monkeypatch.setattr(optimal_profiles, "problems", lambda: [Problem(1.5), Problem(1.5, dropped=3)])
-    monkeypatch.setattr(optimal_profiles, "spread_problems", lambda: [Problem(1.5)])
+    monkeypatch.setattr(profile_records, "problems", lambda: [Problem(1.5), Problem(1.5, dropped=3)])
+    monkeypatch.setattr(profile_records, "spread_problems", lambda: [Problem(1.5)])
     again = Spread(Problem(1.5), (4, 5), (0.01, None))
     repeated = []
-    monkeypatch.setattr(optimal_profiles, "search_again", lambda *args, **kwargs: repeated.append(args) or again)
+    monkeypatch.setattr(profile_records, "search_again", lambda *args, **kwargs: repeated.append(args) or again)
     path = tmp_path / "found.json"
     calls = []
 
@@ -242,7 +243,7 @@ def test_command_solves_resumes_and_checks(tmp_path, monkeypatch, capsys):
         calls.append(problem)
         return search(problem, *args, **kwargs, members=2)
 
-    monkeypatch.setattr(optimal_profiles, "search", interrupted)
+    monkeypatch.setattr(profile_records, "search", interrupted)
     command = ["--json", str(path), "--generations", "1"]
     assert main(command) == 130
     assert [each.problem for each in load(path).solutions] == [Problem(1.5)]

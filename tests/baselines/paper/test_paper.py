@@ -11,7 +11,7 @@ import pytest
 
 from baselines.laws.profiles import EPC, PROPOSED
 from baselines.paper import __main__ as paper
-from baselines.paper import proofs, published, sensitivity
+from baselines.paper import proofs, published, variations
 from baselines.paper import report as paper_report
 from baselines.paper.report import make_report
 from baselines.paper.reproduction import track
@@ -28,7 +28,7 @@ SWINGS = {
 @pytest.fixture(scope="module")
 def refined():
     """Both profiles with law and physics at 1 and 0.5 ms."""
-    return {profile.name: sensitivity.step_study(profile, (5e-4, 1e-3)) for profile in (PROPOSED, EPC)}
+    return {profile.name: variations.step_study(profile, (5e-4, 1e-3)) for profile in (PROPOSED, EPC)}
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_found_numbers_within_the_tolerance_of_refinement(refined, profile, spee
 def test_law_reaches_the_speed_of_exact_tracking(refined):
     for profile in (PROPOSED, EPC):
         fine, coarse = refined[profile.name].speed
-        exact = sensitivity.speed_map(profile, [0.5], [0.01], h=2e-5).speed[0, 0]
+        exact = variations.speed_map(profile, [0.5], [0.01], h=2e-5).speed[0, 0]
         assert 2.0 * fine - coarse == pytest.approx(exact, rel=1e-4)
 
 

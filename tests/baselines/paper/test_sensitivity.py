@@ -10,7 +10,7 @@ import pytest
 
 from baselines.laws.profiles import EPC, PROPOSED
 from baselines.laws.reference import platform_motion
-from baselines.paper.sensitivity import (
+from baselines.paper.variations import (
     MAP_STEP,
     MU_RANGE,
     contact_effect,
