@@ -123,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (OSError, subprocess.CalledProcessError) as error:
         refuse(COMMAND, f"node must be installed: {error}")
     with tempfile.TemporaryDirectory() as folder:
-        build.main(["--folder", folder])
+        build.main(["--output", folder])
         module = Path(folder) / "capsule.mjs"
         contenders = {
             (driver, kind): Contender(f"{driver}, {kind}", make)
