@@ -32,8 +32,8 @@ class SameStep(SyncVectorEnv):
 
 
 if __name__ == "__main__":
-    gym.vector.SyncVectorEnv = SameStep
-    gym.wrappers.TransformObservation = functools.partial(gym.wrappers.TransformObservation, observation_space=None)
+    wrapper = functools.partial(gym.wrappers.TransformObservation, observation_space=None)
+    vars(gym.vector)["SyncVectorEnv"], vars(gym.wrappers)["TransformObservation"] = SameStep, wrapper
     script, sys.argv = sys.argv[1], sys.argv[1:]
     sys.path.insert(0, os.path.dirname(os.path.dirname(os.path.abspath(script))))
     runpy.run_path(script, run_name="__main__")
