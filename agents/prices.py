@@ -6,9 +6,10 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from tyro.conf import arg
 
 import capsule_gym
 from agents.evaluation.candidates import find_candidate
@@ -19,7 +20,7 @@ from agents.evaluation.tables import MEASURES
 from agents.evidence.material import fronts
 from baselines.drawing import BLUE, INK, MUTED, add_note, new_figure, save, style
 from baselines.tables import markdown_table
-from capsule_gym.command_line import parse, refuse
+from capsule_gym.command_line import Positional, parse, refuse
 from capsule_gym.files import write_atomically
 
 PROG = "python -m agents.prices"
@@ -56,9 +57,9 @@ class Options:
       python -m agents.prices --markdown docs/prices_tables.md --figure docs/figures/prices
     """
 
-    policy: str = "pareto"
+    policy: Annotated[Positional[str], arg(metavar="NAME_OR_PATH")] = "pareto"
     """A checkpoint, all training seeds, or one of its runs."""
-    set: str = "paper"
+    set: Annotated[str, arg(metavar="NAME_OR_PATH")] = "paper"
     """A frozen set, or the path of a JSON file of the same form."""
     markdown: Path | None = None
     """Write the table to this file."""

@@ -137,7 +137,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     measured = {}
     try:
         with tempfile.TemporaryDirectory() as folder, started(executable) as browser:
-            build.main(["--folder", folder])
+            build.main(["--output", folder])
             address = (Path(folder) / "index.html").as_uri()
             for name, scene in SCENES.items():
                 measured[name] = watch(browser, address + scene, options.seconds)

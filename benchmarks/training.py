@@ -13,12 +13,14 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from tqdm import tqdm
+from tyro.conf import arg
 
 from agents.evaluation.statistics import Estimate, estimate, learning_curve, paired_difference
+from agents.study.jobs import seeds_of
 from baselines.tables import markdown_table, text_table
 from benchmarks.machine import describe, machine
 from benchmarks.output import Output, check_at_least_one, section
@@ -49,14 +51,14 @@ class Options(Output):
 
     Examples:
       python -m benchmarks.training --markdown docs/train_fast_learning.md --figure docs/figures/training_curves.png
-      python -m benchmarks.training --seeds 2 --other-seeds 0 --steps 262144
+      python -m benchmarks.training --seeds 0-1 --other-seeds 0 --total-steps 262144
     """
 
-    seeds: Count = 5
-    """Training seeds of the preset and of Stable-Baselines3's PPO, from 0 on."""
-    other_seeds: Count = 3
-    """Training seeds of the other settings."""
-    steps: Count = 2**20
+    seeds: Annotated[tuple[str, ...], arg(metavar="N")] = ("0-4",)
+    """Training seeds of the preset and of Stable-Baselines3's PPO, and ranges of them such as 0-9."""
+    other_seeds: Annotated[tuple[str, ...], arg(metavar="N")] = ("0-2",)
+    """Training seeds of the other settings; none where none is given."""
+    total_steps: Count = 2**20
     """Environment steps of a training."""
     runs: Path = RUNS
     """Folder of the trainings that are finished."""
@@ -67,21 +69,23 @@ class Options(Output):
         """Refuses what cannot be trained or written."""
         super().check()
         check_output("--figure", self.figure, overwrite=True)
-        if self.seeds < 2:
-            raise ValueError(f"--seeds must be at least 2, for an interval over them, got {self.seeds}")
-        check_at_least_one("--steps", self.steps)
+        if len(seeds_of(self.seeds)) < 2:
+            raise ValueError(
+                f"--seeds must be at least two, for an interval over them, got {' '.join(self.seeds)}"
+            )
+        seeds_of(self.other_seeds, "--other-seeds")
+        check_at_least_one("--total-steps", self.total_steps)
 
     def plan(self) -> list[Trainer]:
         """The trainings, seed by seed: one that is cut short has something of each."""
+        seeds, others = seeds_of(self.seeds), seeds_of(self.other_seeds)
         return [
-            dataclasses.replace(trainer, config=dataclasses.replace(trainer.config, seed=seed, total_steps=self.steps))
-            for seed in range(max(self.seeds, self.other_seeds))
-            for trainer, count in (
-                (PRESET, self.seeds),
-                (PEER, self.seeds),
-                *((each, self.other_seeds) for each in OTHERS),
+            dataclasses.replace(
+                trainer, config=dataclasses.replace(trainer.config, seed=seed, total_steps=self.total_steps)
             )
-            if seed < count
+            for seed in sorted({*seeds, *others})
+            for trainer, own in ((PRESET, seeds), (PEER, seeds), *((each, others) for each in OTHERS))
+            if seed in own
         ]
 
 
@@ -198,7 +202,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     table, words = rows(runs), verdict(runs)
     print(f"\n{text_table(table)}\n\n{words}")
     note = (
-        f"Speeds in cm/s, interquartile means with 95 % intervals over training seeds; {options.steps:,} steps. "
+        f"Speeds in cm/s, interquartile means with 95 % intervals over training seeds; {options.total_steps:,} steps. "
         f"{describe(found)}."
     )
     settings = {trainer.name: trainer.config.to_dict() for trainer in (PRESET, PEER, *OTHERS)}

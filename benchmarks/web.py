@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
+import capsule_gym
 from baselines.tables import markdown_table, text_table
 from benchmarks.machine import describe, machine
 from benchmarks.output import Output, check_at_least_one
 from benchmarks.timing import Contender, Rate, Stepper, measure
-from capsule_gym import CapsuleEnv, load_policy
 from capsule_gym.command_line import Count, parse, refuse
 from capsule_gym.task import EPISODE_STEPS
 from web import build
@@ -67,8 +67,8 @@ class Options(Output):
 
 def make_native(driver: str) -> Stepper:
     """One environment of Python's, as a user steps it."""
-    env = CapsuleEnv(**env_kwargs(driver))
-    policy = load_policy(driver) if trained(driver) else None
+    env = capsule_gym.CapsuleEnv(**env_kwargs(driver))
+    policy = capsule_gym.load_policy(driver) if trained(driver) else None
     nothing, nominal = np.zeros(1, np.float32), {"M": env.simulation.capsule.M, "mu": env.simulation.capsule.mu}
     taken, observation, act = EPISODE_STEPS, np.zeros(0), None
 
@@ -123,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (OSError, subprocess.CalledProcessError) as error:
         refuse(COMMAND, f"node must be installed: {error}")
     with tempfile.TemporaryDirectory() as folder:
-        build.main(["--folder", folder])
+        build.main(["--output", folder])
         module = Path(folder) / "capsule.mjs"
         contenders = {
             (driver, kind): Contender(f"{driver}, {kind}", make)

@@ -10,6 +10,9 @@ import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
 
 from capsule_gym.command_line import parse, refuse
 from capsule_gym.files import write_atomically
@@ -35,10 +38,10 @@ class Options:
 
     Examples:
       python -m web.build
-      python -m web.build --folder elsewhere
+      python -m web.build --output elsewhere
     """
 
-    folder: Path = FOLDER
+    output: Annotated[Path, arg(metavar="DIR", aliases=["-o"])] = FOLDER
     """Where the files go; it is made where it does not exist."""
 
 
@@ -49,9 +52,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from web.data import pack_data
 
     try:
-        options.folder.mkdir(parents=True, exist_ok=True)
+        options.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        refuse(PROG, f"--folder must be a folder that can be written to, got {str(options.folder)!r}: {error}")
+        refuse(PROG, f"--output must be a folder that can be written to, got {str(options.output)!r}: {error}")
     try:
         archive = pack_data()
     except subprocess.CalledProcessError as error:
@@ -62,8 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         ("capsule.mjs", module),
         ("capsule.d.mts", (SOURCES / "capsule.d.mts").read_text(encoding="utf-8")),
     ):
-        write_atomically(options.folder / name, text)
-        print(f"{options.folder / name}: {len(text.encode()) / 1000:.0f} kB")
+        write_atomically(options.output / name, text)
+        print(f"{options.output / name}: {len(text.encode()) / 1000:.0f} kB")
 
 
 if __name__ == "__main__":

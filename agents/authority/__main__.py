@@ -45,7 +45,7 @@ class Options:
 
     seeds: Annotated[tuple[str, ...], arg(metavar="N")] = (f"{SEEDS[0]}-{SEEDS[-1]}",)
     """Training seeds, and ranges of them such as 0-9."""
-    steps: Count = STEPS
+    total_steps: Count = STEPS
     """Environment steps of each run."""
     jobs: int | None = None
     """Runs that are trained at a time; as many as there are cores."""
@@ -58,8 +58,8 @@ class Options:
 
     def check(self) -> None:
         """Refuses numbers out of range."""
-        if self.steps < 1:
-            raise ValueError(f"--steps must be an integer >= 1, got {self.steps}")
+        if self.total_steps < 1:
+            raise ValueError(f"--total-steps must be an integer >= 1, got {self.total_steps}")
         seeds_of(self.seeds)
         check_jobs(self.jobs)
 
@@ -81,14 +81,14 @@ def main(arguments: Sequence[str] | None = None, *, root: Path = ROOT) -> int:
             refuse(COMMAND, str(error))
         return 0
     try:
-        jobs = plan(all_arms(), seeds_of(options.seeds), options.steps, options.runs)
+        jobs = plan(all_arms(), seeds_of(options.seeds), options.total_steps, options.runs)
         outcomes = train_all(list(jobs), options.runs, options.jobs)
     except (RunError, OSError) as error:
         refuse(COMMAND, str(error))
     finished: list[Job] = [outcome.job for outcome in outcomes if outcome.state == "finished"]
     arms = [jobs[job] for job in finished]
     judged = [judge(job, jobs[job]) for job in tqdm(finished, "evaluating", file=sys.stderr, disable=None)]
-    results = gather([*laws_alone(arms), *judged], options.steps)
+    results = gather([*laws_alone(arms), *judged], options.total_steps)
     if options.publish and len(finished) == len(jobs):
         save(results, root / RESULTS.relative_to(ROOT))
         write_docs(results, root / DOCS)

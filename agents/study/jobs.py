@@ -92,8 +92,12 @@ class Evaluation:
     core_seconds: float | None = None
 
 
-def seeds_of(words: Sequence[str]) -> list[int]:
+def seeds_of(words: Sequence[str], option: str = "--seeds") -> list[int]:
     """Training seeds out of the words of a command line, in order and each once.
+
+    Args:
+        words: seeds, and ranges of them.
+        option: where they stand, for the error.
 
     Raises:
         ValueError: if a word is neither a seed nor a range of them.
@@ -106,7 +110,7 @@ def seeds_of(words: Sequence[str]) -> list[int]:
         match = re.fullmatch(r"(\d+)(?:-(\d+))?", word)
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if not first <= last <= LARGEST_SEED:
-            raise ValueError(f"--seeds must be integers and ranges such as 0-9 up to {LARGEST_SEED}, got {word!r}")
+            raise ValueError(f"{option} must be integers and ranges such as 0-9 up to {LARGEST_SEED}, got {word!r}")
         seeds.update(range(first, last + 1))
     return sorted(seeds)
 

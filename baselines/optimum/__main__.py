@@ -2,7 +2,7 @@
 
 The problems: every plant of the grid of `baselines.gaits.archive`, for the speeds that policies are measured by; the
 nominal plant on ever finer grids; with the torque held shorter; with the energy weighed; and with normal force to
-spare. What is known is kept, unless `--anew` says otherwise, and written after every problem and on Ctrl-C.
+spare. What is known is kept, unless `--again` says otherwise, and written after every problem and on Ctrl-C.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Options:
       python -m baselines.optimum                      all that is missing
       python -m baselines.optimum --report             print the tables of what is on file
       python -m baselines.optimum --check              repeat every motion on file and write nothing
-      python -m baselines.optimum --parts plants --anew
+      python -m baselines.optimum --parts plants --again
     """
 
     check: bool = False
@@ -35,8 +35,8 @@ class Options:
     """Only print the tables of what is on file."""
     parts: tuple[str, ...] = ()
     """Problems to solve, of plants, margins, weights and holds; all where none is given."""
-    anew: bool = False
-    """Also what is known."""
+    again: bool = False
+    """Solve again what is known."""
     folder: Path = FOLDER
     """Of the files."""
 
@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(report(archive))
         return 0
     problems = [problem for part in options.parts or PARTS for problem in PARTS[part]]
-    missing = [problem for problem in problems if options.anew or key_of(problem) not in archive.records]
+    missing = [problem for problem in problems if options.again or key_of(problem) not in archive.records]
     for n, problem in enumerate(missing):
         name = f"{n + 1}/{len(missing)} {describe(problem)}"
         try:

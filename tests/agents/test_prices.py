@@ -48,7 +48,7 @@ def test_the_command_writes_table_and_figure(tmp_path, short_set, monkeypatch, c
     monkeypatch.setattr(prices, "WEIGHTS", (0.5, 5.0))
     monkeypatch.setattr(prices.measure, "__defaults__", ((0.5, 5.0),))
     table, figure = tmp_path / "table.md", tmp_path / "figure"
-    arguments = ["--policy", "pareto/seed-1", "--set", short_set, "--markdown", str(table), "--figure", str(figure)]
+    arguments = ["pareto/seed-1", "--set", short_set, "--markdown", str(table), "--figure", str(figure)]
     assert prices.main(arguments) == 0
     assert table.read_text().count("\n|") == 4
     assert figure.with_suffix(".png").stat().st_size > 10_000

@@ -67,6 +67,6 @@ def test_the_page_shows_the_guards_and_their_floors(monkeypatch: pytest.MonkeyPa
     page = (ROOT / "docs" / "speed_ratios.md").read_text(encoding="utf-8")
     lines = [[cell.strip() for cell in line.strip("| ").split("|")] for line in page.splitlines() if "|" in line][2:]
     assert [(line[0], line[2] if len(line) > 2 else "") for line in lines] == [
-        (guard.name, "" if guard.floor is None else f"{guard.floor:g}") for guard in regression.guards()
+        (guard.name, "" if guard.floor is None else f"{guard.floor:g}") for guard in ratios.guards()
     ]
     assert all(re.fullmatch(r"\d+\.\d\d", line[1]) for line in lines)

@@ -22,15 +22,15 @@ def tiny(monkeypatch):
 
 
 def test_contenders_are_compared_and_a_comparison_goes_on(tiny, tmp_path, capsys):
-    options = ["--seeds", "2", "--steps", "1024", "--runs", str(tmp_path / "runs")]
+    options = ["--seeds", "0-1", "--total-steps", "1024", "--runs", str(tmp_path / "runs")]
     before = torch.get_num_threads()
-    assert training.main([*options, "--other-seeds", "0", "--json", str(tmp_path / "a.json")]) == 0
+    assert training.main([*options, "--other-seeds", "--json", str(tmp_path / "a.json")]) == 0
     assert torch.get_num_threads() == before
     finished = {path: path.stat().st_mtime_ns for path in (tmp_path / "runs").iterdir()}
     assert len(finished) == 4
     files = ["--json", str(tmp_path / "b.json"), "--markdown", str(tmp_path / "b.md")]
     files += ["--figure", str(tmp_path / "curves.png")]
-    assert training.main([*options, "--other-seeds", "1", *files]) == 0
+    assert training.main([*options, "--other-seeds", "0", *files]) == 0
     assert all(path.stat().st_mtime_ns == then for path, then in finished.items())
     assert len(list((tmp_path / "runs").iterdir())) == 5
     runs = json.loads((tmp_path / "b.json").read_text())["runs"]
@@ -62,7 +62,7 @@ def test_what_is_finished_before_ctrl_c_counts(tiny, tmp_path, monkeypatch, caps
         return train(trainer, every)
 
     monkeypatch.setattr(training_runs, "train", interrupted)
-    options = ["--seeds", "2", "--other-seeds", "1", "--steps", "64", "--runs", str(tmp_path)]
+    options = ["--seeds", "0-1", "--other-seeds", "0", "--total-steps", "64", "--runs", str(tmp_path)]
     assert training.main(options) == 1
     assert "Stopped" in capsys.readouterr().err
     assert len(list(tmp_path.iterdir())) == 4
@@ -105,7 +105,8 @@ def test_the_peer_is_the_former_preset_whatever_is_todays():
         (["--json", __file__], "--json"),
         (["--figure", "nowhere/curves.png"], "--figure"),
         (["--seeds", "1"], "--seeds"),
-        (["--steps", "0"], "--steps"),
+        (["--other-seeds", "a"], "--other-seeds"),
+        (["--total-steps", "0"], "--total-steps"),
     ],
 )
 def test_bad_options_are_named(arguments, message, capsys):

@@ -30,23 +30,23 @@ class Options:
     """
 
     fault: tuple[Fault, ...] = ("kill", "stop", "disk", "readonly", "processes", "cache", "fork")
-    """which of them"""
+    """Which of them."""
 
     kills: Count = 100
-    """times that a training is killed; signals stop it half as often"""
+    """Times that a training is killed; signals stop it half as often."""
 
     short: bool = False
-    """what CI runs: each fault once or a few times"""
+    """What CI runs: each fault once or a few times."""
 
     seed: Count = 0
-    """of the moments"""
+    """Of the moments."""
 
-    workers: Count = 2
-    """faults that are tried side by side"""
+    jobs: Count = 2
+    """Faults that are tried side by side."""
 
     def check(self) -> None:
         """Refuses numbers that try nothing."""
-        for name in ("kills", "workers"):
+        for name in ("kills", "jobs"):
             if getattr(self, name) < 1:
                 raise ValueError(f"--{name} must be >= 1, got {getattr(self, name)}")
 
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     with tempfile.TemporaryDirectory(prefix="faults-") as folder, tqdm(total=plan.total, unit=" faults") as bar:
         bench = Bench(Path(folder), 5 if options.short else 12, options.seed, tick)
-        pool = ThreadPoolExecutor(options.workers)
+        pool = ThreadPoolExecutor(options.jobs)
         running = [pool.submit(trial, bench) for trial in plan.trials]
         try:
             for each in running:

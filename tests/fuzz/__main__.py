@@ -28,23 +28,23 @@ class Options:
     """
 
     steps: Count = 1_000_000
-    """agent steps, over all environments"""
+    """Agent steps, over all environments."""
 
     short: bool = False
-    """what CI runs: half of that"""
+    """What CI runs: half of that."""
 
     first: Count = 0
-    """number of the first case: other numbers, other cases"""
+    """Number of the first case: other numbers, other cases."""
 
-    workers: Count = os.cpu_count() or 1
-    """processes"""
+    jobs: Count = os.cpu_count() or 1
+    """Processes."""
 
     replay: int | None = None
-    """run this case alone, in this process, and show its calls"""
+    """Run this case alone, in this process, and show its calls."""
 
     def check(self) -> None:
         """Refuses to run nothing."""
-        for name in ("steps", "workers"):
+        for name in ("steps", "jobs"):
             if getattr(self, name) < 1:
                 raise ValueError(f"--{name} must be >= 1, got {getattr(self, name)}")
 
@@ -81,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             bar.set_postfix_str(f"{tally.cases} cases, {len(tally.failures)} failures", refresh=False)
             bar.update(min(tally.steps, steps) - bar.n)
 
-        tally = fuzz(run, steps, options.workers, options.first, tell=tell)
+        tally = fuzz(run, steps, options.jobs, options.first, tell=tell)
     for number, failure in sorted(tally.failures.items()):
         print(f"case {number}: {failure}")
     print(

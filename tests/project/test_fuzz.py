@@ -112,9 +112,9 @@ def test_it_ends_where_too_much_is_broken():
 def test_the_command_line(monkeypatch, capsys):
     assert parse(Options, "python -m tests.fuzz", ["--steps", "1e6"]).steps == 1_000_000
     with pytest.raises(SystemExit):
-        main(["--workers", "0"])
+        main(["--jobs", "0"])
     assert replay(0) == 0
-    assert main(["--steps", "10", "--workers", "1"]) == 0
+    assert main(["--steps", "10", "--jobs", "1"]) == 0
     assert "0 failures" in capsys.readouterr().out
     monkeypatch.setattr(CapsuleEnv, "reset", lambda self, **_: [][0])
     monkeypatch.setattr(CapsuleVectorEnv, "reset", lambda self, **_: [][0])

@@ -19,7 +19,7 @@ Node = Callable[..., Any]
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder that `make web` writes, in another place."""
     folder = tmp_path_factory.mktemp("site") / "live"
-    build.main(["--folder", str(folder)])
+    build.main(["--output", str(folder)])
     return folder
 
 

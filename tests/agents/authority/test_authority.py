@@ -153,7 +153,7 @@ def test_the_command_trains_judges_and_publishes(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(command, "all_arms", lambda: [ON_GAIT])
     (tmp_path / "docs" / "figures").mkdir(parents=True)
     (tmp_path / "agents" / "authority").mkdir(parents=True)
-    words = ["--seeds", "0", "--steps", str(SHORT), "--jobs", "1", "--runs", str(tmp_path / "runs"), "--publish"]
+    words = ["--seeds", "0", "--total-steps", str(SHORT), "--jobs", "1", "--runs", str(tmp_path / "runs"), "--publish"]
     assert command.main(words, root=tmp_path) == 0
     assert f"1 trainings of {SHORT:,} steps" in capsys.readouterr().out
     results = load(tmp_path / "agents" / "authority" / "results.json")
@@ -173,7 +173,7 @@ def test_the_page_shows_the_committed_results():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--steps", "0"], "--steps must be an integer >= 1, got 0"),
+        (["--total-steps", "0"], "--total-steps must be an integer >= 1, got 0"),
         (["--seeds", "x"], "--seeds must be integers and ranges"),
         (["--jobs", "0"], "--jobs must be an integer >= 1, got 0"),
     ],
