@@ -70,9 +70,7 @@ class Options(Output):
         super().check()
         check_output("--figure", self.figure, overwrite=True)
         if len(seeds_of(self.seeds)) < 2:
-            raise ValueError(
-                f"--seeds must be at least two, for an interval over them, got {' '.join(self.seeds)}"
-            )
+            raise ValueError(f"--seeds must be at least two, for an interval over them, got {' '.join(self.seeds)}")
         seeds_of(self.other_seeds, "--other-seeds")
         check_at_least_one("--total-steps", self.total_steps)
 

@@ -104,7 +104,15 @@ def _recurrent(trial: Trial) -> dict[str, Any]:
 
 
 def _deterministic(trial: Trial) -> dict[str, Any]:
-    return {**_off_policy(trial), "action_noise": trial.suggest_float("action_noise", 0.05, 0.5, log=True)}
+    rate = trial.suggest_float("learning_rate", 2e-4, 1e-3, log=True)
+    return {
+        "learning_rate": rate,
+        "final_learning_rate": 0.1 * rate,
+        "gamma": 1.0 - trial.suggest_float("one_minus_gamma", 5e-3, 2e-2, log=True),
+        "tau": trial.suggest_float("tau", 3e-3, 1e-2, log=True),
+        "action_noise": trial.suggest_float("action_noise", 0.3, 1.0, log=True),
+        "noise_time": trial.suggest_float("noise_time", 0.1, 0.5, log=True),
+    }
 
 
 def _distributional(trial: Trial) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from stable_baselines3 import SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter
-from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
@@ -61,7 +61,7 @@ from agents.training.stopping import Stop
 from baselines.policies import SCRIPTED
 from capsule_gym.files import naming, to_json, write_atomically
 from capsule_gym.sb3 import CapsuleSB3VecEnv
-from capsule_gym.task import HORIZON
+from capsule_gym.task import CONTROL_DT, HORIZON
 
 # Far from the seeds 0, 1, .. that training runs and evaluation sets use: model selection sees draws of its own.
 SELECTION_SEED = 1_000_000
@@ -193,7 +193,7 @@ def make_model(config: Config, env: VecNormalize, sac: type[SAC] = LeanSAC, fuse
         return TD3(
             "MlpPolicy",
             env,
-            action_noise=NormalActionNoise(np.zeros(1), np.full(1, config.action_noise)),
+            action_noise=_exploration(config),
             policy_delay=config.policy_delay,
             target_policy_noise=config.target_policy_noise,
             target_noise_clip=config.target_noise_clip,
@@ -209,6 +209,16 @@ def make_model(config: Config, env: VecNormalize, sac: type[SAC] = LeanSAC, fuse
             **shared,
         )
     return sac("MlpPolicy", env, policy_kwargs=network, **shared)
+
+
+def _exploration(config: TD3Config) -> ActionNoise:
+    """The noise on the actions of TD3 while it trains."""
+    mean, deviation, time = np.zeros(1), config.action_noise, config.noise_time
+    if time == 0.0:
+        return NormalActionNoise(mean, np.full(1, deviation))
+    # Its deviation once it has forgotten where it began.
+    sigma = np.full(1, deviation * math.sqrt(2.0 / time))
+    return OrnsteinUhlenbeckActionNoise(mean, sigma, theta=1.0 / time, dt=CONTROL_DT)
 
 
 class Stopped(Exception):  # noqa: N818

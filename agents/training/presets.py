@@ -293,6 +293,8 @@ class TD3Config(OffPolicyConfig):
 
     action_noise: float = 0.2
     """Standard deviation of the noise on actions while training."""
+    noise_time: float = 0.0
+    """Time over which that noise is correlated, s: without, it hardly swings the pendulum."""
     policy_delay: Count = 2
     """Updates of the critics in one of the actor."""
     target_policy_noise: float = 0.2
@@ -304,7 +306,7 @@ class TD3Config(OffPolicyConfig):
         """As for all; and noises must be finite and not negative."""
         super().check()
         self._check_counts("policy_delay")
-        for name in ("action_noise", "target_policy_noise", "target_noise_clip"):
+        for name in ("action_noise", "noise_time", "target_policy_noise", "target_noise_clip"):
             self._check_range(name, "a finite number >= 0", 0.0)
 
 
@@ -356,18 +358,18 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
         evaluate_every=10_000,
     ),
     ("residual", "td3"): TD3Config(),
-    # Of agents/study/data/direct-td3.json.
     ("direct", "td3"): TD3Config(
         task="direct",
         controller=None,
         total_steps=100_000,
         learning_starts=4000,
         gradient_steps=16,
-        learning_rate=1.35e-3,
-        final_learning_rate=1.35e-4,
-        gamma=0.9946,
-        tau=6.91e-3,
-        action_noise=0.347,
+        learning_rate=5e-4,
+        final_learning_rate=5e-5,
+        gamma=0.99,
+        tau=5e-3,
+        action_noise=0.7,
+        noise_time=0.25,
         evaluate_every=10_000,
     ),
     ("residual", "tqc"): TQCConfig(),

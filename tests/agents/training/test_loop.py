@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import signal
 import subprocess
 import sys
@@ -18,8 +19,8 @@ from stable_baselines3 import PPO
 import train as command_line
 from agents.training import loop
 from agents.training.checkpoint import newest
-from agents.training.loop import begin, make_env, make_model, own_draws, train
-from agents.training.presets import PRESETS
+from agents.training.loop import _exploration, begin, make_env, make_model, own_draws, train
+from agents.training.presets import PRESETS, TD3Config
 from agents.training.runs import ALGORITHMS
 from capsule_gym import load_policy
 from capsule_gym.network import LAW_TORQUE, to_action
@@ -162,3 +163,14 @@ def test_what_updates_after_every_step_logs_long_before_an_episode_ends(tmp_path
     with (run / "logs" / "progress.csv").open() as file:
         steps = [int(row["time/total_timesteps"]) for row in csv.DictReader(file)]
     assert steps == [104, 200, 304, 400, 504, 600, 704, 800]
+
+
+@pytest.mark.parametrize("noise_time", [0.0, 0.1])
+def test_exploration_has_the_deviation_and_the_memory_that_it_is_given(noise_time):
+    np.random.seed(0)
+    noise = _exploration(TD3Config(action_noise=0.5, noise_time=noise_time))
+    values = np.array([noise()[0] for _ in range(40_000)])[1000:]
+    assert values.std() == pytest.approx(0.5, rel=0.1)
+    later = np.corrcoef(values[:-5], values[5:])[0, 1]
+    # Five steps of 20 ms are a correlation time.
+    assert later == pytest.approx(math.exp(-1.0) if noise_time else 0.0, abs=0.08)
