@@ -36,6 +36,7 @@ from capsule_gym.parameters import NOMINAL
 from capsule_gym.simulation import NO_CONTROLLER, count_rows
 from web import assembly
 from web.assembly import Entry, assemble
+from web.fused import fused
 
 # The task without a law, and the module that all tasks need besides their own; the other names are those of laws.
 DIRECT, COMMON = "direct", "common"
@@ -144,7 +145,7 @@ def build(names: Sequence[str], cache: Path | None = CACHE) -> dict[str, bytes]:
 def _digest(name: str) -> str:
     """A hash of all that a module is made of, and made with."""
     parts: list[Any] = [platform.python_version(), numba.__version__, llvmlite.__version__]
-    parts += [Path(assembly.__file__).read_bytes(), fingerprint(assembly.fused)]
+    parts += [Path(assembly.__file__).read_bytes(), fingerprint(fused)]
     parts += [(entry.name, entry.arguments, fingerprint(entry.function)) for entry in find_entries(name)]
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
 
