@@ -1,7 +1,7 @@
 """How fast the module for browsers is beside the native code: `python -m benchmarks.web`.
 
-Agent steps of one capsule in closed loop, each with its reset every episode, in this process and in node on the same
-machine. They take turns: the ratios of one run carry further than its absolute numbers.
+Whole episodes of one capsule in closed loop, in this process and in node on the same machine. They take turns, and the
+processor's time counts, so that a busy machine changes little.
 """
 
 from __future__ import annotations
@@ -9,7 +9,9 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -21,7 +23,7 @@ import capsule_gym
 from baselines.tables import markdown_table, text_table
 from benchmarks.machine import describe, machine
 from benchmarks.output import Output, check_at_least_one
-from benchmarks.timing import Contender, Rate, Stepper, measure
+from benchmarks.timing import Progress, Rate
 from capsule_gym.command_line import Count, parse, refuse
 from capsule_gym.task import EPISODE_STEPS
 from web import build
@@ -29,21 +31,20 @@ from web.episodes import env_kwargs, trained
 
 COMMAND = "python -m benchmarks.web"
 TURNS = 15
-TURN_SECONDS = 0.2
 # Nothing in the step, a law, a network, and both with a filter.
 DRIVERS = ("zero", "adaptive", "direct-ppo", "robust")
-# Steps as often as a line of its input says, and answers when it has.
+# For every line of its input an episode; answers with its seconds.
 SCRIPT = """
 import { createInterface } from "node:readline";
 const [path, driver] = process.argv.slice(1);
 const { drive } = await import(path);
 const episode = await drive(driver);
-for await (const line of createInterface({ input: process.stdin })) {
-  for (let left = Number(line); left > 0; left--) {
-    const { terminated, truncated } = episode.tick();
-    if (terminated || truncated) episode.reset();
-  }
-  console.log("done");
+for await (const _ of createInterface({ input: process.stdin })) {
+  const start = process.cpuUsage();
+  episode.reset();
+  for (let step = 0; step < episode.horizon; step++) episode.tick();
+  const { user, system } = process.cpuUsage(start);
+  console.log((user + system) / 1e6);
 }
 """
 
@@ -57,7 +58,7 @@ class Options(Output):
     """
 
     turns: Count = TURNS
-    """Turns of every contender."""
+    """Episodes of every driver, native and in node."""
 
     def check(self) -> None:
         """Refuses what cannot be measured or written."""
@@ -65,44 +66,51 @@ class Options(Output):
         check_at_least_one("--turns", self.turns)
 
 
-def make_native(driver: str) -> Stepper:
-    """One environment of Python's, as a user steps it."""
+def native_episode(driver: str) -> float:
+    """A nominal episode of Python's environment, as a user steps it; returns its seconds. No driver fails in it."""
     env = capsule_gym.CapsuleEnv(**env_kwargs(driver))
     policy = capsule_gym.load_policy(driver) if trained(driver) else None
     nothing, nominal = np.zeros(1, np.float32), {"M": env.simulation.capsule.M, "mu": env.simulation.capsule.mu}
-    taken, observation, act = EPISODE_STEPS, np.zeros(0), None
-
-    def run(count: int) -> None:
-        nonlocal taken, observation, act
-        for _ in range(count):
-            if taken == EPISODE_STEPS:
-                observation, _ = env.reset(options=nominal)
-                act, taken = policy.start([0]) if policy else None, 0
-            observation, _, terminated, _, _ = env.step(act(observation) if act else nothing)
-            taken = EPISODE_STEPS if terminated else taken + 1
-
-    return Stepper(run, env.close)
+    start = time.process_time()
+    observation, _ = env.reset(options=nominal)
+    act = policy.start([0]) if policy else None
+    for _ in range(EPISODE_STEPS):
+        observation, *_ = env.step(act(observation) if act else nothing)
+    seconds = time.process_time() - start
+    env.close()
+    return seconds
 
 
-def make_node(driver: str, module: Path) -> Stepper:
-    """One capsule of the module's in a process of node."""
+@contextmanager
+def running(driver: str, module: Path) -> Iterator[Callable[[], float]]:
+    """A process of node; gives the function that runs a nominal episode of the module's and returns its seconds."""
     command = ["node", "--input-type=module", "--eval", SCRIPT, module.as_uri(), driver]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    assert process.stdin is not None and process.stdout is not None
-    given, answers = process.stdin, process.stdout
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None and process.stdout is not None
+        given, answers = process.stdin, process.stdout
 
-    def run(count: int) -> None:
-        given.write(f"{count}\n")
-        given.flush()
-        if not answers.readline():
-            raise RuntimeError(f"node ended with status {process.wait()}")
+        def episode() -> float:
+            given.write("\n")
+            given.flush()
+            return float(answers.readline())
 
-    def close() -> None:
-        given.close()
-        process.wait()
-        answers.close()
+        yield episode
 
-    return Stepper(run, close)
+
+def measure(module: Path, turns: int) -> dict[tuple[str, str], Rate]:
+    """Agent steps per second by driver and place, native or in node; the first turn only warms up."""
+    with ExitStack() as stack:
+        episodes: dict[tuple[str, str], Callable[[], float]] = {}
+        for driver in DRIVERS:
+            episodes[driver, "native"] = partial(native_episode, driver)
+            episodes[driver, "node"] = stack.enter_context(running(driver, module))
+        found: dict[tuple[str, str], list[float]] = {key: [] for key in episodes}
+        progress = Progress("web, turns", turns + 1)
+        for _ in range(turns + 1):
+            for key, episode in episodes.items():
+                found[key].append(EPISODE_STEPS / episode())
+            progress.step()
+    return {key: Rate.of(rates[1:]) for key, rates in found.items()}
 
 
 def rows(rates: dict[tuple[str, str], Rate]) -> list[list[str]]:
@@ -110,8 +118,8 @@ def rows(rates: dict[tuple[str, str], Rate]) -> list[list[str]]:
     table = [["driver", "native, steps/s", "IQR", "node, steps/s", "IQR", "node over native"]]
     for driver in DRIVERS:
         native, node = rates[driver, "native"], rates[driver, "node"]
-        cells = [cell for rate in (native, node) for cell in (f"{rate.median:,.0f}", f"{rate.spread:.0%}")]
-        table.append([driver, *cells, f"{node.median / native.median:.2f}"])
+        pairs = [(f"{rate.median:,.0f}", f"{rate.spread:.0%}") for rate in (native, node)]
+        table.append([driver, *pairs[0], *pairs[1], f"{node.median / native.median:.3f}"])
     return table
 
 
@@ -123,21 +131,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (OSError, subprocess.CalledProcessError) as error:
         refuse(COMMAND, f"node must be installed: {error}")
     with tempfile.TemporaryDirectory() as folder:
-        build.main(["--output", folder])
-        module = Path(folder) / "capsule.mjs"
-        contenders = {
-            (driver, kind): Contender(f"{driver}, {kind}", make)
-            for driver in DRIVERS
-            for kind, make in {
-                "native": partial(make_native, driver),
-                "node": partial(make_node, driver, module),
-            }.items()
-        }
+        build.main(["--folder", folder])
         found = machine()
-        measured = measure(list(contenders.values()), options.turns, TURN_SECONDS, "web")
-    rates = {key: measured[contender.name] for key, contender in contenders.items()}
+        rates = measure(Path(folder) / "capsule.mjs", options.turns)
     note = (
-        f"Agent steps per second of one capsule in closed loop, of 20 ms each; medians of {options.turns} turns. "
+        f"Agent steps, of 20 ms each, of one capsule in closed loop per second of the processor; medians of "
+        f"{options.turns} episodes. "
         f"{describe(found)}, node {version.removeprefix('v')}."
     )
     print(text_table(rows(rates)), note, sep="\n\n")
