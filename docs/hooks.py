@@ -1,39 +1,119 @@
-"""What mkdocs does besides: rows of the leaderboard get links to the live page, and every link is checked.
+"""What mkdocs does besides: the leaderboard and links to scenes lead to the live page, and every link is checked.
 
 Nothing of the site is fetched from elsewhere: it reads the same without a network and from any host.
 """
 
 from __future__ import annotations
 
+import html
+import json
 import re
 from collections.abc import Iterator
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote, urlsplit
+from urllib.parse import parse_qs, unquote, urlencode, urlsplit
 
 from mkdocs.exceptions import PluginError
+from mkdocs.utils import get_relative_url
 
-RANKED = re.compile(r"(?P<place><td>\d+)(?P<between></td>\s*<td>)(?P<name>[\w-]+)(?=</td>)")
+ROOT = Path(__file__).resolve().parents[1]
 # Made by `make web` behind this build, into the same folder.
 LIVE = "live/"
+# The paper's controller, which the live page shows beside all others.
+BASELINE = "adaptive"
+# Pages with a ranking of policies.
+RANKINGS = ("index.md", "leaderboard.md")
+TABLE = re.compile(r"<table>.*?</table>", re.DOTALL)
+ROW = re.compile(r"(?<=<tr>).*?(?=</tr>)", re.DOTALL)
+CELL = re.compile(r"(?<=<td>).*?(?=</td>)")
+# On GitHub such a link leads to the page about the live page, here to the scene itself.
+SCENE = re.compile(r"\[(?P<text>[^\]]+)\]\(live\.md#(?P<scene>driver=[^)\s]+)\)")
 # What loads a file; any other link may lead elsewhere.
 LOADING = {"audio", "iframe", "img", "link", "script", "source", "video"}
 # Links that load nothing, among those of `link`.
 UNLOADED = {"canonical", "next", "prev"}
 
 
-def _watch(match: re.Match[str]) -> str:
-    """A row of the ranking with a link to its policy on the live page, beside the paper's controller."""
-    name = match["name"]
-    scene = f"../{LIVE}index.html#driver={name}&amp;rival=adaptive&amp;set=paper&amp;plant=0"
-    link = f'<a class="watch" href="{scene}" title="Watch {name}" aria-label="Watch {name}">&#9654;</a>'
-    return f"{match['place']} {link}{match['between']}{name}"
+@cache
+def drivers() -> frozenset[str]:
+    """What the live page can show: each of its drivers has an episode in web/episodes.json."""
+    episodes = json.loads((ROOT / "web" / "episodes.json").read_text(encoding="utf-8"))
+    return frozenset(episode["driver"] for episode in episodes)
+
+
+@cache
+def set_names() -> tuple[str, ...]:
+    """The frozen evaluation sets, in the order of the leaderboard."""
+    return tuple(json.loads((ROOT / "leaderboard.json").read_text(encoding="utf-8"))["sets"])
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Makes links to live.md#driver=.. links to that scene of the live page."""
+    return SCENE.sub(lambda match: _link(page, match["scene"], match["text"], {}), markdown)
 
 
 def on_page_content(content: str, page: Any, **_: Any) -> str:
-    """Links the leaderboard to the live page."""
-    return RANKED.sub(_watch, content) if page.file.src_uri == "leaderboard.md" else content
+    """Links the rankings, and the numbers by set, to the live page."""
+    if page.file.src_uri not in RANKINGS:
+        return content
+    return TABLE.sub(lambda match: _watched(page, match[0]), content)
+
+
+def _watched(page: Any, table: str) -> str:
+    """A table with links to its policies on the live page, beside the paper's controller; others stay as they are."""
+    heads = re.findall("<th>(.*?)</th>", table)
+    if heads == ["policy", *set_names()]:
+        return ROW.sub(lambda row: _by_set(page, row[0]), table)
+    if "policy" in heads and f"x {BASELINE}" in heads:
+        return ROW.sub(lambda row: _by_name(page, row[0], heads.index("policy")), table)
+    return table
+
+
+def _by_name(page: Any, row: str, column: int) -> str:
+    """A row of a ranking, whose first cell gets the link."""
+    cells = CELL.findall(row)
+    if not cells or cells[column] not in drivers():
+        return row
+    words = f"Watch {cells[column]}"
+    attributes = {"class": "watch", "title": words, "aria-label": words}
+    link = _link(page, _scene(cells[column], "paper"), "&#9654;", attributes)
+    return CELL.sub(lambda cell: f"{cell[0]} {link}", row, count=1)
+
+
+def _by_set(page: Any, row: str) -> str:
+    """A row of a policy's numbers, one per set, each of which becomes a link."""
+    cells = CELL.findall(row)
+    if not cells or cells[0] not in drivers():
+        return row
+    linked = iter(
+        _link(page, _scene(cells[0], name), cell, {"title": f"Watch {cells[0]} on {name}"})
+        for name, cell in zip(set_names(), cells[1:], strict=True)
+    )
+    name, rest = row.split("</td>", 1)
+    return f"{name}</td>{CELL.sub(lambda _: next(linked), rest)}"
+
+
+def _scene(driver: str, set_name: str) -> str:
+    """The first plant of a set, with the paper's controller beside the driver."""
+    rival = {} if driver == BASELINE else {"rival": BASELINE}
+    return urlencode({"driver": driver, **rival, "set": set_name, "plant": 0})
+
+
+def _link(page: Any, scene: str, text: str, attributes: dict[str, str]) -> str:
+    """A link to a scene of the live page.
+
+    Raises:
+        PluginError: if the live page has none of its drivers.
+    """
+    given = parse_qs(scene)
+    strangers = {*given["driver"], *given.get("rival", [])} - drivers()
+    if strangers:
+        raise PluginError(f"{page.file.src_uri} links to drivers that the live page lacks: {', '.join(strangers)}")
+    address = f"{get_relative_url(LIVE + 'index.html', page.url)}#{scene}"
+    written = (f'{name}="{html.escape(value)}"' for name, value in {**attributes, "href": address}.items())
+    return f"<a {' '.join(written)}>{text}</a>"
 
 
 class _Links(HTMLParser):

@@ -1,13 +1,18 @@
-"""The site: broken links are found, pages load nothing from elsewhere, the leaderboard leads to the live page."""
+"""The site: broken links are found, pages load nothing from elsewhere, rankings and scenes lead to the live page."""
 
 from __future__ import annotations
 
 import importlib.util
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
+
+from agents.evaluation.candidates import BASELINE
+from agents.evaluation.sets import SET_NAMES
+from web.episodes import driver_names
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -61,11 +66,54 @@ def test_broken_links_are_named(hooks: ModuleType, site: Path, tag: str, message
         hooks.on_post_build({"site_dir": str(site), "site_url": "https://example.org/base/"})
 
 
-def test_rows_of_the_ranking_lead_to_the_live_page(hooks: ModuleType) -> None:
-    row = "<tr>\n<td>1</td>\n<td>direct-ppo</td>\n<td>18.24</td>\n</tr>"
-    page = SimpleNamespace(file=SimpleNamespace(src_uri="leaderboard.md"))
-    found = hooks.on_page_content(row, page)
-    assert 'href="../live/index.html#driver=direct-ppo&amp;rival=adaptive&amp;set=paper&amp;plant=0"' in found
-    assert "<td>direct-ppo</td>" in found
+@pytest.fixture
+def page() -> SimpleNamespace:
+    return SimpleNamespace(file=SimpleNamespace(src_uri="leaderboard.md"), url="leaderboard/")
+
+
+def table(*rows: Sequence[str]) -> str:
+    """A table as mkdocs writes it, whose first row is its head."""
+    kinds = ["th"] + ["td"] * (len(rows) - 1)
+    lines = ("".join(f"<{kind}>{cell}</{kind}>\n" for cell in row) for kind, row in zip(kinds, rows, strict=True))
+    return "<table>\n" + "".join(f"<tr>\n{line}</tr>\n" for line in lines) + "</table>"
+
+
+def test_the_live_page_has_the_drivers_that_are_linked(hooks: ModuleType) -> None:
+    assert hooks.drivers() == set(driver_names())
+    assert hooks.BASELINE == BASELINE
+    assert set(hooks.set_names()) == set(SET_NAMES)
+
+
+def test_rows_of_the_ranking_lead_to_the_live_page(hooks: ModuleType, page: SimpleNamespace) -> None:
+    rows = table(["", "policy", "x adaptive"], ["1", "direct-ppo", "2"], ["2", "adaptive", "1"], ["3", "random", "0"])
+    found = hooks.on_page_content(rows, page)
+    scenes = re.findall(r'href="([^"]*)"', found)
+    assert scenes == [
+        "../live/index.html#driver=direct-ppo&amp;rival=adaptive&amp;set=paper&amp;plant=0",
+        "../live/index.html#driver=adaptive&amp;set=paper&amp;plant=0",
+    ]
+    assert re.findall(r"<td>(\d) <a class=\"watch\"", found) == ["1", "2"]
+    assert "<td>3</td>\n<td>random</td>" in found
     page.file.src_uri = "evidence.md"
-    assert hooks.on_page_content(row, page) == row
+    assert hooks.on_page_content(rows, page) == rows
+
+
+def test_numbers_by_set_lead_to_their_plants(hooks: ModuleType, page: SimpleNamespace) -> None:
+    names = hooks.set_names()
+    rows = table(["policy", *names], ["robust", *(f"{n}.5" for n in range(len(names)))], ["random", *names])
+    found = hooks.on_page_content(rows, page)
+    assert re.findall(r"set=(\w+)&amp;plant=0\">([\d.]+)</a>", found) == [
+        (name, f"{n}.5") for n, name in enumerate(names)
+    ]
+    assert "<td>robust</td>" in found
+    other = table(["policy", "seeds"], ["robust", "10"])
+    assert hooks.on_page_content(other, page) == other
+
+
+def test_a_link_to_a_scene_leads_to_the_live_page(hooks: ModuleType, page: SimpleNamespace) -> None:
+    found = hooks.on_page_markdown("See [it](live.md#driver=epc&M=0.5&t=2), [live](live.md).", page)
+    assert found == 'See <a href="../live/index.html#driver=epc&amp;M=0.5&amp;t=2">it</a>, [live](live.md).'
+    page.url = ""
+    assert '"live/index.html#driver=epc"' in hooks.on_page_markdown("[it](live.md#driver=epc)", page)
+    with pytest.raises(Exception, match="lacks: random"):
+        hooks.on_page_markdown("[it](live.md#driver=epc&rival=random)", page)
