@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,11 +12,12 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
+from agents.distil.students import STUDENTS
 from agents.evaluation.candidates import checkpoint_names, find_candidate
 from agents.evaluation.episodes import failures, scores
 from agents.evaluation.sets import load_set
 from agents.evaluation.statistics import interquartile_mean
-from agents.study.jobs import Job, evaluations, plan
+from agents.study.jobs import Job, Outcome, evaluations, plan
 from agents.study.progress import brief
 from agents.study.study import check_jobs, leave, tell_failures, train_all
 from agents.training.errors import RunError
@@ -28,6 +30,8 @@ PROG = "python -m agents.reproduce"
 RUNS = Path("runs/reproduce")
 # A seed that no published run has.
 SEED = 100
+# What learnt from reward, and what the optimum taught.
+PUBLISHED = (*ROWS, *(name for name, student in STUDENTS.items() if not student.told))
 # Student's t at 97.5 % with 1, 2, .. degrees of freedom; with more than these the last, which is on the safe side.
 STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262)
 
@@ -45,7 +49,9 @@ class Options:
       python -m agents.reproduce direct-ppo --seed 101
     """
 
-    rows: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME", help=f"Which of {', '.join(ROWS)}.")] = tuple(ROWS)
+    rows: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME", help=f"Which of {', '.join(PUBLISHED)}.")] = (
+        PUBLISHED
+    )
     seed: Count = SEED
     """Training seed; one that is not among the published runs' is a test of its own."""
     jobs: int | None = None
@@ -56,7 +62,8 @@ class Options:
     def check(self) -> None:
         """Refuses rows and seeds that do not exist."""
         for row in self.rows:
-            row_settings(row)
+            if row not in STUDENTS:
+                row_settings(row)
         if self.seed > LARGEST_SEED:
             raise ValueError(f"--seed must be an integer >= 0 and <= {LARGEST_SEED}, got {self.seed}")
         check_jobs(self.jobs)
@@ -91,7 +98,7 @@ class Verdict:
         speed: interquartile mean, cm/s.
         failed: failures over episodes, as text.
         published: the same mean speed of every published run.
-        seconds: that it took to train.
+        seconds: of processor time that it took to train.
     """
 
     row: str
@@ -119,50 +126,87 @@ class Verdict:
         return [self.row, self.set, shown, expected, speed, self.failed, brief(self.seconds), self.words]
 
 
-HEADER = ["row", "set", "published cm/s (runs)", "expected", "now", "failed", "training", "verdict"]
+HEADER = ["row", "set", "published cm/s (runs)", "expected", "now", "failed", "training (one core)", "verdict"]
 
 
 def set_of(row: str) -> str:
     """The frozen set that is drawn as a row's training episodes are."""
-    return "wide" if ROWS[row].randomization == "wide" else "paper"
+    trained_on = STUDENTS[row].randomization if row in STUDENTS else ROWS[row].randomization
+    return "wide" if trained_on == "wide" else "paper"
 
 
-def judge(job: Job, set_name: str) -> Verdict:
-    """Evaluates a finished run and the published ones of its row on a frozen set."""
+def judge(row: str, run: Path, seconds: float) -> Verdict:
+    """Evaluates a finished run and the published ones of its row on a frozen set.
+
+    Args:
+        row: its name.
+        run: the run's folder.
+        seconds: of processor time that it took to train.
+    """
+    set_name = set_of(row)
     evaluation_set = load_set(set_name)
-    episodes = find_candidate(str(job.run)).evaluate(evaluation_set)
+    episodes = find_candidate(str(run)).evaluate(evaluation_set)
     published: tuple[float, ...] = ()
-    if job.row in checkpoint_names():
-        speeds = scores(find_candidate(job.row).evaluate(evaluation_set), "mean_speed")
+    if row in checkpoint_names():
+        speeds = scores(find_candidate(row).evaluate(evaluation_set), "mean_speed")
         published = tuple(float(speed) for speed in interquartile_mean(speeds))
     return Verdict(
-        job.row,
+        row,
         set_name,
         float(interquartile_mean(scores(episodes, "mean_speed"))[0]),
         f"{failures(episodes)}/{len(episodes)}",
         published,
-        evaluations(job.run)[-1].seconds,
+        seconds,
     )
+
+
+def train(options: Options) -> tuple[list[Outcome], list[Verdict], bool]:
+    """Trains what is not finished: first what learns from reward, then students, one after the other.
+
+    Returns:
+        How each run ended that learns from reward, verdicts on what is finished, and whether all was, or failed.
+    """
+    # Not needed to say what there is to reproduce, and slow to import.
+    from agents.distil.outcome import teach
+    from agents.distil.run import read_result
+
+    jobs = plan([row for row in options.rows if row not in STUDENTS], [options.seed], options.runs)
+    outcomes = train_all(jobs, options.runs, options.jobs)
+    ended = all(outcome.state != "stopped" for outcome in outcomes)
+    finished = [outcome.job for outcome in outcomes if outcome.state == "finished"]
+    verdicts = [judge(job.row, job.run, _core_seconds(job)) for job in finished] if ended else []
+    for row in [row for row in options.rows if row in STUDENTS]:
+        folder = options.runs / row / f"seed-{options.seed}"
+        ended = ended and teach(row, {options.seed: folder}, STUDENTS[row].budget)
+        result = read_result(folder)
+        if ended and result:
+            verdicts.append(judge(row, folder, result.core_seconds))
+    return outcomes, verdicts, ended
+
+
+def _core_seconds(job: Job) -> float:
+    """The processor time of a run; the wall clock's where it did not count it."""
+    last = evaluations(job.run)[-1]
+    return last.seconds if last.core_seconds is None else last.core_seconds
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     options = parse(Options, PROG, arguments)
+    began = time.monotonic()
     try:
-        jobs = plan(options.rows, [options.seed], options.runs)
-        outcomes = train_all(jobs, options.runs, options.jobs)
+        outcomes, verdicts, ended = train(options)
     except (RunError, OSError) as error:
         refuse(PROG, str(error))
-    if any(outcome.state == "stopped" for outcome in outcomes):
+    if not ended:
         print("Stopped; saved. The same command goes on.")
         return INTERRUPTED
-    finished = [outcome.job for outcome in outcomes if outcome.state == "finished"]
-    verdicts = [judge(job, set_of(job.row)) for job in finished]
     print(text_table([HEADER, *(verdict.cells() for verdict in verdicts)], left=1))
     print("\nexpected: the 95 % prediction interval of the published runs (normal, Student's t) for one more run.")
-    print(f"Trained for {brief(sum(verdict.seconds for verdict in verdicts))}, the runs added up.")
+    spent = sum(verdict.seconds for verdict in verdicts)
+    print(f"Training took {brief(spent)} of processor time; all of it, {brief(time.monotonic() - began)} by the clock.")
     tell_failures(outcomes)
-    return 1 if len(finished) < len(jobs) or any(verdict.words == "below" for verdict in verdicts) else 0
+    return 1 if len(verdicts) < len(options.rows) or any(verdict.words == "below" for verdict in verdicts) else 0
 
 
 if __name__ == "__main__":

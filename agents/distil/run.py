@@ -45,13 +45,13 @@ class Result:
     Attributes:
         mean_speed: of its best policy in the evaluation that chose it, cm/s.
         failed: share of failed episodes in it.
-        seconds: that the run took.
+        core_seconds: of processor time that the run took.
         revision: the git revision that it ran at.
     """
 
     mean_speed: float
     failed: float
-    seconds: float
+    core_seconds: float
     revision: str
 
 
@@ -103,7 +103,7 @@ def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop, bud
     """
     folder.mkdir(parents=True)
     torch.set_num_threads(1)
-    began, revision = time.monotonic(), git_revision(Path(__file__).parent)
+    began, revision = time.process_time(), git_revision(Path(__file__).parent)
     rng = np.random.default_rng(seed)
     classroom = Classroom(student, budget.num_envs, rng)
     draws = own_draws(student, SELECTION_SEED + seed * budget.episodes, budget.episodes)
@@ -135,6 +135,6 @@ def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop, bud
             if found > best:
                 best = found
                 policy.save(folder / POLICY)
-    result = Result(best[1], best[2], round(time.monotonic() - began, 1), revision)
+    result = Result(best[1], best[2], round(time.process_time() - began, 1), revision)
     write_atomically(folder / FINISHED, to_json(asdict(result)))
     return result

@@ -179,7 +179,7 @@ def test_only_what_can_be_checked_out_is_published(tmp_path):
     folder, checkpoints = tmp_path / "run", tmp_path / "checkpoints"
     folder.mkdir()
     (folder / "policy.safetensors").write_bytes(b"policy")
-    result = {"mean_speed": 20.0, "failed": 0.0, "seconds": 1.0, "revision": "0123456789ab+"}
+    result = {"mean_speed": 20.0, "failed": 0.0, "core_seconds": 1.0, "revision": "0123456789ab+"}
     (folder / "finished.json").write_text(json.dumps(result))
     with pytest.raises(RunError, match="nothing uncommitted"):
         outcome.publish(NAME, {3: folder}, checkpoints)

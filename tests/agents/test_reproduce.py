@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shutil
 
@@ -10,7 +11,9 @@ import pytest
 from scipy import stats
 
 from agents import reproduce
-from agents.evaluation.candidates import CHECKPOINTS
+from agents.distil import outcome
+from agents.distil.students import STUDENTS
+from agents.evaluation.candidates import CHECKPOINTS, checkpoint_names
 from agents.reproduce import STUDENT, Verdict, prediction_interval
 from agents.study.jobs import Outcome
 from agents.training.presets import ROWS
@@ -41,9 +44,14 @@ def test_nothing_follows_from_a_single_published_run(published):
     assert verdict.cells()[3] == ""
 
 
-@pytest.mark.parametrize("row", ROWS)
+@pytest.mark.parametrize("row", reproduce.PUBLISHED)
 def test_a_row_is_compared_on_plants_as_it_was_trained_on(row):
-    assert reproduce.set_of(row) in (ROWS[row].randomization, "paper")
+    settings = ROWS.get(row) or STUDENTS[row]
+    assert reproduce.set_of(row) in (settings.randomization, "paper")
+
+
+def test_every_checkpoint_is_reproduced():
+    assert set(checkpoint_names()) <= set(reproduce.PUBLISHED)
 
 
 def trained(job):
@@ -60,6 +68,21 @@ def test_a_published_run_lies_within_its_own_rows_interval(tmp_path, monkeypatch
     assert reproduce.main(["direct-ppo", "--runs", str(tmp_path)]) == 0
     (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("direct-ppo")]
     assert line.endswith("within") and "2 min" in line and "(5)" in line
+
+
+def test_a_student_is_taught_anew_and_compared(tmp_path, monkeypatch, capsys):
+    def teach(name, folders, budget):
+        assert budget == STUDENTS[name].budget
+        for folder in folders.values():
+            shutil.copytree(CHECKPOINTS / name / "seed-0", folder)
+            result = {"mean_speed": 20.0, "failed": 0.0, "core_seconds": 90.0, "revision": "0123456789ab"}
+            (folder / "finished.json").write_text(json.dumps(result))
+        return True
+
+    monkeypatch.setattr(outcome, "teach", teach)
+    assert reproduce.main(["optimum-distilled", "--runs", str(tmp_path)]) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("optimum-distilled")]
+    assert line.endswith("within") and "90 s" in line and "(5)" in line
 
 
 def test_a_run_that_fails_is_told(tmp_path, monkeypatch, capsys):

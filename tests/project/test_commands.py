@@ -45,7 +45,14 @@ def help_of(name: str) -> tuple[set[str], str]:
 
 
 def test_commands_are_found() -> None:
-    assert set(COMMANDS) >= {"capsule_gym.play", "agents.evaluate", "baselines.paper", "web.build", "train"}
+    assert set(COMMANDS) >= {
+        "capsule_gym.play",
+        "agents.evaluate",
+        "baselines.paper",
+        "tests.bits",
+        "web.build",
+        "train",
+    }
 
 
 @pytest.mark.parametrize("name", COMMANDS)
