@@ -23,7 +23,6 @@ from baselines.policies import SCRIPTED
 from baselines.tables import markdown_table, text_table
 from capsule_gym.command_line import Positional, check_output, parse, refuse
 from capsule_gym.files import write_atomically
-from capsule_gym.policy import IMITATION, load_policy
 
 PROG = "python -m agents.cycles"
 ROOT = Path(__file__).resolve().parents[2]
@@ -74,6 +73,9 @@ def default_names(root: Path = ROOT) -> list[str]:
     Raises:
         ValueError: if a checkpoint has no results.
     """
+    # numba takes most of a second to import, which --help need not wait for.
+    from capsule_gym.policy import IMITATION, load_policy
+
     learnt = [name for name in checkpoint_names() if load_policy(name).algorithm != IMITATION]
     rows = load_rows(root / RESULTS, learnt)
     speeds = {row.name: float(interquartile_mean(row.score(RANKING_SET, "mean_speed").ravel())) for row in rows}

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from agents.distil import __main__ as command
-from agents.distil import run
+from agents.distil import outcome, run
 from agents.distil.lessons import Classroom, regrets_of
 from agents.distil.network import Fit, Network, interpolated
 from agents.distil.students import STUDENTS, Budget
@@ -182,10 +182,10 @@ def test_only_what_can_be_checked_out_is_published(tmp_path):
     result = {"mean_speed": 20.0, "failed": 0.0, "core_seconds": 1.0, "revision": "0123456789ab+"}
     (folder / "finished.json").write_text(json.dumps(result))
     with pytest.raises(RunError, match="nothing uncommitted"):
-        command.publish(NAME, {3: folder}, checkpoints)
+        outcome.publish(NAME, {3: folder}, checkpoints)
     assert not checkpoints.exists()
     (folder / "finished.json").write_text(json.dumps({**result, "revision": "0123456789ab"}))
-    command.publish(NAME, {3: folder}, checkpoints)
+    outcome.publish(NAME, {3: folder}, checkpoints)
     assert (checkpoints / NAME / "seed-3" / "policy.safetensors").read_bytes() == b"policy"
 
 

@@ -25,9 +25,9 @@ def test_motions_do_what_the_records_say_to_the_last_bit():
     some = [key_of(Problem(M=M, mu=mu)) for M, mu in ((0.35, 0.5), (0.5, 0.01), (1.0, 0.005))]
     few = Archive()
     few.records = {key: archive.records[key] for key in some}
-    assert command.check(few) == []
+    assert parts.check(few) == []
     few.choices[some[0]] = few.choices[some[0]][::-1]
-    assert len(command.check(few)) == 1
+    assert len(parts.check(few)) == 1
 
 
 def test_optima_lie_between_the_gaits_and_the_bound():
