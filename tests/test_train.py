@@ -128,7 +128,7 @@ def test_resume_asks_before_it_runs_the_code_of_a_law_from_elsewhere(tmp_path, c
         (["--seed", "6"], "--seed must stay 5 with --resume, got 6; only --total-steps may be changed"),
         (["--task", "residual"], "--task must stay direct with --resume, got residual"),
         (["--algo", "ppo"], "--algo must stay sac with --resume, got ppo"),
-        (["--learning-rate", "0.1"], "--learning-rate must stay 0.0007"),
+        (["--learning-rate", "0.1"], f"--learning-rate must stay {PRESETS['direct', 'sac'].learning_rate}"),
         (["--run", "elsewhere"], "--run must not be given with --resume, got 'elsewhere'"),
         (["--row", "direct-ppo"], "--row must not be given with --resume, got 'direct-ppo'"),
         (["--n-steps", "3"], "Unrecognized options: --n-steps, 3"),

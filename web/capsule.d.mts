@@ -141,6 +141,26 @@ export class Episode extends Capsule {
 
 export function load(task: string): Promise<Capsule>;
 export function drive(driver: string, options?: Start & { energyWeight?: number }): Promise<Episode>;
+/** A policy of one's own: the JSON of what `agents.browser.describe_policy` says of it in Python. */
+export interface OwnDriver {
+  /** Not that of another driver. */
+  name: string;
+  title: string;
+  description: string;
+  kind: "policy";
+  /** One of `tasks`. */
+  task: string;
+  seed?: number;
+  /** The step's settings, of the package's own layout; control_dt in s. */
+  settings: { fixed: number[]; control_dt: number; steps: number };
+  /** The packed network, of the package's own layout. */
+  network: number[];
+  /** The most units of a layer. */
+  units: number;
+}
+
+/** Makes a policy of one's own one of `drivers`. */
+export function addDriver(driver: OwnDriver): void;
 export function check(
   report?: (result: { name: string; equal: boolean; steps: number; doubles: number }) => void,
 ): Promise<boolean>;

@@ -33,12 +33,13 @@ const STATE = Object.keys(HEADER.constants.start);
 const SHOWN = QUANTITIES.slice(0, ROW.clock + 1);
 const MODULES = new Map();
 
+/** What a page shows of a driver. */
+function describe({ settings, network, units, ...shown }) {
+  return { ...shown, controlDt: settings.control_dt, steps: settings.steps };
+}
+
 /** Every driver, with what a page shows of it. */
-export const drivers = DRIVERS.map(({ settings, network, units, ...shown }) => ({
-  ...shown,
-  controlDt: settings.control_dt,
-  steps: settings.steps,
-}));
+export const drivers = DRIVERS.map(describe);
 /** The frozen evaluation sets: hash and plants. */
 export const sets = HEADER.sets;
 /** Numbers of the task and of the plant, in SI units. */
@@ -342,10 +343,16 @@ export class Episode extends Capsule {
   }
 }
 
+/** A driver's network, which lies in the archive where the driver came with the module. */
+function networkOf(driver) {
+  const network = driver?.network ?? new Float64Array(0);
+  return network instanceof Float64Array ? network : readArray(network);
+}
+
 /** Places, and the arrays that a task and a driver need. */
 async function prepare(name, driver) {
   const task = { ...TASKS[name], reference: readArray(TASKS[name].table) };
-  const network = driver?.network ? readArray(driver.network) : new Float64Array(0);
+  const network = networkOf(driver);
   const { fixed } = (driver ?? task).settings;
   const sizes = {
     world: [Float64Array, task.rows * LANES],
@@ -387,6 +394,23 @@ export async function drive(name, { energyWeight, ...options } = {}) {
   }
   episode.reset(options);
   return episode;
+}
+
+/** Makes a policy from elsewhere one of `drivers`: what `agents.browser.describe_policy` says of it in Python. */
+export function addDriver(driver) {
+  const { name, task, settings, network, units } = driver;
+  if (typeof name !== "string") throw new TypeError(`name must be a string, got ${String(name)}`);
+  if (DRIVERS.some((other) => other.name === name)) throw new RangeError(`name must be a new one, got ${name}`);
+  if (!Object.hasOwn(TASKS, task)) throw new RangeError(`task must be one of ${tasks.join(", ")}, got ${task}`);
+  const size = TASKS[task].settings.fixed.length;
+  if (settings?.fixed?.length !== size) throw new RangeError(`settings.fixed must be ${size} numbers`);
+  checkNumber("settings.control_dt", settings.control_dt, Number.MIN_VALUE, Number.MAX_VALUE);
+  checkNumber("settings.steps", settings.steps, 1, Number.MAX_SAFE_INTEGER);
+  checkNumber("units", units, 1, network?.length ?? 0);
+  network.forEach((number, n) => checkNumber(`network[${n}]`, number));
+  const added = { ...driver, network: Float64Array.from(network) };
+  DRIVERS.push(added);
+  drivers.push(describe(added));
 }
 
 /** The sha256 of typed arrays, one behind the other. */

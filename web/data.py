@@ -14,21 +14,28 @@ from typing import Any
 
 import numpy as np
 
+from agents.browser import (
+    LIGHTEST,
+    TASKS,
+    describe_policy,
+    describe_settings,
+    driver_names,
+    find_law,
+    task_of,
+    trained,
+)
 from agents.evaluation.sets import SET_NAMES, load_set
 from agents.training.presets import ROWS, PPOConfig
 from baselines.policies import SCRIPTED
-from capsule_gym import Policy, kernels, load_policy, task
+from capsule_gym import kernels, load_policy, task
 from capsule_gym.identification import CELLS
 from capsule_gym.kernels import LANES, Row, Settings
-from capsule_gym.network import HEADER, Header
+from capsule_gym.network import Header
 from capsule_gym.options import Options
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
-from capsule_gym.simulation import NO_CONTROLLER, check_step, count_rows, make_settings
-from web.episodes import FILE, describe_plant, driver_names, env_kwargs, trained
-from web.modules import COMMON, DIRECT, ENTRIES, STARTS, TASKS, build, find_law
-
-# Below the platform's smallest mass no friction up to the largest may be too much for it, kg.
-LIGHTEST = 0.2
+from capsule_gym.simulation import NO_CONTROLLER, count_rows
+from web.episodes import FILE, describe_plant, env_kwargs
+from web.modules import COMMON, ENTRIES, STARTS, build
 
 
 class Archive:
@@ -105,54 +112,21 @@ def describe_task(name: str, archive: Archive) -> dict[str, Any]:
     }
 
 
-def describe_settings(options: Options) -> dict[str, Any]:
-    """What the step needs to be told of an environment, and how long its episodes are.
-
-    Raises:
-        ValueError: if it is not an environment of the paper's capsule that shows no parameters.
-    """
-    if options.capsule not in (None, NOMINAL) or options.observe_parameters:
-        raise ValueError(f"options must be of the nominal capsule, and not observe_parameters, got {options}")
-    settings = make_settings(options, find_law(task_of(options)))
-    # Whatever M and mu the page allows.
-    check_step(NOMINAL, LIGHTEST, task.MU_BOUND, settings)
-    return {
-        "fixed": kernels.pack(NOMINAL.plant(), settings, np.zeros((0, 0))).tolist(),
-        "control_dt": options.control_dt,
-        "steps": round(task.HORIZON / options.control_dt),
-    }
-
-
-def task_of(options: Options) -> str:
-    """Which of `TASKS` an environment has."""
-    return DIRECT if options.controller is None else str(options.controller).removeprefix("baselines:")
-
-
 def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
-    """What acts, for the page and for the step."""
+    """What acts, for the page and for the step; of a trained policy the run with the lowest seed."""
+    if trained(name):
+        described, row = describe_policy(name, load_policy(name)), ROWS.get(name)
+        weights = row.energy_weights if isinstance(row, PPOConfig) else None
+        network = archive.add_array(described["network"])
+        return {**described, **({"energyWeight": weights} if weights else {}), "network": network}
     options = Options(**env_kwargs(name))
-    described = {
+    return {
         "name": name,
         "title": name.replace("-", " "),
         "task": task_of(options),
         "settings": describe_settings(options),
-    }
-    if trained(name):
-        return {**described, "kind": "policy", **describe_policy(name, load_policy(name), archive)}
-    kind = "none" if options.controller is None else "law"
-    return {**described, "kind": kind, "description": SCRIPTED[name].description}
-
-
-def describe_policy(name: str, policy: Policy, archive: Archive) -> dict[str, Any]:
-    """A trained policy: the run with the lowest seed."""
-    network, row = policy._network, ROWS[name]
-    weights = row.energy_weights if isinstance(row, PPOConfig) else None
-    return {
-        "description": policy.description,
-        "seed": policy.training_seed,
-        **({"energyWeight": weights} if weights else {}),
-        "network": archive.add_array(network),
-        "units": int(network[HEADER : HEADER + len(policy.layers) + 1].max()),
+        "kind": "none" if options.controller is None else "law",
+        "description": SCRIPTED[name].description,
     }
 
 

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 import capsule_gym
+from agents.browser import driver_names, trained
 from agents.evaluation.sets import PlantSpec, load_set
 from baselines.policies import SCRIPTED
-from capsule_gym import policy_names
 from capsule_gym.command_line import parse
 from capsule_gym.files import write_atomically
 from capsule_gym.task import CONTROL_DT, HORIZON
@@ -32,20 +32,6 @@ ACTIONS, HOLD = 97, 5
 SCALES = {"zero": 0.15, "adaptive": 0.05, "gait-identifying": 0.05}
 
 Course = dict[str, Any]
-
-
-def trained(name: str) -> bool:
-    """Whether a driver is a trained policy."""
-    return name in policy_names()
-
-
-def driver_names() -> list[str]:
-    """Everything that can drive the capsule in a browser: what acts inside the compiled step, and trained policies.
-
-    Of a policy the run with the lowest seed.
-    """
-    inside = [each.name for each in SCRIPTED.values() if "controller" in each.env_kwargs or each.name == "zero"]
-    return [*inside, *policy_names()]
 
 
 def env_kwargs(name: str) -> dict[str, Any]:

@@ -14,7 +14,6 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +22,10 @@ import numba
 from numba import types
 from numba.np.arrayobj import get_cfarray_intrinsic
 
-import baselines
+from agents.browser import find_law
 from capsule_gym import kernels, resets, task
 from capsule_gym.compilation import fingerprint, inner, rebound
-from capsule_gym.controller import Controller, find_controller
+from capsule_gym.controller import Controller
 from capsule_gym.exponential import logarithm
 from capsule_gym.files import write_bytes_atomically
 from capsule_gym.identification import CELLS
@@ -38,9 +37,8 @@ from web import assembly
 from web.assembly import Entry, assemble
 from web.fused import fused
 
-# The task without a law, and the module that all tasks need besides their own; the other names are those of laws.
-DIRECT, COMMON = "direct", "common"
-TASKS = (DIRECT, *baselines.__all__)
+# The module that all tasks need besides their own, which has the task's name.
+COMMON = "common"
 
 ROOT = Path(__file__).resolve().parents[1]
 # Modules that have been built before, each under a hash of all that it is made of.
@@ -52,12 +50,6 @@ STARTS = kernels.Row.torque
 NUMBERS, FLOATS, INTEGERS = types.CPointer(types.float64), types.CPointer(types.float32), types.CPointer(types.int64)
 
 array = get_cfarray_intrinsic("C", None)
-
-
-@lru_cache
-def find_law(name: str) -> Controller | None:
-    """The law of one of `TASKS`; None for `DIRECT`."""
-    return None if name == DIRECT else find_controller(f"baselines:{name}")
 
 
 def law_entries(law: Controller | None) -> list[Entry]:
@@ -109,7 +101,7 @@ def common_entries() -> list[Entry]:
 
 
 def find_entries(name: str) -> list[Entry]:
-    """What the module of that name exports: `COMMON`, or one of `TASKS`."""
+    """What the module of that name exports: `COMMON`, or one of `agents.browser.TASKS`."""
     return common_entries() if name == COMMON else law_entries(find_law(name))
 
 
@@ -117,7 +109,7 @@ def build(names: Sequence[str], cache: Path | None = CACHE) -> dict[str, bytes]:
     """The modules of these names.
 
     Args:
-        names: `COMMON`, or of `TASKS`.
+        names: `COMMON`, or of `agents.browser.TASKS`.
         cache: a folder of modules that were built before; None builds all.
 
     Raises:

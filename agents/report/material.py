@@ -18,6 +18,7 @@ from agents.leaderboard.page import RANKING_SET
 from agents.leaderboard.rows import RESULTS, Row, evaluate_run, load_row, make_row, path_of
 from agents.training.presets import BEST, CONFIG, EVALUATIONS, MODEL
 from capsule_gym.committed import POLICY
+from capsule_gym.policy import Policy
 from capsule_gym.task import HORIZON
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -31,11 +32,13 @@ class Material:
         evidence: the rows, the paper's controller among them, with their sets and learning curves.
         summaries: by row and set what leaderboard.json says of them.
         configs: the content of config.json, by the name of each row that is a run of one's own.
+        policies: the trained policy with the lowest seed, by the name of each row that is a run of one's own.
     """
 
     evidence: Evidence
     summaries: dict[str, dict[str, Any]]
     configs: dict[str, dict[str, Any]]
+    policies: dict[str, Policy]
 
     @property
     def subjects(self) -> list[Row]:
@@ -62,12 +65,16 @@ def collect(names: Sequence[str], *, trust_controller: bool = False, root: Path 
     rows: list[Row] = []
     curves: dict[str, Learning] = {}
     configs: dict[str, dict[str, Any]] = {}
+    policies: dict[str, Policy] = {}
     for name in dict.fromkeys([*(names or [each.name for each in all_candidates()]), BASELINE]):
         if name in published:
             rows.append(load_row(path_of(root / RESULTS, name)))
             continue
         path = Path(name)
-        rows.append(evaluated(_candidate(name, trust_controller), sets))
+        candidate = _candidate(name, trust_controller)
+        rows.append(evaluated(candidate, sets))
+        if isinstance(policy := candidate.runs[0].policy, Policy):
+            policies[candidate.name] = policy
         curves[rows[-1].name] = _learning(path)
         if (path / CONFIG).is_file():
             configs[rows[-1].name] = json.loads((path / CONFIG).read_text(encoding="utf-8"))
@@ -76,7 +83,7 @@ def collect(names: Sequence[str], *, trust_controller: bool = False, root: Path 
     learning = evidence.learning | {name: each for name, each in curves.items() if each.seeds}
     own = build([row for row in rows if row.name not in published], sets)
     summaries = published | {row["policy"]: row["results"] for row in own["rows"]}
-    return Material(replace(evidence, learning=learning), summaries, configs)
+    return Material(replace(evidence, learning=learning), summaries, configs, policies)
 
 
 def _leaderboard(root: Path) -> dict[str, Any]:

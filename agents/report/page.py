@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
+from agents.browser import describe_policy, driver_names
 from agents.evaluation.candidates import BASELINE
 from agents.evaluation.tables import MEASURES, SHARE, Measure
 from agents.evidence.material import SPEED
@@ -19,6 +20,7 @@ from agents.leaderboard.rows import Row
 from agents.report import COMMAND, figures
 from agents.report.material import ROOT, Material, collect, fastest
 from capsule_gym.files import write_atomically
+from capsule_gym.policy import Policy
 
 # The live page, where it has been built (`make web`).
 LIVE = ROOT / "site" / "live" / "index.html"
@@ -55,7 +57,7 @@ def render(material: Material, title: str, live: Path = LIVE) -> str:
     parts = [
         f"<h1>{html.escape(title)}</h1>",
         *(f"<p>{_sentence(material, row)}</p>" for row in subjects[:1]),
-        _live(live, subjects),
+        _live(live, material),
         _learning(material),
         "<h2>On every set</h2>",
         _table(material),
@@ -204,24 +206,52 @@ def _footer(material: Material) -> str:
     )
 
 
-def _live(live: Path, subjects: Sequence[Row]) -> str:
-    """The fastest of the committed policies on the live page, beside the paper's controller."""
-    committed = [row for row in subjects if row.header["disturbed"]]
-    if not live.is_file() or not committed:
+def _live(live: Path, material: Material) -> str:
+    """The fastest policy that the live page can show, beside the paper's controller."""
+    if not live.is_file():
+        return "<p>After <code>make web</code> a report shows its policy in motion, in a page inside of this one.</p>"
+    own = own_drivers(material.policies)
+    shown = [
+        row for row in material.subjects if row.name in own or (row.header["disturbed"] and row.name in driver_names())
+    ]
+    if not shown:
         return ""
-    driver = fastest(committed).name
+    row = fastest(shown)
+    added = [own[row.name]] if row.name in own else []
+    driver = added[0]["name"] if added else row.name
     scene = urlencode({"driver": driver, "rival": BASELINE, "set": RANKING_SET, "plant": 0})
-    return f"<h2>In motion</h2>\n{embedded(live.read_text(encoding='utf-8'), scene, f'{driver} beside {BASELINE}')}"
+    page = embedded(live.read_text(encoding="utf-8"), scene, f"{row.name} beside {BASELINE}", added)
+    return f"<h2>In motion</h2>\n{page}"
 
 
-def embedded(page: str, scene: str, title: str) -> str:
+def own_drivers(policies: Mapping[str, Policy]) -> dict[str, dict[str, Any]]:
+    """Policies as the live page takes them, by name; without those whose law, capsule or numbers it lacks."""
+    found: dict[str, dict[str, Any]] = {}
+    for name, policy in policies.items():
+        try:
+            # The page has committed policies under their names.
+            described = describe_policy(f"own-{name}" if name in driver_names() else name, policy)
+            driver = {**described, "network": described["network"].tolist()}
+            # JSON has no number that is not finite.
+            json.dumps(driver, allow_nan=False)
+        except ValueError:
+            continue
+        found[name] = driver
+    return found
+
+
+def embedded(page: str, scene: str, title: str, drivers: Sequence[Mapping[str, Any]] = ()) -> str:
     """A self-contained page inside of another, at a scene of its own.
 
     Args:
         page: its HTML.
         scene: what stands behind the # of its address.
         title: says what it shows, for those who do not see it.
+        drivers: what the live page is to have besides its own drivers, as `addDriver` of web/capsule.mjs takes them.
     """
     begin = f"<script>location.hash = {json.dumps(scene)}</script>"
+    if drivers:
+        data = json.dumps(drivers).replace("<", r"\u003c")
+        begin += f'<script type="application/json" id="own-drivers">{data}</script>'
     whole = html.escape(page.replace("<head>", f"<head>{begin}", 1))
     return f'<iframe title="{html.escape(title)}" loading="lazy" srcdoc="{whole}"></iframe>'

@@ -4,12 +4,13 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from agents.report import __main__ as report
 from agents.report import material
-from agents.report.page import embedded, render, write
-from tests.agents.fakes import write_run
+from agents.report.page import embedded, own_drivers, render, write
+from tests.agents.fakes import make_policy, write_run
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -64,15 +65,58 @@ def test_what_does_not_exist_is_nan_to_the_script(published):
     assert found == {0, 1}
 
 
-def test_the_live_page_is_embedded_at_the_policy_where_it_is_built(published, tmp_path):
+@pytest.fixture
+def live(tmp_path):
+    """A page in the live page's place."""
     live = tmp_path / "index.html"
     live.write_text('<!doctype html><html><head><meta charset="utf-8"></head><body>"a" & b</body></html>')
+    return live
+
+
+def test_the_live_page_is_embedded_at_the_policy_where_it_is_built(published, live):
     text = render(published, "t", live=live)
     (source,) = re.findall(r'srcdoc="([^"]*)"', text)
     scene = "driver=direct-ppo&rival=adaptive&set=paper&plant=0"
     begin = f'<head><script>location.hash = "{scene}"</script>'
     assert html.unescape(source) == live.read_text().replace("<head>", begin)
     assert 'title="x &lt;y&gt;"' in embedded(live.read_text(), scene, "x <y>")
+
+
+def test_without_the_live_page_a_report_says_what_makes_it(published):
+    assert "make web" in render(published, "t", live=Path("nowhere"))
+
+
+def test_a_policy_of_ones_own_is_told_to_the_live_page(run, live):
+    policy = make_policy(3)
+    mine = material.collect([str(run)])
+    assert mine.policies["mine"].training_seed == 3
+    (source,) = re.findall(r'srcdoc="([^"]*)"', render(mine, "t", live=live))
+    page = html.unescape(source)
+    assert 'location.hash = "driver=mine&rival=adaptive&' in page
+    (data,) = re.findall(r'<script type="application/json" id="own-drivers">(.*?)</script>', page)
+    (driver,) = json.loads(data)
+    assert (driver["name"], driver["task"], driver["seed"]) == ("mine", "direct", 3)
+    assert driver["network"] == policy._network.tolist()
+
+
+def test_what_the_live_page_cannot_run_is_left_out():
+    layer = np.zeros((1, 7), np.float32), np.zeros(1, np.float32)
+    wide = {"layers": (layer,), "mean": np.zeros(7), "variance": np.ones(7)}
+    policies = {
+        "fine": make_policy(),
+        "epc": make_policy(),
+        "law": make_policy(env_kwargs={"controller": "tests.agents.fakes:quiet"}),
+        "told": make_policy(env_kwargs={"observe_parameters": True}, **wide),
+    }
+    found = own_drivers(policies)
+    # A name that the page has is not taken twice.
+    assert {name: driver["name"] for name, driver in found.items()} == {"fine": "fine", "epc": "own-epc"}
+
+
+def test_no_name_ends_the_script_that_holds_it():
+    text = html.unescape(embedded("<head></head>", "s", "t", [{"name": "</script><b>"}]))
+    assert text.count("</script>") == 2
+    assert json.loads(re.findall('own-drivers">(.*?)</script>', text)[0]) == [{"name": "</script><b>"}]
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ import numba
 import numpy as np
 import pytest
 
-from capsule_gym import Capsule, dynamics, kernels, task, trigonometry
+from capsule_gym import Capsule, dynamics, kernels, observation, task, trigonometry
 from capsule_gym.compilation import fingerprint
 from tests.capsule_gym.fakes import helper, make_law, other_helper
 
@@ -62,14 +62,14 @@ def functions_of(module: ModuleType) -> dict[str, FunctionType]:
 
 # What runs in Python alone, and the physics' own way through a whole step, of which the kernel takes the parts.
 NOT_COMPILED = {
-    "pack", "build", "_own_fingerprint", "observation_names", "observation_bounds", "parameter_bounds", "check_arrays",
-    "step", "arccos", "sines_and_cosines", "_evaluate", "_compiled",
+    "pack", "build", "bind", "_own_fingerprint", "observation_names", "observation_bounds", "parameter_bounds",
+    "check_arrays", "step", "arccos", "sines_and_cosines", "_evaluate", "_compiled",
 }  # fmt: skip
 
 
 COMPILED = [
     pytest.param(function, id=f"{module.__name__.rpartition('.')[2]}.{name}")
-    for module in (trigonometry, dynamics, task, kernels)
+    for module in (trigonometry, dynamics, observation, task, kernels)
     for name, function in functions_of(module).items()
     if name not in NOT_COMPILED
 ]

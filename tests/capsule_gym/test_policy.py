@@ -19,6 +19,7 @@ from safetensors.numpy import load_file, save
 import capsule_gym
 from capsule_gym import Capsule, Policy, Randomization, load_policy, policy_names
 from capsule_gym.committed import POLICY, committed
+from capsule_gym.policy import IMITATION
 from tests.capsule_gym.test_network import make_layers
 
 ROOT = Path(__file__).parents[2]
@@ -271,7 +272,7 @@ def test_a_policy_pickles_to_other_processes():
 def test_every_committed_policy_loads_and_drives_its_environment(name):
     policy = load_policy(name)
     assert (policy.name, policy.training_seed) == (name, int(name.rpartition("-")[2]))
-    assert policy.algorithm == ("sac" if "sac" in name else "ppo")
+    assert policy.algorithm == ("sac" if "sac" in name else IMITATION if "distilled" in name else "ppo")
     assert policy.revision not in ("", "unknown")
     env = gym.make(capsule_gym.ENV_ID, **policy.env_kwargs)
     observation, _ = env.reset(seed=0, options={"M": Capsule().M, "mu": Capsule().mu})

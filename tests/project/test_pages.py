@@ -85,7 +85,10 @@ def test_pages_show_examples() -> None:
 def test_no_block_escapes() -> None:
     # What is in no known language, or fenced in another way, would be neither run nor checked.
     known = {"python", "bash", "sh", "shell", "console", "text"}
-    assert {f"{block.name}:{block.line}": block.language for block in BLOCKS if block.language not in known} == {}
+    # tests/web/test_capsule.py runs that page's.
+    known_in = {"docs/live.md": known | {"js"}}
+    unknown = [block for block in BLOCKS if block.language not in known_in.get(block.name, known)]
+    assert {f"{block.name}:{block.line}": block.language for block in unknown} == {}
     fences = re.compile(r"^ *(?:```|~~~)", re.MULTILINE)
     for path in PAGES:
         found = len(list(blocks(path)))

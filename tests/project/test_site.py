@@ -10,9 +10,9 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
+from agents.browser import driver_names
 from agents.evaluation.candidates import BASELINE
 from agents.evaluation.sets import SET_NAMES
-from web.episodes import driver_names
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agents.browser import describe_policy
 from capsule_gym import CapsuleEnv, load_policy
 from capsule_gym.kernels import Row
 from capsule_gym.task import METRICS
@@ -98,6 +99,36 @@ def test_a_law_gives_the_hash_of_the_batch(node: Node, tmp_path: Path) -> None:
     for array in (observations, numbers[..., 0], numbers[..., 1:], *metrics):
         digest.update(np.ascontiguousarray(array).tobytes())
     assert digest.hexdigest() == json.loads(bits.FILE.read_text(encoding="utf-8"))[subject.name]
+
+
+def test_a_policy_of_ones_own_gives_the_bits_of_the_one_that_came_with_the_module(node: Node, tmp_path: Path) -> None:
+    described = describe_policy("mine", load_policy("residual-ppo"))
+    (tmp_path / "mine.json").write_text(json.dumps({**described, "network": described["network"].tolist()}), "utf-8")
+    code = """
+        import { readFileSync } from "node:fs";
+        const mine = JSON.parse(readFileSync(process.argv[1]));
+        live.addDriver(mine);
+        const worlds = [];
+        for (const name of ["residual-ppo", "mine"]) {
+          const episode = await live.drive(name, { M: 0.6, mu: 0.02 });
+          for (let n = 0; n < 60; n++) episode.tick();
+          worlds.push(bytes(episode.world));
+        }
+        const refused = [];
+        const attempts = [{}, { name: 1 }, { name: "a", task: "moon" }, { name: "a", settings: { fixed: [] } }];
+        for (const wrong of [...attempts, { name: "a", units: 0 }, { name: "a", network: [NaN] }]) {
+          try { live.addDriver({ ...mine, ...wrong }); } catch (error) { refused.push(error.message); }
+        }
+        show([worlds, live.drivers.at(-1), refused]);
+    """
+    (own, shown, refused) = node(code, str(tmp_path / "mine.json"))
+    assert own[0] == own[1]
+    assert shown["name"] == "mine" and shown["controlDt"] == described["settings"]["control_dt"]
+    assert "network" not in shown
+    words = ["got mine", "must be a string, got 1", "got moon", "settings.fixed must be", "units", "network"]
+    assert len(refused) == len(words)
+    for message, word in zip(refused, words, strict=True):
+        assert word in message
 
 
 def test_a_policy_is_told_another_energy_weight(node: Node) -> None:

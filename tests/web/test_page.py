@@ -11,7 +11,9 @@ from urllib.parse import parse_qs
 
 import pytest
 
+from agents.report.page import embedded, own_drivers
 from benchmarks.page import BROWSERS, find_browser, started
+from capsule_gym import load_policy
 
 LAW = "#driver=adaptive&M=0.5&mu=0.01"
 PAUSED = f"{LAW}&t=0.1"
@@ -476,6 +478,30 @@ def test_check_replays_the_committed_episodes(open_page: Open) -> None:
     page.keyboard.press("Escape")
     assert page.locator("#checks").is_hidden()
     assert page.evaluate("document.activeElement.id") == "check"
+
+
+def test_inside_of_a_report_the_page_shows_a_policy_of_ones_own(browser: Any, site: Path, tmp_path: Path) -> None:
+    (own,) = own_drivers({"mine": load_policy("direct-ppo")}).values()
+    live = (site / "index.html").read_text("utf-8")
+    report = tmp_path / "report.html"
+    report.write_text(f"<!doctype html>{embedded(live, 'driver=mine&rival=adaptive&t=2', 'x', [own])}", "utf-8")
+    assert report.stat().st_size < 3_000_000
+    page = browser.new_page()
+    said: list[str] = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("request", lambda request: said.extend([request.url] if not _own(request.url, report.as_uri()) else []))
+    page.goto(report.as_uri())
+    frame = page.frames[1]
+    frame.wait_for_function("document.getElementById('figure-time').textContent === '2.00'", timeout=PATIENCE)
+    assert frame.input_value("#driver") == "mine"
+    assert frame.locator("#trouble").is_hidden()
+    # Neither leads anywhere there.
+    assert frame.locator("#documentation").is_hidden()
+    assert frame.locator("#copy").is_hidden()
+    assert "t=2" in frame.url
+    page.close()
+    assert said == []
 
 
 def test_price_of_energy_changes_what_the_policy_does(open_page: Open) -> None:

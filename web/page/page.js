@@ -1,6 +1,6 @@
 // The page: its controls, its lanes, and what is drawn of them.
 
-import { check, constants, drivers, sets } from "./capsule.mjs";
+import { addDriver, check, constants, drivers, sets } from "./capsule.mjs";
 import { CURVES, PhasePortrait, TimeChart } from "./charts.js";
 import { Lane } from "./lane.js";
 import { clamp, written } from "./numbers.js";
@@ -238,7 +238,8 @@ function restart() {
 function link() {
   const time = player.goal ?? player.now;
   scene.t = player.playing || time === 0 ? null : Number(time.toFixed(3));
-  history.replaceState(null, "", writeScene({ ...scene, hand: handsSoFar() }));
+  // Inside of another page an address is relative to that page's.
+  history.replaceState(null, "", new URL(writeScene({ ...scene, hand: handsSoFar() }), location.href));
 }
 
 function bindPlayback() {
@@ -658,6 +659,9 @@ async function readLink() {
   await open({ time: scene.t ?? 0, play: scene.t === null && scene.driver !== YOURSELF && !reduced.matches });
 }
 
+// Inside of another page this one has neither an address nor the documentation beside it.
+for (const each of [element("documentation"), element("copy")]) each.hidden = location.protocol === "about:";
+for (const own of JSON.parse(element("own-drivers")?.textContent ?? "[]")) addDriver(own);
 fillChoices();
 makeRows();
 bindPlayback();

@@ -45,7 +45,7 @@ def test_an_episode_starts_from_the_angle_that_its_set_says():
 def test_a_trained_policy_runs_in_compiled_code_with_the_same_bits(monkeypatch):
     policy = make_policy()
     compiled = evaluation.evaluate(policy, TINY, horizon=2.0)
-    monkeypatch.setattr(evaluation, "rollout", None)
+    monkeypatch.setattr("capsule_gym.rollout.rollout", None)
 
     class Stepped:
         name, env_kwargs, start = policy.name, policy.env_kwargs, policy.start

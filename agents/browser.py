@@ -1,0 +1,104 @@
+"""What the module for browsers is told of an environment and of a trained policy, as plain numbers.
+
+`web/data.py` packs that of all drivers into the module; a report tells its live page of a policy of one's own.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+import baselines
+from baselines.policies import SCRIPTED
+from capsule_gym import Policy, kernels, policy_names, task
+from capsule_gym.controller import Controller, find_controller
+from capsule_gym.network import HEADER
+from capsule_gym.options import Options
+from capsule_gym.parameters import NOMINAL
+from capsule_gym.simulation import check_step, make_settings
+
+# The task without a law; the other names are those of laws.
+DIRECT = "direct"
+TASKS = (DIRECT, *baselines.__all__)
+# Below the platform's smallest mass no friction up to the largest may be too much for it, kg.
+LIGHTEST = 0.2
+
+
+@lru_cache
+def find_law(name: str) -> Controller | None:
+    """The law of one of `TASKS`; None for `DIRECT`."""
+    return None if name == DIRECT else find_controller(f"baselines:{name}")
+
+
+def trained(name: str) -> bool:
+    """Whether a driver is a trained policy."""
+    return name in policy_names()
+
+
+def driver_names() -> list[str]:
+    """Everything that can drive the capsule in a browser: what acts inside the compiled step, and trained policies.
+
+    Of a policy the run with the lowest seed.
+    """
+    inside = [each.name for each in SCRIPTED.values() if "controller" in each.env_kwargs or each.name == "zero"]
+    return [*inside, *policy_names()]
+
+
+def task_of(options: Options) -> str:
+    """Which of `TASKS` an environment has.
+
+    Raises:
+        ValueError: if its law is none of `baselines`.
+    """
+    if options.controller is None:
+        return DIRECT
+    place, _, name = str(options.controller).partition(":")
+    if place != "baselines" or name not in TASKS:
+        raise ValueError(f"controller must be None or a law of baselines, as in baselines:adaptive, got {place}:{name}")
+    return name
+
+
+def describe_settings(options: Options) -> dict[str, Any]:
+    """What the step needs to be told of an environment, and how long its episodes are.
+
+    Raises:
+        ValueError: if it is not an environment of the paper's capsule that shows no parameters, or its law is none of
+            `baselines`.
+    """
+    if options.capsule not in (None, NOMINAL) or options.observe_parameters:
+        raise ValueError(f"options must be of the nominal capsule, and not observe_parameters, got {options}")
+    settings = make_settings(options, find_law(task_of(options)))
+    # Whatever M and mu the page allows.
+    check_step(NOMINAL, LIGHTEST, task.MU_BOUND, settings)
+    return {
+        "fixed": kernels.pack(NOMINAL.plant(), settings, np.zeros((0, 0))).tolist(),
+        "control_dt": options.control_dt,
+        "steps": round(task.HORIZON / options.control_dt),
+    }
+
+
+def describe_policy(name: str, policy: Policy) -> dict[str, Any]:
+    """A trained policy as a driver; its network is an array of float64.
+
+    Args:
+        name: of the driver.
+        policy: the policy.
+
+    Raises:
+        ValueError: as `describe_settings`, of the policy's environment.
+    """
+    options = Options(**policy.env_kwargs)
+    network = policy._network
+    return {
+        "name": name,
+        "title": name.replace("-", " "),
+        "task": task_of(options),
+        "settings": describe_settings(options),
+        "kind": "policy",
+        "description": policy.description,
+        "seed": policy.training_seed,
+        "network": network,
+        "units": int(network[HEADER : HEADER + len(policy.layers) + 1].max()),
+    }
