@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 import capsule_gym
+from agents.browser import trained
 from baselines.tables import markdown_table, text_table
 from benchmarks.machine import describe, machine
 from benchmarks.output import Output, check_at_least_one
@@ -27,7 +28,7 @@ from benchmarks.timing import Progress, Rate
 from capsule_gym.command_line import Count, parse, refuse
 from capsule_gym.task import EPISODE_STEPS
 from web import build
-from web.episodes import env_kwargs, trained
+from web.episodes import env_kwargs
 
 COMMAND = "python -m benchmarks.web"
 TURNS = 15
