@@ -402,12 +402,13 @@ export function addDriver(driver) {
   if (typeof name !== "string") throw new TypeError(`name must be a string, got ${String(name)}`);
   if (DRIVERS.some((other) => other.name === name)) throw new RangeError(`name must be a new one, got ${name}`);
   if (!Object.hasOwn(TASKS, task)) throw new RangeError(`task must be one of ${tasks.join(", ")}, got ${task}`);
-  const size = TASKS[task].settings.fixed.length;
-  if (settings?.fixed?.length !== size) throw new RangeError(`settings.fixed must be ${size} numbers`);
+  const [size, given] = [TASKS[task].settings.fixed.length, settings?.fixed?.length];
+  if (given !== size) throw new RangeError(`settings.fixed must be ${size} numbers, got ${given}`);
   checkNumber("settings.control_dt", settings.control_dt, Number.MIN_VALUE, Number.MAX_VALUE);
   checkNumber("settings.steps", settings.steps, 1, Number.MAX_SAFE_INTEGER);
-  checkNumber("units", units, 1, network?.length ?? 0);
+  if (!Array.isArray(network)) throw new TypeError(`network must be an array of numbers, got ${String(network)}`);
   network.forEach((number, n) => checkNumber(`network[${n}]`, number));
+  checkNumber("units", units, 1, network.length);
   const added = { ...driver, network: Float64Array.from(network) };
   DRIVERS.push(added);
   drivers.push(describe(added));
