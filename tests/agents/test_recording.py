@@ -6,7 +6,7 @@ from agents import recording
 from agents.evaluation import candidates
 from agents.evaluation.episodes import evaluate
 from agents.evaluation.sets import EvaluationSet, PlantSpec
-from agents.recording import draw_comparison, record, write_gif
+from agents.recording import draw_comparison, record
 from capsule_gym.rendering import CHART_BOTTOM, CHART_LEFT, CHART_TOP
 from tests.agents.fakes import Sine
 
@@ -34,16 +34,10 @@ def test_a_recording_ends_with_its_episode():
 
 
 @pytest.mark.parametrize("control_dt", [0.02, 0.01])
-def test_pictures_are_25_a_second(control_dt, tmp_path):
+def test_pictures_are_25_a_second(control_dt):
     found = record(Sine(0.5, env_kwargs={"control_dt": control_dt}), PLANT, seconds=0.4, frames_from=0.2)
     assert len(found.frames) == 6
     assert len({frame.tobytes() for frame in found.frames}) == 6
-    write_gif(found.frames, tmp_path / "moving.gif", width=200)
-    with Image.open(tmp_path / "moving.gif") as moving:
-        assert (moving.n_frames, moving.width, moving.info["duration"]) == (6, 200, 40)
-    with pytest.raises(ValueError, match="at least one picture"):
-        write_gif((), tmp_path / "none.gif")
-    assert not (tmp_path / "none.gif").exists()
 
 
 def test_the_axes_of_a_moving_picture_stay():

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import capsule_gym
-from capsule_gym import demo, play
-from capsule_gym.committed import driver_names
+from capsule_gym import demo
 
 Image = pytest.importorskip("PIL.Image")
 pygame = pytest.importorskip("pygame")
@@ -82,11 +81,6 @@ def test_a_file_is_replaced_only_if_that_is_asked_for(tmp_path, capsys):
     assert path.read_bytes().startswith(b"GIF")
 
 
-def test_every_name_is_listed_and_drives():
-    names = driver_names()
-    assert {"zero", "adaptive", "gait", "direct-ppo"} <= set(names) and len(names) == len(set(names))
-
-
 @pytest.mark.parametrize("module", ["play", "demo"])
 def test_without_pygame_one_line_names_what_to_install(module):
     code = f"""
@@ -99,12 +93,6 @@ main({["adaptive"] if module == "demo" else []!r})
     *_, last = done.stderr.splitlines()
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert 'pip install "capsule-gym[render]"' in last
-
-
-def test_play_opens_a_window_and_ends_by_a_key(monkeypatch):
-    events = iter([[], [pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE)]])
-    monkeypatch.setattr(pygame.event, "get", lambda: next(events))
-    assert play.main(["--rival", "zero", "--set", "nominal"]) == 0
 
 
 @pytest.mark.filterwarnings("ignore")

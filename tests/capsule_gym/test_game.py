@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from capsule_gym.drive import Drive, find_driver
+from capsule_gym.drive import find_driver
 from capsule_gym.game import STRENGTHS, Game, play
 from capsule_gym.parameters import Capsule
 from capsule_gym.plants import load_set
@@ -112,35 +112,6 @@ def test_a_whole_episode_ends_with_the_time_and_is_remembered_as_the_best(game):
     assert "your best" in game.banner()
     press(game, "r")
     assert game.banner() == ""
-
-
-def test_a_drive_is_the_episode_of_the_environment_with_its_law():
-    drive = Drive(find_driver("baselines:adaptive"), load_set("paper").plants[0])
-    drive.advance(HORIZON)
-    metrics = drive.env.episode_metrics()
-    assert drive.mean_speed == pytest.approx(metrics["mean_speed"], rel=1e-12)
-    assert metrics["mean_speed"] > 1.0
-
-
-def test_a_policy_with_a_step_of_its_own_keeps_the_time():
-    drive = Drive(find_driver("residual-ppo"), PLANTS[0])
-    assert drive.driver.env_kwargs["control_dt"] == 0.005
-    drive.advance(0.1)
-    assert drive.time == pytest.approx(0.1)
-
-
-def test_a_plant_jumps_when_its_set_says_so():
-    plant = load_set("drift").plants[0]
-    drive = Drive(find_driver("adaptive"), plant)
-    drive.advance(plant.changes[0].t)
-    assert drive.shown()["M"] == plant.M
-    drive.advance(plant.changes[0].t + 0.02)
-    assert drive.shown()["M"] == plant.changes[0].M
-
-
-def test_who_cannot_drive_is_refused_with_the_nearest_name():
-    with pytest.raises(ValueError, match=r"got 'adaptve'; did you mean 'adaptive'\?"):
-        find_driver("adaptve")
 
 
 # --- the window ------------------------------------------------------------------------------------------------------
