@@ -100,13 +100,15 @@ def test_a_policy_of_ones_own_is_told_to_the_live_page(run, live):
 
 
 def test_what_the_live_page_cannot_run_is_left_out():
-    layer = np.zeros((1, 7), np.float32), np.zeros(1, np.float32)
-    wide = {"layers": (layer,), "mean": np.zeros(7), "variance": np.ones(7)}
+    def acting(inputs, **env_kwargs):
+        layer = np.zeros((1, inputs), np.float32), np.zeros(1, np.float32)
+        return make_policy(layers=(layer,), mean=np.zeros(inputs), variance=np.ones(inputs), env_kwargs=env_kwargs)
+
     policies = {
         "fine": make_policy(),
         "epc": make_policy(),
-        "law": make_policy(env_kwargs={"controller": "tests.agents.fakes:quiet"}),
-        "told": make_policy(env_kwargs={"observe_parameters": True}, **wide),
+        "law": acting(10, controller="tests.agents.fakes:quiet"),
+        "told": acting(7, observe_parameters=True),
     }
     found = own_drivers(policies)
     # A name that the page has is not taken twice.
