@@ -152,9 +152,12 @@ def result_of(jobs: Sequence[Job], evaluation_set: EvaluationSet) -> dict[str, A
     Returns:
         The summary of their episodes, and per run its steps, its processor time and its best speed on its own draws.
     """
-    # Imports torch.
+    import torch
+
     from agents.training.recurrent import load_best
 
+    # On a busy machine threads wait for each other, and what they compute is small.
+    torch.set_num_threads(1)
     episodes: list[Episode] = []
     runs = []
     for job in jobs:
