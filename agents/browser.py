@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 import baselines
-from baselines.policies import SCRIPTED
-from capsule_gym import Policy, kernels, policy_names, task
+from capsule_gym import Policy, kernels, task
 from capsule_gym.controller import Controller, find_controller
 from capsule_gym.network import HEADER
 from capsule_gym.options import Options
@@ -30,20 +29,6 @@ LIGHTEST = 0.2
 def find_law(name: str) -> Controller | None:
     """The law of one of `TASKS`; None for `DIRECT`."""
     return None if name == DIRECT else find_controller(f"baselines:{name}")
-
-
-def trained(name: str) -> bool:
-    """Whether a driver is a trained policy."""
-    return name in policy_names()
-
-
-def driver_names() -> list[str]:
-    """Everything that can drive the capsule in a browser: what acts inside the compiled step, and trained policies.
-
-    Of a policy the run with the lowest seed.
-    """
-    inside = [each.name for each in SCRIPTED.values() if "controller" in each.env_kwargs or each.name == "zero"]
-    return [*inside, *policy_names()]
 
 
 def task_of(options: Options) -> str:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 import capsule_gym
-from agents.browser import trained
+from agents.drivers import trained
 from baselines.tables import markdown_table, text_table
 from benchmarks.machine import describe, machine
 from benchmarks.output import Output, check_at_least_one

@@ -19,11 +19,10 @@ from agents.browser import (
     TASKS,
     describe_policy,
     describe_settings,
-    driver_names,
     find_law,
     task_of,
-    trained,
 )
+from agents.drivers import driver_names, trained
 from agents.evaluation.sets import SET_NAMES, load_set
 from agents.training.presets import ROWS, PPOConfig
 from baselines.policies import SCRIPTED

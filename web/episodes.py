@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import capsule_gym
-from agents.browser import driver_names, trained
+from agents.drivers import driver_names, trained
 from agents.evaluation.sets import PlantSpec, load_set
 from baselines.policies import SCRIPTED
 from capsule_gym.command_line import parse

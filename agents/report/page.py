@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
-from agents.browser import describe_policy, driver_names
+from agents.browser import describe_policy
+from agents.drivers import driver_names
 from agents.evaluation.candidates import BASELINE
 from agents.evaluation.tables import MEASURES, SHARE, Measure
 from agents.evidence.material import SPEED

@@ -10,7 +10,7 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from agents.browser import driver_names
+from agents.drivers import driver_names
 from agents.evaluation.candidates import BASELINE
 from agents.evaluation.sets import SET_NAMES
 

@@ -10,6 +10,7 @@ import pytest
 
 from baselines.laws.profiles import EPC, PROPOSED
 from baselines.laws.reference import platform_motion
+from baselines.paper.sensitivity import main
 from baselines.paper.variations import (
     MAP_STEP,
     MU_RANGE,
@@ -17,7 +18,6 @@ from baselines.paper.variations import (
     friction_for,
     grid,
     least_mass_in_contact,
-    main,
     speed_map,
     step_study,
     turning_points,
