@@ -29,14 +29,23 @@ def _random_actions(seeds: Sequence[int]) -> Act:
     return lambda observations: np.array([[rng.uniform(-1.0, 1.0)] for rng in generators], np.float32)
 
 
-def _later(module: str, function: str) -> Start:
-    """A `start` that is imported when it is first called: numba, which comes with it, takes most of a second."""
+@dataclass(frozen=True)
+class _Later:
+    """A `start` that is imported when it is first called: numba, which comes with it, takes most of a second.
 
-    def start(seeds: Sequence[int]) -> Act:
-        begin: Start = getattr(import_module(module), function)
-        return begin(seeds)
+    A class, because a policy goes to other processes.
 
-    return start
+    Attributes:
+        module: where it is.
+        function: its name there.
+    """
+
+    module: str
+    function: str
+
+    def __call__(self, seeds: Sequence[int]) -> Act:
+        start: Start = getattr(import_module(self.module), self.function)
+        return start(seeds)
 
 
 @dataclass(frozen=True)
@@ -88,25 +97,25 @@ SCRIPTED = {
             "gait-nominal",
             "the tolerant gait of the nominal plant, whatever the plant; torque every 10 ms",
             GAIT,
-            _later(PERFORMANCE, "start_nominal"),
+            _Later(PERFORMANCE, "start_nominal"),
         ),
         ScriptedPolicy(
             "gait-oracle",
             "sees M and mu and takes the known gait that proved fastest around such a plant; torque every 10 ms",
             {**GAIT, "observe_parameters": True},
-            _later(PERFORMANCE, "start_oracle"),
+            _Later(PERFORMANCE, "start_oracle"),
         ),
         ScriptedPolicy(
             "optimum-nominal",
             "the optimum of the nominal plant that spares some contact, whatever the plant; looks one hold ahead",
             {},
-            _later(OPTIMUM, "start_nominal"),
+            _Later(OPTIMUM, "start_nominal"),
         ),
         ScriptedPolicy(
             "optimum-oracle",
             "sees M and mu and takes the torque of the optimum there; looks one hold ahead",
             {"observe_parameters": True},
-            _later(OPTIMUM, "start_oracle"),
+            _Later(OPTIMUM, "start_oracle"),
         ),
     )
 }
