@@ -4,8 +4,9 @@ The functions here are what the environment's argument `controller` takes, as in
 is imported when it is first asked for, since numba, which takes most of a second, comes with it.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from capsule_gym.later import later
 
 if TYPE_CHECKING:
     from baselines.laws.adaptive import adaptive, adaptive_as_published, compliant
@@ -14,23 +15,15 @@ if TYPE_CHECKING:
 
 __all__ = ["adaptive", "adaptive_as_published", "compliant", "epc", "feedback_linearising", "gait", "gait_identifying"]
 
-_LATER = {
-    "adaptive": "adaptive",
-    "adaptive_as_published": "adaptive",
-    "compliant": "adaptive",
-    "epc": "feedback_linearisation",
-    "feedback_linearising": "feedback_linearisation",
-    "gait": "gait",
-    "gait_identifying": "gait",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _LATER:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(f"{__name__}.laws.{_LATER[name]}"), name)
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = later(
+    __name__,
+    {
+        "adaptive": ".laws.adaptive",
+        "adaptive_as_published": ".laws.adaptive",
+        "compliant": ".laws.adaptive",
+        "epc": ".laws.feedback_linearisation",
+        "feedback_linearising": ".laws.feedback_linearisation",
+        "gait": ".laws.gait",
+        "gait_identifying": ".laws.gait",
+    },
+)

@@ -4,13 +4,13 @@ Importing the package registers `CapsuleStickSlip-v0`. What needs numba, which t
 imported when it is first asked for.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gymnasium.envs.registration import register, registry
 
 from capsule_gym.committed import policy_names
 from capsule_gym.controller import Controller
+from capsule_gym.later import later
 from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.task import ENV_ID, EPISODE_STEPS
 
@@ -34,7 +34,15 @@ __all__ = [
 
 __version__ = "0.1.0"
 
-_LATER = {"CapsuleEnv": "env", "CapsuleVectorEnv": "vector_env", "Policy": "policy", "load_policy": "policy"}
+__getattr__, __dir__ = later(
+    __name__,
+    {
+        "CapsuleEnv": ".env",
+        "CapsuleVectorEnv": ".vector_env",
+        "Policy": ".policy",
+        "load_policy": ".policy",
+    },
+)
 
 if ENV_ID not in registry:
     register(
@@ -43,14 +51,3 @@ if ENV_ID not in registry:
         vector_entry_point="capsule_gym.vector_env:CapsuleVectorEnv",
         max_episode_steps=EPISODE_STEPS,
     )
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _LATER:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(f"{__name__}.{_LATER[name]}"), name)
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})

@@ -1,8 +1,9 @@
 """The optimum of the direct-torque task by dynamic programming: `python -m baselines.optimum` computes it."""
 
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from capsule_gym.later import later
 
 if TYPE_CHECKING:
     from baselines.optimum.cycles import Cycle, cycle
@@ -15,15 +16,11 @@ LEAST_CONTACT = 0.02
 # Of what is computed.
 FOLDER = Path(__file__).with_name("data")
 
-_LATER = {"Cycle": "cycles", "cycle": "cycles", "optimal_speed": "records"}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _LATER:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(f"{__name__}.{_LATER[name]}"), name)
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = later(
+    __name__,
+    {
+        "Cycle": ".cycles",
+        "cycle": ".cycles",
+        "optimal_speed": ".records",
+    },
+)
