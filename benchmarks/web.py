@@ -132,7 +132,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (OSError, subprocess.CalledProcessError) as error:
         refuse(COMMAND, f"node must be installed: {error}")
     with tempfile.TemporaryDirectory() as folder:
-        build.main(["--folder", folder])
+        build.main(["--output", folder])
         found = machine()
         rates = measure(Path(folder) / "capsule.mjs", options.turns)
     note = (
