@@ -13,15 +13,15 @@ import numpy as np
 from tyro.conf import arg
 
 from agents.evaluation.candidates import BASELINE, find_candidate
-from agents.evaluation.episodes import EPISODE_SETTINGS, Policy
+from agents.evaluation.episodes import Policy
 from agents.evaluation.sets import NOMINAL_PLANT, PlantSpec
 from baselines.drawing import BLUE, DPI, GREEN, MUTED, VERMILION, new_figure, style
 from baselines.policies import SCRIPTED
 from capsule_gym.command_line import Positional, check_output, parse, refuse
 from capsule_gym.files import replacing
 from capsule_gym.parameters import check_number
-from capsule_gym.pictures import FRAME_SECONDS
-from capsule_gym.pictures import write_gif as write_gif
+from capsule_gym.pictures import FRAME_SECONDS, write_gif
+from capsule_gym.plants import EPISODE_SETTINGS
 from capsule_gym.rendering import ChartAxes, Renderer
 from capsule_gym.task import CONTROL_DT, HORIZON
 

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from agents.evaluation.episodes import EPISODE_SETTINGS, Policy
+from agents.evaluation.episodes import Policy
 from agents.evaluation.sets import NOMINAL_PLANT, PlantSpec
 from capsule_gym.options import DIRECT_PHYSICS_DT, Options
 from capsule_gym.parameters import NOMINAL
+from capsule_gym.plants import EPISODE_SETTINGS
 from capsule_gym.task import CONTROL_DT, HORIZON
 
 # The cycle is sought in the last so many seconds: three of the paper's cycles, of 6.6 s, and a little.
