@@ -8,70 +8,85 @@
 
 All hold feedback, so that a gait can be an attracting cycle and not a course that only its own plant follows.
 
-A gait's torque is the same bits on every machine: real arithmetic entry by entry, where numpy's products of complex
-numbers and its sums of products are fused on some processors.
+A gait's torque is the same bits for one gait and for many, on every machine and in a browser: it is a function of
+numbers, compiled as the environment's step is.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from baselines.gaits import GAIT_DT as GAIT_DT
 from baselines.laws.gait import COEFFICIENTS, cubic
-from capsule_gym.trigonometry import sines_and_cosines
+from capsule_gym.compilation import compile_cached
+from capsule_gym.inlining import inlined
+from capsule_gym.kernels import load
+from capsule_gym.task import clip
+from capsule_gym.trigonometry import sincos
 
-# The torque of many candidates at once: parameters of shape (size, n), time in s, observations of shape (n, entries).
-Torque = Callable[[np.ndarray, float, np.ndarray], np.ndarray]
+# The torque in parts of the limit: of parameters, time in s, and theta, theta_dot and x_dot in SI units.
+Torque = Callable[[tuple[float, ...], float, float, float, float], float]
 
 HARMONICS = 4
+# Behind period, offset and both series.
+GAINS = 2 + 2 * HARMONICS
 
 FEEDBACK = ("theta", "theta_dot", "x_dot")
 
-
-def _feedback(gains: np.ndarray, observations: np.ndarray) -> np.ndarray:
-    """Linear feedback of theta, theta_dot and x_dot: the first three observations."""
-    torque: np.ndarray = gains[0] * observations[:, 0] + gains[1] * observations[:, 1] + gains[2] * observations[:, 2]
-    return torque
+# Every family's parameters are filled up with zeros to so many.
+LONGEST = len(COEFFICIENTS)
 
 
-def _harmonics(parameters: np.ndarray, time: float, observations: np.ndarray) -> np.ndarray:
-    sine, cosine = sines_and_cosines(2.0 * math.pi * time / parameters[0])
+@inlined
+def _feedback(gains: tuple[float, ...], theta: float, theta_dot: float, x_dot: float) -> float:
+    """Linear feedback of theta, theta_dot and x_dot."""
+    return gains[0] * theta + gains[1] * theta_dot + gains[2] * x_dot
+
+
+@inlined
+def _harmonics(p: tuple[float, ...], time: float, theta: float, theta_dot: float, x_dot: float) -> float:
+    sine, cosine = sincos(2.0 * math.pi * time / p[0])
     # Horner's scheme: a sum of (cos_k - i sin_k) exp(i k angle), whose real part is the series.
-    real = imaginary = np.zeros_like(sine)
+    real, imaginary = 0.0, 0.0
     for k in range(HARMONICS, 0, -1):
-        real, imaginary = real + parameters[1 + k], imaginary - parameters[1 + HARMONICS + k]
+        real, imaginary = real + p[1 + k], imaginary - p[1 + HARMONICS + k]
         real, imaginary = real * cosine - imaginary * sine, real * sine + imaginary * cosine
-    return parameters[1] + real + _feedback(parameters[2 + 2 * HARMONICS :], observations)
+    return p[1] + real + _feedback(p[GAINS:], theta, theta_dot, x_dot)
 
 
-def _bang_bang(parameters: np.ndarray, time: float, observations: np.ndarray) -> np.ndarray:
-    durations = np.abs(parameters[:4])
-    period = durations[0] + durations[1] + durations[2] + durations[3]
+@inlined
+def _impulse(pushes: tuple[float, ...], period: float, moment: float) -> float:
+    """Integral of a square wave up to a moment, in s; it stands at 1, -1, 1 and -1 for the times given."""
+    cycles = np.floor(moment / period)
+    left = moment - cycles * period
+    total = cycles * (pushes[0] - pushes[1] + pushes[2] - pushes[3])
+    for i in range(4):
+        spent = min(left, pushes[i])
+        total += spent if i % 2 == 0 else -spent
+        left -= spent
+    return float(total)
 
-    def impulse(moment: np.ndarray) -> np.ndarray:
-        """Integral of the square wave up to a moment, in s."""
-        cycles = np.floor(moment / period)
-        left = moment - cycles * period
-        total = cycles * (durations[0] - durations[1] + durations[2] - durations[3])
-        for i, duration in enumerate(durations):
-            spent = np.minimum(left, duration)
-            total += spent if i % 2 == 0 else -spent
-            left = left - spent
-        return total
 
+@inlined
+def _bang_bang(p: tuple[float, ...], time: float, theta: float, theta_dot: float, x_dot: float) -> float:
+    pushes = abs(p[0]), abs(p[1]), abs(p[2]), abs(p[3])
+    period = pushes[0] + pushes[1] + pushes[2] + pushes[3]
     # The mean over the step, so that the torque depends continuously on the switching times.
-    start = time + parameters[4] * period
-    square = (impulse(start + GAIT_DT) - impulse(start)) / GAIT_DT
-    return square + _feedback(parameters[5:], observations)
+    start = time + p[4] * period
+    square = (_impulse(pushes, period, start + GAIT_DT) - _impulse(pushes, period, start)) / GAIT_DT
+    return square + _feedback(p[5:], theta, theta_dot, x_dot)
 
 
-def _phase_space(parameters: np.ndarray, time: float, observations: np.ndarray) -> np.ndarray:
-    theta, theta_dot, x_dot = observations[:, 0], observations[:, 1], observations[:, 2]
-    torque: np.ndarray = cubic(tuple(parameters), theta, theta_dot, x_dot, np.sign(x_dot))
+@inlined
+def _phase_space(p: tuple[float, ...], time: float, theta: float, theta_dot: float, x_dot: float) -> float:
+    sign = 1.0 if x_dot > 0.0 else -1.0 if x_dot < 0.0 else 0.0
+    torque: float = cubic(p, theta, theta_dot, x_dot, sign)
     return torque
 
 
@@ -85,7 +100,7 @@ class Family:
         units: steps of the search, one per parameter, in the parameter's own unit.
         start: where a search from nothing begins.
         spread: standard deviations of the random starts around it.
-        torque: the torque in parts of the limit, before clipping; see `Torque`.
+        torque: the torque before clipping; see `Torque`.
     """
 
     name: str
@@ -134,17 +149,71 @@ def _families() -> dict[str, Family]:
 FAMILIES = _families()
 
 
-def actions(family: Family, parameters: np.ndarray, time: float, observations: np.ndarray) -> np.ndarray:
-    """The actions of many gaits of one family.
+# A family's number, as compiled code knows it, is its place.
+NUMBERS = {name: number for number, name in enumerate(FAMILIES)}
+
+
+@inlined
+def action(gaits: np.ndarray, place: int, time: float, theta: float, theta_dot: float, x_dot: float) -> float:
+    """The action of one gait, in [-1, 1].
 
     Args:
-        family: of the gaits.
-        parameters: shape (size, n), one column per environment.
+        gaits: what `pack` makes.
+        place: where this one begins.
         time: since the start of the episode, s.
-        observations: shape (n, entries), as the direct-torque task gives them.
+        theta: rad.
+        theta_dot: rad/s.
+        x_dot: m/s; exactly 0.0 in stick.
+    """
+    family, p = gaits[place], load(gaits, place + 1, 1, LONGEST)
+    if family == 0.0:
+        torque = _harmonics(p, time, theta, theta_dot, x_dot)
+    elif family == 1.0:
+        torque = _bang_bang(p, time, theta, theta_dot, x_dot)
+    else:
+        torque = _phase_space(p, time, theta, theta_dot, x_dot)
+    return clip(torque, 1.0)
+
+
+def pack(families: Sequence[str], parameters: Sequence[Sequence[float]]) -> np.ndarray:
+    """Gaits as compiled code takes them: the family's number, then the parameters.
+
+    Args:
+        families: of each gait.
+        parameters: of each, as many as its family has.
 
     Returns:
-        Shape (n, 1), float32, in [-1, 1].
+        Shape (gaits, 1 + LONGEST), float64.
     """
-    torque = family.torque(parameters, time, observations.astype(np.float64))
-    return np.clip(torque, -1.0, 1.0).astype(np.float32)[:, None]
+    packed = np.zeros((len(families), 1 + LONGEST))
+    for row, name, own in zip(packed, families, parameters, strict=True):
+        row[0], row[1 : 1 + len(own)] = NUMBERS[name], own
+    return packed
+
+
+def actions(gaits: np.ndarray, time: float, observations: np.ndarray) -> np.ndarray:
+    """The actions of many gaits.
+
+    Args:
+        gaits: what `pack` makes.
+        time: since the start of the episode, s.
+        observations: one per gait, float32; theta, theta_dot and x_dot come first.
+
+    Returns:
+        Shape (gaits, 1), float32, in [-1, 1].
+    """
+    out = np.empty((len(gaits), 1), np.float32)
+    _compiled()(gaits.reshape(-1), time, observations[:, :3].astype(np.float64), out)
+    return out
+
+
+def _act(gaits: np.ndarray, time: float, states: np.ndarray, out: np.ndarray) -> None:
+    """Writes `action` of every gait; its state is theta, theta_dot and x_dot."""
+    for n in range(out.shape[0]):
+        out[n, 0] = action(gaits, n * (1 + LONGEST), time, states[n, 0], states[n, 1], states[n, 2])
+
+
+@lru_cache(maxsize=1)
+def _compiled() -> Any:
+    """The function above, compiled."""
+    return compile_cached(_act)

@@ -11,7 +11,7 @@ import numpy as np
 
 from baselines.gaits import FOLDER
 from baselines.gaits.archive import Gait, known_gaits
-from baselines.gaits.families import FAMILIES, GAIT_DT, actions
+from baselines.gaits.families import GAIT_DT, actions, pack
 from capsule_gym.parameters import Capsule
 
 Act = Callable[[np.ndarray], np.ndarray]
@@ -26,29 +26,15 @@ class Performance:
 
     def __init__(self, gaits: Sequence[Gait]) -> None:
         self.step = 0
-        self.gaits = list(gaits)
-        self._arrange()
+        self.change(gaits)
 
     def change(self, gaits: Sequence[Gait]) -> None:
         """Goes on with other gaits, at the same time of the clock."""
-        if list(gaits) != self.gaits:
-            self.gaits = list(gaits)
-            self._arrange()
-
-    def _arrange(self) -> None:
-        """Groups the environments by family, so that each is computed at once."""
-        self._groups = []
-        for name, family in FAMILIES.items():
-            rows = np.array([i for i, gait in enumerate(self.gaits) if gait.family == name], np.int64)
-            if rows.size:
-                columns = np.array([self.gaits[i].parameters for i in rows]).T.copy()
-                self._groups.append((family, rows, columns))
+        self._gaits = pack([gait.family for gait in gaits], [gait.parameters for gait in gaits])
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """The actions of this step, shape (n, 1), float32; counts the step."""
-        out = np.zeros((len(self.gaits), 1), np.float32)
-        for family, rows, columns in self._groups:
-            out[rows] = actions(family, columns, self.step * GAIT_DT, observations[rows])
+        out = actions(self._gaits, self.step * GAIT_DT, observations)
         self.step += 1
         return out
 

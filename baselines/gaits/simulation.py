@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from baselines.gaits.archive import Gait
-from baselines.gaits.families import FAMILIES, GAIT_DT, Family, actions
+from baselines.gaits.families import FAMILIES, GAIT_DT, Family, actions, pack
 from baselines.gaits.performance import Choice
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.task import HORIZON, START_THETA
@@ -62,13 +62,13 @@ def simulate(
         control_dt=GAIT_DT,
         threads=threads,
     )
-    columns = np.ascontiguousarray(np.transpose(parameters), np.float64)
+    gaits = pack([family.name] * count, parameters.tolist())
     try:
         options = {"M": M, "mu": mu} | ({} if states is None else {"state": states})
         observations, info = env.reset(seed=0, options=options)
         start = info["state"][:, 2]
         for step in range(steps):
-            observations, _, terminated, _, info = env.step(actions(family, columns, step * GAIT_DT, observations))
+            observations, _, terminated, _, info = env.step(actions(gaits, step * GAIT_DT, observations))
             if step + 1 == late_step:
                 start = info["state"][:, 2]
             if terminated.all():

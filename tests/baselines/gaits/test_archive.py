@@ -9,7 +9,7 @@ from baselines.gaits import archive as gaits
 from baselines.gaits import performance
 from baselines.gaits.archive import GRID_M, GRID_MU, PLANTS, Archive, best_known_speed, known_gaits
 from baselines.gaits.bound import phase_plane_envelope, speed_bound
-from baselines.gaits.families import FAMILIES, GAIT_DT, actions
+from baselines.gaits.families import FAMILIES, GAIT_DT, actions, pack
 from baselines.gaits.performance import Performance
 from baselines.gaits.simulation import recheck, simulate
 from baselines.policies import SCRIPTED
@@ -135,28 +135,27 @@ def test_the_steps_of_the_proof_hold_on_hard_driven_capsules(mu):
 @pytest.mark.parametrize("family", FAMILIES.values(), ids=lambda family: family.name)
 def test_a_family_computes_every_environment_by_itself(family):
     rng = np.random.default_rng(1)
-    units = np.array(family.units)[:, None]
-    parameters = np.array(family.start)[:, None] + 0.1 * units * rng.standard_normal((len(family.start), 5))
+    parameters = np.array(family.start) + 0.1 * np.array(family.units) * rng.standard_normal((5, len(family.start)))
+    gaits = pack([family.name] * 5, parameters.tolist())
     observations = rng.uniform(-1.0, 1.0, (5, 5)).astype(np.float32)
-    together = actions(family, parameters, 0.37, observations)
+    together = actions(gaits, 0.37, observations)
     assert (together.shape, together.dtype) == ((5, 1), np.float32)
-    assert (np.abs(together) <= 1.0).all()
-    for i in range(5):
-        alone = actions(family, parameters[:, [i]], 0.37, observations[[i]])
-        assert alone[0, 0] == pytest.approx(together[i, 0], abs=1e-6)
+    for own, gait, observation, action in zip(parameters, gaits, observations, together, strict=True):
+        assert actions(gait[None], 0.37, observation[None]) == action
+        torque = family.torque(tuple(own.tolist()), 0.37, *observation[:3].tolist())
+        assert action == np.float32(min(max(torque, -1.0), 1.0))
 
 
 def test_clocks_run_in_periods():
-    rest = np.zeros((1, 5), np.float32)
-    harmonics = np.array([0.65, 0.1, *range(8), 0.0, 0.0, 0.0])[:, None] * 0.1
-    harmonics[0] = 0.65
-    square = np.array([0.2, 0.1, 0.15, 0.2, 0.0, 0.0, 0.0, 0.0])[:, None]
+    rest = (0.0, 0.0, 0.0)
+    harmonics = (0.65, 0.01, *(0.1 * k for k in range(8)), 0.0, 0.0, 0.0)
+    square = (0.2, 0.1, 0.15, 0.2, 0.0, 0.0, 0.0, 0.0)
     for name, parameters in (("harmonics", harmonics), ("bang-bang", square)):
-        torque = [FAMILIES[name].torque(parameters, time, rest)[0] for time in (0.105, 0.105 + 0.65, 0.255)]
+        torque = [FAMILIES[name].torque(parameters, time, *rest) for time in (0.105, 0.105 + 0.65, 0.255)]
         assert torque[0] == pytest.approx(torque[1])
         assert torque[0] != pytest.approx(torque[2])
     # A step that holds a switch gets the mean of both torques.
-    assert FAMILIES["bang-bang"].torque(square, 0.1925, rest)[0] == pytest.approx(0.5)
+    assert FAMILIES["bang-bang"].torque(square, 0.1925, *rest) == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("name", ["gait-nominal", "gait-oracle"])

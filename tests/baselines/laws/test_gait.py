@@ -42,9 +42,9 @@ def episodes(controller, M, mu, horizon=HORIZON, **options):
 
 def family_torque(states):
     """What the family gives for states of shape (n, 4), in N m within the limit."""
-    observations = np.asarray(states)[:, [0, 1, 3]]
-    coefficients = np.tile(known_parameters()[: len(COEFFICIENTS)], (len(states), 1)).T
-    return np.clip(TORQUE_LIMIT * POLYNOMIAL.torque(coefficients, 0.0, observations), -TORQUE_LIMIT, TORQUE_LIMIT)
+    coefficients = known_parameters()[: len(COEFFICIENTS)]
+    torques = [POLYNOMIAL.torque(coefficients, 0.0, theta, theta_dot, x_dot) for theta, theta_dot, _, x_dot in states]
+    return np.clip(TORQUE_LIMIT * np.array(torques), -TORQUE_LIMIT, TORQUE_LIMIT)
 
 
 def test_the_law_gives_the_torque_of_its_family():
