@@ -80,6 +80,7 @@ fuzz: $(STAMP)  ## Throw anything at the environments; fail where something brea
 bits: $(STAMP)  ## Compare the bits of whole episodes with the committed ones, on every processor this one can stand for
 	$(BIN)/python -m tests.bits --variants
 	$(BIN)/python -m web.episodes
+	$(BIN)/python -m web.recordings
 
 # What asks whether kernels compiled for other processors agree would compile them a second time.
 CHECKED := $(addprefix tests/capsule_gym/test_,$(addsuffix .py,kernels dynamics simulation resets network identification \

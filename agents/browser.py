@@ -49,16 +49,17 @@ def describe_settings(options: Options) -> dict[str, Any]:
     """What the step needs to be told of an environment, and how long its episodes are.
 
     Raises:
-        ValueError: if it is not an environment of the paper's capsule that shows no parameters, or its law is none of
-            `baselines`.
+        ValueError: if it is not an environment of the paper's capsule, or its law is none of `baselines`.
     """
-    if options.capsule not in (None, NOMINAL) or options.observe_parameters:
-        raise ValueError(f"options must be of the nominal capsule, and not observe_parameters, got {options}")
-    settings = make_settings(options, find_law(task_of(options)))
+    if options.capsule not in (None, NOMINAL):
+        raise ValueError(f"options must be of the nominal capsule, got {options}")
+    law = find_law(task_of(options))
+    settings = make_settings(options, law)
     # Whatever M and mu the page allows.
     check_step(NOMINAL, LIGHTEST, task.MU_BOUND, settings)
     return {
         "fixed": kernels.pack(NOMINAL.plant(), settings, np.zeros((0, 0))).tolist(),
+        "entries": len(task.observation_names(law is not None, options.observe_parameters)),
         "control_dt": options.control_dt,
         "steps": round(task.HORIZON / options.control_dt),
     }

@@ -5,6 +5,9 @@ from __future__ import annotations
 from baselines.policies import SCRIPTED
 from capsule_gym.committed import policy_names
 
+# Whose actions on the frozen plants are recorded, as `web.recordings` has it; elsewhere they cannot drive.
+RECORDED = ("optimum-nominal", "optimum-oracle")
+
 
 def trained(name: str) -> bool:
     """Whether a driver is a trained policy."""
@@ -12,9 +15,5 @@ def trained(name: str) -> bool:
 
 
 def driver_names() -> list[str]:
-    """Everything that can drive the capsule in a browser: what acts inside the compiled step, and trained policies.
-
-    Of a policy the run with the lowest seed.
-    """
-    inside = [each.name for each in SCRIPTED.values() if "controller" in each.env_kwargs or each.name == "zero"]
-    return [*inside, *policy_names()]
+    """Everything that can drive the capsule in a browser; of a trained policy the run with the lowest seed."""
+    return [*SCRIPTED, *policy_names()]

@@ -62,7 +62,7 @@ def on_page_content(content: str, page: Any, **_: Any) -> str:
 
 
 def _watched(page: Any, table: str) -> str:
-    """A table with links to its policies on the live page, beside the paper's controller; others stay as they are."""
+    """A ranking with links to its policies on the live page, beside the paper's law; other tables as they are."""
     heads = re.findall("<th>(.*?)</th>", table)
     if heads == ["policy", *set_names()]:
         return ROW.sub(lambda row: _by_set(page, row[0]), table)
@@ -74,7 +74,7 @@ def _watched(page: Any, table: str) -> str:
 def _by_name(page: Any, row: str, column: int) -> str:
     """A row of a ranking, whose first cell gets the link."""
     cells = CELL.findall(row)
-    if not cells or cells[column] not in drivers():
+    if not cells:
         return row
     words = f"Watch {cells[column]}"
     attributes = {"class": "watch", "title": words, "aria-label": words}
@@ -85,7 +85,7 @@ def _by_name(page: Any, row: str, column: int) -> str:
 def _by_set(page: Any, row: str) -> str:
     """A row of a policy's numbers, one per set, each of which becomes a link."""
     cells = CELL.findall(row)
-    if not cells or cells[0] not in drivers():
+    if not cells:
         return row
     linked = iter(
         _link(page, _scene(cells[0], name), cell, {"title": f"Watch {cells[0]} on {name}"})

@@ -3,13 +3,17 @@ export interface Driver {
   name: string;
   title: string;
   description: string;
-  kind: "law" | "policy" | "none";
+  kind: "law" | "gait" | "policy" | "recording" | "none";
   /** Which law lies inside the step; one of `tasks`. */
   task: string;
   /** Seed of a policy's training run. */
   seed?: number;
   /** Energy weights that a policy can be told, cm/J. */
   energyWeight?: [number, number];
+  /** Whether what it does is recorded, on the plants of the frozen sets alone. */
+  recorded?: boolean;
+  /** How many seeds it takes, where it draws random torques. */
+  seeds?: number;
   /** Length of a step, s. */
   controlDt: number;
   /** Steps of a whole episode. */
@@ -38,6 +42,21 @@ export interface State {
 /** How an episode begins; what is left out is nominal. */
 export interface Start extends Partial<Plant>, Partial<State> {
   changes?: Change[];
+}
+
+/** A plant of a frozen set, with its start and its jumps. */
+export interface Frozen {
+  set: string;
+  /** From 0. */
+  plant: number;
+}
+
+/** What a driver is told besides. */
+export interface Told {
+  /** cm/J. */
+  energyWeight?: number;
+  /** Where it draws random torques; that of a frozen plant is its number. */
+  seed?: number;
 }
 
 /** A plant of a frozen set. */
@@ -135,12 +154,13 @@ export class Capsule {
 export class Episode extends Capsule {
   readonly driver: string;
   readonly action: number;
+  reset(start?: (Start | Frozen) & Pick<Told, "seed">): { observation: Float32Array; info: Info };
   /** `step`, whose action the driver chooses. */
   tick(): StepResult;
 }
 
 export function load(task: string): Promise<Capsule>;
-export function drive(driver: string, options?: Start & { energyWeight?: number }): Promise<Episode>;
+export function drive(driver: string, options?: (Start | Frozen) & Told): Promise<Episode>;
 /** A policy of one's own: the JSON of what `agents.browser.describe_policy` says of it in Python. */
 export interface OwnDriver {
   /** Not that of another driver. */
@@ -152,7 +172,7 @@ export interface OwnDriver {
   task: string;
   seed?: number;
   /** The step's settings, of the package's own layout; control_dt in s. */
-  settings: { fixed: number[]; control_dt: number; steps: number };
+  settings: { fixed: number[]; entries: number; control_dt: number; steps: number };
   /** The packed network, of the package's own layout. */
   network: number[];
   /** The most units of a layer. */

@@ -34,8 +34,9 @@ const SHOWN = QUANTITIES.slice(0, ROW.clock + 1);
 const MODULES = new Map();
 
 /** What a page shows of a driver. */
-function describe({ settings, network, units, ...shown }) {
-  return { ...shown, controlDt: settings.control_dt, steps: settings.steps };
+function describe({ settings, network, units, gaits, recordings, seeds, ...shown }) {
+  const own = { controlDt: settings.control_dt, steps: settings.steps };
+  return { ...shown, ...own, ...(recordings && { recorded: true }), ...(seeds && { seeds: seeds.count }) };
 }
 
 /** Every driver, with what a page shows of it. */
@@ -111,6 +112,14 @@ function find(what, name, entries) {
   return found;
 }
 
+/** Returns an index, or says what is accepted. */
+function checkCount(name, value, count) {
+  const accepted = `a whole number from 0 to ${count - 1}`;
+  if (!Number.isInteger(value)) throw new TypeError(`${name} must be ${accepted}, got ${String(value)}`);
+  if (value < 0 || value >= count) throw new RangeError(`${name} must be ${accepted}, got ${value}`);
+  return value;
+}
+
 /** A plant's M and mu, checked. */
 function checkPlant(name, plant) {
   const { limits } = constants;
@@ -127,6 +136,27 @@ function checkChanges(changes) {
     last = t;
     return { t, ...checkPlant(`changes[${n}].`, change) };
   });
+}
+
+/** The generator of random torques: numpy's PCG64, from a state and an increment of 128 bits. */
+class Draws {
+  constructor(state, increment) {
+    this.state = state;
+    this.increment = increment;
+  }
+
+  copy() {
+    return new Draws(this.state, this.increment);
+  }
+
+  /** A number from -1 to 1, as `uniform` draws it. */
+  next() {
+    const cut = (bits, value) => BigInt.asUintN(bits, value);
+    this.state = cut(128, this.state * 0x2360ed051fc65da44385df649fccf645n + this.increment);
+    const [mixed, turn] = [cut(64, (this.state >> 64n) ^ this.state), this.state >> 122n];
+    const turned = cut(64, (mixed >> turn) | (mixed << (64n - turn)));
+    return Number(turned >> 11n) * 2 ** -52 - 1;
+  }
 }
 
 /** One capsule with a law inside its step, or with none. Made by `load`. */
@@ -214,7 +244,7 @@ export class Capsule {
 
   /** The present observation, as Python shows it. */
   get observation() {
-    return this.#place.view.observations.slice(0, this.#task.entries);
+    return this.#place.view.observations.slice(0, this.#settings.entries);
   }
 
   /** Every quantity of the last step and of the episode by name, in SI units, and why the episode has ended. */
@@ -291,6 +321,8 @@ export class Capsule {
 export class Episode extends Capsule {
   #driver;
   #place;
+  #recording = null;
+  #draws = null;
   #action = 0;
 
   /** For `drive`. */
@@ -311,28 +343,62 @@ export class Episode extends Capsule {
   }
 
   /** Begins an episode, whose driver remembers nothing of the last one. */
-  reset(options) {
+  reset({ set, plant, seed, ...options } = {}) {
+    const { name, recordings, seeds } = this.#driver;
+    let start = options;
+    if (set !== undefined || plant !== undefined) {
+      if (Object.keys(options).length > 0) throw new RangeError("set and plant must stand without M, mu and a start");
+      if (!Object.hasOwn(sets, set)) throw new RangeError(`set must be one of ${Object.keys(sets).join(", ")}, got ${set}`);
+      start = sets[set].plants[checkCount("plant", plant, sets[set].plants.length)];
+    } else if (recordings) {
+      throw new RangeError(`set and plant must be given: what ${name} does is recorded on the frozen plants alone`);
+    }
+    if (seed !== undefined && !seeds) throw new RangeError(`seed must be left out: ${name} draws nothing`);
+    const draws = seeds && drawsOf(seeds, checkCount("seed", seed ?? plant ?? 0, seeds.count));
     this.#place.view.cells.fill(0);
-    this.#action = 0;
-    return super.reset(options);
+    this.#recording = recordings ? recordingOf(recordings[set], plant) : null;
+    [this.#action, this.#draws] = [0, draws];
+    return super.reset(start);
   }
 
   /** `step`, whose action the driver chooses. */
   tick() {
-    this.#action = this.#driver.network ? Math.fround(this.#act()) : 0;
+    this.#action = Math.fround(this.#choose());
     return this.step(this.#action);
   }
 
   /** With the driver's memory. */
   snapshot() {
-    return { ...super.snapshot(), action: this.#action };
+    const [action, recording, draws] = [this.#action, this.#recording, this.#draws?.copy() ?? null];
+    return { ...super.snapshot(), action, recording, draws };
   }
 
   /** With the driver's memory. */
   restore(snapshot) {
     super.restore(snapshot);
-    this.#action = snapshot.action;
+    [this.#action, this.#recording] = [snapshot.action, snapshot.recording];
+    this.#draws = snapshot.draws?.copy() ?? null;
   }
+
+  #choose() {
+    if (this.#driver.network) return this.#act();
+    if (this.#driver.gaits) return this.#perform();
+    if (this.#recording) return LAYOUT.torques[this.#recording[this.info.steps]];
+    return this.#draws?.next() ?? 0;
+  }
+
+  /** The gait of the cell that the plant lies in; the plant is what the observation ends with. */
+  #perform() {
+    const { address, call, view } = this.#place;
+    const { M, edges, cells } = this.#driver.gaits;
+    const [mass, friction] = this.observation.slice(-2);
+    const distances = M.map((centre) => Math.abs(mass - centre));
+    const column = edges.filter((edge) => edge < friction * friction).length;
+    const gait = cells[distances.indexOf(Math.min(...distances))][column];
+    const time = this.info.steps * this.controlDt;
+    return call.gait(address.gaits, view.gaits.length, gait, time, address.observations);
+  }
+
 
   #act() {
     const { address, call, view } = this.#place;
@@ -349,10 +415,24 @@ function networkOf(driver) {
   return network instanceof Float64Array ? network : readArray(network);
 }
 
+/** The generator that Python has for that seed. */
+function drawsOf({ at }, seed) {
+  const bytes = new DataView(CONTENT.buffer, CONTENT.byteOffset + at + 32 * seed, 32);
+  const number = (place) => (bytes.getBigUint64(place + 8, true) << 64n) | bytes.getBigUint64(place, true);
+  return new Draws(number(0), number(16));
+}
+
+/** Of each step on that plant the place of its action in `LAYOUT.torques`. */
+function recordingOf({ at, steps }, plant) {
+  const begin = steps.slice(0, plant).reduce((sum, length) => sum + length, at);
+  return CONTENT.subarray(begin, begin + steps[plant]);
+}
+
 /** Places, and the arrays that a task and a driver need. */
 async function prepare(name, driver) {
   const task = { ...TASKS[name], reference: readArray(TASKS[name].table) };
   const network = networkOf(driver);
+  const gaits = driver?.gaits ? readArray(driver.gaits.table) : new Float64Array(0);
   const { fixed } = (driver ?? task).settings;
   const sizes = {
     world: [Float64Array, task.rows * LANES],
@@ -363,12 +443,14 @@ async function prepare(name, driver) {
     rows: [BigInt64Array, 1],
     episodes: [BigInt64Array, 1],
     network: [Float64Array, network.length],
+    gaits: [Float64Array, gaits.length],
     cells: [Float64Array, network.length ? LAYOUT.cells : 0],
     inputs: [Float32Array, LAYOUT.entries + LAYOUT.cells],
     scratch: [Float64Array, network.length ? 2 * driver.units * LANES : 0],
   };
   const placed = await place(sizes, [name, "common"]);
   placed.view.network.set(network);
+  placed.view.gaits.set(gaits);
   return [placed, task];
 }
 
@@ -381,7 +463,10 @@ export async function load(name) {
   return capsule;
 }
 
-/** An episode of one of `drivers`, at its beginning; the options are those of `reset`, and the energy weight. */
+/**
+ * An episode of one of `drivers`, at its beginning; the options are those of `reset`, and the energy weight. In their
+ * place stand the name of a frozen set and the number of a plant in it.
+ */
 export async function drive(name, { energyWeight, ...options } = {}) {
   const driver = find("driver", name, DRIVERS);
   const [placed, task] = await prepare(driver.task, driver);
@@ -404,6 +489,7 @@ export function addDriver(driver) {
   if (!Object.hasOwn(TASKS, task)) throw new RangeError(`task must be one of ${tasks.join(", ")}, got ${task}`);
   const [size, given] = [TASKS[task].settings.fixed.length, settings?.fixed?.length];
   if (given !== size) throw new RangeError(`settings.fixed must be ${size} numbers, got ${given}`);
+  checkNumber("settings.entries", settings.entries, 1, LAYOUT.entries);
   checkNumber("settings.control_dt", settings.control_dt, Number.MIN_VALUE, Number.MAX_VALUE);
   checkNumber("settings.steps", settings.steps, 1, Number.MAX_SAFE_INTEGER);
   if (!Array.isArray(network)) throw new TypeError(`network must be an array of numbers, got ${String(network)}`);

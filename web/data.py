@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import json
 import zlib
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,12 @@ from agents.browser import (
     find_law,
     task_of,
 )
-from agents.drivers import driver_names, trained
+from agents.drivers import RECORDED, driver_names, trained
 from agents.evaluation.sets import SET_NAMES, load_set
 from agents.training.presets import ROWS, PPOConfig
+from baselines.gaits import families
+from baselines.gaits.performance import Choice, known_choice, tolerant_nominal
+from baselines.optimum.policy import TORQUES
 from baselines.policies import SCRIPTED
 from capsule_gym import kernels, load_policy, task
 from capsule_gym.identification import CELLS
@@ -35,6 +39,15 @@ from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
 from capsule_gym.simulation import NO_CONTROLLER, count_rows
 from web.episodes import FILE, describe_plant, env_kwargs
 from web.modules import COMMON, ENTRIES, STARTS, build
+from web.recordings import OVER, known_recordings
+
+GAITS: dict[str, Callable[[], Choice]] = {
+    "gait-nominal": lambda: Choice((NOMINAL.M,), (NOMINAL.mu,), ((tolerant_nominal(),),)),
+    "gait-oracle": known_choice,
+}
+RANDOM = "random"
+# As many as a frozen set has plants, whose seeds are 0, 1, ..
+SEEDS = 100
 
 
 class Archive:
@@ -54,6 +67,16 @@ class Archive:
         rows, columns = table.shape
         content = table.view(np.uint8).reshape(rows, columns, 8).transpose(1, 2, 0).tobytes()
         return self._keep(f"{rows} {columns}", content, {"rows": rows, "columns": columns})
+
+    def add_recordings(self, places: np.ndarray) -> dict[str, Any]:
+        """Keeps what `web.recordings.record` gives; returns what the header says of it."""
+        return {**self.add(places[places != OVER].tobytes()), "steps": (places != OVER).sum(axis=1).tolist()}
+
+    def add_generators(self, count: int) -> dict[str, int]:
+        """Keeps the generators that `random` has for the seeds below `count`: state and increment, 16 bytes each."""
+        states = [np.random.default_rng([seed, 1]).bit_generator.state["state"] for seed in range(count)]
+        numbers = [each[key] for each in states for key in ("state", "inc")]
+        return {**self.add(b"".join(number.to_bytes(16, "little") for number in numbers)), "count": count}
 
     def _keep(self, kind: str, content: bytes, place: dict[str, int]) -> dict[str, int]:
         key = kind, content
@@ -94,6 +117,7 @@ def layout() -> dict[str, Any]:
         "cells": CELLS,
         "energy_weight": kernels.SETTINGS + Settings._fields.index("energy_weight"),
         "log_energy_weight": Header._fields.index("log_energy_weight"),
+        "torques": TORQUES.tolist(),
         "terminations": [termination.name for termination in task.Termination],
     }
 
@@ -104,7 +128,6 @@ def describe_task(name: str, archive: Archive) -> dict[str, Any]:
     acting = law or NO_CONTROLLER
     return {
         "rows": count_rows(law),
-        "entries": len(task.observation_names(law is not None, False)),
         "memory": acting.memory,
         "table": archive.add_array(acting.reference),
         "settings": describe_settings(Options(controller=f"baselines:{name}" if law else None)),
@@ -119,14 +142,28 @@ def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
         network = archive.add_array(described["network"])
         return {**described, **({"energyWeight": weights} if weights else {}), "network": network}
     options = Options(**env_kwargs(name))
-    return {
+    described = {
         "name": name,
         "title": name.replace("-", " "),
         "task": task_of(options),
         "settings": describe_settings(options),
-        "kind": "none" if options.controller is None else "law",
         "description": SCRIPTED[name].description,
     }
+    if name in GAITS:
+        return {**described, "kind": "gait", "gaits": describe_gaits(GAITS[name](), archive)}
+    if name in RECORDED:
+        recordings = {each: archive.add_recordings(places) for each, places in known_recordings()[name].items()}
+        return {**described, "kind": "recording", "recordings": recordings}
+    if name == RANDOM:
+        return {**described, "kind": "none", "seeds": archive.add_generators(SEEDS)}
+    return {**described, "kind": "none" if options.controller is None else "law"}
+
+
+def describe_gaits(choice: Choice, archive: Archive) -> dict[str, Any]:
+    """Gaits with a clock, and which of them suits which plant."""
+    used, cells = choice.used()
+    table = families.pack([gait.family for gait in used], [gait.parameters for gait in used])
+    return {"M": choice.M, "edges": choice.edges().tolist(), "cells": cells, "table": archive.add_array(table)}
 
 
 def describe_set(name: str) -> dict[str, Any]:

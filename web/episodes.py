@@ -1,8 +1,8 @@
 """Whole episodes by hash, which the module replays: `python -m web.episodes` compares Python's with the committed ones.
 
-Every driver has one, on a plant of the frozen set `drift`, whose M and mu jump twice; torques drawn at random have two
-each, without a law and with one. A hash is over the bytes of all steps: each quantity of the environment, the law's
-memory and its line of the reference, float64, and then the observation, float32.
+Every driver has one, on a plant of the frozen set `drift`, whose M and mu jump twice; random torques that each hold for
+a while have two each, without a law and with one. A hash is over the bytes of all steps: each quantity of the
+environment, the law's memory and its line of the reference, float64, and then the observation, float32.
 """
 
 from __future__ import annotations
@@ -41,14 +41,13 @@ def env_kwargs(name: str) -> dict[str, Any]:
 
 def courses() -> Iterator[Course]:
     """What has a hash: which driver on which plant, and the random actions where there are any."""
-    for name, plant in zip(driver_names(), load_set("drift").plants, strict=False):
-        yield {"name": name, "driver": name, **describe_plant(plant)}
-    plants = load_set("wide").plants
+    for n, name in enumerate(driver_names()):
+        yield {"name": name, "driver": name, "set": "drift", "plant": n}
     for n, (name, scale) in enumerate(SCALES.items()):
         for i in (2 * n, 2 * n + 1):
             actions = np.random.default_rng(i).uniform(-scale, scale, ACTIONS).round(4).tolist()
-            described = {"driver": name, **describe_plant(plants[i]), "actions": actions, "hold": HOLD}
-            yield {"name": f"random torque on {name}, {i % 2 + 1}", **described}
+            held = {"actions": actions, "hold": HOLD}
+            yield {"name": f"held torques on {name}, {i % 2 + 1}", "driver": name, "set": "wide", "plant": i, **held}
 
 
 def describe_plant(plant: PlantSpec) -> dict[str, Any]:
@@ -58,18 +57,17 @@ def describe_plant(plant: PlantSpec) -> dict[str, Any]:
 
 def compute(course: Course) -> tuple[int, str]:
     """How many steps an episode takes, and its hash, by Python's environment."""
-    kwargs = env_kwargs(course["driver"])
+    name, plant = course["driver"], load_set(course["set"]).plants[course["plant"]]
+    kwargs = env_kwargs(name)
     env = capsule_gym.CapsuleEnv(**kwargs)
-    changes = course.get("changes", [])
-    observation, _ = env.reset(options={"M": course["M"], "mu": course["mu"], "changes": changes})
-    act = capsule_gym.load_policy(course["driver"]).start([0]) if trained(course["driver"]) else None
+    observation, _ = env.reset(options=plant.reset_options())
+    act = (capsule_gym.load_policy(name) if trained(name) else SCRIPTED[name]).start([plant.seed])
     digest, terminated, step = hashlib.sha256(), False, 0
     while not terminated and step < round(HORIZON / kwargs.get("control_dt", CONTROL_DT)):
-        action = np.zeros(1, np.float32)
         if "actions" in course:
-            action[0] = course["actions"][step // course["hold"] % len(course["actions"])]
-        elif act:
-            action = act(observation)
+            action = np.array([course["actions"][step // course["hold"] % len(course["actions"])]], np.float32)
+        else:
+            action = act(observation[None])[0]
         observation, _, terminated, _, _ = env.step(action)
         digest.update(env.simulation.world[0, :, 0].tobytes() + observation.tobytes())
         step += 1

@@ -23,6 +23,7 @@ from numba import types
 from numba.np.arrayobj import get_cfarray_intrinsic
 
 from agents.browser import find_law
+from baselines.gaits import families
 from capsule_gym import kernels, resets, task
 from capsule_gym.compilation import fingerprint, inner, rebound
 from capsule_gym.controller import Controller
@@ -73,8 +74,8 @@ def law_entries(law: Controller | None) -> list[Entry]:
 def common_entries() -> list[Entry]:
     """What the module without a law exports.
 
-    `renew` gives an environment the first values of an episode, `act` is one action of a policy, and `log` the
-    logarithm of the energy weight that it is told.
+    `renew` gives an environment the first values of an episode, `act` is one action of a policy, `log` the logarithm of
+    the energy weight that it is told, and `gait` one action of a gait with a clock.
     """
     compiled = inner(resets.renew)
 
@@ -88,6 +89,11 @@ def common_entries() -> list[Entry]:
         cells, room = array(memory, (CELLS,)), array(lanes, (2, units * LANES))
         return act_apart(array(network, (size,)), shown, 0, 1, cells, given, room)[0]
 
+    def gait(gaits, size, n, time, observations):  # type: ignore[no-untyped-def]
+        seen, number = array(observations, (3,)), types.float64
+        state = number(seen[0]), number(seen[1]), number(seen[2])
+        return families.action(array(gaits, (size,)), n * families.WIDTH, time, *state)
+
     def log(x):  # type: ignore[no-untyped-def]
         return logarithm(x)
 
@@ -96,6 +102,7 @@ def common_entries() -> list[Entry]:
     return [
         Entry("renew", renew, count, starting),
         Entry("act", act, number, (NUMBERS, count, FLOATS, NUMBERS, FLOATS, NUMBERS, count)),
+        Entry("gait", gait, number, (NUMBERS, count, count, number, FLOATS)),
         Entry("log", log, number, (number,)),
     ]
 

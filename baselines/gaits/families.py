@@ -39,8 +39,9 @@ GAINS = 2 + 2 * HARMONICS
 
 FEEDBACK = ("theta", "theta_dot", "x_dot")
 
-# Every family's parameters are filled up with zeros to so many.
+# Every family's parameters are filled up with zeros to so many; before them stands the family's number.
 LONGEST = len(COEFFICIENTS)
+WIDTH = 1 + LONGEST
 
 
 @inlined
@@ -183,9 +184,9 @@ def pack(families: Sequence[str], parameters: Sequence[Sequence[float]]) -> np.n
         parameters: of each, as many as its family has.
 
     Returns:
-        Shape (gaits, 1 + LONGEST), float64.
+        Shape (gaits, `WIDTH`), float64.
     """
-    packed = np.zeros((len(families), 1 + LONGEST))
+    packed = np.zeros((len(families), WIDTH))
     for row, name, own in zip(packed, families, parameters, strict=True):
         row[0], row[1 : 1 + len(own)] = NUMBERS[name], own
     return packed
@@ -210,7 +211,7 @@ def actions(gaits: np.ndarray, time: float, observations: np.ndarray) -> np.ndar
 def _act(gaits: np.ndarray, time: float, states: np.ndarray, out: np.ndarray) -> None:
     """Writes `action` of every gait; its state is theta, theta_dot and x_dot."""
     for n in range(out.shape[0]):
-        out[n, 0] = action(gaits, n * (1 + LONGEST), time, states[n, 0], states[n, 1], states[n, 2])
+        out[n, 0] = action(gaits, n * WIDTH, time, states[n, 0], states[n, 1], states[n, 2])
 
 
 @lru_cache(maxsize=1)

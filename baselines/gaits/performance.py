@@ -72,20 +72,23 @@ class Choice:
         """The gaits of some plants: that of the nearest cell in M and log(mu), outside the map of its edge."""
         centres = np.array(self.M)
         rows = np.abs(M[:, None] - centres).argmin(axis=1)
-        # Half-way between two cells in log(mu) is the square root of their product.
-        columns = np.searchsorted(np.multiply(self.mu[:-1], self.mu[1:]), mu * mu)
+        columns = np.searchsorted(self.edges(), mu * mu)
         return [self.gaits[i][j] for i, j in zip(rows, columns, strict=True)]
+
+    def edges(self) -> np.ndarray:
+        """The squares of mu between the cells: half-way in log(mu) is the square root of a product."""
+        return np.multiply(self.mu[:-1], self.mu[1:])
+
+    def used(self) -> tuple[list[Gait], list[list[int]]]:
+        """The gaits, each once, and the place among them of every cell's."""
+        used = list(dict.fromkeys(gait for row in self.gaits for gait in row))
+        return used, [[used.index(gait) for gait in row] for row in self.gaits]
 
     def to_json(self) -> str:
         """The text of the file: gaits are named by family, plant and whether they are tolerant."""
-        used = list(dict.fromkeys(gait for row in self.gaits for gait in row))
-        content = {
-            "M": self.M,
-            "mu": self.mu,
-            "gaits": [[gait.family, gait.M, gait.mu, gait.worst_speed is not None] for gait in used],
-            "choice": [[used.index(gait) for gait in row] for row in self.gaits],
-        }
-        return json.dumps(content) + "\n"
+        used, places = self.used()
+        gaits = [[gait.family, gait.M, gait.mu, gait.worst_speed is not None] for gait in used]
+        return json.dumps({"M": self.M, "mu": self.mu, "gaits": gaits, "choice": places}) + "\n"
 
 
 @lru_cache(maxsize=1)

@@ -85,7 +85,7 @@ def test_the_live_page_has_the_drivers_that_are_linked(hooks: ModuleType) -> Non
 
 
 def test_rows_of_the_ranking_lead_to_the_live_page(hooks: ModuleType, page: SimpleNamespace) -> None:
-    rows = table(["", "policy", "x adaptive"], ["1", "direct-ppo", "2"], ["2", "adaptive", "1"], ["3", "random", "0"])
+    rows = table(["", "policy", "x adaptive"], ["1", "direct-ppo", "2"], ["2", "adaptive", "1"])
     found = hooks.on_page_content(rows, page)
     scenes = re.findall(r'href="([^"]*)"', found)
     assert scenes == [
@@ -93,14 +93,15 @@ def test_rows_of_the_ranking_lead_to_the_live_page(hooks: ModuleType, page: Simp
         "../live/index.html#driver=adaptive&amp;set=paper&amp;plant=0",
     ]
     assert re.findall(r"<td>(\d) <a class=\"watch\"", found) == ["1", "2"]
-    assert "<td>3</td>\n<td>random</td>" in found
+    with pytest.raises(Exception, match="lacks: nobody"):
+        hooks.on_page_content(table(["", "policy", "x adaptive"], ["1", "nobody", "2"]), page)
     page.file.src_uri = "evidence.md"
     assert hooks.on_page_content(rows, page) == rows
 
 
 def test_numbers_by_set_lead_to_their_plants(hooks: ModuleType, page: SimpleNamespace) -> None:
     names = hooks.set_names()
-    rows = table(["policy", *names], ["robust", *(f"{n}.5" for n in range(len(names)))], ["random", *names])
+    rows = table(["policy", *names], ["robust", *(f"{n}.5" for n in range(len(names)))])
     found = hooks.on_page_content(rows, page)
     assert re.findall(r"set=(\w+)&amp;plant=0\">([\d.]+)</a>", found) == [
         (name, f"{n}.5") for n, name in enumerate(names)
@@ -115,5 +116,5 @@ def test_a_link_to_a_scene_leads_to_the_live_page(hooks: ModuleType, page: Simpl
     assert found == 'See <a href="../live/index.html#driver=epc&amp;M=0.5&amp;t=2">it</a>, [live](live.md).'
     page.url = ""
     assert '"live/index.html#driver=epc"' in hooks.on_page_markdown("[it](live.md#driver=epc)", page)
-    with pytest.raises(Exception, match="lacks: random"):
-        hooks.on_page_markdown("[it](live.md#driver=epc&rival=random)", page)
+    with pytest.raises(Exception, match="lacks: nobody"):
+        hooks.on_page_markdown("[it](live.md#driver=epc&rival=nobody)", page)

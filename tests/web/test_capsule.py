@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from agents.browser import describe_policy
+from agents.leaderboard.rows import RESULTS, load_row, path_of
 from capsule_gym import CapsuleEnv, load_policy
 from capsule_gym.kernels import Row
 from capsule_gym.task import METRICS
 from tests import bits
 from tests.web.conftest import Node
-from web import build, data, episodes
+from web import build, data, episodes, recordings
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMITTED = json.loads(episodes.FILE.read_text(encoding="utf-8"))
@@ -25,7 +26,7 @@ COMMITTED = json.loads(episodes.FILE.read_text(encoding="utf-8"))
 # --- bits ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["zero", "adaptive", "robust", "random torque on adaptive, 2"])
+@pytest.mark.parametrize("name", ["zero", "adaptive", "robust", "held torques on adaptive, 2"])
 def test_committed_episodes_are_pythons(name: str) -> None:
     committed = next(course for course in COMMITTED if course["name"] == name)
     assert episodes.compute(committed) == (committed["steps"], committed["sha256"])
@@ -46,7 +47,9 @@ def test_the_module_replays_every_committed_episode(node: Node) -> None:
 
 
 def test_a_single_bit_fails_the_check(node: Node, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    altered = [{**COMMITTED[0], "mu": float(np.nextafter(COMMITTED[0]["mu"], 1.0))}]
+    committed = {key: value for key, value in COMMITTED[0].items() if key not in ("set", "plant")}
+    plant = data.describe_plant(data.load_set(COMMITTED[0]["set"]).plants[COMMITTED[0]["plant"]])
+    altered = [{**committed, **plant, "mu": float(np.nextafter(plant["mu"], 1.0))}]
     monkeypatch.setattr(data, "FILE", tmp_path / "episodes.json")
     data.FILE.write_text(json.dumps(altered), encoding="utf-8")
     module = tmp_path / "capsule.mjs"
@@ -129,6 +132,51 @@ def test_a_policy_of_ones_own_gives_the_bits_of_the_one_that_came_with_the_modul
     assert len(refused) == len(words)
     for message, word in zip(refused, words, strict=True):
         assert word in message
+
+
+@pytest.mark.parametrize("name", recordings.RECORDED)
+def test_recordings_are_what_the_policies_do(name: str) -> None:
+    known = recordings.known_recordings()[name]
+    assert {each: places.shape[0] for each, places in known.items()} == dict.fromkeys(data.SET_NAMES, 100)
+    for each, n in (("wide", 17), ("drift", 4)):
+        assert recordings.record(name, [data.load_set(each).plants[n]])[0].tolist() == known[each][n].tolist()
+
+
+@pytest.mark.parametrize(("name", "plant"), [("nominal", 41), ("extrapolation", 5)])
+def test_every_driver_has_the_leaderboards_numbers(node: Node, name: str, plant: int) -> None:
+    code = """
+        const [set, plant] = [process.argv[1], Number(process.argv[2])];
+        const found = {};
+        for (const { name } of live.drivers) {
+          const episode = await live.drive(name, { set, plant });
+          for (let over = false; !over; ) {
+            const { terminated, truncated } = episode.tick();
+            over = terminated || truncated;
+          }
+          const { mean_speed, peak_torque, duration } = episode.metrics;
+          found[name] = [mean_speed, peak_torque, duration];
+        }
+        show(found);
+    """
+    found = node(code, name, str(plant))
+    assert list(found) == episodes.driver_names()
+    for driver, numbers in found.items():
+        row = load_row(path_of(ROOT / RESULTS, driver))
+        # Of a policy the run with the lowest seed.
+        assert numbers == [row.score(name, metric)[0, plant] for metric in ("mean_speed", "peak_torque", "duration")]
+
+
+def test_random_torques_are_numpys(node: Node) -> None:
+    code = """
+        const episode = await live.drive("random", { seed: 9 });
+        const start = episode.snapshot();
+        const drawn = () => Array.from({ length: 20 }, () => (episode.tick(), episode.action));
+        const first = drawn();
+        episode.restore(start);
+        show([first, drawn()]);
+    """
+    expected = np.random.default_rng([9, 1]).uniform(-1.0, 1.0, 20).astype(np.float32).tolist()
+    assert node(code) == [expected, expected]
 
 
 def test_a_policy_is_told_another_energy_weight(node: Node) -> None:
@@ -218,6 +266,8 @@ def test_drivers_and_sets_are_what_python_has(node: Node) -> None:
     assert [driver["name"] for driver in drivers] == episodes.driver_names()
     assert {driver["task"] for driver in drivers} == set(tasks)
     assert all(driver["description"] for driver in drivers)
+    assert {driver["name"] for driver in drivers if driver.get("recorded")} == set(recordings.RECORDED)
+    assert {driver["name"] for driver in drivers if driver.get("seeds")} == {"random"}
     assert [driver["energyWeight"] for driver in drivers if "energyWeight" in driver] == [[0.1, 20.0]]
     frozen = {name: data.load_set(name) for name in data.SET_NAMES}
     assert {name: each["hash"] for name, each in sets.items()} == {name: each.hash for name, each in frozen.items()}
@@ -241,6 +291,14 @@ def test_types_declare_what_there_is(node: Node) -> None:
             "RangeError",
             r"energyWeight must be .* in \[0.1, 20\], got 0",
         ),
+        ('await live.drive("optimum-oracle")', "RangeError", "set and plant must be given: what optimum-oracle does"),
+        ('await live.drive("optimum-oracle", { M: 0.5, mu: 0.1 })', "RangeError", "set and plant must be given"),
+        ('await live.drive("epc", { set: "moon", plant: 0 })', "RangeError", "set must be one of nominal,.*, got moon"),
+        ('await live.drive("epc", { set: "paper", plant: 100 })', "RangeError", "plant must be .* 0 to 99, got 100"),
+        ('await live.drive("epc", { set: "paper" })', "TypeError", "plant must be a whole number .* got undefined"),
+        ('await live.drive("epc", { set: "paper", plant: 1, M: 1 })', "RangeError", "set and plant must stand without"),
+        ('await live.drive("epc", { seed: 1 })', "RangeError", "seed must be left out: epc draws nothing"),
+        ('await live.drive("random", { seed: 0.5 })', "TypeError", "seed must be a whole number from 0 to 99, got 0.5"),
         ("capsule.reset({ M: 0 })", "RangeError", r"M must be a finite number in \[0.2, 2\], got 0"),
         ('capsule.reset({ mu: "0.1" })', "TypeError", r"mu must be a finite number in \[0, 1\], got 0.1"),
         ("capsule.reset({ theta: 2 })", "RangeError", "theta must be .*, got 2"),

@@ -277,6 +277,27 @@ def test_plant_is_set_before_the_first_step(open_page: Open) -> None:
     assert link(page)["M"] == "0.6"
 
 
+def test_a_recorded_driver_keeps_the_plants_of_the_sets(open_page: Open) -> None:
+    page = open_page(PAUSED)
+    page.select_option("#driver", "optimum-oracle")
+    page.wait_for_function("location.hash.includes('set=nominal')")
+    for control in ("#M", "#M-number", "#mu", "#mu-number", "#jump"):
+        assert page.locator(control).is_disabled()
+    assert page.locator("#set option").first.is_disabled()
+    shows(page, "plant-text", "recorded on the plants of the sets")
+    page.select_option("#set", "drift")
+    page.wait_for_function("location.hash.includes('set=drift')")
+    page.select_option("#driver", "epc")
+    page.wait_for_function("!document.getElementById('jump').disabled")
+    page.click("#play") if playing(page) else None
+    # A rival asks for the same.
+    page.click("#jump")
+    page.wait_for_function("!location.hash.includes('set=') || location.hash.includes('jumps=')")
+    page.select_option("#rival", "optimum-nominal")
+    page.wait_for_function("location.hash.includes('set=') && !location.hash.includes('jumps=')")
+    assert page.locator("#trouble").is_hidden()
+
+
 def test_plant_jumps_while_it_runs(open_page: Open) -> None:
     page = open_page(LAW)
     reaches(page, 0.5)
@@ -332,6 +353,7 @@ def test_a_jump_in_the_past_begins_another_future(open_page: Open) -> None:
         "#driver=epc&rival=adaptive&view=lane&set=drift&plant=3&speed=0.5&t=7.5",
         "#driver=adaptive&M=0.45&mu=0.02&jumps=1:0.5:0.01,2.5:0.6:0.1&t=3",
         "#driver=yourself&rival=epc&M=0.5&mu=0.01&t=0.8&hand=10uK20z9u",
+        "#driver=optimum-nominal&rival=random&set=paper&plant=9&t=2",
     ],
 )
 def test_links_hold_the_whole_scene(open_page: Open, scene: str) -> None:
@@ -356,6 +378,7 @@ def test_links_are_followed_in_an_open_page(open_page: Open) -> None:
         ("#driver=epc&jumps=1:2", 'jumps must be t:M:mu.* got "1:2"'),
         ("#driver=epc&t=99", 'a number from 0 to 33, got "99"'),
         ("#driver=yourself&hand=!", "hand must be letters"),
+        ("#driver=optimum-oracle&M=0.6&t=1", "recorded on the plants of the sets"),
     ],
 )
 def test_what_a_link_cannot_mean_is_said(open_page: Open, scene: str, words: str) -> None:

@@ -1,7 +1,7 @@
 // One driver on one plant: an episode, everything that was recorded of it, and the way back to any step.
 
 import { constants, drive, load } from "./capsule.mjs";
-import { YOURSELF, titleOf } from "./scene.js";
+import { YOURSELF, driverNamed, titleOf } from "./scene.js";
 
 // As `Simulation` compares an episode's time with that of a jump.
 const TIME_TOLERANCE = 1e-9;
@@ -25,14 +25,18 @@ class Hand {
 
 }
 
-async function start(name, plant, weight, replay) {
-  if (name !== YOURSELF) {
-    const episode = await drive(name, { ...plant, ...(weight === null ? {} : { energyWeight: weight }) });
-    return { capsule: episode, driver: episode };
+async function start(name, { set, plant, M, mu, theta, hand }, weight) {
+  const first = theta === undefined ? { M, mu } : { M, mu, theta };
+  if (name === YOURSELF) {
+    const capsule = await load("direct");
+    capsule.reset(first);
+    return { capsule, driver: new Hand(capsule, hand) };
   }
-  const capsule = await load("direct");
-  capsule.reset(plant);
-  return { capsule, driver: new Hand(capsule, replay) };
+  const { recorded, seeds } = driverNamed(name);
+  const told = weight === null ? {} : { energyWeight: weight };
+  const drawn = seeds && set ? { seed: plant } : {};
+  const episode = await drive(name, recorded ? { set, plant } : { ...first, ...told, ...drawn });
+  return { capsule: episode, driver: episode };
 }
 
 /** An episode as it is recorded. */
@@ -41,13 +45,11 @@ export class Lane {
    * Opens the lane of a driver at the start of its episode.
    *
    * @param {string} name of the driver.
-   * @param {object} scene whose plant, jumps and hand it gets.
+   * @param {object} scene whose plant, jumps and hand it gets; of one with a recorded driver `keepFrozen` is true.
    * @param {number | null} weight the price of energy; null for the driver's own.
    */
   static async open(name, scene, weight) {
-    const { M, mu, theta } = scene;
-    const plant = theta === undefined ? { M, mu } : { M, mu, theta };
-    return new Lane(name, await start(name, plant, weight, scene.hand), scene.jumps);
+    return new Lane(name, await start(name, scene, weight), scene.jumps);
   }
 
   constructor(name, { capsule, driver }, jumps) {

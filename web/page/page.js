@@ -5,13 +5,16 @@ import { CURVES, PhasePortrait, TimeChart } from "./charts.js";
 import { Lane } from "./lane.js";
 import { clamp, written } from "./numbers.js";
 import { Player } from "./player.js";
-import { END, YOURSELF, driverNamed, firstScene, handAction, hasOwnJumps, limits, titleOf } from "./scene.js";
-import { readScene, takePlant, writeScene } from "./scene.js";
+import { END, ONLY_FROZEN, YOURSELF, driverNamed, firstScene, handAction, hasOwnJumps } from "./scene.js";
+import { hasRecorded, keepFrozen, limits, readScene, takePlant, titleOf, writeScene } from "./scene.js";
 import { Contact, Stage } from "./stage.js";
 
 const DT = constants.control_dt;
 const SPEEDS = [0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10, 15, 20];
-const KINDS = { law: "Control laws", gait: "Gaits", policy: "Trained policies", none: "Without a motor" };
+const KINDS = {
+  law: "Control laws", gait: "Gaits with a clock", policy: "Trained policies", recording: "The optimum, recorded",
+  none: "No control",
+};
 const KEYS = { ArrowLeft: 1, a: 1, A: 1, ArrowRight: -1, d: -1, D: -1 };
 // A run of a hand counts from here on, s; a shorter one may owe its speed to the start.
 const BEST_FROM = 10;
@@ -317,13 +320,15 @@ function bindChoices() {
   });
   choose("driver", "driver", () => {
     Object.assign(scene, { weight: null, hand: [] });
+    keepFrozen(scene);
     // A hand begins when the reader does.
     open({ play: scene.driver !== YOURSELF && !reduced.matches });
   });
   choose("rival", "rival", () => {
     scene.rivalWeight = null;
-    scene.hand = handsSoFar();
-    open({ time: player.now });
+    const other = keepFrozen(scene);
+    scene.hand = other ? [] : handsSoFar();
+    open({ time: other ? 0 : player.now });
   });
   choose("view", "view", () => {
     showScene();
@@ -508,6 +513,9 @@ function showPlant() {
   const jumps = scene.jumps.map((jump) => `${written(jump.t, 2)} s: ${plantText(jump)}`);
   show("jumps", jumps.length ? `Jumps: ${jumps.join("; ")}` : "No jumps.");
   element("clear").disabled = !hasOwnJumps(scene);
+  const recorded = hasRecorded(scene);
+  for (const id of ["M", "M-number", "mu", "mu-number", "jump"]) element(id).disabled = recorded;
+  element("set").options[0].disabled = recorded;
 }
 
 function makeCharts() {
@@ -573,7 +581,7 @@ function draw() {
     });
   });
   const change = player.moment === 0 ? "sets the plant of the episode" : "is a jump at this time";
-  show("plant-text", `A change ${change}.`);
+  show("plant-text", hasRecorded(scene) ? `${ONLY_FROZEN}.` : `A change ${change}.`);
   showEnd();
 }
 

@@ -11,6 +11,9 @@ export const SPEEDS = { least: 0.1, most: 20 };
 /** The steps of an episode at which nothing has happened yet, and at which it ends; s. */
 export const END = constants.steps * constants.control_dt;
 
+/** Why some drivers leave no choice of M and mu. */
+export const ONLY_FROZEN = "What the optimum does is recorded on the plants of the sets";
+
 const LETTERS = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNO";
 const HALF = (HAND_STEPS - 1) / 2;
 
@@ -30,6 +33,18 @@ export function driverNamed(name) {
 /** A driver's title. */
 export function titleOf(name) {
   return name === YOURSELF ? "Yourself" : driverNamed(name).title;
+}
+
+/** Whether someone in the scene is recorded, who can drive the plants of the frozen sets alone. */
+export function hasRecorded({ driver, rival }) {
+  return [driver, rival].some((name) => driverNamed(name)?.recorded);
+}
+
+/** Gives a scene with someone recorded a plant of a frozen set as it is, if it has another; answers whether it had. */
+export function keepFrozen(scene) {
+  if (!hasRecorded(scene) || (scene.set && !hasOwnJumps(scene))) return false;
+  takePlant(scene, scene.set || Object.keys(sets)[0], scene.plant);
+  return true;
 }
 
 /** The scene that an empty link shows. */
@@ -136,6 +151,9 @@ function readPlant(given, scene, complaints) {
     scene[name] = value;
   }
   if (given.has("jumps")) scene.jumps = readJumps(given.get("jumps"), complaints);
+  if (keepFrozen(scene) && ["M", "mu", "jumps"].some((name) => given.has(name))) {
+    complaints.push(`${ONLY_FROZEN}, and M, mu and jumps of one's own are left out`);
+  }
 }
 
 function readNumber(given, name, low, high, complaints) {
