@@ -10,7 +10,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -75,18 +76,19 @@ def test_a_run_that_fails_or_dies_takes_no_other_with_it(tmp_path, capsys):
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
 
 
-def begin_endless(folder: Path) -> subprocess.Popen[str]:
+@contextmanager
+def endless(folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """A study that two runs of have begun; it ends with the block, whatever happens there."""
     command = [sys.executable, "-m", "tests.agents.study.small", "endless", "--seeds", "0-2", "--jobs", "2"]
     command += ["--runs", str(folder)]
-    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        begun = "endless/seed-*/checkpoint-*[0-9]"
-        wait_for(lambda: len({path.parent for path in folder.glob(begun)}) == 2 or process.poll() is not None)
-        assert process.poll() is None, process.communicate()
-    except BaseException:
-        process.kill()
-        raise
-    return process
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            begun = "endless/seed-*/checkpoint-*[0-9]"
+            wait_for(lambda: len({path.parent for path in folder.glob(begun)}) == 2 or process.poll() is not None)
+            assert process.poll() is None, process.communicate()
+            yield process
+        finally:
+            process.kill()
 
 
 def trains(run: Path) -> bool:
@@ -102,11 +104,11 @@ def newest(runs: list[Path]) -> list[str]:
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
 def test_ctrl_c_saves_all_runs_and_a_killed_study_leaves_none_running(tmp_path):
-    process = begin_endless(tmp_path)
-    runs = sorted(path for path in tmp_path.glob("endless/seed-*") if path.is_dir())
-    assert len(runs) == 2
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=120)
+    with endless(tmp_path) as process:
+        runs = sorted(path for path in tmp_path.glob("endless/seed-*") if path.is_dir())
+        assert len(runs) == 2
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=120)
     assert process.returncode == 130, err
     assert "The same command goes on." in out
     assert not any(trains(run) for run in runs)
@@ -114,10 +116,8 @@ def test_ctrl_c_saves_all_runs_and_a_killed_study_leaves_none_running(tmp_path):
     assert sorted(path for path in tmp_path.glob("endless/seed-*") if path.is_dir()) == runs
     stopped = newest(runs)
 
-    process = begin_endless(tmp_path)
-    wait_for(lambda: all(map(trains, runs)) and newest(runs) > stopped)
-    process.kill()
-    process.communicate()
+    with endless(tmp_path):
+        wait_for(lambda: all(map(trains, runs)) and newest(runs) > stopped)
     wait_for(lambda: not any(trains(run) for run in runs))
 
 
