@@ -23,6 +23,7 @@ FOLDER = Path("site/live")
 SOURCES = Path(__file__).parent
 # The line of web/capsule.mjs that the archive takes the place of.
 PLACE = 'const ARCHIVE = "";'
+LINK = '<a id="documentation"'
 
 
 def build_module(archive: str) -> str:
@@ -30,6 +31,17 @@ def build_module(archive: str) -> str:
     source = (SOURCES / "capsule.mjs").read_text(encoding="utf-8")
     before, after = source.split(PLACE)
     return f'{before}const ARCHIVE = "{archive}";{after}'
+
+
+def build_page(module: str, *, documented: bool) -> str:
+    """The text of the page.
+
+    Args:
+        module: that of capsule.mjs.
+        documented: whether the documentation lies where the page links to it, in the folder above.
+    """
+    page = bundle(module)
+    return page if documented else page.replace(LINK, f"{LINK} hidden", 1)
 
 
 @dataclass(frozen=True)
@@ -61,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         refuse(PROG, f"the modules cannot be built: {error}")
     module = build_module(archive)
     for name, text in (
-        ("index.html", bundle(module)),
+        ("index.html", build_page(module, documented=(options.output.parent / "index.html").is_file())),
         ("capsule.mjs", module),
         ("capsule.d.mts", (SOURCES / "capsule.d.mts").read_text(encoding="utf-8")),
     ):

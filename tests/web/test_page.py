@@ -14,6 +14,7 @@ import pytest
 from agents.report.page import embedded, own_drivers
 from benchmarks.page import BROWSERS, find_browser, started
 from capsule_gym import load_policy
+from web import build
 
 LAW = "#driver=adaptive&M=0.5&mu=0.01"
 PAUSED = f"{LAW}&t=0.1"
@@ -501,6 +502,12 @@ def test_check_replays_the_committed_episodes(open_page: Open) -> None:
     page.keyboard.press("Escape")
     assert page.locator("#checks").is_hidden()
     assert page.evaluate("document.activeElement.id") == "check"
+
+
+def test_links_to_the_documentation_where_it_lies_beside(open_page: Open) -> None:
+    # The fixture's site is what `make web` alone writes.
+    assert open_page(PAUSED).locator("#documentation").is_hidden()
+    assert re.search('<a id="documentation" href="../index.html">', build.build_page("", documented=True))
 
 
 def test_inside_of_a_report_the_page_shows_a_policy_of_ones_own(browser: Any, site: Path, tmp_path: Path) -> None:

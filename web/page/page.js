@@ -668,7 +668,7 @@ async function readLink() {
 }
 
 // Inside of another page this one has neither an address nor the documentation beside it.
-for (const each of [element("documentation"), element("copy")]) each.hidden = location.protocol === "about:";
+if (location.protocol === "about:") for (const id of ["documentation", "copy"]) element(id).hidden = true;
 for (const own of JSON.parse(element("own-drivers")?.textContent ?? "[]")) addDriver(own);
 fillChoices();
 makeRows();
