@@ -23,7 +23,7 @@ PROGRAMS = {
     "sb3": ("stable_baselines3", f"{EXAMPLES}/sb3_ppo.py --steps 8192", "return of an episode"),
     "sb3-contrib": ("sb3_contrib", f"{EXAMPLES}/sb3_contrib_tqc.py --steps 200", "total_timesteps"),
     "rl-zoo": ("rl_zoo3", f"{ZOO} {EXAMPLES}/rl_zoo.yml", "Saving to"),
-    "rllib": ("ray.rllib", f"{EXAMPLES}/rllib_ppo.py --iterations 1 --batch 256", "steps, mean return"),
+    "rllib": ("ray.rllib", f"{EXAMPLES}/rllib_ppo.py --iterations 2 --batch 400", "steps, mean return -"),
     "skrl": ("skrl", f"{EXAMPLES}/skrl_ppo.py --steps 256", "256/256"),
     "tianshou": ("tianshou", f"{EXAMPLES}/tianshou_ppo.py --steps 64", "train_step=640"),
     "torchrl": ("torchrl", f"{EXAMPLES}/torchrl_envs.py --steps 50", "failures"),
