@@ -25,7 +25,7 @@ examples: $(STAMP)  ## Run the short programs of the libraries that are installe
 
 notebooks: $(STAMP)  ## Run the notebooks, and keep what they show
 	$(BIN)/python -m pip install --disable-pip-version-check -e ".[notebooks]" -c constraints.txt
-	$(BIN)/jupyter execute --inplace notebooks/*.ipynb
+	$(BIN)/python notebooks
 
 # Up to a half longer than the tests alone before Python 3.12, hardly since. The floor stands in pyproject.toml.
 coverage: $(STAMP)  ## Run the tests and measure their coverage, which must reach its floor

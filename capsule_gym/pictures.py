@@ -49,8 +49,10 @@ def write_gif(frames: Iterable[np.ndarray], path: Path, frame_seconds: float = F
     if not pictures:
         raise ValueError("frames must hold at least one picture, got none: the episode ended before the first")
     # One palette for all frames: colours do not flicker, and only what moves is stored anew.
-    # By coverage, not by frequency: the few pixels of a legend keep their colour too.
-    palette = pictures[len(pictures) // 2].quantize(128, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    # By coverage, not by frequency: the few pixels of a legend keep their colour too. Then means (kmeans): the middle
+    # of a range of colours would give a background, most of the picture, a tint.
+    middle = pictures[len(pictures) // 2]
+    palette = middle.quantize(128, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
     pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     with replacing(path) as temporary:
         pictures[0].save(

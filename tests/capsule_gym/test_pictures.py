@@ -42,6 +42,18 @@ def test_every_frame_is_there_for_its_time_with_its_colours(tmp_path):
         assert np.abs(picture - frame).max() < 16
 
 
+def test_a_background_keeps_its_very_colour(tmp_path):
+    # One that is hardly blue, beside blues and reds and greys in plenty.
+    background = (247, 249, 252)
+    frame = np.full((100, 200, 3), background, np.uint8)
+    frame[60:, :100] = shaded(0)[60:, :100]
+    frame[60:, 100:, 0] = np.linspace(0, 255, 40)[:, None]
+    frame[60:, 100:, 2] = np.linspace(0, 255, 100)
+    write_gif([frame, frame], tmp_path / "plain.gif", width=200)
+    (picture, *_), _ = read(tmp_path / "plain.gif")
+    assert np.unique(picture[:55].reshape(-1, 3), axis=0).tolist() == [list(background)]
+
+
 def test_size_and_pace_are_those_asked_for(tmp_path):
     write_gif([shaded(0), shaded(90)], tmp_path / "small.gif", frame_seconds=0.1, width=50)
     pictures, seconds = read(tmp_path / "small.gif")
