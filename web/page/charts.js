@@ -63,7 +63,7 @@ class Plot {
 
   stroke(rival) {
     const { context } = this.sheet;
-    context.lineWidth = 1.6;
+    context.lineWidth = rival ? 1.2 : 1.6;
     context.lineJoin = "round";
     context.strokeStyle = colour(rival ? "rival" : "line");
     context.setLineDash(rival ? [5, 3] : []);
@@ -98,10 +98,10 @@ export class TimeChart extends Plot {
     }
     this.clip();
     this.shade(lanes[0], from, to);
-    lanes.forEach((lane, index) => {
+    for (const lane of lanes.toReversed()) {
       this.path(lane, from, to);
-      this.stroke(index === 1);
-    });
+      this.stroke(lane !== lanes[0]);
+    }
     context.fillStyle = colour("tick");
     context.fillRect(this.x(now), box.top, 1, box.bottom - box.top);
     context.restore();

@@ -74,14 +74,17 @@ export class Stage {
     context.scale(scale, scale);
     drawFloor(context, view.x, half, scale, height / scale);
     drawBody(context, view.contact);
-    if (ghost) drawGhost(context, ghost, (ghost.view.x - view.x) * PER_METRE, half, scale);
+    const lead = ghost ? ghost.view.x - view.x : 0;
+    if (ghost) drawGhost(context, ghost.view, lead * PER_METRE, half, scale);
     drawSpeed(context, view.x_dot);
     drawTorque(context, view.torque / constants.torque_limit);
     drawPendulum(context, view, still);
     context.restore();
     context.font = font(0.88, 600);
     context.textAlign = "left";
-    const names = ghost ? [[name, ink], [ghost.name, "rival"]] : [[name, ink]];
+    const away = isAway(lead * PER_METRE, half);
+    const where = away ? `, ${written(Math.abs(100 * lead), 0)} cm ${lead > 0 ? "ahead" : "behind"}` : "";
+    const names = ghost ? [[name, ink], [ghost.name + where, "rival"]] : [[name, ink]];
     context.lineWidth = 5;
     context.strokeStyle = colour("paper");
     names.forEach(([text, shade], row) => {
@@ -189,20 +192,20 @@ function drawBody(context, state) {
   context.fillRect(-flat, -1, 2 * flat, 7);
 }
 
+/** Whether a robot with that offset is out of the picture. */
+function isAway(offset, half) {
+  return Math.abs(offset) > half + SHELL_HALF;
+}
+
 /** The rival's outline where it is; an arrow at the edge where that is out of the picture. */
-function drawGhost(context, { name, view }, offset, half, scale) {
+function drawGhost(context, view, offset, half, scale) {
   const ink = colour("rival");
   context.save();
-  if (Math.abs(offset) > half + SHELL_HALF) {
+  if (isAway(offset, half)) {
     const side = Math.sign(offset);
     const at = side * (half - 12 / scale);
     const [long, wide] = [14 / scale, 8 / scale];
     polygon(context, [[at, -PIVOT], [at - side * long, -PIVOT - wide], [at - side * long, -PIVOT + wide]], ink);
-    context.font = font(0.8 / scale, 600);
-    context.textAlign = side > 0 ? "right" : "left";
-    const distance = (100 * offset) / PER_METRE;
-    context.fillText(`${name}: ${written(Math.abs(distance), 0)} cm ${side > 0 ? "ahead" : "behind"}`,
-      at, -PIVOT - 14 / scale, 2 * half - 24 / scale);
   } else {
     context.translate(offset, 0);
     context.globalAlpha = 0.8;
