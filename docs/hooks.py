@@ -21,6 +21,9 @@ from mkdocs.utils import get_relative_url
 ROOT = Path(__file__).resolve().parents[1]
 # Made by `make web` behind this build, into the same folder.
 LIVE = "live/"
+# The page about it, which mkdocs would write to the same file, and where it lies instead.
+ABOUT_LIVE = "live.md"
+ABOUT_LIVE_AT = "in_the_browser/index.html"
 # The paper's controller, which the live page shows beside all others.
 BASELINE = "adaptive"
 # Pages with a ranking of policies.
@@ -47,6 +50,19 @@ def drivers() -> frozenset[str]:
 def set_names() -> tuple[str, ...]:
     """The frozen evaluation sets, in the order of the leaderboard."""
     return tuple(json.loads((ROOT / "leaderboard.json").read_text(encoding="utf-8"))["sets"])
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Puts the page about the live page beside the folder of that name, where the live page itself comes to lie.
+
+    Raises:
+        PluginError: if another file would come to lie in that folder.
+    """
+    files.get_file_from_path(ABOUT_LIVE).dest_uri = ABOUT_LIVE_AT
+    lost = [file.src_uri for file in files if file.dest_uri.startswith(LIVE)]
+    if lost:
+        raise PluginError(f"`make web` writes into the same folder {LIVE} as {', '.join(lost)}")
+    return files
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:

@@ -117,3 +117,15 @@ def test_a_link_to_a_scene_leads_to_the_live_page(hooks: ModuleType, page: Simpl
     assert '"live/index.html#driver=epc"' in hooks.on_page_markdown("[it](live.md#driver=epc)", page)
     with pytest.raises(Exception, match="lacks: random"):
         hooks.on_page_markdown("[it](live.md#driver=epc&rival=random)", page)
+
+
+def test_no_page_lies_where_the_live_page_comes_to_lie(hooks: ModuleType) -> None:
+    from mkdocs.structure.files import File, Files
+
+    files = Files([File(name, "docs", "site", True) for name in ("index.md", "live.md")])
+    page = hooks.on_files(files, None).get_file_from_path("live.md")
+    assert page.dest_uri == f"{page.url}index.html"
+    assert not page.dest_uri.startswith(hooks.LIVE)
+    files.append(File("live/more.md", "docs", "site", True))
+    with pytest.raises(Exception, match=re.escape("the same folder live/ as live/more.md")):
+        hooks.on_files(files, None)
