@@ -42,6 +42,18 @@ def test_every_frame_is_there_for_its_time_with_its_colours(tmp_path):
         assert np.abs(picture - frame).max() < 16
 
 
+def test_backgrounds_keep_their_very_colours(tmp_path):
+    paper, white = (247, 249, 252), (255, 255, 255)
+    frames = [shaded(20 * n) for n in range(3)]
+    for frame in frames:
+        frame[:30] = paper
+        frame[80:] = white
+    write_gif(frames, tmp_path / "flat.gif", width=200)
+    for picture in read(tmp_path / "flat.gif")[0]:
+        assert (picture[:28] == paper).all()
+        assert (picture[82:] == white).all()
+
+
 def test_size_and_pace_are_those_asked_for(tmp_path):
     write_gif([shaded(0), shaded(90)], tmp_path / "small.gif", frame_seconds=0.1, width=50)
     pictures, seconds = read(tmp_path / "small.gif")
