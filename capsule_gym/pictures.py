@@ -98,7 +98,7 @@ def _palette(pictures: list[Any]) -> tuple[np.ndarray, list[int]]:
             kept.append(colour)
     exact = np.array(kept[:EXACT_COLOURS])
     others = middle.quantize(COLOURS - len(exact), method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-    return exact @ (1 << 16, 1 << 8, 1), [*exact.ravel().tolist(), *others.getpalette()[: 3 * (COLOURS - len(exact))]]
+    return _packed(exact[None])[0], [*exact.ravel().tolist(), *others.getpalette()[: 3 * (COLOURS - len(exact))]]
 
 
 def _unpacked(packed: np.ndarray) -> np.ndarray:
