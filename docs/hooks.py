@@ -30,6 +30,11 @@ BASELINE = "adaptive"
 RANKINGS = ("index.md", "leaderboard.md")
 TABLE = re.compile(r"<table>.*?</table>", re.DOTALL)
 ROW = re.compile(r"(?<=<tr>).*?(?=</tr>)", re.DOTALL)
+# What stays in one line: in a table a number with its exponent or per cent, and a factor.
+NUMBER = re.compile(r"[\d.]+e-\d+|[\d.]+ %|\bx [\d.]+")
+TEXT = re.compile(r"(?<=>)[^<>]+(?=<)")
+# A figure is wider than a telephone: a touch opens it by itself.
+FIGURE = re.compile(r'<img\b[^>]*\bsrc="(?P<file>[^"]*figures/[^"]*)"[^>]*>')
 CELL = re.compile(r"(?<=<td>).*?(?=</td>)")
 # On GitHub such a link leads to the page about the live page, here to the scene itself.
 SCENE = re.compile(r"\[(?P<text>[^\]]+)\]\(live\.md#(?P<scene>driver=[^)\s]+)\)")
@@ -71,10 +76,17 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 
 def on_page_content(content: str, page: Any, **_: Any) -> str:
-    """Links the rankings, and the numbers by set, to the live page."""
+    """Keeps numbers of tables in one piece, links figures to themselves, and rankings to the live page."""
+    content = TABLE.sub(lambda match: TEXT.sub(_unbroken, match[0]), content)
+    content = FIGURE.sub(lambda match: f'<a href="{match["file"]}" title="By itself">{match[0]}</a>', content)
     if page.file.src_uri not in RANKINGS:
         return content
     return TABLE.sub(lambda match: _watched(page, match[0]), content)
+
+
+def _unbroken(text: re.Match[str]) -> str:
+    """A text whose numbers do not break."""
+    return NUMBER.sub(lambda match: f'<span class="number">{match[0]}</span>', text[0])
 
 
 def _watched(page: Any, table: str) -> str:
