@@ -241,7 +241,8 @@ def draw_transport(evidence: Evidence) -> Any:
     axes = figure.subplots()
     absent = plot_transport(axes, evidence.rows)
     axes.set_title("Speed against cost of transport, the paper's plant from 100 starts")
-    axes.legend(loc="upper left")
+    # Above the axes: inside, every corner has a front, a policy or a line to its name.
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=4)
     no_progress = f" Without forward progress, and so without a cost: {', '.join(absent)}." if absent else ""
     add_note(
         figure,
