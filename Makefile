@@ -65,7 +65,7 @@ leaderboard-check: $(STAMP)  ## Fail where the leaderboard or the evidence is st
 	$(BIN)/python -m agents.leaderboard --check
 	$(BIN)/python -m agents.evidence --check
 
-reproduce: $(STAMP)  ## Train one run of each row anew and compare it with the published ones (hours)
+reproduce: $(STAMP)  ## Train one run of each row anew and compare it with the published ones (a quarter of an hour)
 	$(BIN)/python -m agents.reproduce
 
 regression: $(STAMP)  ## Fail where a kernel has become slower against what it is compared with

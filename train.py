@@ -164,7 +164,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         best, why = MODEL, ", which Stable-Baselines3 loads: a policy with a memory has no policy file"
     else:
         best, why = POLICY, ""
-    print(f"Trained; the best model on its own draws is {run / BEST / best}{why}.")
+    print(f"Trained; what was best on plants of the run's own is {run / BEST / best}{why}.")
     if not options.no_comparison:
         LEAVING.message = "Stopped. The run is complete; its comparison is not."
         comparison.compare(run)

@@ -31,13 +31,15 @@ def compare(run: Path, set_name: str = "paper") -> None:
     print(f"\nOn the set {evaluation_set.name} ({len(own)} episodes of {HORIZON:g} s, the same for both):\n")
     print(comparison_table("agent", own, BASELINE, theirs))
     speed, reference = (float(interquartile_mean(scores(each, "mean_speed"))[0]) for each in (own, theirs))
-    print(f"\nThe agent's interquartile mean speed is {speed / reference:.2f} times that of {BASELINE}.")
+    ratio = f"{speed / reference:.2f} times that of {BASELINE}, the paper's controller"
+    print(f"\nThe agent's interquartile mean speed is {ratio}.")
     result = {
         "agent": make_result(run.name, evaluation_set, own),
         BASELINE: make_result(BASELINE, evaluation_set, theirs),
     }
     write_atomically(run / "comparison.json", to_json(result))
 
+    print("Drawing, and evaluating the agent on every set for its report, takes some seconds.\n", flush=True)
     recordings = [record(baseline), record(policy, name="agent")]
     draw_comparison(recordings, run / "comparison.png", NOMINAL_TITLE)
     moving = record(policy, seconds=ANIMATION_START + ANIMATION_SECONDS, frames_from=ANIMATION_START, name="agent")
@@ -47,7 +49,7 @@ def compare(run: Path, set_name: str = "paper") -> None:
     names = {
         "Episodes": "comparison.json",
         "Figure": "comparison.png",
-        "Moving": "animation.gif",
+        "Animation": "animation.gif",
         "Report": "report.html",
     }
-    print("\n".join(f"{what + ':':9} {run / name}" for what, name in names.items()))
+    print("\n".join(f"{what + ':':10} {run / name}" for what, name in names.items()))

@@ -141,10 +141,13 @@ def _is_rule(line: str) -> bool:
 
 
 def _suggestion(box: str) -> str:
-    """What the user may have meant: the first option that tyro names, or the choice that is most similar."""
-    option = re.search(r"Perhaps you meant:[^\w-]+(-[\w-]*\w)", box)
-    if option:
-        return f"; did you mean {option[1]!r}?"
+    """What the user may have meant: the options that tyro names, or the choice that is most similar."""
+    options = re.findall(r"^\W*? {4}(-[\w-]*\w)", box.partition("Perhaps you meant:")[2], re.MULTILINE)
+    if options:
+        *others, last = (repr(option) for option in options)
+        return f"; did you mean {' or '.join([', '.join(others), last] if others else [last])}?"
+    if "Unrecognized options" in box:
+        return "; --help lists all"
     choice = re.search(r"invalid choice '([^']*)'.*?\((.*?)\)", " ".join(box.split()))
     return nearest(choice[1], re.findall(r"'([^']*)'", choice[2])) if choice else ""
 

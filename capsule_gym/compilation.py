@@ -232,11 +232,13 @@ class _Announcement(event.Listener):
 
     def on_start(self, event: Any) -> None:
         if self.what:
-            print(
+            # Above a progress bar, not behind it: who draws one has imported tqdm.
+            bars = sys.modules.get("tqdm") if sys.stderr.isatty() else None
+            (print if bars is None else bars.tqdm.write)(
                 f"capsule_gym: compiling {self.what}; this takes some seconds, once: numba keeps the result on disk",
                 file=sys.stderr,
-                flush=True,
             )
+            sys.stderr.flush()
         self.what = ""
 
     def on_end(self, event: Any) -> None:

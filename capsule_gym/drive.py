@@ -75,7 +75,8 @@ def find_driver(name_or_path: str) -> Driver:
     Raises:
         ValueError: if there is no such driver, or its file is broken.
     """
-    law = name_or_path.removeprefix("baselines:")
+    # As Python writes it, or as the leaderboard does.
+    law = name_or_path.removeprefix("baselines:").replace("-", "_")
     if law in law_names():
         return Law(law, {"controller": f"baselines:{law}"})
     if name_or_path == NOBODY:

@@ -254,7 +254,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
             action: shape (1,), the (residual) torque over its limit; clipped to [-1, 1].
 
         Returns:
-            Observation, reward, terminated, truncated (always False: gymnasium's TimeLimit truncates) and info.
+            Observation, reward, terminated, truncated (always False, as gymnasium's TimeLimit truncates) and info.
 
         Raises:
             ValueError: if the action has another shape or is not finite, or the control law returned a torque that is

@@ -147,12 +147,13 @@ class Capsule:
         ValueError: if a field is out of range, or beyond 1e12, or a mass, a length or a ratio below 1e-12, or the
             plant admits Painleve's paradox.
 
-    >>> Capsule(mu=0.1).plant().mu
-    0.1
-    >>> Capsule(l=-1.0)
-    Traceback (most recent call last):
-    ...
-    ValueError: Capsule.l must be a finite number > 0, got -1.0
+    Examples:
+        >>> Capsule(mu=0.1).plant().mu
+        0.1
+        >>> Capsule(l=-1.0)
+        Traceback (most recent call last):
+        ...
+        ValueError: Capsule.l must be a finite number > 0, got -1.0
     """
 
     M: float = 0.5
@@ -281,10 +282,11 @@ class Randomization:
         TypeError: if a range is no pair of numbers.
         ValueError: if a range is not finite, not positive or not ordered.
 
-    >>> heavy = Randomization(M=(0.8, 1.0), mu=(0.01, 0.1), log_mu=True)
-    >>> M, mu = heavy.draw(np.random.default_rng(0), Capsule())
-    >>> 0.8 <= M < 1.0 and 0.01 <= mu < 0.1
-    True
+    Examples:
+        >>> heavy = Randomization(M=(0.8, 1.0), mu=(0.01, 0.1), log_mu=True)
+        >>> M, mu = heavy.draw(np.random.default_rng(0), Capsule())
+        >>> 0.8 <= M < 1.0 and 0.01 <= mu < 0.1
+        True
     """
 
     M: tuple[float, float] | None = None

@@ -21,12 +21,20 @@ from mkdocs.utils import get_relative_url
 ROOT = Path(__file__).resolve().parents[1]
 # Made by `make web` behind this build, into the same folder.
 LIVE = "live/"
+# The page about it, which mkdocs would write to the same file, and where it lies instead.
+ABOUT_LIVE = "live.md"
+ABOUT_LIVE_AT = "in_the_browser/index.html"
 # The paper's controller, which the live page shows beside all others.
 BASELINE = "adaptive"
 # Pages with a ranking of policies.
 RANKINGS = ("index.md", "leaderboard.md")
 TABLE = re.compile(r"<table>.*?</table>", re.DOTALL)
 ROW = re.compile(r"(?<=<tr>).*?(?=</tr>)", re.DOTALL)
+# What stays in one line: in a table a number with its exponent or per cent, and a factor.
+NUMBER = re.compile(r"[\d.]+e-\d+|[\d.]+ %|\bx [\d.]+")
+TEXT = re.compile(r"(?<=>)[^<>]+(?=<)")
+# A figure is wider than a telephone: a touch opens it by itself.
+FIGURE = re.compile(r'<img\b[^>]*\bsrc="(?P<file>[^"]*figures/[^"]*)"[^>]*>')
 CELL = re.compile(r"(?<=<td>).*?(?=</td>)")
 # On GitHub such a link leads to the page about the live page, here to the scene itself.
 SCENE = re.compile(r"\[(?P<text>[^\]]+)\]\(live\.md#(?P<scene>driver=[^)\s]+)\)")
@@ -49,16 +57,36 @@ def set_names() -> tuple[str, ...]:
     return tuple(json.loads((ROOT / "leaderboard.json").read_text(encoding="utf-8"))["sets"])
 
 
+def on_files(files: Any, config: Any) -> Any:
+    """Puts the page about the live page beside the folder of that name, where the live page itself comes to lie.
+
+    Raises:
+        PluginError: if another file would come to lie in that folder.
+    """
+    files.get_file_from_path(ABOUT_LIVE).dest_uri = ABOUT_LIVE_AT
+    lost = [file.src_uri for file in files if file.dest_uri.startswith(LIVE)]
+    if lost:
+        raise PluginError(f"`make web` writes into the same folder {LIVE} as {', '.join(lost)}")
+    return files
+
+
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Makes links to live.md#driver=.. links to that scene of the live page."""
     return SCENE.sub(lambda match: _link(page, match["scene"], match["text"], {}), markdown)
 
 
 def on_page_content(content: str, page: Any, **_: Any) -> str:
-    """Links the rankings, and the numbers by set, to the live page."""
+    """Keeps numbers of tables in one piece, links figures to themselves, and rankings to the live page."""
+    content = TABLE.sub(lambda match: TEXT.sub(_unbroken, match[0]), content)
+    content = FIGURE.sub(lambda match: f'<a href="{match["file"]}" title="By itself">{match[0]}</a>', content)
     if page.file.src_uri not in RANKINGS:
         return content
     return TABLE.sub(lambda match: _watched(page, match[0]), content)
+
+
+def _unbroken(text: re.Match[str]) -> str:
+    """A text whose numbers do not break."""
+    return NUMBER.sub(lambda match: f'<span class="number">{match[0]}</span>', text[0])
 
 
 def _watched(page: Any, table: str) -> str:

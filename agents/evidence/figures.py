@@ -112,7 +112,8 @@ def plot_curve(axes: Any, curve: Curve, pen: Pen, **more: Any) -> None:
 def plot_learning(axes: Any, learning: Learning) -> None:
     """The speeds of all seeds over millions of steps, and their interquartile mean."""
     for steps, speeds in learning.seeds.values():
-        axes.plot(steps / 1e6, speeds, color=MUTED, linewidth=0.5, alpha=0.6)
+        # A run that was evaluated once is a point.
+        axes.plot(steps / 1e6, speeds, "." if len(speeds) == 1 else "-", color=MUTED, linewidth=0.5, alpha=0.6)
     plot_curve(axes, replace(learning.curve, x=learning.curve.x / 1e6), PENS[0])
 
 
@@ -240,7 +241,8 @@ def draw_transport(evidence: Evidence) -> Any:
     axes = figure.subplots()
     absent = plot_transport(axes, evidence.rows)
     axes.set_title("Speed against cost of transport, the paper's plant from 100 starts")
-    axes.legend(loc="upper left")
+    # Above the axes: inside, every corner has a front, a policy or a line to its name.
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=4)
     no_progress = f" Without forward progress, and so without a cost: {', '.join(absent)}." if absent else ""
     add_note(
         figure,

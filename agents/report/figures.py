@@ -37,8 +37,8 @@ def draw(figure_of: Callable[..., Any], name: str, *arguments: Any) -> str:
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.DOTALL)
     svg = re.sub(r' (?:width|height)="[\d.]+pt"', "", svg, count=2)
-    # A hundredth of a point is enough.
-    svg = re.sub(r"\d+\.\d{3,}", lambda number: f"{float(number[0]):.2f}", svg)
+    # A hundredth of a point is enough; not of a scale, by which letters would outgrow their distances.
+    svg = re.sub(r"(scale\([^)]*\))|\d+\.\d{3,}", lambda found: found[1] or f"{float(found[0]):.2f}", svg)
     return re.sub(r'( id="|url\(#|href="#)', rf"\g<1>{name}-", svg)
 
 
@@ -105,7 +105,7 @@ def plants(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> Any:
     # Parts of the height of all panels.
     thin = 1.0 / math.ceil(len(rows) / COLUMNS)
     bar = figure.colorbar(
-        marks, ax=used, location="top", aspect=40.0, shrink=0.6, fraction=0.15 * thin, pad=0.03 * thin
+        marks, ax=used, location="top", aspect=40.0, shrink=0.6, fraction=0.15 * thin, pad=0.16 * thin
     )
     bar.set_label("mean speed (cm/s)", **LABELS)
     figure.supxlabel("mass of the platform M (kg)", **LABELS)

@@ -10,10 +10,10 @@ import shutil
 import sys
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -225,6 +225,17 @@ class Stopped(Exception):  # noqa: N818
     """The run is to end between two updates, because its user wants it to."""
 
 
+class Bar(tqdm):
+    """A progress bar on a terminal; elsewhere lines, which a file can hold."""
+
+    @staticmethod
+    def status_printer(file: Any) -> Callable[[str], None]:
+        """What shows the text of the bar."""
+        if file.isatty():
+            return cast("Callable[[str], None]", tqdm.status_printer(file))
+        return lambda text: print(text.rstrip(), file=file, flush=True)
+
+
 class Monitor(BaseCallback):
     """Progress bar, logs, evaluations on draws of the run's own, checkpoints and the best model.
 
@@ -256,9 +267,9 @@ class Monitor(BaseCallback):
     def _on_training_start(self) -> None:
         self.began = time.monotonic() - self.progress.elapsed
         self.core_began = time.process_time() - self.progress.core_seconds
-        self.bar = tqdm(
+        self.bar = Bar(
             total=self.config.total_steps,
-            initial=self.num_timesteps,
+            initial=self._shown_steps(),
             unit=" steps",
             unit_scale=True,
             smoothing=0.05,
@@ -270,8 +281,12 @@ class Monitor(BaseCallback):
         for info in self.locals["infos"]:
             if "metrics" in info:
                 self._remember(info["metrics"], info["episode"]["r"])
-        self.bar.update(self.num_timesteps - self.bar.n)
+        self.bar.update(self._shown_steps() - self.bar.n)
         return True
+
+    def _shown_steps(self) -> int:
+        """The last rollout goes beyond the total, where a bar would lose its percentage."""
+        return min(self.num_timesteps, self.config.total_steps)
 
     def _remember(self, metrics: dict[str, float], total: float) -> None:
         """Keeps what is shown of an episode that has ended; the terms of its reward are cm, as `total` is."""
@@ -323,8 +338,9 @@ class Monitor(BaseCallback):
                 self.logger.record(f"episodes/{name}", value)
         cost, stuck = middle.get("cost_of_transport", math.inf), middle.get("stuck_fraction", math.nan)
         self.bar.set_postfix_str(
-            f"{speed:.2f} cm/s ({BASELINE} {self.baseline_speed:.2f}), cost of transport {cost:.2f}, "
-            f"stuck {100.0 * stuck:.0f} %, failed {100.0 * failed:.0f} %",
+            # A narrow terminal cuts the end.
+            f"{speed:.2f} cm/s ({BASELINE} {self.baseline_speed:.2f}), failed {100.0 * failed:.0f} %, "
+            f"cost of transport {cost:.2f}, stuck {100.0 * stuck:.0f} %",
             refresh=False,
         )
 

@@ -59,6 +59,12 @@ def test_a_report_shows_the_numbers_of_the_leaderboard(published):
     assert speeds == pytest.approx(expected, abs=1e-12)
 
 
+def test_letters_of_a_figure_are_not_scaled_by_rounding(published):
+    # Glyphs are drawn in 1/64 of a point: 0.02 instead makes them larger than the places they are given.
+    text = render(published, "title", live=Path("nowhere"))
+    assert set(re.findall(r' transform="scale\((0\.0\d*)\)', text)) == {"0.015625"}
+
+
 def test_what_does_not_exist_is_nan_to_the_script(published):
     found = {len([value for value in row if value != value]) for row in Page(render(published, "t")).rows[1:]}
     # The share of the optimum, on three sets of five.

@@ -97,8 +97,27 @@ def test_where_only_ascii_can_be_shown_an_error_is_a_line_as_well():
     code = "from capsule_gym.play import main; main(['--sped', '3'])"
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
-    expected = "python -m capsule_gym.play: error: Unrecognized options: --sped, 3; did you mean '--speed'?\n"
+    expected = (
+        "python -m capsule_gym.play: error: Unrecognized options: --sped, 3; did you mean '--speed' or '--seed'?\n"
+    )
     assert (done.returncode, done.stderr) == (2, expected)
+
+
+@pytest.mark.parametrize(
+    ("typed", "answer"),
+    [("--pass", "did you mean '--passes' or '--past'?"), ("--qqqqqq", "--help lists all")],
+)
+def test_all_options_that_may_be_meant_are_named(capsys, typed, answer):
+    @dataclass(frozen=True)
+    class Near:
+        passes: int = 1
+        """How often."""
+        past: int = 2
+        """How long."""
+
+    with pytest.raises(SystemExit):
+        parse(Near, "python -m near", [typed, "3"])
+    assert capsys.readouterr().err == f"python -m near: error: Unrecognized options: {typed}, 3; {answer}\n"
 
 
 def test_a_refusal_is_one_line(capsys):

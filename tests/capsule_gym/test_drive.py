@@ -44,6 +44,11 @@ def test_a_law_is_found_with_and_without_its_package(name):
     assert (law.name, law.env_kwargs) == ("adaptive", {"controller": "baselines:adaptive"})
 
 
+def test_a_law_is_found_as_the_leaderboard_writes_it():
+    law = find_driver("feedback-linearising")
+    assert law.env_kwargs == {"controller": "baselines:feedback_linearising"}
+
+
 def test_a_broken_policy_file_is_refused_by_its_path(tmp_path):
     path = tmp_path / "policy.safetensors"
     path.write_bytes(b"no policy")

@@ -111,6 +111,17 @@ def test_numbers_by_set_lead_to_their_plants(hooks: ModuleType, page: SimpleName
     assert hooks.on_page_content(other, page) == other
 
 
+def test_numbers_of_tables_do_not_break_and_figures_open(hooks: ModuleType, page: SimpleNamespace) -> None:
+    page.file.src_uri = "physics.md"
+    found = hooks.on_page_content('<a title="5 %">5 %</a>' + table(["mu"], ["2.1e-12 (1e-9)"], ["3.5 %, x 2.0"]), page)
+    assert re.findall('<span class="number">(.*?)</span>', found) == ["2.1e-12", "1e-9", "3.5 %", "x 2.0"]
+    found = hooks.on_page_content('<img alt="a" src="../figures/a.png" /><img src="../media/b.gif" />', page)
+    assert found == (
+        '<a href="../figures/a.png" title="By itself"><img alt="a" src="../figures/a.png" /></a>'
+        '<img src="../media/b.gif" />'
+    )
+
+
 def test_a_link_to_a_scene_leads_to_the_live_page(hooks: ModuleType, page: SimpleNamespace) -> None:
     found = hooks.on_page_markdown("See [it](live.md#driver=epc&M=0.5&t=2), [live](live.md).", page)
     assert found == 'See <a href="../live/index.html#driver=epc&amp;M=0.5&amp;t=2">it</a>, [live](live.md).'
@@ -118,3 +129,15 @@ def test_a_link_to_a_scene_leads_to_the_live_page(hooks: ModuleType, page: Simpl
     assert '"live/index.html#driver=epc"' in hooks.on_page_markdown("[it](live.md#driver=epc)", page)
     with pytest.raises(Exception, match="lacks: nobody"):
         hooks.on_page_markdown("[it](live.md#driver=epc&rival=nobody)", page)
+
+
+def test_no_page_lies_where_the_live_page_comes_to_lie(hooks: ModuleType) -> None:
+    from mkdocs.structure.files import File, Files
+
+    files = Files([File(name, "docs", "site", True) for name in ("index.md", "live.md")])
+    page = hooks.on_files(files, None).get_file_from_path("live.md")
+    assert page.dest_uri == f"{page.url}index.html"
+    assert not page.dest_uri.startswith(hooks.LIVE)
+    files.append(File("live/more.md", "docs", "site", True))
+    with pytest.raises(Exception, match=re.escape("the same folder live/ as live/more.md")):
+        hooks.on_files(files, None)
