@@ -120,7 +120,7 @@ def build(names: Sequence[str], cache: Path | None = CACHE) -> dict[str, bytes]:
         cache: a folder of modules that were built before; None builds all.
 
     Raises:
-        subprocess.CalledProcessError: if one cannot be built; what the compiler says is on stderr.
+        subprocess.CalledProcessError: if one cannot be built; what the compiler says is on stderr, as is the progress.
     """
     with tempfile.TemporaryDirectory() as temporary:
         folder = cache or Path(temporary)
@@ -135,7 +135,10 @@ def build(names: Sequence[str], cache: Path | None = CACHE) -> dict[str, bytes]:
             # Without the optimiser numba refuses to keep some functions on disk, and warns of each.
             command = [sys.executable, "-W", "ignore", "-m", "web.modules", missing[file], str(file)]
             subprocess.run(command, cwd=ROOT, env=environment, check=True)
+            print(f"  {missing[file]}", file=sys.stderr, flush=True)
 
+        if missing:
+            print(f"compiling {len(missing)} modules to WebAssembly, once; a minute or two:", file=sys.stderr)
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             list(pool.map(run, missing))
         return {name: file.read_bytes() for name, file in files.items()}
