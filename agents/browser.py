@@ -79,7 +79,6 @@ def describe_policy(name: str, policy: Policy) -> dict[str, Any]:
     network = policy._network
     return {
         "name": name,
-        "title": name.replace("-", " "),
         "task": task_of(options),
         "settings": describe_settings(options),
         "kind": "policy",

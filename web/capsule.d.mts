@@ -1,7 +1,6 @@
 /** What drives a capsule, as `drivers` lists it. */
 export interface Driver {
   name: string;
-  title: string;
   description: string;
   kind: "law" | "gait" | "policy" | "recording" | "none";
   /** Which law lies inside the step; one of `tasks`. */
@@ -165,7 +164,6 @@ export function drive(driver: string, options?: (Start | Frozen) & Told): Promis
 export interface OwnDriver {
   /** Not that of another driver. */
   name: string;
-  title: string;
   description: string;
   kind: "policy";
   /** One of `tasks`. */

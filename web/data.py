@@ -144,7 +144,6 @@ def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
     options = Options(**env_kwargs(name))
     described = {
         "name": name,
-        "title": name.replace("-", " "),
         "task": task_of(options),
         "settings": describe_settings(options),
         "description": SCRIPTED[name].description,

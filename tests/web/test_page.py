@@ -261,9 +261,13 @@ def test_plants_of_a_set(open_page: Open) -> None:
     page.keyboard.press("Tab")
     page.wait_for_function("first => document.getElementById('M-number').value !== first", arg=first)
     assert (link(page)["set"], link(page)["plant"]) == ("paper", "7")
+    assert page.locator("#trouble").is_hidden()
     page.fill("#plant", "1000")
     page.keyboard.press("Tab")
     page.wait_for_function("document.getElementById('plant').value === '99'")
+    shows(page, "trouble", "Plant must be a whole number from 0 to 99: 99 is taken")
+    page.select_option("#set", "")
+    page.wait_for_function("document.getElementById('plant').disabled")
 
 
 def test_plant_is_set_before_the_first_step(open_page: Open) -> None:
@@ -297,6 +301,33 @@ def test_a_recorded_driver_keeps_the_plants_of_the_sets(open_page: Open) -> None
     page.select_option("#rival", "optimum-nominal")
     page.wait_for_function("location.hash.includes('set=') && !location.hash.includes('jumps=')")
     assert page.locator("#trouble").is_hidden()
+
+
+def test_mass_out_of_range_is_said_and_kept_within(open_page: Open) -> None:
+    page = open_page(LAW, reduced_motion="reduce")
+    page.fill("#M-number", "9")
+    page.keyboard.press("Enter")
+    shows(page, "trouble", "M must be a number from 0.25 to 1.2: 1.2 is taken")
+    assert page.input_value("#M-number") == "1.2"
+    page.wait_for_function("location.hash.includes('M=1.2')")
+    for key in ("Home", "End"):
+        page.focus("#mu")
+        page.keyboard.press(key)
+        shows(page, "trouble", "")
+        assert page.locator("#trouble").is_hidden()
+
+
+def test_a_hand_that_failed_stands_still_until_space_begins_again(open_page: Open) -> None:
+    page = open_page("#driver=yourself&rival=adaptive&M=0.5&mu=0.01")
+    page.focus("#stage")
+    page.keyboard.down("ArrowRight")
+    shows(page, "banner-text", "Space begins again.")
+    page.keyboard.up("ArrowRight")
+    page.wait_for_function("document.getElementById('play').getAttribute('aria-label') === 'Play'")
+    assert 0.2 < figure(page, "time") < 1.0
+    page.keyboard.press(" ")
+    page.wait_for_function("document.getElementById('banner').hidden")
+    assert playing(page)
 
 
 def test_plant_jumps_while_it_runs(open_page: Open) -> None:
@@ -391,7 +422,7 @@ def test_what_a_link_cannot_mean_is_said(open_page: Open, scene: str, words: str
 def test_keys_turn_the_motor_while_they_are_held(open_page: Open) -> None:
     page = open_page("#driver=yourself&speed=0.1")
     page.focus("#stage")
-    for key, torque in (("ArrowLeft", "0.60"), ("d", f"{MINUS}0.60")):
+    for key, torque in (("ArrowLeft", "0.30"), ("d", f"{MINUS}0.30")):
         page.keyboard.down(key)
         page.wait_for_function("torque => document.getElementById('figure-torque').textContent === torque", arg=torque)
         page.keyboard.up(key)

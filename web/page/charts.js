@@ -11,7 +11,7 @@ const DEGREES = 180 / Math.PI;
 
 /** What is shown over time: a channel of a lane, its title, unit and factor, and bounds that it always has. */
 export const CURVES = [
-  { channel: "theta", title: "Angle θ", unit: "°", factor: DEGREES, bounds: [-90, 90], step: 45 },
+  { channel: "theta", title: "Angle θ", unit: "°", factor: DEGREES, bounds: [-90, 90], most: 90, step: 45 },
   { channel: "x_dot", title: "Speed of the platform", unit: "cm/s", factor: 100, bounds: [-5, 5] },
   { channel: "torque", title: "Motor torque", unit: "N m", factor: 1, bounds: [-LIMIT, LIMIT], step: MARK },
   { channel: "normal", title: "Normal force", unit: "N", factor: 1, bounds: [0, 8] },

@@ -228,7 +228,7 @@ function setPlaying(playing) {
 
 function togglePlay() {
   if (player.playing) return setPlaying(false);
-  if (player.over) return restart();
+  if (player.over || handFailed()) return restart();
   setPlaying(true);
 }
 
@@ -301,7 +301,7 @@ function fillChoices() {
       if (rows.length === 0) continue;
       const group = document.createElement("optgroup");
       group.label = label;
-      group.append(...rows.map((driver) => option(driver.name, driver.title)));
+      group.append(...rows.map((driver) => option(driver.name, driver.name)));
       select.append(group);
     }
   }
@@ -354,8 +354,10 @@ function bindPlant() {
     const set = element("set").value;
     const index = element("plant");
     if (set) {
-      const last = sets[set].plants.length - 1;
-      index.value = clamp(Math.trunc(Number(index.value)) || 0, 0, last);
+      const [wanted, last] = [Number(index.value), sets[set].plants.length - 1];
+      index.value = clamp(Math.trunc(wanted) || 0, 0, last);
+      const right = wanted === Number(index.value);
+      complain(right ? "" : `Plant must be a whole number from 0 to ${last}: ${index.value} is taken`);
       takePlant(scene, set, Number(index.value));
     } else {
       Object.assign(scene, { set: "", theta: undefined, jumps: [] });
@@ -368,9 +370,12 @@ function bindPlant() {
   const values = { M: [Number, (value) => value], mu: [Math.log10, (value) => 10 ** value] };
   for (const [name, [, back]] of Object.entries(values)) {
     const [slider, field] = [element(name), element(`${name}-number`)];
-    const set = (value) => {
+    const set = (given) => {
+      const value = Number(given.toPrecision(4));
       const kept = clamp(Number.isFinite(value) ? value : plantNow()[name], ...limits[name]);
-      jump(...["M", "mu"].map((other) => (other === name ? Number(kept.toPrecision(4)) : plantNow()[other])));
+      complain(kept === value ? "" : `${name} must be a number from ${limits[name].join(" to ")}: ${kept} is taken`);
+      field.value = kept;
+      jump(...["M", "mu"].map((other) => (other === name ? kept : plantNow()[other])));
     };
     slider.addEventListener("input", () => { field.value = Number(back(Number(slider.value)).toPrecision(4)); });
     slider.addEventListener("change", () => set(back(Number(slider.value))));
@@ -468,7 +473,9 @@ function showScene() {
   element("rival").value = scene.rival;
   element("view").value = scene.view;
   element("view").disabled = !scene.rival;
-  const own = "Keys, the slider below the stage, or a finger on it: hold to turn the motor.";
+  const own =
+    "Keys, the slider below the stage, or a finger on it: hold to turn the motor. The ball leans to the right: " +
+    "begin to the left.";
   const described = (name) => driverNamed(name).description.replaceAll("`", "");
   show("driver-text", scene.driver === YOURSELF ? own : described(scene.driver));
   show("rival-text", scene.rival ? described(scene.rival) : "");
@@ -618,6 +625,11 @@ function hasFailed(lane) {
   return lane.failure !== "" && player.now >= lane.time - 1e-9;
 }
 
+/** Whether the reader has failed: a rival goes on only once the reader does. */
+function handFailed() {
+  return player.lanes[0].hand !== null && hasFailed(player.lanes[0]);
+}
+
 /** A lane's title, and when it failed. */
 function named(lane) {
   return hasFailed(lane) ? `${lane.title} failed at ${written(lane.time, 2)} s` : lane.title;
@@ -627,6 +639,7 @@ function named(lane) {
 function showEnd() {
   const failures = player.lanes.filter(hasFailed).map((lane) => `${named(lane)}: ${lane.failure}.`);
   if (player.over && failures.length < player.lanes.length) failures.push(`The episode of ${END} s has ended.`);
+  if (handFailed()) failures.push("Space begins again.");
   const text = failures.join(" ");
   element("banner").hidden = text === "";
   show("banner-text", text);
@@ -652,7 +665,7 @@ function frame(time) {
       shownPlant = plantNow();
       showPlant();
     }
-    if (player.playing && player.over) setPlaying(false);
+    if (player.playing && (player.over || handFailed())) setPlaying(false);
     if (sought && player.goal === null) link();
     sought = player.goal !== null;
   }

@@ -32,7 +32,7 @@ export function driverNamed(name) {
 
 /** A driver's title. */
 export function titleOf(name) {
-  return name === YOURSELF ? "Yourself" : driverNamed(name).title;
+  return name === YOURSELF ? "Yourself" : name;
 }
 
 /** Whether someone in the scene is recorded, who can drive the plants of the frozen sets alone. */
