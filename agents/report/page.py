@@ -62,6 +62,7 @@ def render(material: Material, title: str, live: Path = LIVE) -> str:
         _learning(material),
         "<h2>On every set</h2>",
         _table(material),
+        '<div class="figures">',
         _figure(
             "transport",
             "Speed against cost of transport",
@@ -87,6 +88,7 @@ def render(material: Material, title: str, live: Path = LIVE) -> str:
             evidence.rows,
             evidence.sets,
         ),
+        "</div>",
         *(_config(name, config) for name, config in material.configs.items()),
         _footer(material),
     ]
@@ -125,7 +127,8 @@ def _figure(name: str, heading: str, caption: str, figure_of: Any, *arguments: A
     svg = figures.draw(figure_of, name, *arguments)
     svg = svg.replace("<svg", f'<svg role="img" aria-label="{html.escape(heading)}"', 1)
     return (
-        f"<h2>{html.escape(heading)}</h2>\n<figure>\n{svg}\n<figcaption>{html.escape(caption)}</figcaption>\n</figure>"
+        f"<section>\n<h2>{html.escape(heading)}</h2>\n<figure>\n{svg}\n"
+        f"<figcaption>{html.escape(caption)}</figcaption>\n</figure>\n</section>"
     )
 
 
