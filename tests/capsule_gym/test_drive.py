@@ -49,6 +49,23 @@ def test_a_law_is_found_as_the_leaderboard_writes_it():
     assert law.env_kwargs == {"controller": "baselines:feedback_linearising"}
 
 
+@pytest.mark.parametrize("name", ["adaptive", "epc", "residual-ppo"])
+def test_a_law_that_follows_a_reference_shows_it(name):
+    drive = Drive(find_driver(name), load_set("paper").plants[0])
+    drive.advance(0.5)
+    simulation = drive.env.simulation
+    tick = round(0.5 / simulation.controller.dt)
+    assert drive.shown()["theta_reference"] == simulation.reference[tick % len(simulation.reference), 0] != 0.0
+
+
+@pytest.mark.parametrize("name", ["gait", "gait_identifying", "residual-on-gait", "direct-ppo", "zero"])
+def test_what_follows_no_reference_shows_none(name):
+    drive = Drive(find_driver(name), load_set("paper").plants[0])
+    for time in (0.0, 0.5):
+        drive.advance(time)
+        assert drive.shown()["theta_reference"] is None
+
+
 def test_a_broken_policy_file_is_refused_by_its_path(tmp_path):
     path = tmp_path / "policy.safetensors"
     path.write_bytes(b"no policy")
