@@ -44,9 +44,19 @@ def test_a_law_is_found_with_and_without_its_package(name):
     assert (law.name, law.env_kwargs) == ("adaptive", {"controller": "baselines:adaptive"})
 
 
-def test_a_law_is_found_as_the_leaderboard_writes_it():
-    law = find_driver("feedback-linearising")
-    assert law.env_kwargs == {"controller": "baselines:feedback_linearising"}
+@pytest.mark.parametrize(
+    ("name", "attribute"),
+    [("feedback-linearising", "feedback_linearising"), ("gait-guarded", "gait"), ("gait", "gait")],
+)
+def test_a_law_is_found_and_shown_as_the_leaderboard_or_python_names_it(name, attribute):
+    law = find_driver(name)
+    assert (law.name, law.env_kwargs) == (name, {"controller": f"baselines:{attribute}"})
+
+
+@pytest.mark.parametrize("name", ["random", "gait-nominal", "gait-oracle", "optimum-nominal", "optimum-oracle"])
+def test_a_row_that_is_neither_law_nor_trained_is_refused(name):
+    with pytest.raises(ValueError, match=f"must be one of zero, .*gait-guarded.* got '{name}'"):
+        find_driver(name)
 
 
 @pytest.mark.parametrize("name", ["adaptive", "epc", "residual-ppo"])
