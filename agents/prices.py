@@ -17,8 +17,8 @@ from agents.evaluation.episodes import failures, scores
 from agents.evaluation.sets import load_set
 from agents.evaluation.statistics import Estimate, estimate
 from agents.evaluation.tables import MEASURES
-from agents.evidence.material import fronts
-from baselines.drawing import BLUE, INK, MUTED, add_note, new_figure, save, style
+from agents.evidence.figures import plot_fronts
+from baselines.drawing import BLUE, add_note, new_figure, save, style
 from baselines.tables import markdown_table
 from capsule_gym.command_line import Positional, parse, refuse
 from capsule_gym.files import write_atomically
@@ -116,9 +116,7 @@ def draw(prices: Sequence[Price], set_name: str) -> Any:
     """Speed against cost of transport."""
     figure = new_figure(4.2)
     axes = figure.subplots()
-    for (name, points), colour in zip(fronts().items(), (MUTED, INK), strict=True):
-        x, y = zip(*points, strict=True)
-        axes.plot(x, y, ".--", color=colour, markersize=4.0, linewidth=1.0, label=f"front of the {name}")
+    plot_fronts(axes)
     axes.plot(
         [each.cost.value for each in prices],
         [each.speed.value for each in prices],
@@ -128,9 +126,20 @@ def draw(prices: Sequence[Price], set_name: str) -> Any:
         linewidth=1.2,
         label="one policy, told the weight",
     )
-    for each in prices[::2]:
-        axes.annotate(f"{each.weight:g}", (each.cost.value, each.speed.value), (5.0, -9.0), textcoords="offset points")
     axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)", xlim=(0.0, None), ylim=(0.0, None))
+    # Square to the policy's line on its upper side, where neither front is near, on a patch that hides the grid.
+    course = np.gradient(axes.transData.transform([(each.cost.value, each.speed.value) for each in prices]), axis=0)
+    course /= np.linalg.norm(course, axis=1, keepdims=True)
+    for each, (right, up) in zip(prices[::2], course[::2], strict=True):
+        axes.annotate(
+            f"{each.weight:g}",
+            (each.cost.value, each.speed.value),
+            (-11.0 * abs(up), 9.0 * abs(right)),
+            textcoords="offset points",
+            ha="center",
+            va="center",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.3},
+        )
     axes.set_title("One policy for every price of energy (cm/J beside the points)")
     axes.legend(loc="lower right")
     note = f"Interquartile means over all seeds and episodes of the set {set_name}; fronts on the paper's plant."

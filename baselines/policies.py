@@ -119,3 +119,9 @@ SCRIPTED = {
         ),
     )
 }
+# Laws that act alone, as the environment's argument `controller` takes them, by their policies' names.
+LAWS: dict[str, str] = {
+    name: policy.env_kwargs["controller"]
+    for name, policy in SCRIPTED.items()
+    if policy.start is _no_action and "controller" in policy.env_kwargs
+}

@@ -39,7 +39,24 @@ def committed() -> dict[str, Path]:
 
 
 def law_names() -> list[str]:
-    """The names of the control laws, as "adaptive" for `controller="baselines:adaptive"`."""
+    """The names of the control laws: the leaderboard's, and of a law that is not on it its own."""
+    named: dict[str, str] = import_module("baselines.policies").LAWS
+    return [*named, *(name for name in _own_names() if f"baselines:{name}" not in named.values())]
+
+
+def find_law(name: str) -> str | None:
+    """A control law as `controller` takes it, as "baselines:gait"; None where there is none of that name.
+
+    Args:
+        name: the leaderboard's, as "gait-guarded"; or its own, with or without its package, as "baselines:gait".
+    """
+    named: dict[str, str] = import_module("baselines.policies").LAWS
+    own = name.removeprefix("baselines:").replace("-", "_")
+    return named.get(name) or (f"baselines:{own}" if own in _own_names() else None)
+
+
+def _own_names() -> list[str]:
+    """The names of the control laws in Python."""
     return list(import_module("baselines").__all__)
 
 

@@ -40,7 +40,7 @@ class Controller:
         law: the function above, plain or compiled with `numba.njit`.
         reference: shape (steps, columns), float64, one row per call over one cycle, repeated for ever. Column 0 is the
             reference angle in rad and column 1 its rate in rad/s; further columns are the law's own. At most 256
-            columns and ten million numbers.
+            columns and ten million numbers. A law that follows none has zeros, and pictures then show none.
         memory: the law's memory at the start of an episode, at most 256 numbers.
         dt: seconds between calls; a divisor of the agent step.
 

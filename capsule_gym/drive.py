@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from capsule_gym.committed import NOBODY, committed, driver_names, law_names
+from capsule_gym.committed import NOBODY, committed, driver_names, find_law
 from capsule_gym.env import CapsuleEnv, shown_state
 from capsule_gym.parameters import nearest
 from capsule_gym.plants import EPISODE_SETTINGS, PlantSpec
@@ -69,16 +69,15 @@ def find_driver(name_or_path: str) -> Driver:
     """Finds what drives.
 
     Args:
-        name_or_path: one of `driver_names()`; a law also as "baselines:adaptive", one run of a policy as
-            "residual-ppo/seed-2"; or the path of a policy file or of a training run's folder.
+        name_or_path: one of `driver_names()`; a law also by its name in Python, as "gait" or "baselines:gait", one run
+            of a policy as "residual-ppo/seed-2"; or the path of a policy file or of a training run's folder.
 
     Raises:
         ValueError: if there is no such driver, or its file is broken.
     """
-    # As Python writes it, or as the leaderboard does.
-    law = name_or_path.removeprefix("baselines:").replace("-", "_")
-    if law in law_names():
-        return Law(law, {"controller": f"baselines:{law}"})
+    law = find_law(name_or_path)
+    if law is not None:
+        return Law(name_or_path.removeprefix("baselines:"), {"controller": law})
     if name_or_path == NOBODY:
         return Law(NOBODY)
     if name_or_path in committed() or Path(name_or_path).exists():

@@ -366,9 +366,10 @@ def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> 
 
 
 def shown_state(simulation: Simulation, i: int) -> dict[str, Any]:
-    """What `Renderer.draw` is told of environment i."""
+    """What `Renderer.draw` is told of environment i; no reference where the table is all zeros."""
     row = simulation.columns(np.array([i]))[:, 0]
-    reference = float(simulation.reference[int(row[Row.clock]), 0]) if simulation.controller else None
+    # Laws that follow none, the gaits and no law at all, carry a table of zeros.
+    reference = float(simulation.reference[int(row[Row.clock]), 0]) if simulation.reference.any() else None
     return {
         "theta": float(row[Row.theta]),
         "theta_dot": float(row[Row.theta_dot]),

@@ -199,6 +199,13 @@ def draw_improvement(evidence: Evidence) -> Any:
     return figure
 
 
+def plot_fronts(axes: Any) -> None:
+    """The fronts of what is known of the nominal plant, cost of transport across and mean speed up."""
+    for (name, points), pen in zip(fronts().items(), FRONTS, strict=True):
+        x, y = zip(*points, strict=True)
+        axes.plot(x, y, **pen.line(marker=".", markersize=4.0, linewidth=1.0, label=f"front of the {name}"))
+
+
 def plot_transport(axes: Any, rows: Sequence[Row]) -> list[str]:
     """Speed against cost of transport on the nominal plant, with the fronts of what is known.
 
@@ -209,9 +216,7 @@ def plot_transport(axes: Any, rows: Sequence[Row]) -> list[str]:
     Returns:
         The names of the rows that make no progress, and so have no place.
     """
-    for (name, points), pen in zip(fronts().items(), FRONTS, strict=False):
-        x, y = zip(*points, strict=True)
-        axes.plot(x, y, **pen.line(marker=".", markersize=4.0, linewidth=1.0, label=f"front of the {name}"))
+    plot_fronts(axes)
     marks, absent = [], []
     for row in rows:
         cost = estimate(row.score("nominal", "cost_of_transport"))

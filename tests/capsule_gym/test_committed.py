@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
+import baselines
+from baselines.policies import SCRIPTED
 from capsule_gym import committed as module
-from capsule_gym.committed import POLICY, committed, driver_names, policy_names
+from capsule_gym.committed import POLICY, committed, driver_names, find_law, law_names, policy_names
 from capsule_gym.policy import load_policy
 
 # Of all committed files together.
@@ -32,7 +34,24 @@ def test_committed_policies_take_little_room():
 
 def test_every_name_is_listed_and_drives():
     names = driver_names()
-    assert {"zero", "adaptive", "gait", "direct-ppo"} <= set(names) and len(names) == len(set(names))
+    assert {"zero", "adaptive", "gait-guarded", "direct-ppo"} <= set(names) and len(names) == len(set(names))
+
+
+def test_laws_have_the_names_of_the_leaderboard_and_drive_by_their_own_too():
+    assert set(law_names()) < set(SCRIPTED)
+    assert find_law("gait-guarded") == find_law("gait") == find_law("baselines:gait") == "baselines:gait"
+    assert {find_law(name) for name in law_names()} == {find_law(name) for name in baselines.__all__}
+    assert None not in map(find_law, baselines.__all__)
+
+
+def test_a_law_that_is_not_on_the_leaderboard_has_its_own_name(monkeypatch):
+    monkeypatch.setattr(baselines, "__all__", [*baselines.__all__, "of_mine"])
+    assert law_names()[-1] == "of_mine" and find_law("of_mine") == "baselines:of_mine"
+
+
+@pytest.mark.parametrize("name", ["random", "gait-nominal", "gait-oracle", "optimum-nominal", "zero", "direct-ppo", ""])
+def test_what_is_no_law_is_not_found_as_one(name):
+    assert find_law(name) is None
 
 
 @pytest.mark.parametrize(

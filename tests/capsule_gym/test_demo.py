@@ -51,6 +51,7 @@ def test_a_demo_in_a_window_ends_with_its_time(monkeypatch, capsys):
     ("words", "said"),
     [
         (["direct-po"], "did you mean 'direct-ppo'?"),
+        (["gait-nominal"], "NAME_OR_PATH must be one of"),
         (["adaptive", "--rival", "nobody-at-all"], "--rival must be one of"),
         (["adaptive", "--set", "papr"], "did you mean 'paper'?"),
         (["adaptive", "--seed", "100"], "0 to 99"),

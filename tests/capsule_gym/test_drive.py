@@ -44,9 +44,36 @@ def test_a_law_is_found_with_and_without_its_package(name):
     assert (law.name, law.env_kwargs) == ("adaptive", {"controller": "baselines:adaptive"})
 
 
-def test_a_law_is_found_as_the_leaderboard_writes_it():
-    law = find_driver("feedback-linearising")
-    assert law.env_kwargs == {"controller": "baselines:feedback_linearising"}
+@pytest.mark.parametrize(
+    ("name", "attribute"),
+    [("feedback-linearising", "feedback_linearising"), ("gait-guarded", "gait"), ("gait", "gait")],
+)
+def test_a_law_is_found_and_shown_as_the_leaderboard_or_python_names_it(name, attribute):
+    law = find_driver(name)
+    assert (law.name, law.env_kwargs) == (name, {"controller": f"baselines:{attribute}"})
+
+
+@pytest.mark.parametrize("name", ["random", "gait-nominal", "gait-oracle", "optimum-nominal", "optimum-oracle"])
+def test_a_row_that_is_neither_law_nor_trained_is_refused(name):
+    with pytest.raises(ValueError, match=f"must be one of zero, .*gait-guarded.* got '{name}'"):
+        find_driver(name)
+
+
+@pytest.mark.parametrize("name", ["adaptive", "epc", "residual-ppo"])
+def test_a_law_that_follows_a_reference_shows_it(name):
+    drive = Drive(find_driver(name), load_set("paper").plants[0])
+    drive.advance(0.5)
+    simulation = drive.env.simulation
+    tick = round(0.5 / simulation.controller.dt)
+    assert drive.shown()["theta_reference"] == simulation.reference[tick % len(simulation.reference), 0] != 0.0
+
+
+@pytest.mark.parametrize("name", ["gait", "gait_identifying", "residual-on-gait", "direct-ppo", "zero"])
+def test_what_follows_no_reference_shows_none(name):
+    drive = Drive(find_driver(name), load_set("paper").plants[0])
+    for time in (0.0, 0.5):
+        drive.advance(time)
+        assert drive.shown()["theta_reference"] is None
 
 
 def test_a_broken_policy_file_is_refused_by_its_path(tmp_path):

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from examples import publish_data
+
 DATA = Path(__file__).resolve().parents[2] / "examples" / "data"
 NAMES = ("adaptive", "residual-on-gait")
 
@@ -35,3 +37,13 @@ def test_the_actions_give_the_episodes_again(name: str, monkeypatch: pytest.Monk
         assert (terminated, truncated) == (False, True)
         assert np.array_equal(episode.observations, seen)
         assert np.array_equal(episode.infos["state"], states)
+
+
+@pytest.mark.parametrize("missing", publish_data.NEEDED)
+def test_without_minari_one_line_names_what_to_install(
+    missing: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(publish_data, "find_spec", lambda name: None if name == missing else "found")
+    assert publish_data.main() == 2
+    error = capsys.readouterr().err
+    assert 'pip install "capsule-gym[minari]"' in error and error.count("\n") == 1
