@@ -6,6 +6,8 @@ import html
 import json
 import math
 import re
+import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,7 +25,7 @@ from agents.report.material import ROOT, Material, collect, fastest
 from capsule_gym.files import write_atomically
 from capsule_gym.policy import Policy
 
-# The live page, where it has been built (`make web`).
+# The live page, as `make web` builds it.
 LIVE = ROOT / "site" / "live" / "index.html"
 HERE = Path(__file__).parent
 
@@ -42,10 +44,19 @@ def write(path: Path, names: Sequence[str] = (), *, trust_controller: bool = Fal
     """
     material = collect(names, trust_controller=trust_controller)
     title = ", ".join(row.name for row in material.subjects) if names else "Leaderboard of capsule_gym"
-    write_atomically(path, render(material, title))
+    write_atomically(path, render(material, title, live_page()))
 
 
-def render(material: Material, title: str, live: Path = LIVE) -> str:
+def live_page() -> Path:
+    """The live page; where there is none yet, it is built, which takes a minute or two and says so on stderr."""
+    if not LIVE.is_file():
+        # As a command: it is made of what lies above the agents. Without it, a report says what it lacks.
+        command = [sys.executable, "-m", "web.build", "--output", str(LIVE.parent)]
+        subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL, check=False)
+    return LIVE
+
+
+def render(material: Material, title: str, live: Path) -> str:
     """The whole page.
 
     Args:

@@ -15,10 +15,12 @@ def test_comparison_is_printed_and_drawn(tmp_path, capsys, monkeypatch):
     set_file.write_text(json.dumps({"name": "two", "plants": plants}))
     monkeypatch.setattr("agents.comparison.ANIMATION_SECONDS", 0.08)
     monkeypatch.setattr("agents.comparison.ANIMATION_START", 0.04)
+    monkeypatch.setattr("agents.report.page.LIVE", tmp_path / "live.html")
+    (tmp_path / "live.html").write_text("<head></head>")
     compare(run, str(set_file))
     out = capsys.readouterr().out
     for word in ("mean speed", "cost of transport", "peak torque", "backward", "failures", "difference", "adaptive"):
         assert word in out
-    for name in ("comparison.png", "animation.gif", "comparison.json"):
+    for name in ("comparison.png", "animation.gif", "comparison.json", "report.html"):
         assert (run / name).stat().st_size > 1000
     assert not list(run.glob("*.tmp*"))

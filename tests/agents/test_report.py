@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from agents.report import __main__ as report
-from agents.report import material
-from agents.report.page import LIVE, embedded, own_drivers, render, write
+from agents.report import material, page
+from agents.report.page import embedded, own_drivers, render, write
 from tests.agents.fakes import make_policy, write_run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -66,7 +66,8 @@ def test_letters_of_a_figure_are_not_scaled_by_rounding(published):
 
 
 def test_what_does_not_exist_is_nan_to_the_script(published):
-    found = {len([value for value in row if value != value]) for row in Page(render(published, "t")).rows[1:]}
+    page = Page(render(published, "t", Path("nowhere")))
+    found = {len([value for value in row if value != value]) for row in page.rows[1:]}
     # The share of the optimum, on three sets of five.
     assert found == {0, 1}
 
@@ -133,8 +134,10 @@ def test_no_name_ends_the_script_that_holds_it():
 
 @pytest.fixture
 def run(tmp_path, monkeypatch):
-    """A run's folder with what a report reads of it, and short episodes."""
+    """A run's folder with what a report reads of it, short episodes, and a live page."""
     monkeypatch.setattr(material, "HORIZON", 0.6)
+    monkeypatch.setattr(page, "LIVE", tmp_path / "live.html")
+    page.LIVE.write_text("<head></head>")
     folder = tmp_path / "mine"
     write_run(folder, 3)
     (folder / "evaluations.csv").write_text("steps,mean_speed_cm_s,failed\n100,1.0,0\n200,2.0,0\n")
@@ -144,14 +147,31 @@ def run(tmp_path, monkeypatch):
 
 
 def test_a_run_is_evaluated_and_shown_beside_the_papers_controller(run, tmp_path):
-    page = tmp_path / "report.html"
-    write(page, [str(run)])
-    text = page.read_text()
+    report = tmp_path / "report.html"
+    write(report, [str(run)])
+    text = report.read_text()
     for word in ("<h1>mine</h1>", "Learning curve", "Settings of mine", "0.123", "&lt;b&gt;", ">adaptive</th>"):
         assert word in text
-    # Only where the live page has been built.
-    assert ("iframe" in Page(text).tags) == LIVE.is_file()
+    assert "iframe" in Page(text).tags
     assert not list(tmp_path.glob("*.tmp*"))
+
+
+def test_the_live_page_is_built_where_there_is_none(run, tmp_path, monkeypatch):
+    page.LIVE.unlink()
+    asked = []
+
+    def build(command, **kwargs):
+        asked.append(command[1:])
+        if len(asked) > 1:
+            page.LIVE.write_text("<head></head>")
+
+    monkeypatch.setattr(page.subprocess, "run", build)
+    # The first attempt fails, the third is not needed.
+    for n, tags in enumerate([0, 1, 1]):
+        write(tmp_path / f"{n}.html", [str(run)])
+        assert Page((tmp_path / f"{n}.html").read_text()).tags.count("iframe") == tags
+    assert asked == [["-m", "web.build", "--output", str(tmp_path)]] * 2
+    assert "After <code>make web</code>" in (tmp_path / "0.html").read_text()
 
 
 def test_a_run_without_evaluations_has_no_learning_curve(run, tmp_path):
