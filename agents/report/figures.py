@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import re
+import textwrap
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -20,6 +21,8 @@ from baselines.drawing import VERMILION, new_figure, style
 WIDTH, COLUMNS, PANEL_HEIGHT = 4.2, 2, 1.5
 PROFILE_POINTS, PROFILE_RESAMPLES = 61, 1000
 LABELS = {"size": 8.0}
+# Letters of a title that fit above a panel, and as many more for the blanks that stand behind its hyphens.
+TITLE = 28
 
 
 def draw(figure_of: Callable[..., Any], name: str, *arguments: Any) -> str:
@@ -43,7 +46,12 @@ def draw(figure_of: Callable[..., Any], name: str, *arguments: Any) -> str:
 
 
 def _panels(names: Sequence[str], top: float) -> tuple[Any, Any]:
-    return panels(names, top, columns=COLUMNS, height=PANEL_HEIGHT, width=WIDTH)
+    return panels([_broken(name) for name in names], top, columns=COLUMNS, height=PANEL_HEIGHT, width=WIDTH)
+
+
+def _broken(name: str) -> str:
+    """A name in lines that fit a panel, broken behind hyphens: a run's has its date in it."""
+    return "\n".join(textwrap.wrap(name.replace("-", "- "), TITLE)).replace("- ", "-")
 
 
 def learning(evidence: Evidence) -> Any:
@@ -69,7 +77,7 @@ def profiles(rows: Sequence[Row], set_names: Sequence[str]) -> Any:
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
     figure.supxlabel("mean speed (cm/s)", **LABELS)
-    figure.supylabel("share of episodes that are faster", **LABELS)
+    figure.supylabel("share of episodes", **LABELS)
     return figure
 
 

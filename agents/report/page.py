@@ -85,7 +85,8 @@ def render(material: Material, title: str, live: Path) -> str:
         _figure(
             "profiles",
             "Performance profile",
-            "All episodes of all training seeds; bands: 95 %, whole seeds resampled, of a single seed its episodes.",
+            "The share of episodes that are faster, of all training seeds; bands: 95 %, whole seeds resampled, of a "
+            "single seed its episodes.",
             figures.profiles,
             evidence.rows,
             evidence.shown_sets,

@@ -9,6 +9,7 @@ import pytest
 
 from agents.report import __main__ as report
 from agents.report import material, page
+from agents.report.figures import _broken
 from agents.report.page import embedded, own_drivers, render, write
 from tests.agents.fakes import make_policy, write_run
 
@@ -124,6 +125,12 @@ def test_what_the_live_page_cannot_run_is_left_out():
         "epc": "own-epc",
         "told": "told",
     }
+
+
+def test_names_of_panels_are_broken_behind_hyphens():
+    assert _broken("optimum-distilled-wide") == "optimum-distilled-wide"
+    assert _broken("residual-ppo-seed0-20261122-160427") == "residual-ppo-seed0-\n20261122-160427"
+    assert _broken("x" * 60).replace("\n", "") == "x" * 60
 
 
 def test_no_name_ends_the_script_that_holds_it():
