@@ -7,21 +7,21 @@ frozen plant the place in `TORQUES` of each action of the episode, which it acts
 from __future__ import annotations
 
 import io
+import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import capsule_gym
 from agents.drivers import RECORDED
-from agents.evaluation.sets import SET_NAMES, PlantSpec, load_set
-from baselines.policies import SCRIPTED
+from agents.evaluation.sets import SET_NAMES, EvaluationSet, PlantSpec, load_set
+from baselines.policies import SCRIPTED, Act
 from capsule_gym.command_line import parse
 from capsule_gym.files import write_bytes_atomically
-from capsule_gym.task import EPISODE_STEPS
+from capsule_gym.task import CONTROL_DT, EPISODE_STEPS
 
 FILE = Path(__file__).with_name("recordings.npz")
 # Behind the last action of an episode.
@@ -38,26 +38,28 @@ def record(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
     Returns:
         Shape (plants, `EPISODE_STEPS`), uint8; `OVER` behind the end of an episode.
     """
-    # Here, since numba comes with it, which takes most of a second to import.
+    # Here, since numba comes with them, which takes most of a second to import.
+    from agents.evaluation.episodes import evaluate
     from baselines.optimum.policy import TORQUES
 
-    policy, count = SCRIPTED[name], len(plants)
-    env = capsule_gym.CapsuleVectorEnv(count, autoreset_mode="DISABLED", **policy.env_kwargs)
-    seeds, each = [plant.seed for plant in plants], [plant.reset_options() for plant in plants]
-    options: dict[str, Any] = {key: np.array([one[key] for one in each]) for key in ("M", "mu", "state")}
-    options["changes"] = [one["changes"] for one in each]
-    observations, _ = env.reset(seed=seeds, options=options)
-    act = policy.start(seeds)
-    places = np.full((count, EPISODE_STEPS), OVER, np.uint8)
-    running = np.ones(count, bool)
-    for step in range(EPISODE_STEPS):
-        actions = act(observations)
-        places[running, step] = np.searchsorted(TORQUES, actions[running, 0])
-        observations, _, terminated, _, _ = env.step(actions)
-        running &= ~terminated
-        if not running.any():
-            break
-    env.close()
+    policy, taken = SCRIPTED[name], []
+
+    def start(seeds: Sequence[int]) -> Act:
+        act = policy.start(seeds)
+
+        def noted(observations: np.ndarray) -> np.ndarray:
+            actions = act(observations)
+            taken.append(actions[:, 0])
+            return actions
+
+        return noted
+
+    episodes = evaluate(replace(policy, start=start), EvaluationSet(name, tuple(plants)))
+    places = np.full((len(plants), EPISODE_STEPS), OVER, np.uint8)
+    for row, actions, episode in zip(places, np.array(taken).T, episodes, strict=True):
+        # An episode may end within its last step.
+        steps = math.ceil(episode["duration"] / CONTROL_DT - 1e-6)
+        row[:steps] = np.searchsorted(TORQUES, actions[:steps])
     return places
 
 
@@ -92,9 +94,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         content = io.BytesIO()
         np.savez_compressed(content, **found)
         write_bytes_atomically(FILE, content.getvalue())
-    known = known_recordings()
-    wrong = [key for key, places in found.items() if not np.array_equal(places, known[key.split()[0]][key.split()[1]])]
-    print(*(f"{key}: differs from web/recordings.npz" for key in wrong), sep="\n", end="\n" if wrong else "")
+    with np.load(FILE) as known:
+        wrong = [key for key, places in found.items() if not np.array_equal(places, known[key])]
+    for key in wrong:
+        print(f"{key}: differs from web/recordings.npz")
     print(f"{len(found)} recordings of 100 episodes, {len(wrong)} differ")
     return int(bool(wrong))
 

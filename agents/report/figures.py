@@ -21,7 +21,7 @@ from baselines.drawing import VERMILION, new_figure, style
 WIDTH, COLUMNS, PANEL_HEIGHT = 4.2, 2, 1.5
 PROFILE_POINTS, PROFILE_RESAMPLES = 61, 1000
 LABELS = {"size": 8.0}
-# Letters of a title that fit above a panel, and as many more for the blanks that stand behind its hyphens.
+# Letters of a title that fit above a panel, with the blanks that are put behind its hyphens to break it there.
 TITLE = 28
 
 
