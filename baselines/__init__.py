@@ -4,9 +4,8 @@ The functions here are what the environment's argument `controller` takes, as in
 is imported when it is first asked for, since numba, which takes most of a second, comes with it.
 """
 
-from typing import TYPE_CHECKING
-
-from capsule_gym.later import later
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from baselines.laws.adaptive import adaptive, adaptive_as_published, compliant
@@ -15,15 +14,22 @@ if TYPE_CHECKING:
 
 __all__ = ["adaptive", "adaptive_as_published", "compliant", "epc", "feedback_linearising", "gait", "gait_identifying"]
 
-__getattr__, __dir__ = later(
-    __name__,
-    {
-        "adaptive": ".laws.adaptive",
-        "adaptive_as_published": ".laws.adaptive",
-        "compliant": ".laws.adaptive",
-        "epc": ".laws.feedback_linearisation",
-        "feedback_linearising": ".laws.feedback_linearisation",
-        "gait": ".laws.gait",
-        "gait_identifying": ".laws.gait",
-    },
-)
+_LAZY = {
+    "adaptive": ".laws.adaptive",
+    "adaptive_as_published": ".laws.adaptive",
+    "compliant": ".laws.adaptive",
+    "epc": ".laws.feedback_linearisation",
+    "feedback_linearising": ".laws.feedback_linearisation",
+    "gait": ".laws.gait",
+    "gait_identifying": ".laws.gait",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_LAZY[name], __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

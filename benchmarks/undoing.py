@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.contenders import ACTION_SCALE, DRAWS, SEED
 from benchmarks.timing import Contender, Rate, Stepper
-from capsule_gym import dynamics, kernels, simulation, trigonometry
+from capsule_gym import dynamics, elementary, kernels, simulation
 from capsule_gym.compilation import inlined
 
 BATCHES = (1024, 16384)
@@ -57,7 +57,7 @@ def set_lanes(lanes: int) -> None:
 
 def rebind(name: str, value: Callable[..., Any]) -> None:
     """Binds a function anew in every module that has it."""
-    scopes = [scope for scope in map(vars, (trigonometry, dynamics, kernels)) if name in scope]
+    scopes = [scope for scope in map(vars, (elementary, dynamics, kernels)) if name in scope]
     if not scopes:
         raise ValueError(f"none of the compiled modules has {name!r}")
     for scope in scopes:

@@ -4,13 +4,13 @@ Importing the package registers `CapsuleStickSlip-v0`. What needs numba, which t
 imported when it is first asked for.
 """
 
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from gymnasium.envs.registration import register, registry
 
 from capsule_gym.committed import policy_names
 from capsule_gym.controller import Controller
-from capsule_gym.later import later
 from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.task import ENV_ID, EPISODE_STEPS
 
@@ -34,15 +34,18 @@ __all__ = [
 
 __version__ = "0.1.0"
 
-__getattr__, __dir__ = later(
-    __name__,
-    {
-        "CapsuleEnv": ".env",
-        "CapsuleVectorEnv": ".vector_env",
-        "Policy": ".policy",
-        "load_policy": ".policy",
-    },
-)
+_LAZY = {"CapsuleEnv": ".env", "CapsuleVectorEnv": ".vector_env", "Policy": ".policy", "load_policy": ".policy"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_LAZY[name], __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
 
 if ENV_ID not in registry:
     register(

@@ -29,8 +29,6 @@ from numba.core.serialize import dumps
 from numba.extending import _Intrinsic, intrinsic, register_jitable
 
 from capsule_gym.files import write_bytes_atomically
-from capsule_gym.inlining import inlined as inlined
-from capsule_gym.inlining import on_marking
 
 # A division by zero gives infinity. Python's exception would be a branch in every division, which no loop over
 # environments survives; strict floating point otherwise, so that all loops give the same bits.
@@ -42,9 +40,10 @@ DIGEST_SIZE = hashlib.sha256().digest_size
 # What a fingerprint does not look into.
 _LIBRARIES = ("math", "numpy", "numba", "typing", "builtins")
 
-# For plain functions that compiled code may call, too; `inlined` ones leave no call behind.
+# Decorators of plain functions that compiled code may call. Compiled code contains no call of an `inlined` one but its
+# body: no loop over environments is vectorised otherwise.
 jitable = register_jitable(**_NO_WRAPPERS)
-on_marking(register_jitable(forceinline=True, **_NO_WRAPPERS))
+inlined = register_jitable(forceinline=True, **_NO_WRAPPERS)
 
 
 @intrinsic

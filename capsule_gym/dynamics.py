@@ -20,8 +20,8 @@ import math
 from typing import NamedTuple
 
 from capsule_gym.compilation import inlined, jitable
+from capsule_gym.elementary import fma, sincos
 from capsule_gym.parameters import Plant
-from capsule_gym.trigonometry import fma, sincos
 
 # No step holds anywhere near as many events. The cap only keeps a rounding accident from hanging compiled code.
 EVENT_LIMIT = 1000

@@ -19,8 +19,7 @@ from __future__ import annotations
 import math
 
 from capsule_gym.compilation import inlined
-from capsule_gym.exponential import exp
-from capsule_gym.trigonometry import sincos
+from capsule_gym.elementary import exp, sincos
 
 # Before anything is seen, M in kg and log(mu): a little wider than `randomization="wide"`.
 PRIOR_M, PRIOR_LOG_MU = 0.55, -3.25

@@ -38,8 +38,13 @@ from capsule_gym.compilation import (
     rebound,
     use_widest_vectors,
 )
+from capsule_gym.elementary import clip
 from capsule_gym.observation import write_observation
 from capsule_gym.parameters import Plant
+
+# `task` itself does without numba, which takes most of a second to import.
+for _function in (task.reward_terms, task.termination, task.continues, task.bounded):
+    inlined(_function)
 
 # Environments that one loop takes through a step together. Their rows lie side by side at offsets that the compiler
 # knows, and one block stays in the first-level cache.
@@ -269,7 +274,7 @@ def prepare(block: np.ndarray, n: int, plant: Plant, begin: bool) -> int:
     for j in range(n):
         active = block[AT.active + j] != 0.0
         block[AT.halt + j] = UNDER_WAY if active else HALTED
-        block[AT.action + j] = task.clip(block[AT.action + j], 1.0)
+        block[AT.action + j] = clip(block[AT.action + j], 1.0)
         block[AT.mass_ratio + j] = plant.m / (block[AT.M + j] + plant.m)
         block[AT.before_x + j] = block[AT.x + j]
         block[AT.energy + j] = 0.0 if active else block[AT.energy + j]
@@ -288,7 +293,7 @@ def engage(block: np.ndarray, n: int, plant: Plant, settings: Settings) -> int:
     for j in range(n):
         going = block[AT.halt + j] == UNDER_WAY
         residual = settings.residual_limit * block[AT.action + j]
-        torque = task.clip(block[AT.law_torque + j] + residual, settings.torque_limit)
+        torque = clip(block[AT.law_torque + j] + residual, settings.torque_limit)
         torque = torque if going else block[AT.torque + j]
         x_dot = block[AT.x_dot + j]
         block[AT.torque + j] = torque
@@ -420,7 +425,7 @@ def consult(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, settings: 
         asked = halt != HALTED
         # Infinity must not pass for a torque that was clipped: infinity minus itself is NaN. The state stays what the
         # law was asked about.
-        clipped = task.clip(torque, settings.torque_limit) + (torque - torque)
+        clipped = clip(torque, settings.torque_limit) + (torque - torque)
         block[AT.law_torque + j] = clipped if asked else block[AT.law_torque + j]
         store(block, MEMORY + j, LANES, renewed if asked else memory)
         elapsed = block[AT.elapsed + j] if asked else 0.0

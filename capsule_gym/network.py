@@ -16,10 +16,9 @@ from numba import types
 
 from capsule_gym import task
 from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, jitable, kernel, use_widest_vectors
-from capsule_gym.exponential import tanh
+from capsule_gym.elementary import clip, fma, tanh
 from capsule_gym.identification import CELLS, ESTIMATES, estimates, identify
 from capsule_gym.kernels import LANES, load, record, store
-from capsule_gym.trigonometry import fma
 
 # Units that are computed together, and inputs that are added to them at once: the registers of AVX2 and AVX-512 hold
 # no more. Every width is filled up with zeros to a multiple.
@@ -142,7 +141,7 @@ def normalise(network: np.ndarray, inputs: np.ndarray, first: int, n: int, given
     for i in range(header.inputs):
         mean, scale = network[HEADER + widths + i], network[HEADER + widths + width + i]
         for j in range(n):
-            given[i * LANES + j] = task.clip((inputs[first + j, i] - mean) * scale, header.clip)
+            given[i * LANES + j] = clip((inputs[first + j, i] - mean) * scale, header.clip)
 
 
 @inlined
@@ -270,12 +269,12 @@ def to_action(header: Header, output: float, law_torque: float) -> float:
         output: the action or, where that is what the network wants, the torque in torque limits.
         law_torque: of the law under the action at this instant, N m.
     """
-    wanted = task.clip(output, 1.0)
+    wanted = clip(output, 1.0)
     if not header.wants_torque:
         return wanted
     if abs(wanted) > FULL:
         return 1.0 if wanted > 0.0 else -1.0
-    return task.clip((header.torque_limit * wanted - law_torque) / header.residual_limit, 1.0)
+    return clip((header.torque_limit * wanted - law_torque) / header.residual_limit, 1.0)
 
 
 think_apart = inner(think)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from capsule_gym import task
-from capsule_gym.inlining import inlined
-from capsule_gym.trigonometry import sincos
+from capsule_gym.compilation import inlined
+from capsule_gym.elementary import clip, sincos
 
 
 @inlined
@@ -35,16 +35,16 @@ def write_observation(
         with_parameters: whether M and mu are.
     """
     theta, theta_dot, x_dot = state
-    out[0] = task.clip(theta, task.THETA_LIMIT)
-    out[1] = task.clip(theta_dot, task.THETA_DOT_BOUND)
-    out[2] = task.clip(x_dot, task.X_DOT_BOUND)
+    out[0] = clip(theta, task.THETA_LIMIT)
+    out[1] = clip(theta_dot, task.THETA_DOT_BOUND)
+    out[2] = clip(x_dot, task.X_DOT_BOUND)
     out[3] = 1.0 if x_dot == 0.0 else 0.0
     out[4] = last_action
     next_entry = 5
     if with_reference:
         theta_d, theta_d_dot, phase = reference
-        out[5] = task.clip(theta_d, task.THETA_LIMIT)
-        out[6] = task.clip(theta_d_dot, task.THETA_DOT_BOUND)
+        out[5] = clip(theta_d, task.THETA_LIMIT)
+        out[6] = clip(theta_d_dot, task.THETA_DOT_BOUND)
         out[7], out[8] = sincos(2.0 * math.pi * phase)
         out[9] = law_torque
         next_entry = 10

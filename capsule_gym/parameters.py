@@ -341,18 +341,20 @@ class Randomization:
     def draw(self, rng: np.random.Generator, capsule: Capsule) -> tuple[float, float]:
         """Draws M in kg and mu for one episode: always two numbers of the stream, so that ranges do not shift it."""
         # Here, since it comes with numba, which takes most of a second to import.
-        from capsule_gym.ranges import plant_at
+        from capsule_gym.elementary import interpolate
 
-        return plant_at(self.lines(capsule), *rng.random(2).tolist())
+        low_M, growth_M, *mu = self.lines(capsule)
+        share_M, share_mu = rng.random(2).tolist()
+        return interpolate(low_M, growth_M, 0.0, share_M), interpolate(*mu, share_mu)
 
     def lines(self, capsule: Capsule) -> tuple[float, float, float, float, float]:
-        """What `ranges.plant_at` takes: where M (kg) and mu begin, how much they grow, and how much log(mu) grows.
+        """What `resets.plant_at` takes: where M (kg) and mu begin, how much they grow, and how much log(mu) grows.
 
         Args:
             capsule: where what is not drawn comes from.
         """
         # As in `draw`.
-        from capsule_gym.exponential import log
+        from capsule_gym.elementary import log
 
         M, mu = self.M or (capsule.M, capsule.M), self.mu or (capsule.mu, capsule.mu)
         growth = log(mu[1] / mu[0]) if self.mu and self.log_mu else 0.0

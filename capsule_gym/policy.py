@@ -39,7 +39,7 @@ from safetensors.numpy import save
 from capsule_gym import identification, task
 from capsule_gym.committed import POLICY, committed, policy_names
 from capsule_gym.controller import is_own
-from capsule_gym.exponential import log
+from capsule_gym.elementary import log
 from capsule_gym.files import write_bytes_atomically
 from capsule_gym.network import Header, Layer, decision, input_names, pack
 from capsule_gym.options import TOLD, TOLD_ENERGY_WEIGHTS, Options

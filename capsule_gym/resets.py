@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from functools import lru_cache
 from typing import Any
@@ -12,8 +12,8 @@ import numpy as np
 from numba import types
 
 from capsule_gym.compilation import compile_now, fingerprint, inlined, kernel
+from capsule_gym.elementary import interpolate
 from capsule_gym.kernels import AT, LANES, MEMORY, Row
-from capsule_gym.ranges import plant_at
 from capsule_gym.task import START_THETA
 
 
@@ -79,6 +79,18 @@ def draw_two(key_0: np.uint64, key_1: np.uint64, stream: np.uint64, episode: np.
         key_0 += _STEP_0
         key_1 += _STEP_1
     return _UNIT * (a >> _SHIFT), _UNIT * (b >> _SHIFT)
+
+
+@inlined
+def plant_at(lines: Sequence[float], share_M: float, share_mu: float) -> tuple[float, float]:
+    """M in kg and mu at these shares, in [0, 1), of their ranges.
+
+    Args:
+        lines: from `capsule_gym.parameters.Randomization.lines`.
+        share_M: of the range of M.
+        share_mu: of the range of mu, or of log(mu) where that is drawn.
+    """
+    return interpolate(lines[0], lines[1], 0.0, share_M), interpolate(lines[2], lines[3], lines[4], share_mu)
 
 
 def draw(

@@ -1,6 +1,6 @@
 """The task, once for every environment: observation, reward, termination and the metrics of an episode.
 
-The functions of a single time step are plain scalar functions, compiled into the kernels like the physics.
+The functions of a single time step are plain scalar functions; `capsule_gym.kernels` compiles them into the step.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capsule_gym.inlining import inlined
 from capsule_gym.parameters import Capsule, Randomization
 
 ENV_ID = "CapsuleStickSlip-v0"
@@ -142,13 +141,6 @@ def observation_bounds(
     return low.copy(), high.copy()
 
 
-@inlined
-def clip(value: float, limit: float) -> float:
-    """The value, kept within -limit to limit; NaN stays NaN."""
-    return limit if value > limit else -limit if value < -limit else value
-
-
-@inlined
 def reward_terms(
     progress: float, energy: float, terminated: bool, energy_weight: float, termination_penalty: float
 ) -> tuple[float, float, float]:
@@ -167,7 +159,6 @@ def reward_terms(
     return 100.0 * progress, -energy_weight * energy, -termination_penalty if terminated else 0.0
 
 
-@inlined
 def termination(theta: float, normal_force: float) -> int:
     """`Termination` as an integer: the ball meets the platform, or the platform leaves the floor."""
     if abs(theta) >= THETA_LIMIT:
@@ -177,7 +168,6 @@ def termination(theta: float, normal_force: float) -> int:
     return 0
 
 
-@inlined
 def continues(theta: float, normal_force: float) -> bool:
     """Whether `termination` is 0 and both are numbers.
 
@@ -188,7 +178,6 @@ def continues(theta: float, normal_force: float) -> bool:
     return abs(theta) < THETA_LIMIT and normal_force > 0.0
 
 
-@inlined
 def bounded(theta_dot: float, x_dot: float) -> bool:
     """Whether the rates are those of a motion that the integrator resolves; NaN is not."""
     return abs(theta_dot) + abs(x_dot) <= RATE_LIMIT

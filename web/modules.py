@@ -27,7 +27,7 @@ from baselines.gaits import families
 from capsule_gym import kernels, resets, task
 from capsule_gym.compilation import fingerprint, inner, rebound
 from capsule_gym.controller import Controller
-from capsule_gym.exponential import logarithm
+from capsule_gym.elementary import logarithm
 from capsule_gym.files import write_bytes_atomically
 from capsule_gym.identification import CELLS
 from capsule_gym.kernels import LANES

@@ -87,7 +87,7 @@ def _uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     # Here, as in `drawn_as`, since numba comes with it, which takes most of a second to import.
-    from capsule_gym.exponential import exp, log
+    from capsule_gym.elementary import exp, log
 
     return float(low * exp(float(rng.random()) * log(high / low)))
 

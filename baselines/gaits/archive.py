@@ -24,7 +24,7 @@ from typing import Any
 
 from baselines.gaits import FOLDER
 from baselines.gaits.families import FAMILIES
-from capsule_gym.exponential import log
+from capsule_gym.elementary import log
 from capsule_gym.parameters import Capsule
 
 GRID_M = (0.35, 0.5, 0.75, 1.0)

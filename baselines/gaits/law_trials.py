@@ -26,7 +26,7 @@ from capsule_gym import CapsuleVectorEnv
 from capsule_gym.controller import Controller
 from capsule_gym.kernels import ROWS
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
-from capsule_gym.ranges import plant_at
+from capsule_gym.resets import plant_at
 from capsule_gym.task import HORIZON
 
 # Steps of the search in the parameters' own units.

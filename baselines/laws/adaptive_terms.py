@@ -13,8 +13,8 @@ from baselines.laws.gains import Gains
 from baselines.laws.reference import COLUMNS
 from capsule_gym import dynamics
 from capsule_gym.compilation import inlined
+from capsule_gym.elementary import sincos
 from capsule_gym.parameters import Plant
-from capsule_gym.trigonometry import sincos
 
 # The memory: the estimates of alpha_theta and alpha_x, the (2n + 1)-th root of eta, and where x_d starts from, m.
 MEMORY = (

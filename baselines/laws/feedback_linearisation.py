@@ -7,8 +7,8 @@ from baselines.laws.profiles import EPC, PROPOSED, Profile
 from baselines.laws.reference import reference_table
 from capsule_gym import dynamics
 from capsule_gym.controller import Controller, Law
+from capsule_gym.elementary import sincos
 from capsule_gym.parameters import NOMINAL, Capsule, Plant
-from capsule_gym.trigonometry import sincos
 
 
 def feedback_linearising_law(p: Plant, K_p: float, K_v: float) -> Law:

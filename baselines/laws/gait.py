@@ -17,10 +17,10 @@ import numpy as np
 
 from capsule_gym.compilation import inlined
 from capsule_gym.controller import LAW_DT, Controller, Law
+from capsule_gym.elementary import clip, sincos
 from capsule_gym.identification import CELLS, estimates, identify
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, check_number, written
-from capsule_gym.task import TORQUE_LIMIT, clip
-from capsule_gym.trigonometry import sincos
+from capsule_gym.task import TORQUE_LIMIT
 
 FILE = Path(__file__).with_name("gait.json")
 # Scales in rad, rad/s and m/s that make the polynomial's coefficients comparable.

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from capsule_gym.elementary import arccos, sincos, sines_and_cosines
 from capsule_gym.parameters import check_number
 from capsule_gym.task import START_THETA
-from capsule_gym.trigonometry import arccos, sincos, sines_and_cosines
 
 
 @dataclass(frozen=True)

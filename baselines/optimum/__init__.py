@@ -1,9 +1,8 @@
 """The optimum of the direct-torque task by dynamic programming: `python -m baselines.optimum` computes it."""
 
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-from capsule_gym.later import later
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from baselines.optimum.cycles import Cycle, cycle
@@ -16,11 +15,18 @@ LEAST_CONTACT = 0.02
 # Of what is computed.
 FOLDER = Path(__file__).with_name("data")
 
-__getattr__, __dir__ = later(
-    __name__,
-    {
-        "Cycle": ".cycles",
-        "cycle": ".cycles",
-        "optimal_speed": ".records",
-    },
-)
+_LAZY = {
+    "Cycle": ".cycles",
+    "cycle": ".cycles",
+    "optimal_speed": ".records",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_LAZY[name], __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

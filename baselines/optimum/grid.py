@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from capsule_gym.compilation import compile_cached, jitable
+from capsule_gym.elementary import sincos, sines_and_cosines
 from capsule_gym.parameters import NOMINAL, Capsule
 from capsule_gym.task import THETA_LIMIT
-from capsule_gym.trigonometry import sincos, sines_and_cosines
 
 # rad/s: where the spacing of y is four times that at rest.
 STRETCH = 10.0

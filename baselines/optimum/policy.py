@@ -20,7 +20,7 @@ from baselines.optimum.holds import Holds
 from baselines.optimum.records import known_optima
 from baselines.optimum.solver import Problem, Solution
 from capsule_gym.compilation import compile_cached
-from capsule_gym.exponential import log
+from capsule_gym.elementary import log
 from capsule_gym.parameters import NOMINAL
 
 Act = Callable[[np.ndarray], np.ndarray]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from capsule_gym.parameters import RANDOMIZATIONS, Capsule, Randomization
-from capsule_gym.ranges import plant_at
+from capsule_gym.resets import plant_at
 
 LAST = math.nextafter(1.0, 0.0)
 NAMES = ("paper", "wide", "broad")

@@ -10,12 +10,6 @@ import pytest
 from capsule_gym import Capsule, Randomization, task
 
 
-@pytest.mark.parametrize(("value", "limit", "expected"), [(3.0, 1.0, 1.0), (-3.0, 1.0, -1.0), (0.5, 1.0, 0.5)])
-def test_clip(value, limit, expected):
-    assert task.clip(value, limit) == expected
-    assert np.isnan(task.clip(float("nan"), limit))
-
-
 def test_reward_terms_are_centimetres_forward_minus_the_price_of_energy_and_failure():
     assert task.reward_terms(0.03, 0.5, False, 0.1, 10.0) == (3.0, -0.05, 0.0)
     assert task.reward_terms(-0.03, 2.0, True, 0.25, 7.0) == (-3.0, -0.5, -7.0)

@@ -17,12 +17,11 @@ from stable_baselines3.common.logger import configure
 from agents.training import collection, loop
 from agents.training.collection import PRIVILEGED, Rollout, RolloutVecEnv
 from capsule_gym import Capsule, CapsuleVectorEnv, Controller, Policy, Randomization
-from capsule_gym.exponential import exp
+from capsule_gym.elementary import exp
 from capsule_gym.identification import CELLS, estimates, identify
 from capsule_gym.kernels import LANES, Row
 from capsule_gym.network import LAW_TORQUE, input_names, pack, to_action
-from capsule_gym.ranges import plant_at
-from capsule_gym.resets import Stream, random_stream
+from capsule_gym.resets import Stream, plant_at, random_stream
 from capsule_gym.task import METRICS, Termination, observation_names
 from tests.agents.training.small import small
 from tests.capsule_gym.test_network import make_layers
