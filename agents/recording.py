@@ -18,10 +18,10 @@ from agents.evaluation.sets import NOMINAL_PLANT, PlantSpec
 from baselines.drawing import BLUE, DPI, GREEN, MUTED, VERMILION, new_figure, style
 from baselines.policies import SCRIPTED
 from capsule_gym.command_line import Positional, check_output, parse, refuse
+from capsule_gym.evaluation_sets import EPISODE_SETTINGS
 from capsule_gym.files import replacing
 from capsule_gym.parameters import check_number
 from capsule_gym.pictures import FRAME_SECONDS, write_gif
-from capsule_gym.plants import EPISODE_SETTINGS
 from capsule_gym.rendering import ChartAxes, Renderer
 from capsule_gym.task import CONTROL_DT, HORIZON
 

@@ -20,7 +20,7 @@ from capsule_gym.task import HORIZON
 
 if TYPE_CHECKING:
     from capsule_gym.drive import Drive
-    from capsule_gym.plants import PlantSpec
+    from capsule_gym.evaluation_sets import PlantSpec
     from capsule_gym.rendering import Renderer
 
 PROG = "python -m capsule_gym.demo"

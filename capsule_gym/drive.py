@@ -11,8 +11,8 @@ import numpy as np
 
 from capsule_gym.committed import NOBODY, committed, driver_names, find_law
 from capsule_gym.env import CapsuleEnv, shown_state
+from capsule_gym.evaluation_sets import EPISODE_SETTINGS, PlantSpec
 from capsule_gym.parameters import nearest
-from capsule_gym.plants import EPISODE_SETTINGS, PlantSpec
 from capsule_gym.policy import load_policy
 from capsule_gym.rendering import Ghost
 from capsule_gym.task import CONTROL_DT, HORIZON, Termination

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from capsule_gym.drive import ENDS, Drive, Driver
-from capsule_gym.plants import PlantSpec
+from capsule_gym.evaluation_sets import PlantSpec
 from capsule_gym.rendering import Overlay, Renderer
 from capsule_gym.task import CONTROL_DT, Termination
 

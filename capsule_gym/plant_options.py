@@ -8,8 +8,8 @@ from typing import Annotated
 from tyro.conf import arg
 
 from capsule_gym.command_line import Count, described
+from capsule_gym.evaluation_sets import SET_NAMES, PlantSpec, load_set
 from capsule_gym.parameters import check_number
-from capsule_gym.plants import SET_NAMES, PlantSpec, load_set
 
 FPS = 50
 SLOWEST, FASTEST = 0.1, 20.0

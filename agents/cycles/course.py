@@ -10,9 +10,9 @@ import numpy as np
 
 from agents.evaluation.episodes import Policy
 from agents.evaluation.sets import NOMINAL_PLANT, PlantSpec
+from capsule_gym.evaluation_sets import EPISODE_SETTINGS
 from capsule_gym.options import DIRECT_PHYSICS_DT, Options
 from capsule_gym.parameters import NOMINAL
-from capsule_gym.plants import EPISODE_SETTINGS
 from capsule_gym.task import CONTROL_DT, HORIZON
 
 # The cycle is sought in the last so many seconds: three of the paper's cycles, of 6.6 s, and a little.

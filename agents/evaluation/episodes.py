@@ -15,7 +15,7 @@ from agents.evaluation.sets import EvaluationSet, PlantSpec
 from agents.evaluation.statistics import Estimate, estimate, paired_difference
 from agents.evaluation.tables import SHARE
 from capsule_gym import __version__
-from capsule_gym.plants import EPISODE_SETTINGS
+from capsule_gym.evaluation_sets import EPISODE_SETTINGS
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA, TORQUE_LIMIT
 
 Act = Callable[[np.ndarray], np.ndarray]

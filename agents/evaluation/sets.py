@@ -42,9 +42,9 @@ from pathlib import Path
 import numpy as np
 
 from capsule_gym.command_line import parse
+from capsule_gym.evaluation_sets import NOMINAL_PLANT, SET_NAMES, Change, EvaluationSet, PlantSpec, load_set, parse_set
 from capsule_gym.files import write_atomically
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, Randomization
-from capsule_gym.plants import NOMINAL_PLANT, SET_NAMES, Change, EvaluationSet, PlantSpec, load_set, parse_set
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
 
 __all__ = [

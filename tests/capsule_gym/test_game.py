@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from capsule_gym.drive import find_driver
+from capsule_gym.evaluation_sets import load_set
 from capsule_gym.game import STRENGTHS, Game, play
 from capsule_gym.parameters import Capsule
-from capsule_gym.plants import load_set
 from capsule_gym.rendering import HEIGHT, WIDTH, Renderer
 from capsule_gym.task import HORIZON, Termination
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from capsule_gym.plants import SET_NAMES
+from capsule_gym.evaluation_sets import SET_NAMES
 
 tomllib = pytest.importorskip("tomllib", reason="from Python 3.11 on", exc_type=ImportError)
 

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from capsule_gym.plants import SET_NAMES, load_set, parse_set
+from capsule_gym.evaluation_sets import SET_NAMES, load_set, parse_set
 
 
 def test_hash_ignores_layout_and_integers_for_floats(tmp_path):
