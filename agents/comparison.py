@@ -14,7 +14,7 @@ from agents.report.page import write as write_report
 from agents.training.recurrent import load_best
 from baselines.policies import SCRIPTED
 from capsule_gym.files import to_json, write_atomically
-from capsule_gym.pictures import write_gif
+from capsule_gym.rendering import write_gif
 from capsule_gym.task import HORIZON
 
 

@@ -21,8 +21,7 @@ from capsule_gym.command_line import Positional, check_output, parse, refuse
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS
 from capsule_gym.files import replacing
 from capsule_gym.parameters import check_number
-from capsule_gym.pictures import FRAME_SECONDS, write_gif
-from capsule_gym.rendering import ChartAxes, Renderer
+from capsule_gym.rendering import FRAME_SECONDS, ChartAxes, Renderer, write_gif
 from capsule_gym.task import CONTROL_DT, HORIZON
 
 PROG = "python -m agents.recording"

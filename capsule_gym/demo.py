@@ -14,8 +14,8 @@ from tyro.conf import arg
 from capsule_gym.command_line import Positional, check_output, described, parse, refuse
 from capsule_gym.committed import driver_names
 from capsule_gym.parameters import check_number
-from capsule_gym.pictures import FRAME_SECONDS, write_gif
 from capsule_gym.plant_options import FPS, PlantOptions
+from capsule_gym.rendering import FRAME_SECONDS, write_gif
 from capsule_gym.task import HORIZON
 
 if TYPE_CHECKING:

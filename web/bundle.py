@@ -8,7 +8,7 @@ from pathlib import Path
 
 from baselines import drawing
 from capsule_gym import rendering
-from capsule_gym.canvas import Colour
+from capsule_gym.rendering import Colour
 
 PAGE = Path(__file__).parent / "page"
 ENTRY = "page.js"

@@ -14,7 +14,7 @@ from agents.evaluation.candidates import find_candidate
 from agents.gallery.card import write_card
 from agents.recording import NOMINAL_TITLE, Recording, draw_comparison, record
 from capsule_gym.command_line import parse
-from capsule_gym.pictures import write_gif
+from capsule_gym.rendering import write_gif
 
 COMMAND = "python -m agents.gallery"
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from capsule_gym.pictures import FRAME_SECONDS, write_gif
+from capsule_gym.rendering import FRAME_SECONDS, write_gif
 
 Image = pytest.importorskip("PIL.Image")
 RED = (255, 0, 0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from capsule_gym.canvas import Canvas, blend
+from capsule_gym.rendering import Canvas, blend
 
 pytest.importorskip("pygame")
 
