@@ -5,7 +5,7 @@ longer vectorises a loop. What is compared takes turns, the processor's time cou
 other processes disturb both or neither; a ratio that misses its floor is measured again before it counts.
 
 Each floor is two thirds, or a little less, of the lowest ratio that was measured on processors with AVX2 and with
-AVX-512: 3.1, 1.27, 0.84, 0.65, 0.65, 2.4, 0.98 and 0.82, in the order of the table; those of resets and episodes on one
+AVX-512: 3.1, 1.27, 0.84, 0.65, 0.65 and 2.4, in the order of the table; those of resets and episodes on one
 machine. Where no loop is vectorised the lanes are 1.2 to 1.3 times as fast as one environment at a time; where the
 law's alone is not, it falls to 0.7 to 0.8 of the physics.
 """
@@ -25,7 +25,6 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from benchmarks import native
 from benchmarks.contenders import ACTION_SCALE, DRAWS, LAW, SEED, SINGLE_PEER, THREADS, step_batch
 from benchmarks.machine import available_cores
 from capsule_gym import ENV_ID, CapsuleVectorEnv, Policy, load_policy
@@ -177,12 +176,6 @@ def beyond(whole: Turn, part: Turn) -> Turn:
     return turn
 
 
-def in_c(flags: tuple[str, ...]) -> Turn:
-    """The hand-written kernel on the same environments."""
-    simulation = seeded(MANY)
-    return stepping(simulation, native.Native(simulation, flags))
-
-
 def whole_steps(num_envs: int) -> Turn:
     """The `step` of a native batch, with everything that it returns."""
     stepper = step_batch(ENV_ID, num_envs, ACTION_SCALE, max_episode_steps=sys.maxsize)
@@ -269,10 +262,6 @@ def guards() -> list[Guard]:
     policy = load_policy(EVALUATED_POLICY)
     name = f"episodes of {policy.name} in one call against a batch with torch"
     found.append(Guard(name, 1.5, episodes_in_one_call(policy), episodes_with_torch(policy)))
-    if native.available():
-        many = ours(MANY)
-        found.append(Guard(f"kernel against C, gcc {' '.join(native.STRICT)}", 0.65, many, in_c(native.STRICT)))
-        found.append(Guard(f"kernel against C, gcc {' '.join(native.FAST)}", 0.54, many, in_c(native.FAST)))
     if available_cores() >= max(THREADS):
         # Shown only: what else the machine does decides it.
         one, shared = (ours(MANY, clock=time.perf_counter, threads=threads) for threads in (1, max(THREADS)))

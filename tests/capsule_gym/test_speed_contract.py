@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import gc
-import subprocess
 import sys
 import tracemalloc
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -129,21 +127,3 @@ def test_an_environment_of_a_large_batch_takes_half_a_kilobyte():
         tracemalloc.stop()
     assert simulation.world.nbytes + simulation.observations.nbytes <= held < 512 * n
     assert simulation.world.shape[1:] == small.world.shape[1:]
-
-
-def test_the_benchmark_of_the_tricks_undoes_each_of_them():
-    # In a process of its own: nothing is bound back.
-    code = """if True:
-        from benchmarks import undoing
-        from capsule_gym import kernels, simulation
-        from capsule_gym.compilation import fingerprint
-
-        seen = [fingerprint(kernels.advance)]
-        for name, undo in list(undoing.UNDO.items())[:5]:
-            undo()
-            seen.append(fingerprint(kernels.advance))
-        assert seen[0] == seen[1], "as it is"
-        assert len(set(seen)) == 5, seen
-        assert simulation.LANES == kernels.LANES == kernels.AT.theta_dot == 1
-    """
-    subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[2], check=True)
