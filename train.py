@@ -34,8 +34,8 @@ from agents.training.presets import (  # noqa: E402
     row_settings,
 )
 from capsule_gym.command_line import parse, parse_some, refuse  # noqa: E402
-from capsule_gym.committed import POLICY  # noqa: E402
 from capsule_gym.controller import is_own  # noqa: E402
+from capsule_gym.policy import POLICY  # noqa: E402
 
 PROG = "train.py"
 RUNS = Path("runs")

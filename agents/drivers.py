@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from baselines.policies import SCRIPTED
-from capsule_gym.committed import policy_names
+from capsule_gym.policy import policy_names
 
 # Whose actions on the frozen plants are recorded, as `web.recordings` has it; elsewhere they cannot drive.
 RECORDED = ("optimum-nominal", "optimum-oracle")

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from gymnasium.envs.registration import register, registry
 
-from capsule_gym.committed import policy_names
 from capsule_gym.controller import Controller
 from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.task import ENV_ID, EPISODE_STEPS
 
 if TYPE_CHECKING:
     from capsule_gym.env import CapsuleEnv
-    from capsule_gym.policy import Policy, load_policy
+    from capsule_gym.policy import Policy, load_policy, policy_names
     from capsule_gym.vector_env import CapsuleVectorEnv
 
 __all__ = [
@@ -34,7 +33,13 @@ __all__ = [
 
 __version__ = "0.1.0"
 
-_LAZY = {"CapsuleEnv": ".env", "CapsuleVectorEnv": ".vector_env", "Policy": ".policy", "load_policy": ".policy"}
+_LAZY = {
+    "CapsuleEnv": ".env",
+    "CapsuleVectorEnv": ".vector_env",
+    "Policy": ".policy",
+    "load_policy": ".policy",
+    "policy_names": ".policy",
+}
 
 
 def __getattr__(name: str) -> Any:

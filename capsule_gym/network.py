@@ -16,9 +16,11 @@ from numba import types
 
 from capsule_gym import task
 from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, jitable, kernel, use_widest_vectors
-from capsule_gym.elementary import clip, fma, tanh
+from capsule_gym.elementary import clip, fma, log, tanh
 from capsule_gym.identification import CELLS, ESTIMATES, estimates, identify
 from capsule_gym.kernels import LANES, load, record, store
+from capsule_gym.options import Options
+from capsule_gym.parameters import Capsule
 
 # Units that are computed together, and inputs that are added to them at once: the registers of AVX2 and AVX-512 hold
 # no more. Every width is filled up with zeros to a multiple.
@@ -87,6 +89,61 @@ def input_names(observation: Sequence[str], identifies: bool, told_energy_weight
         *observation,
         *(ESTIMATES if identifies else ()),
         *(("log_energy_weight",) if told_energy_weight else ()),
+    )
+
+
+def observed(options: Options) -> tuple[str, ...]:
+    """The entries of the observation of such an environment."""
+    return task.observation_names(options.controller is not None, options.observe_parameters)
+
+
+def residual_limit(options: Options) -> float:
+    """The torque of the action 1, N m."""
+    return options.torque_limit if options.residual_limit is None else options.residual_limit
+
+
+def make_header(
+    options: Options,
+    *,
+    layers: int,
+    relu: bool,
+    tanh_squashing: bool,
+    clip: float,
+    identifies: bool,
+    told_energy_weight: bool,
+    wants_torque: bool,
+) -> Header:
+    """What a packed network begins with; see `Header`.
+
+    Args:
+        options: of the environment that it acts in.
+        layers: as in the header, and so the rest.
+        relu: likewise.
+        tanh_squashing: likewise.
+        clip: likewise.
+        identifies: likewise.
+        told_energy_weight: likewise.
+        wants_torque: likewise.
+    """
+    capsule, entries = options.capsule or Capsule(), observed(options)
+    return Header(
+        layers=layers,
+        relu=relu,
+        tanh_squashing=tanh_squashing,
+        clip=clip,
+        inputs=len(input_names(entries, identifies, told_energy_weight)),
+        observed=len(entries),
+        identifies=identifies,
+        told_energy_weight=told_energy_weight,
+        log_energy_weight=log(options.energy_weight) if told_energy_weight else 0.0,
+        wants_torque=wants_torque,
+        under_law=wants_torque and options.controller is not None,
+        torque_limit=options.torque_limit,
+        residual_limit=residual_limit(options),
+        m=capsule.m,
+        l=capsule.l,
+        g=capsule.g,
+        dt=options.control_dt,
     )
 
 

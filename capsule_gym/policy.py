@@ -29,22 +29,27 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from capsule_gym import identification, task
-from capsule_gym.committed import POLICY, committed, policy_names
+from capsule_gym import task
 from capsule_gym.controller import is_own
-from capsule_gym.elementary import log
 from capsule_gym.files import write_bytes_atomically
-from capsule_gym.network import Header, Layer, decision, input_names, pack
 from capsule_gym.options import TOLD, TOLD_ENERGY_WEIGHTS, Options
 from capsule_gym.parameters import Capsule, Randomization, check_number, nearest
 
+if TYPE_CHECKING:
+    from capsule_gym.network import Layer
+
+POLICY = "policy.safetensors"
+SEED_FOLDER = re.compile(r"seed-([0-9]{1,18})")
+# A wheel carries the pretrained policies in the package; in a checkout they lie with the training commands.
+FOLDERS = (Path(__file__).with_name("checkpoints"), Path(__file__).parents[1] / "agents" / "checkpoints")
 FORMAT, FORMAT_VERSION = "capsule_gym policy", "2"
 # The algorithm whose policies copy others, and learn from no reward.
 IMITATION = "dagger"
@@ -57,6 +62,29 @@ LARGEST_FILE, LARGEST_METADATA = 32 * 2**20, 2**16
 ENV_ARGUMENTS = tuple(each.name for each in fields(Options) if each.name not in ("threads", "render_mode"))
 
 
+def policy_names(*, seeds: bool = False) -> list[str]:
+    """The names of the policies that come with the package.
+
+    Args:
+        seeds: name every training run, as "residual-ppo/seed-2", in place of the policies that they are runs of.
+    """
+    return [name for name in pretrained() if ("/" in name) is seeds]
+
+
+@lru_cache(maxsize=1)
+def pretrained() -> dict[str, Path]:
+    """The files of the policies that come with the package: every run's, and under the plain name the first run's."""
+    folder = next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[0])
+    runs = [
+        (file.parents[1].name, SEED_FOLDER.fullmatch(file.parent.name), file) for file in folder.glob(f"*/*/{POLICY}")
+    ]
+    found: dict[str, Path] = {}
+    for name, seed, file in sorted((name, int(match[1]), file) for name, match, file in runs if match):
+        found.setdefault(name, file)
+        found[f"{name}/seed-{seed}"] = file
+    return found
+
+
 class Actor:
     """A policy in a batch of episodes, from their beginnings on: the function from observations to actions.
 
@@ -67,7 +95,7 @@ class Actor:
 
     def __init__(self, policy: Policy, count: int) -> None:
         self.policy = policy
-        self._memory = np.zeros(count * identification.CELLS if policy.identifies else 0)
+        self._memory = policy.new_memory(count)
         self._count = count
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
@@ -145,6 +173,9 @@ class Policy:
     _network: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        # With it comes numba, which takes most of a second to import; the names of policies need none of it.
+        from capsule_gym import network
+
         for name, value, accepted in (
             ("activation", self.activation, ACTIVATIONS),
             ("squashing", self.squashing, SQUASHINGS),
@@ -163,12 +194,12 @@ class Policy:
         check_number("clip", self.clip, f"a number in (0, {LARGEST_CLIP:g}]", 0.0, LARGEST_CLIP, open_low=True)
         check_number("epsilon", self.epsilon, "a finite number >= 0", 0.0)
         options = _options(self.env_kwargs)
-        if self.output == "torque" and not _residual_limit(options) > 0.0:
+        if self.output == "torque" and not network.residual_limit(options) > 0.0:
             raise ValueError("output must be 'action' where env_kwargs give no residual_limit > 0, got 'torque'")
         if self.told_energy_weight:
             name = "env_kwargs['energy_weight']"
             check_number(name, options.energy_weight, f"{TOLD} where it is told", *TOLD_ENERGY_WEIGHTS)
-        inputs = len(input_names(_observed(options), self.identifies, self.told_energy_weight))
+        inputs = len(network.input_names(network.observed(options), self.identifies, self.told_energy_weight))
         widths = _widths([(weights.shape, bias.shape) for weights, bias in self.layers])
         if widths[0] != inputs:
             raise ValueError(
@@ -183,7 +214,7 @@ class Policy:
         if (self.variance < 0.0).any() or (self.variance + self.epsilon < 1e-300).any():
             raise ValueError(f"inputs.variance must be >= 0, and with epsilon > 0, got {self.variance}")
         scale = 1.0 / np.sqrt(self.variance + self.epsilon)
-        header = make_header(
+        header = network.make_header(
             options,
             layers=len(self.layers),
             relu=self.activation == "relu",
@@ -194,7 +225,7 @@ class Policy:
             wants_torque=self.output == "torque",
         )
         object.__setattr__(self, "entries", header.observed)
-        object.__setattr__(self, "_network", pack(self.layers, self.mean, scale, header))
+        object.__setattr__(self, "_network", network.pack(self.layers, self.mean, scale, header))
 
     @property
     def description(self) -> str:
@@ -244,9 +275,17 @@ class Policy:
 
     def _decide(self, rows: np.ndarray, memory: np.ndarray) -> np.ndarray:
         """The actions for observations (n, entries) and what is remembered of these episodes, which changes."""
+        from capsule_gym.network import decision
+
         actions = np.empty((len(rows), 1), np.float32)
         decision()(self._network, rows, memory, np.empty((len(rows), len(self.mean)), np.float32), actions)
         return actions
+
+    def new_memory(self, count: int) -> np.ndarray:
+        """What it remembers at the beginning of so many episodes: of one that identifies M and mu the filters."""
+        from capsule_gym.identification import CELLS
+
+        return np.zeros(count * CELLS if self.identifies else 0)
 
     def start(self, seeds: Sequence[int]) -> Actor:
         """Begins a batch of episodes, as scripted policies do.
@@ -315,7 +354,7 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
     """
     if not isinstance(name_or_path, (str, os.PathLike)):
         raise TypeError(f"name_or_path must be a policy's name or a path, got {name_or_path!r}")
-    path = committed().get(name_or_path) if isinstance(name_or_path, str) else None
+    path = pretrained().get(name_or_path) if isinstance(name_or_path, str) else None
     if path is not None:
         return _read(str(name_or_path), path, trust_controller)
     path = Path(name_or_path)
@@ -329,7 +368,7 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
         return _read(folder.parent.name if folder.name == "best" else folder.name, path, trust_controller)
     raise ValueError(
         f"name_or_path must be one of {', '.join(policy_names())}, one run of it as NAME/seed-0, or the path of a "
-        f"policy file or of a run's folder, got {str(name_or_path)!r}{nearest(str(name_or_path), committed())}"
+        f"policy file or of a run's folder, got {str(name_or_path)!r}{nearest(str(name_or_path), pretrained())}"
     )
 
 
@@ -344,61 +383,6 @@ def _options(env_kwargs: Any) -> Options:
     if options.controller is not None and not isinstance(options.controller, str):
         raise TypeError(f"env_kwargs['controller'] must be None or an import string, got {options.controller!r}")
     return options
-
-
-def _observed(options: Options) -> tuple[str, ...]:
-    """The entries of the observation of such an environment."""
-    return task.observation_names(options.controller is not None, options.observe_parameters)
-
-
-def _residual_limit(options: Options) -> float:
-    """The torque of the action 1, N m."""
-    return options.torque_limit if options.residual_limit is None else options.residual_limit
-
-
-def make_header(
-    options: Options,
-    *,
-    layers: int,
-    relu: bool,
-    tanh_squashing: bool,
-    clip: float,
-    identifies: bool,
-    told_energy_weight: bool,
-    wants_torque: bool,
-) -> Header:
-    """What a packed network begins with; see `capsule_gym.network.Header`.
-
-    Args:
-        options: of the environment that it acts in.
-        layers: as in the header, and so the rest.
-        relu: likewise.
-        tanh_squashing: likewise.
-        clip: likewise.
-        identifies: likewise.
-        told_energy_weight: likewise.
-        wants_torque: likewise.
-    """
-    capsule, observed = options.capsule or Capsule(), _observed(options)
-    return Header(
-        layers=layers,
-        relu=relu,
-        tanh_squashing=tanh_squashing,
-        clip=clip,
-        inputs=len(input_names(observed, identifies, told_energy_weight)),
-        observed=len(observed),
-        identifies=identifies,
-        told_energy_weight=told_energy_weight,
-        log_energy_weight=log(options.energy_weight) if told_energy_weight else 0.0,
-        wants_torque=wants_torque,
-        under_law=wants_torque and options.controller is not None,
-        torque_limit=options.torque_limit,
-        residual_limit=_residual_limit(options),
-        m=capsule.m,
-        l=capsule.l,
-        g=capsule.g,
-        dt=options.control_dt,
-    )
 
 
 def _widths(shapes: Sequence[tuple[Sequence[int], Sequence[int]]]) -> list[int]:

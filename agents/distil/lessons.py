@@ -19,10 +19,9 @@ from baselines.optimum.policy import TORQUES, Oracle
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.compilation import compile_cached
 from capsule_gym.identification import CELLS
-from capsule_gym.network import perceive
+from capsule_gym.network import make_header, perceive
 from capsule_gym.options import Options
 from capsule_gym.parameters import NOMINAL, Randomization
-from capsule_gym.policy import make_header
 from capsule_gym.task import CONTROL_DT
 
 Act = Callable[[np.ndarray], np.ndarray]

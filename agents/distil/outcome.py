@@ -18,8 +18,8 @@ from agents.study.publication import refuse_revision
 from agents.training.errors import RunError
 from agents.training.stopping import Stop
 from baselines.tables import text_table
-from capsule_gym.committed import POLICY
 from capsule_gym.files import write_bytes_atomically
+from capsule_gym.policy import POLICY
 
 
 def teach(name: str, folders: dict[int, Path], budget: Budget) -> bool:

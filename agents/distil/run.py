@@ -27,8 +27,8 @@ from agents.training.loop import FAILURE_COST
 from agents.training.runs import git_revision
 from agents.training.stopping import Stop
 from capsule_gym import Policy
-from capsule_gym.committed import POLICY
 from capsule_gym.files import to_json, write_atomically
+from capsule_gym.policy import POLICY
 
 # Seeds of own draws, far from those of other draws and of the frozen sets: to compare policies, and to select the best.
 SELECTION_SEED, COMPARED_SEED = 6_000_000, 7_000_000

@@ -34,8 +34,8 @@ from agents.evaluation.candidates import Candidate, Run
 from agents.evaluation.episodes import Episode, as_episodes, versions
 from agents.evaluation.sets import EvaluationSet
 from baselines.policies import SCRIPTED
-from capsule_gym.committed import POLICY
 from capsule_gym.files import file_hash, write_bytes_atomically
+from capsule_gym.policy import POLICY
 from capsule_gym.task import METRICS
 
 # From the project's folder.

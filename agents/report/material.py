@@ -17,8 +17,7 @@ from agents.leaderboard.board import build
 from agents.leaderboard.page import RANKING_SET
 from agents.leaderboard.rows import RESULTS, Row, evaluate_run, load_row, make_row, path_of
 from agents.training.presets import BEST, CONFIG, EVALUATIONS, MODEL
-from capsule_gym.committed import POLICY
-from capsule_gym.policy import Policy
+from capsule_gym.policy import POLICY, Policy
 from capsule_gym.task import HORIZON
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,8 +9,8 @@ from agents.evaluation.candidates import CHECKPOINTS
 from agents.study.jobs import Job, refuse_other_settings, revision_of
 from agents.training.errors import RunError
 from agents.training.presets import BEST, EVALUATIONS
-from capsule_gym.committed import POLICY
 from capsule_gym.files import write_bytes_atomically
+from capsule_gym.policy import POLICY
 
 
 def refuse_revision(run: Path, revision: str) -> None:

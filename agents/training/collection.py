@@ -16,8 +16,16 @@ from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, ke
 from capsule_gym.elementary import exp
 from capsule_gym.identification import CELLS
 from capsule_gym.kernels import AT, LANES, record
-from capsule_gym.network import LAW_TORQUE, Header, input_names, perceive_apart, think_apart, to_action, workspace
-from capsule_gym.policy import make_header
+from capsule_gym.network import (
+    LAW_TORQUE,
+    Header,
+    input_names,
+    make_header,
+    perceive_apart,
+    think_apart,
+    to_action,
+    workspace,
+)
 from capsule_gym.resets import Stream, draw_two, plant_at, random_stream
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.simulation import episode_metrics

@@ -36,8 +36,8 @@ from agents.training.ppo import CapsulePPO
 from agents.training.presets import MODEL
 from agents.training.sac import LeanSAC
 from capsule_gym import Policy
-from capsule_gym.committed import POLICY
 from capsule_gym.files import write_bytes_atomically
+from capsule_gym.policy import POLICY
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "ppo": CapsulePPO,

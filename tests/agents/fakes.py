@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from capsule_gym import Controller, Policy
-from capsule_gym.committed import POLICY
+from capsule_gym.policy import POLICY
 
 PLANTS = {
     "name": "tiny",

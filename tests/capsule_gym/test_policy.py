@@ -18,8 +18,7 @@ from safetensors.numpy import load_file, save
 
 import capsule_gym
 from capsule_gym import Capsule, Policy, Randomization, load_policy, policy_names
-from capsule_gym.committed import POLICY
-from capsule_gym.policy import IMITATION
+from capsule_gym.policy import IMITATION, POLICY
 from tests.capsule_gym.test_network import make_layers
 
 ROOT = Path(__file__).parents[2]

@@ -11,7 +11,7 @@ import torch
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from capsule_gym import load_policy
-from capsule_gym.committed import POLICY
+from capsule_gym.policy import POLICY
 
 # Columns that say how long something took, or count from the last resumption.
 CLOCKS = ("seconds", "core_seconds", "time/fps", "time/time_elapsed", "time/iterations")

@@ -20,7 +20,7 @@ from agents.training.export import export
 from agents.training.runs import archive
 from agents.training.sac import LeanSAC
 from capsule_gym import load_policy
-from capsule_gym.committed import POLICY
+from capsule_gym.policy import POLICY
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 
 # Largest difference of an action from torch's, which computes in float32.

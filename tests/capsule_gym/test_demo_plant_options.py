@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from capsule_gym.command_line import parse
+from capsule_gym.demo import FASTEST, SLOWEST, PlantOptions
 from capsule_gym.evaluation_sets import load_set
-from capsule_gym.plant_options import FASTEST, SLOWEST, PlantOptions
 
 
 def read(*words: str) -> PlantOptions:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from capsule_gym.drive import find_driver
+from capsule_gym.demo import find_driver
 from capsule_gym.evaluation_sets import load_set
-from capsule_gym.game import STRENGTHS, Game, play
 from capsule_gym.parameters import Capsule
+from capsule_gym.play import STRENGTHS, Game, play
 from capsule_gym.rendering import HEIGHT, WIDTH, Renderer
 from capsule_gym.task import HORIZON, Termination
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from capsule_gym.drive import Drive, find_driver
+from capsule_gym.demo import Drive, find_driver
 from capsule_gym.evaluation_sets import load_set
 from capsule_gym.task import HORIZON, Termination
 

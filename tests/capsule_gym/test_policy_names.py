@@ -8,9 +8,9 @@ import pytest
 
 import baselines
 from baselines.policies import SCRIPTED
-from capsule_gym import committed as module
-from capsule_gym.committed import POLICY, committed, driver_names, find_law, law_names, policy_names
-from capsule_gym.policy import load_policy
+from capsule_gym import policy as module
+from capsule_gym.demo import driver_names, find_law, law_names
+from capsule_gym.policy import POLICY, load_policy, policy_names, pretrained
 
 # Of all committed files together.
 SIZE_LIMIT = 2_000_000
@@ -27,7 +27,7 @@ def test_names_are_known_and_mean_the_first_seed():
 
 
 def test_committed_policies_take_little_room():
-    files = set(committed().values())
+    files = set(pretrained().values())
     assert len(files) == len(policy_names(seeds=True))
     assert 0 < sum(path.stat().st_size for path in files) < SIZE_LIMIT
 
@@ -58,15 +58,15 @@ def test_what_is_no_law_is_not_found_as_one(name):
     "name", ["residual-ppo/../direct-ppo", "residual-ppo/seed-0/..", "residual-ppo/seed-00", ".", "", "seed-0"]
 )
 def test_no_name_leads_out_of_the_policies_folder_or_to_another_file(name):
-    assert "residual-ppo/seed-0" in committed()
-    assert name not in committed()
+    assert "residual-ppo/seed-0" in pretrained()
+    assert name not in pretrained()
 
 
 def found_in(folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     """What is found in a folder of policies: the names, and the paths of the files within it."""
     monkeypatch.setattr(module, "FOLDERS", (folder.with_name("nowhere"), folder))
     # Around the cache, which keeps what the package holds.
-    return {name: file.relative_to(folder).as_posix() for name, file in committed.__wrapped__().items()}
+    return {name: file.relative_to(folder).as_posix() for name, file in pretrained.__wrapped__().items()}
 
 
 def test_runs_are_counted_by_number_and_other_folders_are_none(tmp_path, monkeypatch):
