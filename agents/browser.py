@@ -14,8 +14,8 @@ import baselines
 from capsule_gym import Policy, kernels, task
 from capsule_gym.controller import Controller, find_controller
 from capsule_gym.network import HEADER
-from capsule_gym.options import Options
-from capsule_gym.parameters import NOMINAL
+from capsule_gym.observation import MU_BOUND, observation_names
+from capsule_gym.parameters import NOMINAL, EnvConfig
 from capsule_gym.simulation import check_step, make_settings
 
 # The task without a law; the other names are those of laws.
@@ -31,7 +31,7 @@ def find_law(name: str) -> Controller | None:
     return None if name == DIRECT else find_controller(f"baselines:{name}")
 
 
-def task_of(options: Options) -> str:
+def task_of(options: EnvConfig) -> str:
     """Which of `TASKS` an environment has.
 
     Raises:
@@ -45,7 +45,7 @@ def task_of(options: Options) -> str:
     return name
 
 
-def describe_settings(options: Options) -> dict[str, Any]:
+def describe_settings(options: EnvConfig) -> dict[str, Any]:
     """What the step needs to be told of an environment, and how long its episodes are.
 
     Raises:
@@ -56,10 +56,10 @@ def describe_settings(options: Options) -> dict[str, Any]:
     law = find_law(task_of(options))
     settings = make_settings(options, law)
     # Whatever M and mu the page allows.
-    check_step(NOMINAL, LIGHTEST, task.MU_BOUND, settings)
+    check_step(NOMINAL, LIGHTEST, MU_BOUND, settings)
     return {
         "fixed": kernels.pack(NOMINAL.plant(), settings, np.zeros((0, 0))).tolist(),
-        "entries": len(task.observation_names(law is not None, options.observe_parameters)),
+        "entries": len(observation_names(law is not None, options.observe_parameters)),
         "control_dt": options.control_dt,
         "steps": round(task.HORIZON / options.control_dt),
     }
@@ -75,7 +75,7 @@ def describe_policy(name: str, policy: Policy) -> dict[str, Any]:
     Raises:
         ValueError: as `describe_settings`, of the policy's environment.
     """
-    options = Options(**policy.env_kwargs)
+    options = EnvConfig(**policy.env_kwargs)
     network = policy._network
     return {
         "name": name,

@@ -19,8 +19,7 @@ import numpy as np
 from benchmarks.frictions import FRICTIONLOSS, FRICTIONS, Friction, series_name
 from benchmarks.timing import Contender, Stepper
 from capsule_gym import ENV_ID, task
-from capsule_gym.options import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT
-from capsule_gym.parameters import Capsule
+from capsule_gym.parameters import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, Capsule
 
 SEED = 0
 # Mostly resets would be measured under random torques up to the limit, and the paper's are rarely above this share.

@@ -27,8 +27,7 @@ from benchmarks.frictions import FRICTIONS, INTEGRATORS, Friction, series_name
 from benchmarks.machine import available_cores
 from benchmarks.timing import Contender, Progress, Rate, measure
 from capsule_gym import task
-from capsule_gym.options import DIRECT_PHYSICS_DT
-from capsule_gym.parameters import Capsule
+from capsule_gym.parameters import DIRECT_PHYSICS_DT, Capsule
 
 MUJOCO_STEPS_MS = (0.5, 1.0, 2.0, 5.0)
 # Where a smaller step still helps MuJoCo: the default contacts stay at the error of their softness.

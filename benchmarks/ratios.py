@@ -29,8 +29,7 @@ from benchmarks.contenders import ACTION_SCALE, DRAWS, LAW, SEED, SINGLE_PEER, T
 from benchmarks.machine import available_cores
 from capsule_gym import ENV_ID, CapsuleVectorEnv, Policy, load_policy
 from capsule_gym.kernels import Row
-from capsule_gym.options import LAW_PHYSICS_DT
-from capsule_gym.options import Options as EnvOptions
+from capsule_gym.parameters import LAW_PHYSICS_DT, EnvConfig
 from capsule_gym.rollout import rollout
 from capsule_gym.simulation import Simulation
 
@@ -131,7 +130,7 @@ def stepping(
 
 def seeded(num_envs: int, **settings: Any) -> Simulation:
     """Environments with a seed each, so that no two have the same plant."""
-    simulation = Simulation(num_envs, EnvOptions(**settings))
+    simulation = Simulation(num_envs, EnvConfig(**settings))
     for i in range(num_envs):
         simulation.seed(i, i)
     return simulation

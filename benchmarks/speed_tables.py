@@ -10,7 +10,7 @@ from baselines.tables import markdown_table, text_table
 from benchmarks import accuracy, contenders, cost, creep
 from benchmarks.timing import Contender, Rate
 from capsule_gym import task
-from capsule_gym.options import DIRECT_PHYSICS_DT
+from capsule_gym.parameters import DIRECT_PHYSICS_DT
 
 Rows = list[list[str]]
 

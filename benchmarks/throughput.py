@@ -20,7 +20,7 @@ from benchmarks.machine import available_cores, describe, machine
 from benchmarks.output import Output, check_at_least_one
 from benchmarks.timing import measure, present
 from capsule_gym.command_line import Count, check_output, described, parse
-from capsule_gym.options import DIRECT_PHYSICS_DT
+from capsule_gym.parameters import DIRECT_PHYSICS_DT
 
 COMMAND = "python -m benchmarks.throughput"
 TURNS, QUICK_TURNS = 9, 3

@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym.parameters import check_number, nearest, written
+from capsule_gym.parameters import LAW_DT, check_number, nearest, written
 
 Law = Callable[..., tuple[float, tuple[float, ...]]]
 
-LAW_DT = 1e-3
 _OWN = re.compile(r"baselines:[A-Za-z][A-Za-z0-9_]*")
 # Numbers in a reference table, 80 MB, and columns of one and cells of a memory: the compiler sees each of these.
 LARGEST_TABLE = 10_000_000

@@ -10,8 +10,8 @@ Within a phase of contact the motion is smooth. `slip` names the phase: +1.0 for
 The phase follows from the state alone: the platform sticks only where x_dot is exactly 0.0.
 
 Every function is ordinary Python; `jitable` lets compiled code call it too. What a step does inside one phase is free
-of branches, so that compilers take several environments through it at once (`glide`); `step` follows one environment
-through every change of phase. `fma(a, b, c)` is a b + c.
+of branches, so that compilers take several environments through it at once (`smooth_step`); `step` takes one
+environment through every change of phase. `fma(a, b, c)` is a b + c.
 """
 
 from __future__ import annotations
@@ -235,7 +235,7 @@ def crosses(before: float, rate: float, after: float, h: float) -> bool:
 
 
 @inlined
-def glide(
+def smooth_step(
     theta: float, theta_dot: float, x: float, x_dot: float, slip: float, u: float, p: Plant, h: float, may_stick: bool
 ) -> tuple[float, float, float, float, float, float, float, bool]:
     """`step` where nothing happens: h seconds inside one phase, free of branches.
@@ -252,7 +252,7 @@ def glide(
         may_stick: False promises that slip is not 0.0; where the compiler knows it, that saves a third of the work.
 
     Returns:
-        What `runge_kutta` returns, and whether the phase lasts; if not, only `follow` knows what happens.
+        What `runge_kutta` returns, and whether the phase lasts; if not, only `event_step` knows what happens.
     """
     theta_1, theta_dot_1, x_1, x_dot_1, x_ddot, normal, smallest = runge_kutta(
         theta, theta_dot, x, x_dot, slip, kinetic_friction(slip, p), u, p, h
@@ -488,7 +488,7 @@ def swept(start: float, end: float, turned: float, h: float) -> float:
 
 
 @jitable
-def follow(start: Phase, whole: Piece) -> Motion:
+def event_step(start: Phase, whole: Piece) -> Motion:
     """`step` from a phase and from what the whole step would be if that phase lasted."""
     theta, theta_dot, x, x_dot, slip, u, p = start
     forward = backward = stuck = turned = 0.0
@@ -550,4 +550,4 @@ def step(theta: float, theta_dot: float, x: float, x_dot: float, u: float, p: Pl
         The state afterwards with the integrals of the step.
     """
     start = Phase(theta, theta_dot, x, x_dot, contact_phase(theta, theta_dot, x_dot, u, p), u, p)
-    return follow(start, piece(start, h))
+    return event_step(start, piece(start, h))

@@ -13,8 +13,8 @@ from gymnasium import spaces
 from capsule_gym import task
 from capsule_gym.controller import Controller
 from capsule_gym.kernels import Quantities, Row
-from capsule_gym.options import RENDER_MODES, Options
-from capsule_gym.parameters import Capsule, Randomization, check_count, written
+from capsule_gym.observation import observation_bounds
+from capsule_gym.parameters import RENDER_MODES, Capsule, EnvConfig, Randomization, check_count, written
 from capsule_gym.rendering import Renderer
 from capsule_gym.simulation import Simulation, check_seed
 
@@ -169,18 +169,18 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     def __init__(
         self,
         *,
-        controller: str | Controller | Callable[[], Controller] | None = Options.controller,
-        residual_limit: float | None = Options.residual_limit,
-        torque_limit: float = Options.torque_limit,
-        randomization: str | Randomization = Options.randomization,
-        capsule: Capsule | None = Options.capsule,
-        observe_parameters: bool = Options.observe_parameters,
-        energy_weight: float = Options.energy_weight,
-        termination_penalty: float = Options.termination_penalty,
-        initial_noise: float = Options.initial_noise,
-        control_dt: float = Options.control_dt,
-        physics_dt: float | None = Options.physics_dt,
-        render_mode: str | None = Options.render_mode,
+        controller: str | Controller | Callable[[], Controller] | None = EnvConfig.controller,
+        residual_limit: float | None = EnvConfig.residual_limit,
+        torque_limit: float = EnvConfig.torque_limit,
+        randomization: str | Randomization = EnvConfig.randomization,
+        capsule: Capsule | None = EnvConfig.capsule,
+        observe_parameters: bool = EnvConfig.observe_parameters,
+        energy_weight: float = EnvConfig.energy_weight,
+        termination_penalty: float = EnvConfig.termination_penalty,
+        initial_noise: float = EnvConfig.initial_noise,
+        control_dt: float = EnvConfig.control_dt,
+        physics_dt: float | None = EnvConfig.physics_dt,
+        render_mode: str | None = EnvConfig.render_mode,
     ) -> None:
         options = options_among(locals())
         self.simulation = Simulation(1, options)
@@ -323,9 +323,9 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
             self._renderer = None
 
 
-def options_among(arguments: Mapping[str, Any]) -> Options:
+def options_among(arguments: Mapping[str, Any]) -> EnvConfig:
     """The options among an environment's arguments; refuses what leaves its action without effect."""
-    options = Options.among(arguments)
+    options = EnvConfig.among(arguments)
     # A `Simulation` may: so a law is run alone.
     if options.residual_limit == 0.0:
         raise ValueError("residual_limit must be > 0 (N m), got 0.0: the action would do nothing")
@@ -335,7 +335,7 @@ def options_among(arguments: Mapping[str, Any]) -> Options:
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:
     """The action and the observation space of one environment."""
     settings = simulation.settings
-    low, high = task.observation_bounds(
+    low, high = observation_bounds(
         settings.with_reference,
         settings.with_parameters,
         simulation.capsule,

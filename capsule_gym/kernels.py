@@ -122,7 +122,7 @@ UNDER_WAY, ENDING, HALTED = 0.0, 1.0, 2.0
 DIVERGED = int(task.Termination.diverged)
 
 
-class Settings(NamedTuple):
+class StepSettings(NamedTuple):
     """What the kernels need to know of the environment besides the plant; SI units."""
 
     torque_limit: float
@@ -136,7 +136,7 @@ class Settings(NamedTuple):
     with_parameters: bool
 
 
-def pack(plant: Plant, settings: Settings, reference: np.ndarray) -> np.ndarray:
+def pack(plant: Plant, settings: StepSettings, reference: np.ndarray) -> np.ndarray:
     """Plant, settings and the controller's table in one array, shape (CONSTANTS + table.size,).
 
     Numbers in a tuple, and every array more, would take longer to enter compiled code than a substep takes.
@@ -164,7 +164,7 @@ def check_arrays(**arrays: tuple[Any, type, tuple[int | None, ...]]) -> None:
 
 # Where `pack` begins with the settings, and with the controller's table.
 SETTINGS = len(Plant._fields)
-CONSTANTS = SETTINGS + len(Settings._fields)
+CONSTANTS = SETTINGS + len(StepSettings._fields)
 
 
 def no_law(
@@ -242,11 +242,11 @@ def record(typing_context: Any, array: Any, start: Any, kind: Any) -> Any:
 
 
 @jitable
-def unpack(fixed: np.ndarray, pivot_torque_on_contact: float) -> tuple[Plant, Settings]:
+def unpack(fixed: np.ndarray, pivot_torque_on_contact: float) -> tuple[Plant, StepSettings]:
     """Plant and settings out of what `pack` has packed, but for the constant that the compiler is to know."""
     plant = record(fixed, 0, Plant)
     return Plant(plant.M, plant.mu, plant.mass_ratio, pivot_torque_on_contact, *plant[4:]), record(
-        fixed, SETTINGS, Settings
+        fixed, SETTINGS, StepSettings
     )
 
 
@@ -267,7 +267,7 @@ def plant_of(block: np.ndarray, j: int, plant: Plant) -> Plant:
 
 
 @inlined
-def prepare(block: np.ndarray, n: int, plant: Plant, begin: bool) -> int:
+def begin_step(block: np.ndarray, n: int, plant: Plant, begin: bool) -> int:
     """Begins an agent step, or an episode, of a block's environments; returns how many take part."""
     use_widest_vectors()
     count = 0
@@ -285,7 +285,7 @@ def prepare(block: np.ndarray, n: int, plant: Plant, begin: bool) -> int:
 
 
 @inlined
-def engage(block: np.ndarray, n: int, plant: Plant, settings: Settings) -> int:
+def apply_torque(block: np.ndarray, n: int, plant: Plant, settings: StepSettings) -> int:
     """Switches the torque and finds the phases of contact under it; returns how many environments stick."""
     use_widest_vectors()
     period = settings.physics_steps * settings.physics_dt
@@ -315,14 +315,14 @@ def engage(block: np.ndarray, n: int, plant: Plant, settings: Settings) -> int:
 
 
 @inlined
-def glide(block: np.ndarray, n: int, plant: Plant, h: float, may_stick: bool) -> None:
+def step_smooth(block: np.ndarray, n: int, plant: Plant, h: float, may_stick: bool) -> None:
     """Takes every environment to which nothing happens through one substep, and marks the others."""
     use_widest_vectors()
     for j in range(n):
         p = plant_of(block, j, plant)
         theta, theta_dot, x, x_dot = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x + j], block[AT.x_dot + j]
         slip, torque = block[AT.slip + j], block[AT.torque + j]
-        theta_1, theta_dot_1, x_1, x_dot_1, x_ddot, normal, smallest, lasts = dynamics.glide(
+        theta_1, theta_dot_1, x_1, x_dot_1, x_ddot, normal, smallest, lasts = dynamics.smooth_step(
             theta, theta_dot, x, x_dot, slip, torque, p, h, may_stick
         )
         block[AT.next_theta + j], block[AT.next_theta_dot + j] = theta_1, theta_dot_1
@@ -350,7 +350,7 @@ def glide(block: np.ndarray, n: int, plant: Plant, h: float, may_stick: bool) ->
 
 
 @jitable
-def follow(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) -> int:
+def step_with_events(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) -> int:
     """Takes one environment through a substep in which something happens; returns by how many more stick afterwards."""
     p = plant_of(block, j, plant)
     torque = block[AT.torque + j]
@@ -364,7 +364,7 @@ def follow(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) ->
         whole = dynamics.finish(end, h, block[AT.x_ddot + j], block[AT.first_normal_force + j])
     else:
         whole = dynamics.piece(start, h)
-    motion = dynamics.follow(start, whole)
+    motion = dynamics.event_step(start, whole)
     whole_motion = motion.theta + motion.x + motion.swept + motion.normal_force
     if not (task.bounded(motion.theta_dot, motion.x_dot) and math.isfinite(whole_motion)):
         # The substep is none: the environment stays where that has begun.
@@ -396,7 +396,9 @@ def follow(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) ->
 
 
 @inlined
-def consult(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, settings: Settings, tick: float) -> None:
+def call_controller(
+    block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, settings: StepSettings, tick: float
+) -> None:
     """Asks the law for its torque at the present state, `tick` rows further in its reference of `cycle` rows."""
     use_widest_vectors()
     for j in range(n):
@@ -436,7 +438,7 @@ def consult(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, settings: 
 
 
 @inlined
-def settle(block: np.ndarray, n: int, plant: Plant, settings: Settings) -> None:
+def finish_step(block: np.ndarray, n: int, plant: Plant, settings: StepSettings) -> None:
     """Ends an agent step: rewards and the sums of the episode."""
     use_widest_vectors()
     for j in range(n):
@@ -461,7 +463,9 @@ def settle(block: np.ndarray, n: int, plant: Plant, settings: Settings) -> None:
 
 
 @inlined
-def observe(block: np.ndarray, n: int, begin: bool, settings: Settings, cycle: int, observations: np.ndarray) -> None:
+def observe(
+    block: np.ndarray, n: int, begin: bool, settings: StepSettings, cycle: int, observations: np.ndarray
+) -> None:
     """Writes the observations of a block's environments that take part."""
     for j in range(n):
         if block[AT.active + j] != 0.0:
@@ -510,22 +514,22 @@ def advance(
         block = world[b]
         n = last - b * LANES
         n = n if n < LANES else LANES
-        if prepare(block, n, plant, begin) == 0 and begin:
+        if begin_step(block, n, plant, begin) == 0 and begin:
             continue
         for _ in range(1 if begin else settings.law_steps):
             if not begin:
-                sticking = engage(block, n, plant, settings)
+                sticking = apply_torque(block, n, plant, settings)
                 for substep in range(settings.physics_steps):
                     if sticking > 0:
-                        glide(block, n, plant, h, True)
+                        step_smooth(block, n, plant, h, True)
                     else:
-                        glide(block, n, plant, h, False)
+                        step_smooth(block, n, plant, h, False)
                     for j in range(n):
                         if block[AT.eventful + j] != 0.0:
-                            sticking += follow(block, j, plant, h, (substep + 1) * h)
-            consult(block, n, fixed, cycle, settings, 0.0 if begin else 1.0)
+                            sticking += step_with_events(block, j, plant, h, (substep + 1) * h)
+            call_controller(block, n, fixed, cycle, settings, 0.0 if begin else 1.0)
         if not begin:
-            settle(block, n, plant, settings)
+            finish_step(block, n, plant, settings)
         observe(block, n, begin, settings, cycle, observations[b * LANES :])
         for j in range(n):
             if block[AT.active + j] != 0.0 and not math.isfinite(block[AT.law_torque + j]):
@@ -561,7 +565,7 @@ def bind(
         "REFERENCE_SIZE": reference_size,
         "PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact,
     }
-    for function in (consult, observe):
+    for function in (call_controller, observe):
         bindings[function.__name__] = inlined(rebound(function, f"{function.__name__}_{digest}", bindings))
     return bindings
 

@@ -14,13 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from capsule_gym import task
 from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, jitable, kernel, use_widest_vectors
 from capsule_gym.elementary import clip, fma, log, tanh
 from capsule_gym.identification import CELLS, ESTIMATES, estimates, identify
 from capsule_gym.kernels import LANES, load, record, store
-from capsule_gym.options import Options
-from capsule_gym.parameters import Capsule
+from capsule_gym.observation import observation_names
+from capsule_gym.parameters import Capsule, EnvConfig
 
 # Units that are computed together, and inputs that are added to them at once: the registers of AVX2 and AVX-512 hold
 # no more. Every width is filled up with zeros to a multiple.
@@ -77,7 +76,7 @@ class Header(NamedTuple):
 
 # Where the widths begin in a packed network.
 HEADER = len(Header._fields)
-LAW_TORQUE = task.observation_names(True, False).index("law_torque")
+LAW_TORQUE = observation_names(True, False).index("law_torque")
 # From this wanted torque on, in torque limits, the whole residual is asked for: the law's torque may change before the
 # next action, and the limit then keeps the sum where it is wanted.
 FULL = 0.9
@@ -92,18 +91,18 @@ def input_names(observation: Sequence[str], identifies: bool, told_energy_weight
     )
 
 
-def observed(options: Options) -> tuple[str, ...]:
+def observed(options: EnvConfig) -> tuple[str, ...]:
     """The entries of the observation of such an environment."""
-    return task.observation_names(options.controller is not None, options.observe_parameters)
+    return observation_names(options.controller is not None, options.observe_parameters)
 
 
-def residual_limit(options: Options) -> float:
+def residual_limit(options: EnvConfig) -> float:
     """The torque of the action 1, N m."""
     return options.torque_limit if options.residual_limit is None else options.residual_limit
 
 
 def make_header(
-    options: Options,
+    options: EnvConfig,
     *,
     layers: int,
     relu: bool,

@@ -40,8 +40,7 @@ from safetensors.numpy import save
 from capsule_gym import task
 from capsule_gym.controller import is_own
 from capsule_gym.files import write_bytes_atomically
-from capsule_gym.options import TOLD, TOLD_ENERGY_WEIGHTS, Options
-from capsule_gym.parameters import Capsule, Randomization, check_number, nearest
+from capsule_gym.parameters import TOLD, TOLD_ENERGY_WEIGHTS, Capsule, EnvConfig, Randomization, check_number, nearest
 
 if TYPE_CHECKING:
     from capsule_gym.network import Layer
@@ -59,7 +58,7 @@ MOST_LAYERS, MOST_UNITS, LARGEST_CLIP = 6, 1024, 1e6
 # Nothing larger is read: more than the layers above can fill, many times what a policy takes.
 LARGEST_FILE, LARGEST_METADATA = 32 * 2**20, 2**16
 # The options of the environment that change what a policy meets.
-ENV_ARGUMENTS = tuple(each.name for each in fields(Options) if each.name not in ("threads", "render_mode"))
+ENV_ARGUMENTS = tuple(each.name for each in fields(EnvConfig) if each.name not in ("threads", "render_mode"))
 
 
 def policy_names(*, seeds: bool = False) -> list[str]:
@@ -372,14 +371,14 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
     )
 
 
-def _options(env_kwargs: Any) -> Options:
+def _options(env_kwargs: Any) -> EnvConfig:
     """The options of the environment that these arguments make."""
     if not isinstance(env_kwargs, dict):
         raise TypeError(f"env_kwargs must be a dict, got {env_kwargs!r}")
     unknown = sorted(set(env_kwargs) - set(ENV_ARGUMENTS))
     if unknown:
         raise ValueError(f"env_kwargs must have keys out of {ENV_ARGUMENTS}, got {unknown}")
-    options = Options(**env_kwargs)
+    options = EnvConfig(**env_kwargs)
     if options.controller is not None and not isinstance(options.controller, str):
         raise TypeError(f"env_kwargs['controller'] must be None or an import string, got {options.controller!r}")
     return options

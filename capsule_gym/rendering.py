@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from capsule_gym.files import replacing
-from capsule_gym.options import RENDER_MODES
-from capsule_gym.parameters import Capsule, check_number
+from capsule_gym.parameters import RENDER_MODES, Capsule, check_number
 from capsule_gym.task import ENV_ID
 
 Colour = tuple[int, int, int] | tuple[int, int, int, int]

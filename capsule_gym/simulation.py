@@ -16,8 +16,20 @@ import numpy as np
 from capsule_gym import kernels, resets, task
 from capsule_gym.controller import Controller, find_controller
 from capsule_gym.kernels import LANES, Row
-from capsule_gym.options import DEFAULTS, DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, Options
-from capsule_gym.parameters import NOMINAL, Capsule, Randomization, check_count, check_number, written
+from capsule_gym.observation import observation_names, parameter_bounds
+from capsule_gym.parameters import (
+    DEFAULTS,
+    DIRECT_PHYSICS_DT,
+    LAW_PHYSICS_DT,
+    MOST_SUBSTEPS,
+    NOMINAL,
+    Capsule,
+    EnvConfig,
+    Randomization,
+    check_count,
+    check_number,
+    written,
+)
 
 Result = TypeVar("Result")
 
@@ -74,7 +86,7 @@ def divide(name: str, whole: float, part_name: str, part: float) -> int:
     return count
 
 
-def check_step(capsule: Capsule, M: float, mu: float, settings: kernels.Settings) -> None:
+def check_step(capsule: Capsule, M: float, mu: float, settings: kernels.StepSettings) -> None:
     """Refuses a plant that is too stiff for the integrator's step.
 
     Args:
@@ -99,7 +111,7 @@ def check_step(capsule: Capsule, M: float, mu: float, settings: kernels.Settings
     )
 
 
-def make_settings(options: Options, controller: Controller | None) -> kernels.Settings:
+def make_settings(options: EnvConfig, controller: Controller | None) -> kernels.StepSettings:
     """What the kernels need to know of the options, with what is None worked out.
 
     Args:
@@ -119,7 +131,7 @@ def make_settings(options: Options, controller: Controller | None) -> kernels.Se
             f"control_dt must be at most {MOST_SUBSTEPS} times physics_dt={physics_dt!r} s, "
             f"got {options.control_dt!r} s"
         )
-    return kernels.Settings(
+    return kernels.StepSettings(
         torque_limit=torque_limit,
         residual_limit=torque_limit if residual_limit is None else residual_limit,
         physics_dt=physics_dt,
@@ -197,14 +209,14 @@ class Simulation:
         ValueError: if an option is out of range.
     """
 
-    def __init__(self, num_envs: int, options: Options = DEFAULTS) -> None:
+    def __init__(self, num_envs: int, options: EnvConfig = DEFAULTS) -> None:
         self.num_envs = check_count("num_envs", num_envs, MOST_ENVS)
         self.options = options
         self.capsule = options.capsule or NOMINAL
         self.randomization = Randomization.named(options.randomization)
         self.randomization.check(self.capsule)
         # M in kg and mu, where they are observed.
-        self._largest = task.parameter_bounds(self.capsule, self.randomization)
+        self._largest = parameter_bounds(self.capsule, self.randomization)
         controller = find_controller(options.controller)
         self.settings = make_settings(options, controller)
         # The lightest platform on the roughest floor is the stiffest plant.
@@ -212,7 +224,7 @@ class Simulation:
         lightest, roughest = (ranges.M or (self.capsule.M,))[0], (ranges.mu or (self.capsule.mu,))[-1]
         check_step(self.capsule, lightest, roughest, self.settings)
         blocks = -(-self.num_envs // LANES)
-        names = task.observation_names(self.settings.with_reference, self.settings.with_parameters)
+        names = observation_names(self.settings.with_reference, self.settings.with_parameters)
         try:
             self.world = np.zeros((blocks, count_rows(controller), LANES))
             self.observations = np.zeros((self.num_envs, len(names)), np.float32)

@@ -1,4 +1,4 @@
-"""The task, once for every environment: observation, reward, termination and the metrics of an episode.
+"""The task, once for every environment: reward, termination and the metrics of an episode.
 
 The functions of a single time step are plain scalar functions; `capsule_gym.kernels` compiles them into the step.
 """
@@ -10,8 +10,6 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-
-from capsule_gym.parameters import Capsule, Randomization
 
 ENV_ID = "CapsuleStickSlip-v0"
 EPISODE_STEPS = 1650
@@ -27,18 +25,6 @@ START_THETA = -math.pi / 3.0
 LARGEST_STATE = (THETA_LIMIT, 1e3, 1e6, 1e3)
 # |theta_dot| + |x_dot| (rad/s, m/s) at an event, such as the end of an episode, beyond which the motion counts as lost.
 RATE_LIMIT = 1e4
-
-# Bounds of the observation, which is clipped to them. Full torque switched in the worst phase gives 13 rad/s and
-# 1.2 m/s on the capsule of the paper; the rest is room for other capsules.
-THETA_DOT_BOUND = 20.0
-X_DOT_BOUND = 2.0
-# Bounds of the observed M, in masses of the capsule's platform, and of mu; ranges that go further widen them.
-M_BOUND = 4.0
-MU_BOUND = 1.0
-
-BASE_OBSERVATION = ("theta", "theta_dot", "x_dot", "stick", "last_action")
-REFERENCE_OBSERVATION = ("theta_d", "theta_d_dot", "sin_phase", "cos_phase", "law_torque")
-PARAMETER_OBSERVATION = ("M", "mu")
 
 
 class Termination(IntEnum):
@@ -85,60 +71,6 @@ class Metrics(NamedTuple):
 
 
 METRICS = Metrics._fields
-
-
-def observation_names(with_reference: bool, with_parameters: bool) -> tuple[str, ...]:
-    """The entries of the observation, in order."""
-    return (
-        BASE_OBSERVATION
-        + (REFERENCE_OBSERVATION if with_reference else ())
-        + (PARAMETER_OBSERVATION if with_parameters else ())
-    )
-
-
-def parameter_bounds(capsule: Capsule, randomization: Randomization) -> tuple[float, float]:
-    """The largest M in kg and the largest mu of an environment that shows them: what a reset may set.
-
-    Args:
-        capsule: the capsule of the environment.
-        randomization: where M and mu of an episode come from.
-    """
-    # Room for the rounding of a draw, and of the observation to float32.
-    room = 1.0 + 1e-6
-    heaviest = randomization.M[1] if randomization.M else capsule.M
-    roughest = randomization.mu[1] if randomization.mu else capsule.mu
-    return max(M_BOUND * capsule.M, room * heaviest), max(MU_BOUND, room * roughest)
-
-
-def observation_bounds(
-    with_reference: bool, with_parameters: bool, capsule: Capsule, randomization: Randomization, torque_limit: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest observation, float32.
-
-    Args:
-        with_reference: whether a control law runs inside the step.
-        with_parameters: whether M and mu are observed.
-        capsule: the capsule, and the next where M and mu come from, for the bounds of these.
-        randomization: likewise.
-        torque_limit: N m.
-    """
-    largest_M, largest_mu = parameter_bounds(capsule, randomization)
-    bounds = {
-        "theta": (-THETA_LIMIT, THETA_LIMIT),
-        "theta_dot": (-THETA_DOT_BOUND, THETA_DOT_BOUND),
-        "x_dot": (-X_DOT_BOUND, X_DOT_BOUND),
-        "stick": (0.0, 1.0),
-        "last_action": (-1.0, 1.0),
-        "theta_d": (-THETA_LIMIT, THETA_LIMIT),
-        "theta_d_dot": (-THETA_DOT_BOUND, THETA_DOT_BOUND),
-        "sin_phase": (-1.0, 1.0),
-        "cos_phase": (-1.0, 1.0),
-        "law_torque": (-torque_limit, torque_limit),
-        "M": (0.0, largest_M),
-        "mu": (0.0, largest_mu),
-    }
-    low, high = np.array([bounds[name] for name in observation_names(with_reference, with_parameters)], np.float32).T
-    return low.copy(), high.copy()
 
 
 def reward_terms(

@@ -25,8 +25,7 @@ from capsule_gym.env import (
     shown_state,
 )
 from capsule_gym.kernels import Row
-from capsule_gym.options import Options
-from capsule_gym.parameters import Capsule, Randomization, check_count, written
+from capsule_gym.parameters import Capsule, EnvConfig, Randomization, check_count, written
 from capsule_gym.rendering import Renderer
 from capsule_gym.simulation import Simulation, check_seed
 
@@ -83,19 +82,19 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         *,
         max_episode_steps: int = task.EPISODE_STEPS,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        controller: str | Controller | Callable[[], Controller] | None = Options.controller,
-        residual_limit: float | None = Options.residual_limit,
-        torque_limit: float = Options.torque_limit,
-        randomization: str | Randomization = Options.randomization,
-        capsule: Capsule | None = Options.capsule,
-        observe_parameters: bool = Options.observe_parameters,
-        energy_weight: float = Options.energy_weight,
-        termination_penalty: float = Options.termination_penalty,
-        initial_noise: float = Options.initial_noise,
-        control_dt: float = Options.control_dt,
-        physics_dt: float | None = Options.physics_dt,
-        threads: int = Options.threads,
-        render_mode: str | None = Options.render_mode,
+        controller: str | Controller | Callable[[], Controller] | None = EnvConfig.controller,
+        residual_limit: float | None = EnvConfig.residual_limit,
+        torque_limit: float = EnvConfig.torque_limit,
+        randomization: str | Randomization = EnvConfig.randomization,
+        capsule: Capsule | None = EnvConfig.capsule,
+        observe_parameters: bool = EnvConfig.observe_parameters,
+        energy_weight: float = EnvConfig.energy_weight,
+        termination_penalty: float = EnvConfig.termination_penalty,
+        initial_noise: float = EnvConfig.initial_noise,
+        control_dt: float = EnvConfig.control_dt,
+        physics_dt: float | None = EnvConfig.physics_dt,
+        threads: int = EnvConfig.threads,
+        render_mode: str | None = EnvConfig.render_mode,
     ) -> None:
         options = options_among(locals())
         if render_mode not in (None, *self.metadata["render_modes"]):

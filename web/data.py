@@ -32,10 +32,10 @@ from baselines.optimum.policy import TORQUES
 from baselines.policies import SCRIPTED
 from capsule_gym import kernels, load_policy, task
 from capsule_gym.identification import CELLS
-from capsule_gym.kernels import LANES, Row, Settings
+from capsule_gym.kernels import LANES, Row, StepSettings
 from capsule_gym.network import Header
-from capsule_gym.options import Options
-from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
+from capsule_gym.observation import M_BOUND, MU_BOUND
+from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, EnvConfig
 from capsule_gym.simulation import NO_CONTROLLER, count_rows
 from web.episodes import FILE, describe_plant, env_kwargs
 from web.modules import COMMON, ENTRIES, STARTS, build
@@ -115,7 +115,7 @@ def layout() -> dict[str, Any]:
         "starts": STARTS,
         "entries": ENTRIES,
         "cells": CELLS,
-        "energy_weight": kernels.SETTINGS + Settings._fields.index("energy_weight"),
+        "energy_weight": kernels.SETTINGS + StepSettings._fields.index("energy_weight"),
         "log_energy_weight": Header._fields.index("log_energy_weight"),
         "torques": TORQUES.tolist(),
         "terminations": [termination.name for termination in task.Termination],
@@ -130,7 +130,7 @@ def describe_task(name: str, archive: Archive) -> dict[str, Any]:
         "rows": count_rows(law),
         "memory": acting.memory,
         "table": archive.add_array(acting.reference),
-        "settings": describe_settings(Options(controller=f"baselines:{name}" if law else None)),
+        "settings": describe_settings(EnvConfig(controller=f"baselines:{name}" if law else None)),
     }
 
 
@@ -141,7 +141,7 @@ def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
         weights = row.energy_weights if isinstance(row, PPOConfig) else None
         network = archive.add_array(described["network"])
         return {**described, **({"energyWeight": weights} if weights else {}), "network": network}
-    options = Options(**env_kwargs(name))
+    options = EnvConfig(**env_kwargs(name))
     described = {
         "name": name,
         "task": task_of(options),
@@ -173,7 +173,7 @@ def describe_set(name: str) -> dict[str, Any]:
 
 def constants() -> dict[str, Any]:
     """The numbers of the task and of the plant, in SI units."""
-    NOMINAL.check_plant(LIGHTEST, task.MU_BOUND)
+    NOMINAL.check_plant(LIGHTEST, MU_BOUND)
     return {
         "control_dt": task.CONTROL_DT,
         "steps": task.EPISODE_STEPS,
@@ -184,7 +184,7 @@ def constants() -> dict[str, Any]:
         "g": NOMINAL.g,
         "nominal": {"M": NOMINAL.M, "mu": NOMINAL.mu},
         "ranges": {name: {"M": each.M, "mu": each.mu} for name, each in RANDOMIZATIONS.items() if each.M and each.mu},
-        "limits": {"M": [LIGHTEST, task.M_BOUND * NOMINAL.M], "mu": [0.0, task.MU_BOUND]},
+        "limits": {"M": [LIGHTEST, M_BOUND * NOMINAL.M], "mu": [0.0, MU_BOUND]},
         "start": {"theta": task.START_THETA, "theta_dot": 0.0, "x": 0.0, "x_dot": 0.0},
         "largest_state": dict(zip(Row._fields, task.LARGEST_STATE, strict=False)),
     }

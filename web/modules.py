@@ -24,7 +24,7 @@ from numba.np.arrayobj import get_cfarray_intrinsic
 
 from agents.browser import find_law
 from baselines.gaits import families
-from capsule_gym import kernels, resets, task
+from capsule_gym import kernels, resets
 from capsule_gym.compilation import fingerprint, inner, rebound
 from capsule_gym.controller import Controller
 from capsule_gym.elementary import logarithm
@@ -32,6 +32,7 @@ from capsule_gym.files import write_bytes_atomically
 from capsule_gym.identification import CELLS
 from capsule_gym.kernels import LANES
 from capsule_gym.network import act_apart
+from capsule_gym.observation import observation_names
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.simulation import NO_CONTROLLER, count_rows
 from web import assembly
@@ -46,7 +47,7 @@ ROOT = Path(__file__).resolve().parents[1]
 CACHE = ROOT / "build" / "web"
 
 # The most entries that an observation can have. Of a single one only the first row is read, wherever the next begins.
-ENTRIES = len(task.observation_names(True, True))
+ENTRIES = len(observation_names(True, True))
 STARTS = kernels.Row.torque
 NUMBERS, FLOATS, INTEGERS = types.CPointer(types.float64), types.CPointer(types.float32), types.CPointer(types.int64)
 

@@ -11,8 +11,7 @@ import numpy as np
 from agents.evaluation.episodes import Policy
 from agents.evaluation.sets import NOMINAL_PLANT, PlantSpec
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS
-from capsule_gym.options import DIRECT_PHYSICS_DT, Options
-from capsule_gym.parameters import NOMINAL
+from capsule_gym.parameters import DIRECT_PHYSICS_DT, NOMINAL, EnvConfig
 from capsule_gym.task import CONTROL_DT, HORIZON
 
 # The cycle is sought in the last so many seconds: three of the paper's cycles, of 6.6 s, and a little.
@@ -83,14 +82,14 @@ def follow(name: str, policy: Policy, plant: PlantSpec = NOMINAL_PLANT, *, secon
     from capsule_gym.kernels import Row
     from capsule_gym.simulation import Simulation, divide
 
-    names = {each.name for each in fields(Options)}
+    names = {each.name for each in fields(EnvConfig)}
     settings = {key: value for key, value in {**policy.env_kwargs, **EPISODE_SETTINGS}.items() if key in names}
-    whole = Simulation(1, Options(**settings))
+    whole = Simulation(1, EnvConfig(**settings))
     # The torque is held for a period of the law, or, without one, for many steps of the integrator.
     dt = whole.controller.dt if whole.controller else settings.get("physics_dt") or DIRECT_PHYSICS_DT
     control_dt = settings.get("control_dt", CONTROL_DT)
     hold = divide("control_dt", control_dt, "a period of the torque", dt)
-    simulation = Simulation(1, Options(**{**settings, "control_dt": dt}))
+    simulation = Simulation(1, EnvConfig(**{**settings, "control_dt": dt}))
     only = np.zeros(1, np.int64)
     simulation.reset(only, M=[plant.M], mu=[plant.mu], state=np.array([(plant.theta, 0.0, 0.0, 0.0)]))
     act = policy.start([plant.seed])

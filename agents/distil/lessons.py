@@ -20,8 +20,7 @@ from capsule_gym import CapsuleVectorEnv
 from capsule_gym.compilation import compile_cached
 from capsule_gym.identification import CELLS
 from capsule_gym.network import make_header, perceive
-from capsule_gym.options import Options
-from capsule_gym.parameters import NOMINAL, Randomization
+from capsule_gym.parameters import NOMINAL, EnvConfig, Randomization
 from capsule_gym.task import CONTROL_DT
 
 Act = Callable[[np.ndarray], np.ndarray]
@@ -64,7 +63,7 @@ class Sight:
     """
 
     def __init__(self, student: Student, count: int) -> None:
-        options = Options(**student.env_kwargs)
+        options = EnvConfig(**student.env_kwargs)
         header = make_header(
             options,
             layers=1,

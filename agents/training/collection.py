@@ -26,10 +26,10 @@ from capsule_gym.network import (
     to_action,
     workspace,
 )
+from capsule_gym.observation import observation_names
 from capsule_gym.resets import Stream, draw_two, plant_at, random_stream
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.simulation import episode_metrics
-from capsule_gym.task import observation_names
 
 # What the critic may be told beside the policy's inputs.
 PRIVILEGED = ("M", "log_mu")

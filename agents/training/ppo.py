@@ -23,7 +23,7 @@ from torch import nn
 from agents.training.collection import Rollout, RolloutVecEnv
 from agents.training.update import HALF_LOG_2_PI, LOSSES, Numbers, Settings, make_steps
 from capsule_gym.network import Layer, pack
-from capsule_gym.task import BASE_OBSERVATION
+from capsule_gym.observation import BASE_OBSERVATION
 
 
 class _Tanh(torch.autograd.Function):

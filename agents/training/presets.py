@@ -19,8 +19,7 @@ from tyro.conf import Fixed, Suppress
 
 from agents.training.errors import RunError
 from capsule_gym.command_line import Count, described
-from capsule_gym.options import DOCS, TOLD, TOLD_ENERGY_WEIGHTS, Options
-from capsule_gym.parameters import check_number, nearest
+from capsule_gym.parameters import DOCS, TOLD, TOLD_ENERGY_WEIGHTS, EnvConfig, check_number, nearest
 from capsule_gym.task import HORIZON
 
 # Of numpy's generators, which SB3 seeds.
@@ -57,13 +56,13 @@ class Config:
     controller: str | None = "baselines:adaptive"
     """Control law under a residual torque, as module:attribute."""
     residual_limit: Annotated[float, _option("residual_limit", "; twice the torque limit is full authority")] = (
-        2.0 * Options.torque_limit
+        2.0 * EnvConfig.torque_limit
     )
-    torque_limit: Annotated[float, _option("torque_limit")] = Options.torque_limit
+    torque_limit: Annotated[float, _option("torque_limit")] = EnvConfig.torque_limit
     randomization: Literal["none", "paper", "wide", "broad"] = "paper"
     """Where M and mu of an episode come from."""
-    observe_parameters: Annotated[bool, _option("observe_parameters")] = Options.observe_parameters
-    energy_weight: Annotated[float, _option("energy_weight")] = Options.energy_weight
+    observe_parameters: Annotated[bool, _option("observe_parameters")] = EnvConfig.observe_parameters
+    energy_weight: Annotated[float, _option("energy_weight")] = EnvConfig.energy_weight
     termination_penalty: Annotated[float, _option("termination_penalty")] = 30.0
     learning_rate: float = 1e-3
     """Step size of Adam at the start."""
@@ -81,7 +80,7 @@ class Config:
     """Episodes in each of them, with draws of their own."""
     torch_threads: Count = 1
     """Threads of torch."""
-    env_threads: Count = Options.threads
+    env_threads: Count = EnvConfig.threads
     """Threads of the environment."""
 
     def env_kwargs(self) -> dict[str, Any]:
@@ -172,7 +171,7 @@ class PPOConfig(OnPolicyConfig):
     """Whether tanh brings the mean of the action to [-1, 1]; else it is clipped."""
     activation: Literal["tanh", "relu"] = "tanh"
     """After the hidden layers."""
-    control_dt: Annotated[float, _option("control_dt")] = Options.control_dt
+    control_dt: Annotated[float, _option("control_dt")] = EnvConfig.control_dt
     episode_seconds: float = HORIZON
     """Length of an episode of training, s."""
     jump_rate: float = 0.0

@@ -11,8 +11,7 @@ from numba.extending import register_jitable
 from baselines.laws.profiles import Profile
 from capsule_gym import dynamics
 from capsule_gym.compilation import compile_cached
-from capsule_gym.controller import LAW_DT
-from capsule_gym.parameters import Plant, check_number
+from capsule_gym.parameters import LAW_DT, Plant, check_number
 
 # The nominal platform is integrated in steps of about this length, s; the error is then below 1e-8 m.
 FINE_DT = 2e-5

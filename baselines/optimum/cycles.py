@@ -10,7 +10,7 @@ import numpy as np
 from baselines.optimum.motion import ACTIONS, SETTLED, Motion, cycle_starts, repeat
 from baselines.optimum.records import key_of, known_optima
 from baselines.optimum.solver import Problem
-from capsule_gym.options import DIRECT_PHYSICS_DT
+from capsule_gym.parameters import DIRECT_PHYSICS_DT
 
 NOMINAL_PROBLEM = Problem()
 # rad, rad/s, m, m/s: by how much the ends of a cycle may differ in each to count alike.

@@ -7,12 +7,11 @@ import math
 import numpy as np
 
 from capsule_gym.kernels import Row
-from capsule_gym.options import DIRECT_PHYSICS_DT, Options
-from capsule_gym.parameters import Capsule
+from capsule_gym.parameters import DIRECT_PHYSICS_DT, Capsule, EnvConfig
 from capsule_gym.simulation import Simulation
 
 
-def hold_options(hold: float, torque_limit: float, energy_weight: float, capsule: Capsule | None) -> Options:
+def hold_options(hold: float, torque_limit: float, energy_weight: float, capsule: Capsule | None) -> EnvConfig:
     """The environment of a hold.
 
     Args:
@@ -25,7 +24,7 @@ def hold_options(hold: float, torque_limit: float, energy_weight: float, capsule
         TypeError: if an argument is of the wrong type.
         ValueError: if one is out of range.
     """
-    return Options(
+    return EnvConfig(
         control_dt=hold,
         # As the environment's own where that divides the hold.
         physics_dt=hold / math.ceil(hold / DIRECT_PHYSICS_DT - 1e-9),
@@ -45,7 +44,7 @@ class Holds:
         options: of the environment; `hold_options` makes them.
     """
 
-    def __init__(self, count: int, options: Options) -> None:
+    def __init__(self, count: int, options: EnvConfig) -> None:
         self._simulation = Simulation(count, options)
         self._simulation.reset(np.arange(count))
         self._zeros = np.zeros(count)

@@ -25,8 +25,7 @@ import numpy as np
 from baselines.optimum.grid import DEAD, Grid, interpolate
 from baselines.optimum.holds import Holds, hold_options
 from capsule_gym.compilation import compile_cached
-from capsule_gym.options import Options
-from capsule_gym.parameters import NOMINAL, Capsule, check_number
+from capsule_gym.parameters import NOMINAL, Capsule, EnvConfig, check_number
 from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
 
 # cm: more than the optimum covers in two seconds.
@@ -77,7 +76,7 @@ class Problem:
         _ = self.options
 
     @cached_property
-    def options(self) -> Options:
+    def options(self) -> EnvConfig:
         """The environment in which a step is a hold."""
         return hold_options(self.hold, self.torque_limit, self.energy_weight, self.capsule)
 

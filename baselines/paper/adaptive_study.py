@@ -15,8 +15,7 @@ from baselines.paper.adaptation import Course, Descent, courses, descent, law_te
 from baselines.paper.adaptive_variants import PEAKS, endure, varied
 from baselines.paper.published import M_RANGE, MU_RANGE
 from baselines.paper.traces import CYCLES, UNLIMITED, Trace, traces
-from capsule_gym.controller import LAW_DT
-from capsule_gym.parameters import NOMINAL
+from capsule_gym.parameters import LAW_DT, NOMINAL
 from capsule_gym.task import TORQUE_LIMIT
 
 Plants = list[tuple[float, float]]

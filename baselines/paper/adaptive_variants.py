@@ -18,10 +18,9 @@ from baselines.laws.gains import PUBLISHED, REGULARISED, UNREGULARISED
 from baselines.laws.profiles import PROPOSED
 from baselines.laws.reference import reference_table
 from baselines.paper.traces import CYCLES, UNLIMITED
-from capsule_gym.controller import LAW_DT, Controller, Law
+from capsule_gym.controller import Controller, Law
 from capsule_gym.kernels import ROWS, Row
-from capsule_gym.options import Options
-from capsule_gym.parameters import NOMINAL
+from capsule_gym.parameters import LAW_DT, NOMINAL, EnvConfig
 from capsule_gym.simulation import Simulation
 
 CELLS = len(MEMORY)
@@ -144,7 +143,7 @@ def endure(
     """
     count = len(plants)
     # An agent step of one cycle: nothing but the law's memory has to be looked at in between.
-    options = Options(
+    options = EnvConfig(
         controller=controller,
         randomization="none",
         torque_limit=torque_limit,

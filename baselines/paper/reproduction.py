@@ -14,8 +14,7 @@ from baselines.paper import published, variations
 from baselines.paper.traces import CYCLES, trace
 from baselines.paper.variations import ContactEffect, StepStudy
 from capsule_gym import Capsule
-from capsule_gym.controller import LAW_DT
-from capsule_gym.parameters import NormalForce
+from capsule_gym.parameters import LAW_DT, NormalForce
 
 Progress = Callable[[str], None]
 

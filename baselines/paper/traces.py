@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import Capsule, Controller
-from capsule_gym.controller import LAW_DT
 from capsule_gym.kernels import ROWS, Row
-from capsule_gym.options import Options
-from capsule_gym.parameters import NOMINAL
+from capsule_gym.parameters import LAW_DT, NOMINAL, EnvConfig
 from capsule_gym.simulation import Simulation
 
 # Beyond any torque of the paper: its Figures 5 and 8 show no limit.
@@ -105,7 +103,7 @@ def traces(controller: Controller, plants: list[tuple[float, float]], **settings
     cycles = settings.pop("cycles", CYCLES)
     settings.setdefault("torque_limit", UNLIMITED)
     settings.setdefault("physics_dt", LAW_DT)
-    options = Options(controller=controller, randomization="none", residual_limit=0.0, control_dt=LAW_DT, **settings)
+    options = EnvConfig(controller=controller, randomization="none", residual_limit=0.0, control_dt=LAW_DT, **settings)
     simulation = Simulation(len(plants), options)
     everywhere = np.arange(len(plants))
     simulation.reset(everywhere, M=[M for M, _ in plants], mu=[mu for _, mu in plants])

@@ -20,8 +20,7 @@ from baselines.laws.reference import COLUMNS, slide
 from baselines.paper.traces import CYCLES, UNLIMITED
 from capsule_gym import Capsule, Controller, dynamics
 from capsule_gym.compilation import compile_cached
-from capsule_gym.options import Options as EnvOptions
-from capsule_gym.parameters import NOMINAL, NormalForce, Plant, check_number
+from capsule_gym.parameters import NOMINAL, EnvConfig, NormalForce, Plant, check_number
 from capsule_gym.simulation import Simulation
 
 M_RANGE = (0.3, 1.0)
@@ -220,7 +219,7 @@ def step_study(profile: Profile, steps: Sequence[float] = STEPS, law_step: float
         table = np.zeros((len(times), len(COLUMNS)))
         table[:, :3] = np.stack(profile.evaluate(times), axis=1)
         controller = Controller("feedback-linearising", feedback_linearising_law(plant, K_P, K_V), table, dt=held)
-        options = EnvOptions(
+        options = EnvConfig(
             controller=controller,
             randomization="none",
             torque_limit=UNLIMITED,

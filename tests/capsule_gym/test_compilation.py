@@ -65,7 +65,7 @@ def functions_of(module: ModuleType) -> dict[str, FunctionType]:
 NOT_COMPILED = {
     "pack", "build", "bind", "_own_fingerprint", "observation_names", "observation_bounds", "parameter_bounds",
     "check_arrays", "step", "arccos", "sines_and_cosines", "_evaluate", "_compiled",
-    "_exponential", "exp", "tanh", "logarithm", "log", "interpolate", "power_of_two",
+    "_exponential", "exp", "tanh", "logarithm", "log", "interpolate", "power_of_two", "_llvm_power_of_two",
 }  # fmt: skip
 
 
@@ -90,7 +90,7 @@ def test_an_edit_of_any_compiled_function_changes_the_kernels_fingerprint(functi
     [
         (elementary, [name for name in vars(elementary) if re.fullmatch(r"TURN.*|ROUNDING|[SC]_\d", name)]),
         (dynamics, [name for name, value in vars(dynamics).items() if isinstance(value, (int, float))]),
-        (task, ["THETA_LIMIT", "THETA_DOT_BOUND", "X_DOT_BOUND", "RATE_LIMIT"]),
+        (task, ["THETA_LIMIT", "RATE_LIMIT"]),
         (
             kernels,
             [
@@ -109,7 +109,7 @@ def test_an_edit_of_any_compiled_function_changes_the_kernels_fingerprint(functi
 )
 def test_an_edit_of_any_compiled_constant_changes_the_kernels_fingerprint(module, names, monkeypatch):
     before = fingerprint(kernels.advance)
-    assert len(names) >= 3
+    assert len(names) >= 2
     for name in names:
         with monkeypatch.context() as patch:
             patch.setattr(module, name, getattr(module, name) * 1.0000001 + 1e-300)
@@ -126,7 +126,7 @@ def test_an_edit_of_where_a_row_begins_changes_the_kernels_fingerprint(field, mo
 
 @pytest.mark.parametrize(
     ("function", "name", "module"),
-    [(kernels.advance, "AT", kernels), (dynamics.step, "Plant", dynamics), (kernels.advance, "Settings", kernels)],
+    [(kernels.advance, "AT", kernels), (dynamics.step, "Plant", dynamics), (kernels.advance, "StepSettings", kernels)],
 )
 def test_another_order_of_the_fields_of_a_named_tuple_changes_the_fingerprint(function, name, module, monkeypatch):
     # The code says the fields' names alone, and the values may stand where they stood: so do those of `AT`.

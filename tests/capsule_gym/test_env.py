@@ -18,7 +18,7 @@ from gymnasium.utils.env_checker import check_env
 import baselines
 from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization
 from capsule_gym.kernels import Row
-from capsule_gym.options import Options
+from capsule_gym.parameters import EnvConfig
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import ENV_ID, METRICS, Termination
 from tests.capsule_gym.fakes import layout, rollout
@@ -303,7 +303,7 @@ def test_metrics_against_the_definitions():
 @pytest.mark.parametrize("attribute", ["adaptive", "compliant", "feedback_linearising", "epc", "adaptive_as_published"])
 def test_zero_residual_is_the_scripted_baseline_bit_for_bit(attribute):
     # Without any residual authority the law acts alone.
-    alone = Simulation(1, Options(controller=f"baselines:{attribute}", residual_limit=0.0))
+    alone = Simulation(1, EnvConfig(controller=f"baselines:{attribute}", residual_limit=0.0))
     residual = CapsuleEnv(controller=getattr(baselines, attribute), residual_limit=3.0)
     residual.reset(seed=5)
     alone.seed(0, 5)

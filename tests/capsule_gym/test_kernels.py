@@ -8,7 +8,7 @@ import pytest
 
 from capsule_gym import Capsule, kernels
 from capsule_gym.compilation import OPTIONS, compile_cached
-from capsule_gym.kernels import LANES, Row, Settings, pack, unpack
+from capsule_gym.kernels import LANES, Row, StepSettings, pack, unpack
 from tests.capsule_gym.fakes import helper, make_law
 
 PLANT = Capsule().plant()
@@ -37,12 +37,12 @@ def two_to(array: np.ndarray, start: int) -> None:
     kernels.store(array, start, 1, (1.0, 2.0))
 
 
-def settings_at(array: np.ndarray, start: int) -> Settings:
-    return kernels.record(array, start, Settings)
+def settings_at(array: np.ndarray, start: int) -> StepSettings:
+    return kernels.record(array, start, StepSettings)
 
 
 @pytest.mark.parametrize(
-    ("function", "last"), [(three_from, 7), (two_to, 10), (settings_at, 12 - len(Settings._fields))]
+    ("function", "last"), [(three_from, 7), (two_to, 10), (settings_at, 12 - len(StepSettings._fields))]
 )
 def test_numbas_boundscheck_reaches_what_is_read_and_written_by_offset(function, last, monkeypatch):
     monkeypatch.setattr(numba.config, "BOUNDSCHECK", 1)
@@ -67,7 +67,7 @@ def test_laws_of_one_factory_never_share_a_symbol():
     # loaded from the disk cache into one, would be the same symbol to the linker, and one law would run as the other.
     def names(gain):
         kernel = kernels.build(make_law(gain, numba.njit(helper)), 1, 2, 0.0).py_func
-        bound = kernel.__globals__["consult"].__globals__["law"].py_func
+        bound = kernel.__globals__["call_controller"].__globals__["law"].py_func
         inner = next(c.cell_contents for c in bound.__closure__ if hasattr(c.cell_contents, "py_func"))
         return {bound.__name__, bound.__qualname__, inner.py_func.__name__, inner.py_func.__qualname__}
 
@@ -75,7 +75,7 @@ def test_laws_of_one_factory_never_share_a_symbol():
 
 
 def test_plant_and_settings_survive_packing():
-    settings = Settings(1.5, 3.0, 1e-3, 7, 20, 0.1, 10.0, True, False)
+    settings = StepSettings(1.5, 3.0, 1e-3, 7, 20, 0.1, 10.0, True, False)
     fixed = pack(PLANT, settings, np.zeros((3, 2)))
     plant, again = numba.njit(unpack)(fixed, PLANT.pivot_torque_on_contact)
     assert plant == PLANT
@@ -84,10 +84,10 @@ def test_plant_and_settings_survive_packing():
 
 
 def test_packed_numbers_are_float64_also_where_an_integer_fits_no_type_of_numpy():
-    fixed = pack(PLANT, Settings(1, 1, 1, 10**300, 1, 0, 0, False, False), np.zeros((3, 2), np.float32))
+    fixed = pack(PLANT, StepSettings(1, 1, 1, 10**300, 1, 0, 0, False, False), np.zeros((3, 2), np.float32))
     assert fixed.dtype == np.float64 and fixed.shape == (kernels.CONSTANTS + 6,)
     with pytest.raises(OverflowError):
-        pack(PLANT, Settings(1, 1, 1, 10**400, 1, 0, 0, False, False), np.zeros((3, 2)))
+        pack(PLANT, StepSettings(1, 1, 1, 10**400, 1, 0, 0, False, False), np.zeros((3, 2)))
 
 
 @pytest.mark.parametrize(

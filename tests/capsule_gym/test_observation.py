@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from capsule_gym import Capsule, Randomization, task
-from capsule_gym.observation import write_observation
+from capsule_gym.observation import observation_bounds, observation_names, write_observation
 
 
 def observe(with_reference: bool, with_parameters: bool, **values: float) -> dict[str, float]:
     """An observation by the names of its entries."""
-    names = task.observation_names(with_reference, with_parameters)
+    names = observation_names(with_reference, with_parameters)
     given = (
         dict.fromkeys((*names, "phase"), 0.25) | dict.fromkeys(("theta_d", "theta_d_dot", "law_torque"), 0.5) | values
     )
@@ -49,10 +49,10 @@ def test_only_a_platform_at_rest_sticks():
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_observations_end_at_their_bounds(sign):
-    low, high = task.observation_bounds(True, True, Capsule(), Randomization(), task.TORQUE_LIMIT)
+    low, high = observation_bounds(True, True, Capsule(), Randomization(), task.TORQUE_LIMIT)
     # No wider than what can be.
     assert low.tolist()[7:9] == [-1.0, -1.0] and high.tolist()[7:9] == [1.0, 1.0]
-    bounds = dict(zip(task.observation_names(True, True), (high if sign > 0.0 else low).tolist(), strict=True))
+    bounds = dict(zip(observation_names(True, True), (high if sign > 0.0 else low).tolist(), strict=True))
     far = observe(
         True, True, **{name: sign * 1e9 for name in ("theta", "theta_dot", "x_dot", "theta_d", "theta_d_dot")}
     )

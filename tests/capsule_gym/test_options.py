@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization
-from capsule_gym.options import DOCS, Options
+from capsule_gym.parameters import DOCS, EnvConfig
 from capsule_gym.simulation import Simulation
 
-FIELDS = {field.name: field for field in dataclasses.fields(Options)}
+FIELDS = {field.name: field for field in dataclasses.fields(EnvConfig)}
 OWN = {
     CapsuleEnv: ([], ["threads"]),
     CapsuleVectorEnv: (["num_envs", "max_episode_steps", "autoreset_mode"], []),
@@ -58,7 +58,7 @@ def test_the_docstring_of_the_batch_lists_the_options():
 
 
 def test_what_is_given_is_kept_as_plain_types():
-    options = Options(torque_limit=np.float32(2.0), observe_parameters=np.True_, threads=np.int64(2), control_dt=1)
+    options = EnvConfig(torque_limit=np.float32(2.0), observe_parameters=np.True_, threads=np.int64(2), control_dt=1)
     assert (options.torque_limit, options.observe_parameters, options.threads) == (2.0, True, 2)
     assert [type(value) for value in (options.torque_limit, options.observe_parameters)] == [float, bool]
     assert (type(options.threads), type(options.control_dt)) == (int, float)
@@ -69,9 +69,9 @@ def test_what_is_given_is_kept_as_plain_types():
 
 def test_options_are_picked_from_other_arguments():
     def function(self, other, torque_limit=3.0, threads=2):
-        return Options.among(locals())
+        return EnvConfig.among(locals())
 
-    assert function(None, 1.0) == Options(torque_limit=3.0, threads=2)
+    assert function(None, 1.0) == EnvConfig(torque_limit=3.0, threads=2)
 
 
 NUMBERS = [name for name, field in FIELDS.items() if "float" in field.type]
@@ -81,27 +81,27 @@ NUMBERS = [name for name, field in FIELDS.items() if "float" in field.type]
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 10**400, -(10**400)])
 def test_numbers_out_of_range_are_refused_by_name_and_value(name, value):
     with pytest.raises(ValueError, match=rf"^{name} must be a .*number.*, got ") as caught:
-        Options(**{name: value})
+        EnvConfig(**{name: value})
     assert repr(value) in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["torque_limit", "residual_limit", "energy_weight", "termination_penalty"])
 def test_numbers_whose_sums_would_be_infinite_are_refused(name):
     with pytest.raises(ValueError, match=rf"^{name} must be a finite number .*, at most 1e\+\d+, got 1e\+300"):
-        Options(**{name: 1e300})
+        EnvConfig(**{name: 1e300})
 
 
 @pytest.mark.parametrize("name", [*NUMBERS, "observe_parameters", "capsule", "randomization", "threads"])
 @pytest.mark.parametrize("value", [[1.0], 1j, b"1"])
 def test_wrong_types_are_refused_by_name(name, value):
     with pytest.raises(TypeError, match=rf"^{name} must be "):
-        Options(**{name: value})
+        EnvConfig(**{name: value})
 
 
 def test_what_is_none_follows_from_the_others():
-    direct = Simulation(1, Options(torque_limit=2.0)).settings
+    direct = Simulation(1, EnvConfig(torque_limit=2.0)).settings
     assert (direct.residual_limit, direct.physics_dt, direct.physics_steps, direct.law_steps) == (2.0, 2e-3, 10, 1)
-    law = Simulation(1, Options(controller="baselines:adaptive")).settings
+    law = Simulation(1, EnvConfig(controller="baselines:adaptive")).settings
     assert (law.residual_limit, law.physics_dt, law.physics_steps, law.law_steps) == (1.5, 1e-3, 1, 20)
     assert Simulation(1).capsule == Capsule()
     assert Simulation(1).randomization == Randomization.named("paper")

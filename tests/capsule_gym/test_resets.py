@@ -9,7 +9,7 @@ import pytest
 
 from capsule_gym import Capsule, Randomization
 from capsule_gym.kernels import Row
-from capsule_gym.options import Options
+from capsule_gym.parameters import EnvConfig
 from capsule_gym.resets import Stream, random_stream
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import START_THETA
@@ -30,7 +30,7 @@ def test_a_stream_depends_on_seed_episode_and_purpose_alone():
 @pytest.mark.parametrize("randomization", RANDOMIZATIONS, ids=str)
 def test_what_is_drawn_are_the_numbers_of_numpys_philox_bit_for_bit(randomization):
     simulation = Simulation(
-        len(SEEDS), Options(randomization=randomization, initial_noise=0.05, capsule=Capsule(M=0.6))
+        len(SEEDS), EnvConfig(randomization=randomization, initial_noise=0.05, capsule=Capsule(M=0.6))
     )
     rows = np.arange(len(SEEDS))
     for i, seed in enumerate(SEEDS):
@@ -74,7 +74,7 @@ def test_rows_may_be_any_integers_that_name_environments():
 
 
 def test_a_reset_leaves_the_other_environments_as_they_are():
-    simulation = Simulation(130, Options(controller="baselines:adaptive"))
+    simulation = Simulation(130, EnvConfig(controller="baselines:adaptive"))
     simulation.reset(np.arange(130))
     simulation.step(np.linspace(-1.0, 1.0, 130))
     others = np.setdiff1d(np.arange(130), [0, 64, 129])

@@ -12,7 +12,7 @@ import pytest
 
 from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization
 from capsule_gym.kernels import ROWS, Row
-from capsule_gym.options import Options
+from capsule_gym.parameters import EnvConfig
 from capsule_gym.simulation import STABLE, Simulation, divide
 from capsule_gym.task import METRICS, Termination
 from tests.capsule_gym.fakes import EPISODE_ROWS
@@ -57,7 +57,7 @@ def alone(request) -> Alone:
     running = np.zeros(actions.shape, bool)
     columns, observations, metrics = [], [], []
     for i in range(LARGEST_BATCH):
-        simulation = Simulation(1, Options(**kwargs))
+        simulation = Simulation(1, EnvConfig(**kwargs))
         simulation.seed(0, i)
         simulation.reset(np.array([0]))
         trace, seen = [], []
@@ -90,7 +90,7 @@ def test_the_lanes_meet_everything_that_can_happen(alone):
     assert 3 <= np.count_nonzero(failed) <= 40
     assert len(set(running.sum(axis=0))) >= 4
     # Phases change within steps of the integrator, and episodes end within steps of the agent.
-    simulation = Simulation(1, Options(**alone.kwargs))
+    simulation = Simulation(1, EnvConfig(**alone.kwargs))
     assert count_off_grid(columns[-1, Row.stuck], simulation.settings.physics_dt) > 30
     assert count_off_grid(columns[-1, Row.duration, failed], simulation.options.control_dt) > 0
 
@@ -98,7 +98,7 @@ def test_the_lanes_meet_everything_that_can_happen(alone):
 @pytest.mark.parametrize("threads", [1, 2, 3])
 @pytest.mark.parametrize("n", [1, 63, 64, 65, LARGEST_BATCH])
 def test_every_quantity_is_that_of_the_environment_alone(alone, n, threads):
-    simulation = Simulation(n, Options(threads=threads, **alone.kwargs))
+    simulation = Simulation(n, EnvConfig(threads=threads, **alone.kwargs))
     for i in range(n):
         simulation.seed(i, i)
     simulation.reset(np.arange(n))
@@ -139,11 +139,11 @@ def test_steps_divide_each_other_or_say_which_does_not():
 def test_more_substeps_than_a_kernel_should_take_are_refused(kwargs, message):
     # Once counts that fit no integer made an array of objects, and the kernel wrote beyond it.
     with pytest.raises(ValueError, match=message):
-        Simulation(1, Options(**kwargs))
+        Simulation(1, EnvConfig(**kwargs))
 
 
 def test_a_million_substeps_are_taken():
-    simulation = Simulation(1, Options(control_dt=1.0, physics_dt=1e-6))
+    simulation = Simulation(1, EnvConfig(control_dt=1.0, physics_dt=1e-6))
     simulation.reset(np.array([0]))
     simulation.step_one(0.0)
     assert simulation.row(Row.duration)[0] == pytest.approx(1.0)
@@ -162,9 +162,9 @@ STIFF = {"damper": {"c": 20.0}, "spring": {"k": 40_000.0}, "light ball": {"m": 1
 def test_a_plant_too_stiff_for_the_step_is_refused_with_a_step_that_would_do(fields):
     capsule = Capsule(**fields)
     with pytest.raises(ValueError, match=r"^physics_dt must be at most \S+ s .* would do, got 0\.002 s$") as caught:
-        Simulation(1, Options(capsule=capsule))
+        Simulation(1, EnvConfig(capsule=capsule))
     would_do = float(re.search(r"physics_dt=(\S+) would do", str(caught.value))[1])
-    simulation = Simulation(1, Options(capsule=capsule, physics_dt=would_do))
+    simulation = Simulation(1, EnvConfig(capsule=capsule, physics_dt=would_do))
     # With that it runs, and with a quarter more it is refused.
     simulation.reset(np.array([0]))
     for _ in range(50):
@@ -173,22 +173,22 @@ def test_a_plant_too_stiff_for_the_step_is_refused_with_a_step_that_would_do(fie
             break
     assert simulation.row(Row.termination)[0] != Termination.diverged
     with pytest.raises(ValueError, match=r"^physics_dt must be at most"):
-        Simulation(1, Options(capsule=capsule, control_dt=20.0 * would_do, physics_dt=1.25 * would_do))
+        Simulation(1, EnvConfig(capsule=capsule, control_dt=20.0 * would_do, physics_dt=1.25 * would_do))
 
 
 def test_a_plant_that_no_step_resolves_is_refused():
     with pytest.raises(ValueError, match=r"^physics_dt must be at most .*; no step would do"):
-        Simulation(1, Options(capsule=Capsule(c=1e9)))
+        Simulation(1, EnvConfig(capsule=Capsule(c=1e9)))
 
 
 def test_every_plant_of_an_episode_must_fit_the_step():
     capsule = Capsule(c=8.0)
     light = Randomization(M=(0.02, 0.5))
     with pytest.raises(ValueError, match=r"^physics_dt must be at most .* with M=0\.02 kg and mu=0\.01"):
-        Simulation(1, Options(capsule=capsule, randomization=light))
+        Simulation(1, EnvConfig(capsule=capsule, randomization=light))
     with pytest.raises(ValueError, match=r"^physics_dt must be at most .* and mu=4, whose"):
-        Simulation(1, Options(capsule=capsule, randomization=Randomization(mu=(0.0, 4.0))))
-    simulation = Simulation(1, Options(capsule=capsule))
+        Simulation(1, EnvConfig(capsule=capsule, randomization=Randomization(mu=(0.0, 4.0))))
+    simulation = Simulation(1, EnvConfig(capsule=capsule))
     for given in ({"M": [0.02]}, {"mu": [4.0]}, {"changes": [[{"t": 1.0, "M": 0.02, "mu": 0.01}]]}):
         with pytest.raises(ValueError, match="physics_dt must be at most"):
             simulation.reset(np.array([0]), **given)
@@ -227,7 +227,7 @@ def test_rows_are_read_and_written_by_environments():
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_copy_goes_on_bit_for_bit(threads, kwargs, make_copy):
     n = 150
-    simulation = Simulation(n, Options(threads=threads, randomization="wide", **kwargs))
+    simulation = Simulation(n, EnvConfig(threads=threads, randomization="wide", **kwargs))
     rng = np.random.default_rng(0)
     simulation.reset(np.arange(n), changes=[[{"t": 0.1, "M": 0.6, "mu": 0.02}]] * n)
     simulation.step(rng.uniform(-1.0, 1.0, n), np.arange(n) % 3 > 0)
@@ -259,7 +259,7 @@ def longer() -> Controller:
 
 def test_a_pickle_whose_law_has_another_memory_now_is_refused(monkeypatch):
     # Compiled code would write beyond the rows of its environments.
-    packed = pickle.dumps(Simulation(1, Options(controller=f"{__name__}:short")))
+    packed = pickle.dumps(Simulation(1, EnvConfig(controller=f"{__name__}:short")))
     pickle.loads(packed)
     monkeypatch.setitem(globals(), "short", longer)
     with pytest.raises(ValueError, match=r"controller='.*:short' must be as it was"):

@@ -24,7 +24,7 @@ from baselines.laws.feedback_linearisation import epc, feedback_linearising
 from baselines.laws.profiles import EPC, PROPOSED
 from baselines.paper import published
 from baselines.paper.traces import CYCLES, Trace, trace
-from capsule_gym.controller import LAW_DT
+from capsule_gym.parameters import LAW_DT
 
 SPLIT = 1.2
 NO_CURVES = "The paper's curves are not available as data: dotted are the numbers of its text."

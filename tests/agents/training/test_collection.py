@@ -21,8 +21,9 @@ from capsule_gym.elementary import exp
 from capsule_gym.identification import CELLS, estimates, identify
 from capsule_gym.kernels import LANES, Row
 from capsule_gym.network import LAW_TORQUE, input_names, pack, to_action
+from capsule_gym.observation import observation_names
 from capsule_gym.resets import Stream, plant_at, random_stream
-from capsule_gym.task import METRICS, Termination, observation_names
+from capsule_gym.task import METRICS, Termination
 from tests.agents.training.small import small
 from tests.capsule_gym.test_network import make_layers
 

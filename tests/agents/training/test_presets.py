@@ -14,8 +14,7 @@ from agents.distil.network import HIDDEN
 from agents.distil.students import STUDENTS
 from agents.evaluation.candidates import CHECKPOINTS, checkpoint_names, find_candidate
 from agents.training.presets import CONFIG, PRESETS, ROWS, PPOConfig, read_config
-from capsule_gym.options import DOCS, Options
-from capsule_gym.parameters import RANDOMIZATIONS
+from capsule_gym.parameters import DOCS, RANDOMIZATIONS, EnvConfig
 
 
 def test_the_command_line_of_a_training_run_takes_its_words_and_defaults_from_the_options():
@@ -25,7 +24,7 @@ def test_the_command_line_of_a_training_run_takes_its_words_and_defaults_from_th
     assert set(shared) > {"torque_limit", "residual_limit", "observe_parameters", "energy_weight"}
     assert set(PPOConfig().env_kwargs()) == set(shared)
     for name in ("torque_limit", "observe_parameters", "energy_weight"):
-        assert fields[name].default == getattr(Options, name)
+        assert fields[name].default == getattr(EnvConfig, name)
     for name in ("torque_limit", "residual_limit", "observe_parameters", "energy_weight", "termination_penalty"):
         (about,) = hints[name].__metadata__
         assert DOCS[name][1:] in about.help

@@ -19,7 +19,7 @@ from agents.training.presets import PRESETS, PPOConfig, read_config
 from agents.training.runs import archive, unarchive
 from capsule_gym import Randomization, load_policy
 from capsule_gym.network import to_action
-from capsule_gym.task import BASE_OBSERVATION
+from capsule_gym.observation import BASE_OBSERVATION
 from tests.agents.training.sameness import differences, rows
 from tests.agents.training.small import small, weights
 from tests.agents.training.test_survival import Killed, kill_at, next_second

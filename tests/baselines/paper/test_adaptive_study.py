@@ -13,8 +13,7 @@ from baselines.paper.adaptive_variants import endure, varied
 from baselines.paper.adaptive_verdicts import converged
 from baselines.paper.traces import trace
 from capsule_gym.kernels import Row
-from capsule_gym.options import Options
-from capsule_gym.parameters import RANDOMIZATIONS
+from capsule_gym.parameters import RANDOMIZATIONS, EnvConfig
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import TORQUE_LIMIT
 
@@ -33,7 +32,7 @@ LIGHT, HEAVY = (0.45, 0.009), (0.55, 0.011)
 def test_law_of_the_study_is_the_law_itself(choices):
     courses = []
     for make in (adaptive, varied):
-        options = Options(controller=make(**choices), residual_limit=0.0, physics_dt=choices.get("dt", 1e-3))
+        options = EnvConfig(controller=make(**choices), residual_limit=0.0, physics_dt=choices.get("dt", 1e-3))
         simulation = Simulation(6, options)
         for i in range(6):
             simulation.seed(i, i)

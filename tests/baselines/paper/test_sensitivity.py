@@ -24,7 +24,7 @@ from baselines.paper.variations import (
 )
 from capsule_gym import Capsule, Controller
 from capsule_gym.compilation import compile_cached
-from capsule_gym.options import Options
+from capsule_gym.parameters import EnvConfig
 from capsule_gym.simulation import Simulation
 
 CYCLES = 5
@@ -60,7 +60,7 @@ def simulated_speed(profile, M, mu, dt):
     )
     torque = torque.reshape(-1, fine).mean(axis=1)
     reference = np.stack([*profile.evaluate(np.arange(CYCLES * steps) * dt)[:2], torque], axis=1)
-    options = Options(
+    options = EnvConfig(
         controller=Controller("feed-forward", feed_forward, reference, dt=dt),
         randomization="none",
         torque_limit=50.0,
