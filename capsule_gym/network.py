@@ -22,7 +22,7 @@ from capsule_gym.observation import observation_names
 from capsule_gym.parameters import Capsule, EnvConfig
 
 # Units that are computed together, and inputs that are added to them at once: the registers of AVX2 and AVX-512 hold
-# no more. Every width is filled up with zeros to a multiple.
+# no more. Every width is padded with zeros to a multiple.
 TILE = 4
 # Up to this many lanes are computed as they are; more of them with all LANES, whose number the compiler knows.
 FEW = 8
@@ -43,10 +43,10 @@ class Header(NamedTuple):
         inputs: how many numbers the network is given.
         observed: how many of them are the environment's observation.
         identifies: whether the estimates of M and mu follow it.
-        told_energy_weight: whether the logarithm of the energy weight follows.
+        observes_energy_weight: whether the logarithm of the energy weight follows.
         log_energy_weight: that logarithm, of a weight in cm/J; 0.0 where it is told none.
-        wants_torque: whether the output is the wanted torque, which the action makes of the law's.
-        under_law: whether there is a law whose torque it has to be made of.
+        outputs_torque: whether the output is the wanted torque, which the action makes of the law's.
+        has_law: whether there is a law whose torque it has to be made of.
         torque_limit: N m.
         residual_limit: N m.
         m: mass of the ball, kg.
@@ -62,10 +62,10 @@ class Header(NamedTuple):
     inputs: int
     observed: int
     identifies: bool
-    told_energy_weight: bool
+    observes_energy_weight: bool
     log_energy_weight: float
-    wants_torque: bool
-    under_law: bool
+    outputs_torque: bool
+    has_law: bool
     torque_limit: float
     residual_limit: float
     m: float
@@ -79,15 +79,15 @@ HEADER = len(Header._fields)
 LAW_TORQUE = observation_names(True, False).index("law_torque")
 # From this wanted torque on, in torque limits, the whole residual is asked for: the law's torque may change before the
 # next action, and the limit then keeps the sum where it is wanted.
-FULL = 0.9
+SATURATION = 0.9
 
 
-def input_names(observation: Sequence[str], identifies: bool, told_energy_weight: bool) -> tuple[str, ...]:
+def input_names(observation: Sequence[str], identifies: bool, observes_energy_weight: bool) -> tuple[str, ...]:
     """What a network is given, in order: the environment's observation and what the policy adds to it."""
     return (
         *observation,
         *(ESTIMATES if identifies else ()),
-        *(("log_energy_weight",) if told_energy_weight else ()),
+        *(("log_energy_weight",) if observes_energy_weight else ()),
     )
 
 
@@ -109,8 +109,8 @@ def make_header(
     tanh_squashing: bool,
     clip: float,
     identifies: bool,
-    told_energy_weight: bool,
-    wants_torque: bool,
+    observes_energy_weight: bool,
+    outputs_torque: bool,
 ) -> Header:
     """What a packed network begins with; see `Header`.
 
@@ -121,8 +121,8 @@ def make_header(
         tanh_squashing: likewise.
         clip: likewise.
         identifies: likewise.
-        told_energy_weight: likewise.
-        wants_torque: likewise.
+        observes_energy_weight: likewise.
+        outputs_torque: likewise.
     """
     capsule, entries = options.capsule or Capsule(), observed(options)
     return Header(
@@ -130,13 +130,13 @@ def make_header(
         relu=relu,
         tanh_squashing=tanh_squashing,
         clip=clip,
-        inputs=len(input_names(entries, identifies, told_energy_weight)),
+        inputs=len(input_names(entries, identifies, observes_energy_weight)),
         observed=len(entries),
         identifies=identifies,
-        told_energy_weight=told_energy_weight,
-        log_energy_weight=log(options.energy_weight) if told_energy_weight else 0.0,
-        wants_torque=wants_torque,
-        under_law=wants_torque and options.controller is not None,
+        observes_energy_weight=observes_energy_weight,
+        log_energy_weight=log(options.energy_weight) if observes_energy_weight else 0.0,
+        outputs_torque=outputs_torque,
+        has_law=outputs_torque and options.controller is not None,
         torque_limit=options.torque_limit,
         residual_limit=residual_limit(options),
         m=capsule.m,
@@ -146,7 +146,7 @@ def make_header(
     )
 
 
-def filled(width: int) -> int:
+def padded(width: int) -> int:
     """The smallest multiple of TILE that is not below a width."""
     return -(-width // TILE) * TILE
 
@@ -161,10 +161,10 @@ def pack(layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, header: H
         header: the rest.
 
     Returns:
-        Float64: the header, the filled widths, mean, scale, and each layer's biases and weights, row by row.
+        Float64: the header, the padded widths, mean, scale, and each layer's biases and weights, row by row.
     """
     entries = len(mean)
-    widths = [filled(entries), *(filled(len(bias)) for _, bias in layers)]
+    widths = [padded(entries), *(padded(len(bias)) for _, bias in layers)]
     normalisation = np.zeros((2, widths[0]))
     normalisation[0, :entries], normalisation[1, :entries] = mean, scale
     parts = [np.array([*header, *widths], np.float64), normalisation.ravel()]
@@ -178,7 +178,7 @@ def pack(layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, header: H
 
 @jitable
 def workspace(network: np.ndarray) -> np.ndarray:
-    """What `think` works in, shape (2, units of the widest layer times LANES)."""
+    """What `forward` works in, shape (2, units of the widest layer times LANES)."""
     widest = 0
     for layer in range(record(network, 0, Header).layers + 1):
         widest = max(widest, int(network[HEADER + layer]))
@@ -222,7 +222,7 @@ def add_tile(
         store(sums, k * LANES + j, LANES, (add(s0, w0, x), add(s1, w1, x), add(s2, w2, x), add(s3, w3, x)))
 
 
-def connect(bias: np.ndarray, weights: np.ndarray, n: int, given: np.ndarray, sums: np.ndarray) -> None:
+def affine(bias: np.ndarray, weights: np.ndarray, n: int, given: np.ndarray, sums: np.ndarray) -> None:
     """What a layer makes of n lanes in `given`, before its activation.
 
     A function of its own, with arrays of its own: where the compiler can tell that they do not overlap it tries to keep
@@ -252,10 +252,10 @@ def activate(sums: np.ndarray, units: int, n: int, relu: bool) -> None:
             store(sums, j, 1, ((0.0 if total < 0.0 else total) if relu else tanh(total),))
 
 
-connect_apart = inner(connect)
+affine_noinline = inner(affine)
 
 
-def think(network: np.ndarray, inputs: np.ndarray, first: int, n: int, lanes: np.ndarray) -> np.ndarray:
+def forward(network: np.ndarray, inputs: np.ndarray, first: int, n: int, lanes: np.ndarray) -> np.ndarray:
     """The outputs for up to LANES environments.
 
     Args:
@@ -276,7 +276,7 @@ def think(network: np.ndarray, inputs: np.ndarray, first: int, n: int, lanes: np
     for layer in range(layers):
         width, outputs = int(network[HEADER + layer]), int(network[HEADER + layer + 1])
         end = at + outputs + outputs * width
-        connect_apart(network[at : at + outputs], network[at + outputs : end], n, given, sums)
+        affine_noinline(network[at : at + outputs], network[at + outputs : end], n, given, sums)
         if layer < layers - 1:
             activate(sums, outputs, n, header.relu)
         given, sums = sums, given
@@ -286,7 +286,7 @@ def think(network: np.ndarray, inputs: np.ndarray, first: int, n: int, lanes: np
     return given[:n]
 
 
-def perceive(
+def write_inputs(
     network: np.ndarray, observations: np.ndarray, first: int, n: int, memory: np.ndarray, inputs: np.ndarray
 ) -> None:
     """Writes what the network is given of environments first..first + n - 1 into the same rows of `inputs`.
@@ -312,7 +312,7 @@ def perceive(
             for value in estimates(cells):
                 inputs[i, column] = value
                 column += 1
-        if header.told_energy_weight:
+        if header.observes_energy_weight:
             inputs[i, column] = header.log_energy_weight
 
 
@@ -326,18 +326,18 @@ def to_action(header: Header, output: float, law_torque: float) -> float:
         law_torque: of the law under the action at this instant, N m.
     """
     wanted = clip(output, 1.0)
-    if not header.wants_torque:
+    if not header.outputs_torque:
         return wanted
-    if abs(wanted) > FULL:
+    if abs(wanted) > SATURATION:
         return 1.0 if wanted > 0.0 else -1.0
     return clip((header.torque_limit * wanted - law_torque) / header.residual_limit, 1.0)
 
 
-think_apart = inner(think)
-perceive_apart = inner(perceive)
+forward_noinline = inner(forward)
+write_inputs_noinline = inner(write_inputs)
 
 
-def act(
+def act_lanes(
     network: np.ndarray,
     observations: np.ndarray,
     first: int,
@@ -353,7 +353,7 @@ def act(
         observations: shape (environments, entries), float32.
         first: first environment.
         n: how many.
-        memory: as `perceive` takes it; changed.
+        memory: as `write_inputs` takes it; changed.
         inputs: likewise; written where the policy adds to the observation.
         lanes: from `workspace`; changed.
 
@@ -361,21 +361,21 @@ def act(
         The n actions, a part of `lanes`: float64, in [-1, 1].
     """
     header = record(network, 0, Header)
-    if header.identifies or header.told_energy_weight:
-        perceive_apart(network, observations, first, n, memory, inputs)
-        outputs = think_apart(network, inputs, first, n, lanes)
+    if header.identifies or header.observes_energy_weight:
+        write_inputs_noinline(network, observations, first, n, memory, inputs)
+        outputs = forward_noinline(network, inputs, first, n, lanes)
     else:
-        outputs = think_apart(network, observations, first, n, lanes)
+        outputs = forward_noinline(network, observations, first, n, lanes)
     for j in range(n):
-        law_torque = observations[first + j, LAW_TORQUE] if header.under_law else 0.0
+        law_torque = observations[first + j, LAW_TORQUE] if header.has_law else 0.0
         outputs[j] = to_action(header, outputs[j], law_torque)
     return outputs
 
 
-act_apart = inner(act)
+act_lanes_noinline = inner(act_lanes)
 
 
-def decide(
+def act_batch(
     network: np.ndarray, observations: np.ndarray, memory: np.ndarray, inputs: np.ndarray, actions: np.ndarray
 ) -> None:
     """The actions of any number of environments.
@@ -383,22 +383,22 @@ def decide(
     Args:
         network: from `pack`.
         observations: shape (n, entries), float32.
-        memory: as `perceive` takes it; changed.
+        memory: as `write_inputs` takes it; changed.
         inputs: likewise; written.
         actions: shape (n, 1), float32; written.
     """
     lanes = workspace(network)
     for first in range(0, len(observations), LANES):
         n = min(LANES, len(observations) - first)
-        found = act_apart(network, observations, first, n, memory, inputs, lanes)
+        found = act_lanes_noinline(network, observations, first, n, memory, inputs, lanes)
         for j in range(n):
             actions[first + j, 0] = found[j]
 
 
 @lru_cache(maxsize=1)
-def decision() -> Any:
-    """`decide` as compiled code: it checks neither dtype nor shape nor contiguity of what it is given."""
-    compiled = kernel(decide, fingerprint(decide)[:16], {})
+def compiled_act_batch() -> Any:
+    """`act_batch` as compiled code: it checks neither dtype nor shape nor contiguity of what it is given."""
+    compiled = kernel(act_batch, fingerprint(act_batch)[:16], {})
     rows = types.float32[:, ::1]
     signature = (types.float64[::1], rows, types.float64[::1], rows, rows)
     compile_now(compiled, signature, "the network of trained policies")

@@ -398,8 +398,8 @@ MOST_SUBSTEPS = 1_000_000
 # N m, and cm: with these no sum of an episode leaves the floating-point numbers.
 LARGEST_TORQUE, LARGEST_COST = 1e6, 1e12
 # Energy weights that a policy can be told, cm/J: their logarithms are numbers.
-TOLD_ENERGY_WEIGHTS = SMALLEST, LARGEST_COST
-TOLD = f"a number of cm/J from {SMALLEST:g} to {LARGEST_COST:g}"
+ENERGY_WEIGHTS = SMALLEST, LARGEST_COST
+ENERGY_WEIGHT_TEXT = f"a number of cm/J from {SMALLEST:g} to {LARGEST_COST:g}"
 # s. Steps of more digits than these would not divide each other, whatever they are.
 SHORTEST_STEP, LONGEST_STEP = 1e-9, 1e6
 RENDER_MODES = ("human", "rgb_array")

@@ -40,7 +40,15 @@ from safetensors.numpy import save
 from capsule_gym import task
 from capsule_gym.controller import is_own
 from capsule_gym.files import write_bytes_atomically
-from capsule_gym.parameters import TOLD, TOLD_ENERGY_WEIGHTS, Capsule, EnvConfig, Randomization, check_number, nearest
+from capsule_gym.parameters import (
+    ENERGY_WEIGHT_TEXT,
+    ENERGY_WEIGHTS,
+    Capsule,
+    EnvConfig,
+    Randomization,
+    check_number,
+    nearest,
+)
 
 if TYPE_CHECKING:
     from capsule_gym.network import Layer
@@ -145,7 +153,7 @@ class Policy:
             the action asks for.
         identifies: whether M, log(mu) and their standard deviations, as `capsule_gym.identification` finds them on
             line, follow the observation among the inputs.
-        told_energy_weight: whether the `energy_weight` of `env_kwargs` follows among the inputs.
+        observes_energy_weight: whether the `energy_weight` of `env_kwargs` follows among the inputs.
 
     Raises:
         TypeError: if a field is of the wrong type.
@@ -166,7 +174,7 @@ class Policy:
     revision: str
     output: str = "action"
     identifies: bool = False
-    told_energy_weight: bool = False
+    observes_energy_weight: bool = False
     entries: int = field(init=False)
     """How many entries an observation has."""
     _network: np.ndarray = field(init=False, repr=False)
@@ -182,7 +190,7 @@ class Policy:
         ):
             if value not in accepted:
                 raise ValueError(f"{name} must be one of {accepted}, got {value!r}")
-        for name, switch in (("identifies", self.identifies), ("told_energy_weight", self.told_energy_weight)):
+        for name, switch in (("identifies", self.identifies), ("observes_energy_weight", self.observes_energy_weight)):
             if not isinstance(switch, bool):
                 raise TypeError(f"{name} must be True or False, got {switch!r}")
         for name, text in (("algorithm", self.algorithm), ("revision", self.revision)):
@@ -195,15 +203,20 @@ class Policy:
         options = _options(self.env_kwargs)
         if self.output == "torque" and not network.residual_limit(options) > 0.0:
             raise ValueError("output must be 'action' where env_kwargs give no residual_limit > 0, got 'torque'")
-        if self.told_energy_weight:
+        if self.observes_energy_weight:
             name = "env_kwargs['energy_weight']"
-            check_number(name, options.energy_weight, f"{TOLD} where it is told", *TOLD_ENERGY_WEIGHTS)
-        inputs = len(network.input_names(network.observed(options), self.identifies, self.told_energy_weight))
+            check_number(
+                name,
+                options.energy_weight,
+                f"{ENERGY_WEIGHT_TEXT} where it is observed",
+                *ENERGY_WEIGHTS,
+            )
+        inputs = len(network.input_names(network.observed(options), self.identifies, self.observes_energy_weight))
         widths = _widths([(weights.shape, bias.shape) for weights, bias in self.layers])
         if widths[0] != inputs:
             raise ValueError(
                 f"layers.0.weight must have as many columns as there are inputs by env_kwargs, identifies and "
-                f"told_energy_weight, {inputs}, got {widths[0]}"
+                f"observes_energy_weight, {inputs}, got {widths[0]}"
             )
         for n, layer in enumerate(self.layers):
             for kind, array in zip(("weight", "bias"), layer, strict=True):
@@ -220,8 +233,8 @@ class Policy:
             tanh_squashing=self.squashing == "tanh",
             clip=self.clip,
             identifies=self.identifies,
-            told_energy_weight=self.told_energy_weight,
-            wants_torque=self.output == "torque",
+            observes_energy_weight=self.observes_energy_weight,
+            outputs_torque=self.output == "torque",
         )
         object.__setattr__(self, "entries", header.observed)
         object.__setattr__(self, "_network", network.pack(self.layers, self.mean, scale, header))
@@ -274,10 +287,10 @@ class Policy:
 
     def _decide(self, rows: np.ndarray, memory: np.ndarray) -> np.ndarray:
         """The actions for observations (n, entries) and what is remembered of these episodes, which changes."""
-        from capsule_gym.network import decision
+        from capsule_gym.network import compiled_act_batch
 
         actions = np.empty((len(rows), 1), np.float32)
-        decision()(self._network, rows, memory, np.empty((len(rows), len(self.mean)), np.float32), actions)
+        compiled_act_batch()(self._network, rows, memory, np.empty((len(rows), len(self.mean)), np.float32), actions)
         return actions
 
     def new_memory(self, count: int) -> np.ndarray:
@@ -298,13 +311,13 @@ class Policy:
         return Actor(self, len(seeds))
 
     def with_energy_weight(self, energy_weight: float) -> Policy:
-        """The same policy told another energy weight, in cm/J.
+        """The same policy with another energy weight among its inputs, in cm/J.
 
         Raises:
-            ValueError: if it is told none, or the weight is out of range.
+            ValueError: if it observes none, or the weight is out of range.
         """
-        if not self.told_energy_weight:
-            raise ValueError(f"{self.name!r} is told no energy weight: it acts the same whatever that is")
+        if not self.observes_energy_weight:
+            raise ValueError(f"{self.name!r} does not observe the energy weight: it acts the same whatever that is")
         return replace(self, env_kwargs={**self.env_kwargs, "energy_weight": energy_weight})
 
     def save(self, path: str | Path) -> None:
@@ -324,7 +337,7 @@ class Policy:
             "squashing": self.squashing,
             "output": self.output,
             "identifies": json.dumps(self.identifies),
-            "told_energy_weight": json.dumps(self.told_energy_weight),
+            "told_energy_weight": json.dumps(self.observes_energy_weight),
             "clip": repr(float(self.clip)),
             "epsilon": repr(float(self.epsilon)),
             "env_kwargs": json.dumps(plain, sort_keys=True, allow_nan=False),
@@ -473,7 +486,7 @@ def _parse(name: str, path: Path) -> Policy:
         squashing=_text(metadata, "squashing"),
         output=_text(metadata, "output"),
         identifies=_switch(metadata, "identifies"),
-        told_energy_weight=_switch(metadata, "told_energy_weight"),
+        observes_energy_weight=_switch(metadata, "told_energy_weight"),
         mean=arrays["inputs.mean"],
         variance=arrays["inputs.variance"],
         clip=_number(metadata, "clip"),

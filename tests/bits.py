@@ -135,7 +135,7 @@ def subjects() -> Iterator[Subject]:
         yield Subject(f"policy {name}", trained.env_kwargs, trained.start, trained)
     law = {"controller": "baselines:adaptive", "residual_limit": 3.0}
     for name, made in (
-        ("policy that identifies", make_policy(10, {**wide, "energy_weight": 2.0}, told_energy_weight=True)),
+        ("policy that identifies", make_policy(10, {**wide, "energy_weight": 2.0}, observes_energy_weight=True)),
         ("policy that wants a torque", make_policy(14, {**wide, **law}, output="torque", squashing="tanh")),
     ):
         yield Subject(name, made.env_kwargs, made.start, made)

@@ -19,7 +19,7 @@ from baselines.optimum.policy import TORQUES, Oracle
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.compilation import compile_cached
 from capsule_gym.identification import CELLS
-from capsule_gym.network import make_header, perceive
+from capsule_gym.network import make_header, write_inputs
 from capsule_gym.parameters import NOMINAL, EnvConfig, Randomization
 from capsule_gym.task import CONTROL_DT
 
@@ -71,8 +71,8 @@ class Sight:
             tanh_squashing=True,
             clip=1.0,
             identifies=student.identifies,
-            told_energy_weight=False,
-            wants_torque=False,
+            observes_energy_weight=False,
+            outputs_torque=False,
         )
         self.observed = header.observed
         self._header = np.array([*header], np.float64)
@@ -88,8 +88,8 @@ class Sight:
 
 @lru_cache(maxsize=1)
 def _perceive() -> Any:
-    """`network.perceive`, compiled by itself."""
-    return compile_cached(perceive)
+    """`network.write_inputs`, compiled by itself."""
+    return compile_cached(write_inputs)
 
 
 class Classroom:

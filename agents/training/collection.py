@@ -19,12 +19,12 @@ from capsule_gym.kernels import AT, LANES, record
 from capsule_gym.network import (
     LAW_TORQUE,
     Header,
+    forward_noinline,
     input_names,
     make_header,
-    perceive_apart,
-    think_apart,
     to_action,
     workspace,
+    write_inputs_noinline,
 )
 from capsule_gym.observation import observation_names
 from capsule_gym.resets import Stream, draw_two, plant_at, random_stream
@@ -120,7 +120,7 @@ def collect(
         episodes: likewise; changed.
         law_memory: of the law at the start of an episode.
         network: from `network.pack`.
-        memory: as `network.perceive` takes it; changed.
+        memory: as `network.write_inputs` takes it; changed.
         log_weights: logarithms of the energy weights of the running episodes, shape (environments,); changed.
         inputs: shape (environments, inputs and what is privileged), float32: of the present state; changed.
         fresh: whether the episodes have just begun, and the inputs are not there yet.
@@ -152,19 +152,19 @@ def collect(
         block, first = world[b], b * LANES
         n = min(LANES, end - first)
         if fresh:
-            perceive_apart(network, observations, first, n, memory, inputs)
+            write_inputs_noinline(network, observations, first, n, memory, inputs)
             for j in range(n):
                 complete(way, block, j, log_weights, first + j, header.inputs, inputs)
         for t in range(len(noise)):
             for j in range(n):
                 for k in range(inputs.shape[1]):
                     seen[t, first + j, k] = inputs[first + j, k]
-            outputs = think_apart(network, inputs, first, n, lanes)
+            outputs = forward_noinline(network, inputs, first, n, lanes)
             for j in range(n):
                 i = first + j
                 drawn = np.float32(outputs[j] + deviation * noise[t, i])
                 actions[t, i] = drawn
-                law_torque = observations[i, LAW_TORQUE] if header.under_law else 0.0
+                law_torque = observations[i, LAW_TORQUE] if header.has_law else 0.0
                 block[AT.action + j] = np.float32(to_action(header, drawn, law_torque))
                 block[AT.active + j] = 1.0
                 if len(chances) > 0 and chances[t, i, 0] < way.jump:
@@ -186,7 +186,7 @@ def collect(
                 if not over:
                     continue
                 if not failed:
-                    perceive_apart(network, observations, i, 1, memory, inputs)
+                    write_inputs_noinline(network, observations, i, 1, memory, inputs)
                     complete(way, block, j, log_weights, i, header.inputs, inputs)
                     cut[cuts, 0], cut[cuts, 1] = t, i
                     cut_inputs[cuts] = inputs[i]
@@ -209,7 +209,7 @@ def collect(
                 returns[i], lengths[i] = 0.0, 0
                 for k in range(CELLS if header.identifies else 0):
                     memory[i * CELLS + k] = 0.0
-            perceive_apart(network, observations, first, n, memory, inputs)
+            write_inputs_noinline(network, observations, first, n, memory, inputs)
             for j in range(n):
                 complete(way, block, j, log_weights, first + j, header.inputs, inputs)
     return cuts, endings, -1
@@ -273,7 +273,7 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         energy_weights: lowest and highest energy weight (cm/J) that the policy is told, drawn anew for every episode;
             None for the environment's own, which it is not told.
         jump: probability of a step that M and mu are drawn anew.
-        wants_torque: whether the policy puts out the wanted torque.
+        outputs_torque: whether the policy puts out the wanted torque.
         **env_kwargs: what `CapsuleVectorEnv` takes.
 
     Attributes:
@@ -295,7 +295,7 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         privileged: bool = False,
         energy_weights: tuple[float, float] | None = None,
         jump: float = 0.0,
-        wants_torque: bool = False,
+        outputs_torque: bool = False,
         **env_kwargs: Any,
     ) -> None:
         super().__init__(num_envs, seed, max_episode_steps=episode_steps, **env_kwargs)
@@ -312,8 +312,8 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
             tanh_squashing=False,
             clip=0.0,
             identifies=identifies,
-            told_energy_weight=self.course.told,
-            wants_torque=wants_torque,
+            observes_energy_weight=self.course.told,
+            outputs_torque=outputs_torque,
         )
         observed = observation_names(simulation.settings.with_reference, simulation.settings.with_parameters)
         self.names = (*input_names(observed, identifies, self.course.told), *(PRIVILEGED if privileged else ()))
@@ -350,7 +350,7 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         Raises:
             RuntimeError: if something is added to the observations, or the policy puts out torques.
         """
-        if self.columns > self.header.observed or self.header.wants_torque:
+        if self.columns > self.header.observed or self.header.outputs_torque:
             raise RuntimeError(
                 "step() knows nothing of what is added to the observations, and no torque that is wanted: collect() "
                 "rollouts instead"

@@ -119,7 +119,7 @@ def make_env(config: Config, seed: int) -> VecNormalize:
             privileged=config.privileged_critic,
             energy_weights=config.energy_weights,
             jump=config.jump_rate * config.control_dt,
-            wants_torque=config.output == "torque",
+            outputs_torque=config.output == "torque",
             **shared,
         )
     else:

@@ -19,7 +19,7 @@ from tyro.conf import Fixed, Suppress
 
 from agents.training.errors import RunError
 from capsule_gym.command_line import Count, described
-from capsule_gym.parameters import DOCS, TOLD, TOLD_ENERGY_WEIGHTS, EnvConfig, check_number, nearest
+from capsule_gym.parameters import DOCS, ENERGY_WEIGHT_TEXT, ENERGY_WEIGHTS, EnvConfig, check_number, nearest
 from capsule_gym.task import HORIZON
 
 # Of numpy's generators, which SB3 seeds.
@@ -221,10 +221,15 @@ class PPOConfig(OnPolicyConfig):
             if not isinstance(self.energy_weights, tuple) or len(self.energy_weights) != 2:
                 raise TypeError(f"energy_weights must be None or two numbers (cm/J), got {self.energy_weights!r}")
             low, high = self.energy_weights
-            check_number("energy_weights[0]", low, TOLD, *TOLD_ENERGY_WEIGHTS)
-            check_number("energy_weights[1]", high, f"{TOLD} and >= {low!r}", low, TOLD_ENERGY_WEIGHTS[1])
+            check_number("energy_weights[0]", low, ENERGY_WEIGHT_TEXT, *ENERGY_WEIGHTS)
+            check_number("energy_weights[1]", high, f"{ENERGY_WEIGHT_TEXT} and >= {low!r}", low, ENERGY_WEIGHTS[1])
             # What is evaluated on the way is told the environment's.
-            check_number("energy_weight", self.energy_weight, f"{TOLD} where it is told", *TOLD_ENERGY_WEIGHTS)
+            check_number(
+                "energy_weight",
+                self.energy_weight,
+                f"{ENERGY_WEIGHT_TEXT} where it is observed",
+                *ENERGY_WEIGHTS,
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,7 +38,7 @@ def test_no_gait_is_cheaper_than_the_optimum_at_its_speed():
         assert cheapest < gait.cost_of_transport or cheapest == math.inf
 
 
-@pytest.mark.parametrize(("name", "message"), [("direct-ppo", "told no energy weight"), ("adaptive", "trained one")])
+@pytest.mark.parametrize(("name", "message"), [("direct-ppo", "not observe the energy"), ("adaptive", "trained one")])
 def test_a_policy_that_is_told_no_weight_is_refused(name, message, short_set):
     with pytest.raises(ValueError, match=message):
         prices.measure(name, short_set, (1.0,))

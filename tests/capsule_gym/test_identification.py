@@ -24,7 +24,7 @@ from capsule_gym.identification import (
     estimates,
     identify,
 )
-from capsule_gym.network import decision
+from capsule_gym.network import compiled_act_batch
 from capsule_gym.task import CONTROL_DT
 from tests.capsule_gym.test_network import make_layers, make_network
 
@@ -184,7 +184,7 @@ def test_compiled_and_in_python_it_is_the_same_bits(n):
     for row in course:
         observations = np.zeros((n, 5), np.float32)
         observations[:, :3] = row * rng.uniform(0.9, 1.1, (n, 1))
-        decision()(network, observations, memory, given, actions)
+        compiled_act_batch()(network, observations, memory, given, actions)
         by_hand = [identify(own, *seen[:3].tolist(), **PLANT) for own, seen in zip(by_hand, observations, strict=True)]
         assert memory.tobytes() == np.array(by_hand).tobytes()
         assert given[:, :5].tobytes() == observations.tobytes()

@@ -14,7 +14,18 @@ import pytest
 from capsule_gym import network
 from capsule_gym.compilation import fingerprint
 from capsule_gym.kernels import LANES
-from capsule_gym.network import FEW, FULL, TILE, Header, decide, decision, filled, input_names, pack, to_action
+from capsule_gym.network import (
+    FEW,
+    SATURATION,
+    TILE,
+    Header,
+    act_batch,
+    compiled_act_batch,
+    input_names,
+    pack,
+    padded,
+    to_action,
+)
 from tests import bits
 
 ROOT = Path(__file__).parents[2]
@@ -35,8 +46,8 @@ def make_header(layers: list[network.Layer], clip: float = 10.0, **changes: obje
     """A network's that is given the observation as it is."""
     inputs = layers[0][0].shape[1]
     counts = {"layers": len(layers), "clip": clip, "inputs": inputs, "observed": inputs}
-    kinds = dict.fromkeys(("relu", "tanh_squashing", "identifies", "told_energy_weight"), False)
-    kinds |= {"wants_torque": False, "under_law": False, "log_energy_weight": 0.0}
+    kinds = dict.fromkeys(("relu", "tanh_squashing", "identifies", "observes_energy_weight"), False)
+    kinds |= {"outputs_torque": False, "has_law": False, "log_energy_weight": 0.0}
     torques = {"torque_limit": 1.5, "residual_limit": 3.0}
     plant = {"m": 0.138, "l": 0.3, "g": 9.81, "dt": 0.02}
     return Header(**{**counts, **kinds, **torques, **plant, **changes})  # type: ignore[arg-type]
@@ -62,7 +73,7 @@ def expected(layers, observations, mean, scale, clip, relu, tanh_squashing) -> n
 
 def run(packed: np.ndarray, observations: np.ndarray) -> np.ndarray:
     actions = np.full((len(observations), 1), np.nan, np.float32)
-    decision()(packed, observations, np.zeros(0), np.empty_like(observations), actions)
+    compiled_act_batch()(packed, observations, np.zeros(0), np.empty_like(observations), actions)
     return actions
 
 
@@ -137,8 +148,8 @@ LAWS = np.linspace(-1.5, 1.5, 25)
 
 @pytest.mark.parametrize("law_torque", LAWS)
 def test_a_wanted_torque_is_got_at_this_instant(law_torque):
-    header = make_header(make_layers((10, 1)), wants_torque=True, under_law=True)
-    for wanted in np.linspace(-FULL, FULL, 31):
+    header = make_header(make_layers((10, 1)), outputs_torque=True, has_law=True)
+    for wanted in np.linspace(-SATURATION, SATURATION, 31):
         action = to_action(header, wanted, law_torque)
         # As the environment makes a torque of it.
         torque = np.clip(law_torque + header.residual_limit * action, -header.torque_limit, header.torque_limit)
@@ -147,7 +158,7 @@ def test_a_wanted_torque_is_got_at_this_instant(law_torque):
 
 
 def test_what_the_residual_cannot_reach_is_asked_for_as_far_as_it_reaches():
-    header = make_header(make_layers((10, 1)), wants_torque=True, under_law=True, residual_limit=0.5)
+    header = make_header(make_layers((10, 1)), outputs_torque=True, has_law=True, residual_limit=0.5)
     assert to_action(header, 0.8, -1.5) == 1.0
     assert to_action(header, -0.8, 1.5) == -1.0
     assert to_action(header, 0.5, 0.7) == pytest.approx(0.1)
@@ -155,8 +166,8 @@ def test_what_the_residual_cannot_reach_is_asked_for_as_far_as_it_reaches():
 
 def test_the_whole_torque_is_asked_for_with_the_whole_residual():
     # The law may change its mind before the next action: no less would keep the sum at the limit.
-    header = make_header(make_layers((10, 1)), wants_torque=True, under_law=True)
-    for wanted in (np.nextafter(FULL, 1.0), 1.0, 7.0):
+    header = make_header(make_layers((10, 1)), outputs_torque=True, has_law=True)
+    for wanted in (np.nextafter(SATURATION, 1.0), 1.0, 7.0):
         for law_torque in LAWS:
             assert to_action(header, wanted, law_torque) == 1.0
             assert to_action(header, -wanted, law_torque) == -1.0
@@ -177,21 +188,21 @@ def test_inputs_are_the_observation_then_what_is_identified_then_the_weight():
 
 @pytest.mark.parametrize(("width", "tiles"), [(1, 4), (4, 4), (5, 8), (64, 64), (65, 68)])
 def test_widths_are_filled_up_to_whole_tiles(width, tiles):
-    assert filled(width) == tiles
+    assert padded(width) == tiles
 
 
 def test_an_edit_of_what_it_calls_changes_its_fingerprint(monkeypatch):
-    before = fingerprint(decide)
+    before = fingerprint(act_batch)
     for name in ("TILE", "FEW", "LINE", "HEADER", "LANES"):
         with monkeypatch.context() as patch:
             patch.setattr(network, name, getattr(network, name) + 1)
-            assert fingerprint(decide) != before, name
-    for function in (network.connect, network.think, network.tanh, network.fma.py_func):
+            assert fingerprint(act_batch) != before, name
+    for function in (network.affine, network.forward, network.tanh, network.fma.py_func):
         with monkeypatch.context() as patch:
             code = function.__code__
             patch.setattr(function, "__code__", code.replace(co_consts=(*code.co_consts, "edited")))
-            assert fingerprint(decide) != before, function.__name__
-    assert fingerprint(decide) == before
+            assert fingerprint(act_batch) != before, function.__name__
+    assert fingerprint(act_batch) == before
 
 
 # Prints a hash of what every committed policy and a network of odd widths answer, alone and in batches.

@@ -52,7 +52,7 @@ def make_remembering(**changes: object) -> Policy:
         "mean": np.zeros(10),
         "variance": np.ones(10),
         "identifies": True,
-        "told_energy_weight": True,
+        "observes_energy_weight": True,
         "env_kwargs": {"randomization": "wide", "energy_weight": 2.0},
     }
     return make_policy(**{**values, **changes})
@@ -229,7 +229,7 @@ def test_another_energy_weight_is_told_and_nothing_else_changes():
     assert inside.sum() > 5
     np.testing.assert_allclose(found[inside], wanted, rtol=1e-5)
     assert heavier.with_energy_weight(2.0)(OBSERVATIONS).tobytes() == policy(OBSERVATIONS).tobytes()
-    with pytest.raises(ValueError, match=r"'made' is told no energy weight"):
+    with pytest.raises(ValueError, match=r"'made' does not observe the energy weight"):
         make_policy().with_energy_weight(1.0)
     for weight in (0.0, -1.0, 1e-300, np.inf):
         with pytest.raises(ValueError, match=r"energy_weight.* must be a "):
@@ -473,9 +473,9 @@ HOSTILE_METADATA = {
     "no output": ({"output": None}, "its metadata must hold 'output'"),
     "no identification": ({"identifies": None}, "its metadata must hold 'identifies'"),
     "half an identification": ({"identifies": "0.5"}, "identifies must be 'true' or 'false', got '0.5'"),
-    "identification without inputs": ({"identifies": "true"}, "told_energy_weight, 9, got 5"),
+    "identification without inputs": ({"identifies": "true"}, "observes_energy_weight, 9, got 5"),
     "Python's truth": ({"told_energy_weight": "True"}, "told_energy_weight must be 'true' or 'false', got 'True'"),
-    "a weight without inputs": ({"told_energy_weight": "true"}, "told_energy_weight, 6, got 5"),
+    "a weight without inputs": ({"told_energy_weight": "true"}, "observes_energy_weight, 6, got 5"),
     "a torque of no residual": (
         {"output": "torque", "env_kwargs": '{"residual_limit": 0.0}'},
         "output must be 'action' where env_kwargs give no residual_limit > 0",
@@ -509,9 +509,9 @@ HOSTILE_METADATA = {
     "a law that is no string": ({"env_kwargs": '{"controller": ["os", "system"]}'}, "must be None or an import string"),
     "a law without its entries": (
         {"env_kwargs": '{"controller": "baselines:adaptive"}'},
-        "told_energy_weight, 10, got 5",
+        "observes_energy_weight, 10, got 5",
     ),
-    "parameters without entries": ({"env_kwargs": '{"observe_parameters": true}'}, "told_energy_weight, 7, got 5"),
+    "parameters without entries": ({"env_kwargs": '{"observe_parameters": true}'}, "observes_energy_weight, 7, got 5"),
     "a word for a switch": ({"env_kwargs": '{"observe_parameters": "no"}'}, "must be True or False"),
     "a torque below zero": ({"env_kwargs": '{"torque_limit": -1}'}, "torque_limit must be a finite number > 0"),
     "an unknown range": ({"env_kwargs": '{"randomization": "wild"}'}, "randomization must be"),
@@ -567,7 +567,7 @@ def test_the_largest_weights_still_give_a_number(tmp_path):
             "inputs.variance must be >= 0, and with epsilon > 0",
         ),
         ({"identifies": 1}, TypeError, "identifies must be True or False, got 1"),
-        ({"told_energy_weight": np.True_}, TypeError, "told_energy_weight must be True or False"),
+        ({"observes_energy_weight": np.True_}, TypeError, "observes_energy_weight must be True or False"),
         ({"env_kwargs": {"controller": Capsule}}, TypeError, "must be None or an import string"),
     ],
 )

@@ -28,7 +28,7 @@ from tests.agents.training.small import small
 from tests.capsule_gym.test_network import make_layers
 
 SEED = 5
-OWN = ("episode_steps", "identifies", "privileged", "energy_weights", "jump", "wants_torque")
+OWN = ("episode_steps", "identifies", "privileged", "energy_weights", "jump", "outputs_torque")
 LAW = {"controller": "baselines:adaptive", "residual_limit": 3.0}
 EVERYTHING = {"identifies": True, "privileged": True, "energy_weights": (0.1, 20.0), "jump": 0.05}
 WIDE = {"randomization": "wide", "termination_penalty": 30.0}
@@ -36,10 +36,10 @@ CASES: dict[str, dict[str, Any]] = {
     "plain": {},
     "starts and plants differ": {**WIDE, "initial_noise": 0.3, "observe_parameters": True},
     "everything": {**WIDE, **EVERYTHING},
-    "everything on a law": {**WIDE, **EVERYTHING, **LAW, "wants_torque": True},
+    "everything on a law": {**WIDE, **EVERYTHING, **LAW, "outputs_torque": True},
     "a law without more": LAW,
     "weights alone": {"energy_weights": (0.5, 0.5)},
-    "a torque without a law": {"wants_torque": True, "privileged": True, "jump": 1.0},
+    "a torque without a law": {"outputs_torque": True, "privileged": True, "jump": 1.0},
     "friction of either direction": {**WIDE, **EVERYTHING, "capsule": Capsule(static_ratio=1.4, backward_ratio=1.3)},
     "episodes of one step": {**WIDE, **EVERYTHING, "episode_steps": 1},
     "diverging": {"torque_limit": 1e6, "identifies": True},
@@ -124,8 +124,8 @@ class Loop:
             if chances is not None:
                 self.jump(chances[t])
                 happened["jumped"] += int((chances[t, :, 0] < self.own["jump"]).sum())
-            under_law = self.simulation.controller is not None and self.own.get("wants_torque")
-            laws = self.observations[:, LAW_TORQUE] if under_law else np.zeros(self.count)
+            has_law = self.simulation.controller is not None and self.own.get("outputs_torque")
+            laws = self.observations[:, LAW_TORQUE] if has_law else np.zeros(self.count)
             actions = [to_action(env.header, float(a), float(law)) for a, law in zip(drawn, laws, strict=True)]
             observations, rewards, terminated, truncated, info = self.batch.step(np.array(actions, np.float32)[:, None])
             self.over = (terminated | truncated).astype(np.float32)
@@ -359,7 +359,7 @@ def test_the_entries_have_names():
     assert env.reset().shape == (1, env.columns)
 
 
-@pytest.mark.parametrize("changes", [{"identifies": True}, {"privileged": True}, {"wants_torque": True}])
+@pytest.mark.parametrize("changes", [{"identifies": True}, {"privileged": True}, {"outputs_torque": True}])
 def test_a_step_without_what_is_added_is_refused(changes):
     env = make_env(2, **changes)
     with pytest.raises(RuntimeError, match=r"step\(\) knows nothing .*: collect\(\) rollouts instead"):
