@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from agents.evaluate import comparison_table
-from agents.evaluation.candidates import BASELINE
 from agents.evaluation.episodes import evaluate, make_result, scores
-from agents.evaluation.sets import load_set
+from agents.evaluation.policies import BASELINE
 from agents.evaluation.statistics import interquartile_mean
 from agents.recording import ANIMATION_SECONDS, ANIMATION_START, NOMINAL_TITLE, draw_comparison, record
 from agents.report.page import write as write_report
 from agents.training.recurrent import load_best
 from baselines.policies import SCRIPTED
+from capsule_gym.evaluation_sets import load_set
 from capsule_gym.files import to_json, write_atomically
 from capsule_gym.rendering import write_gif
 from capsule_gym.task import HORIZON

@@ -1,4 +1,4 @@
-"""Evaluates one policy on one set, from the command line, beside a reference on the same episodes."""
+"""Evaluates a policy on a set and compares it with a reference on the same episodes: `python -m agents.evaluate`."""
 
 from __future__ import annotations
 
@@ -12,15 +12,22 @@ from typing import Annotated
 from tqdm import tqdm
 from tyro.conf import arg
 
-from agents.evaluation import outside
-from agents.evaluation.candidates import BASELINE, Candidate, checkpoint_names
-from agents.evaluation.episodes import Episode, difference, failures, make_result, scores, summarise
-from agents.evaluation.sets import SET_NAMES, EvaluationSet, load_set
+from agents.evaluation.episodes import (
+    TABLE_METRICS,
+    Episode,
+    difference,
+    evaluate,
+    failures,
+    make_result,
+    scores,
+    summarise,
+)
+from agents.evaluation.policies import BASELINE, Candidate, checkpoint_names, find_candidate
 from agents.evaluation.statistics import interquartile_mean
-from agents.evaluation.tables import MEASURES
 from baselines.policies import SCRIPTED
 from baselines.tables import text_table
 from capsule_gym.command_line import Positional, check_output, parse, refuse
+from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, load_set
 from capsule_gym.files import to_json, write_atomically
 
 PROG = "python -m agents.evaluate"
@@ -32,8 +39,8 @@ RESAMPLED = {
 
 
 @dataclass(frozen=True)
-class Options:
-    """Evaluates a policy on a frozen set, beside a reference on the same episodes.
+class Args:
+    """Evaluates a policy on a frozen set, and compares it with a reference on the same episodes.
 
     Prints interquartile means with 95 % bootstrap intervals, and the paired difference to the reference.
 
@@ -46,7 +53,7 @@ class Options:
 
     policy: Annotated[Positional[str], arg(metavar="NAME_OR_PATH")]
     """A scripted policy, a checkpoint (all training seeds; one as NAME/seed-0), the path of a run or policy file, or
-    module:attribute for a policy from outside."""
+    module:attribute for a policy of another project."""
     set: Annotated[str, arg(metavar="NAME_OR_PATH")] = "paper"
     """A frozen set, or the path of a JSON file of the same form."""
     against: Annotated[str, arg(metavar="NAME_OR_PATH")] = BASELINE
@@ -60,29 +67,26 @@ class Options:
     trust: bool = False
     """Accept a policy given as module:attribute: importing it runs its code."""
     trust_controller: bool = False
-    """Accept a policy with a control law from elsewhere: importing it runs its code."""
+    """Accept a policy with a control law that is not of this package: importing it runs its code."""
 
     def check(self) -> None:
-        """Refuses a file that cannot be written."""
+        """Raises an error for a file that cannot be written."""
         check_output("--json", self.json, overwrite=self.overwrite)
 
 
-# The names are not known before the program runs.
-Options.__doc__ = (
-    f"{inspect.getdoc(Options)}\n\nSets: {', '.join(SET_NAMES)}.\n\nScripted policies: {', '.join(SCRIPTED)}.\n\n"
+# The names are known only at run time.
+Args.__doc__ = (
+    f"{inspect.getdoc(Args)}\n\nSets: {', '.join(SET_NAMES)}.\n\nScripted policies: {', '.join(SCRIPTED)}.\n\n"
     f"Checkpoints: {', '.join(checkpoint_names()) or 'none'}."
 )
 
 
-def run_all(candidate: Candidate, evaluation_set: EvaluationSet) -> list[Episode]:
-    """Runs a candidate's training seeds, with a progress bar on a terminal where there are several."""
-    progress = tqdm(candidate.runs, desc=candidate.name, unit="seed", file=sys.stderr, disable=_no_progress(candidate))
-    return [episode for run in progress for episode in run.evaluate(evaluation_set)]
-
-
-def _no_progress(candidate: Candidate) -> bool | None:
+def _evaluate_all(candidate: Candidate, evaluation_set: EvaluationSet) -> list[Episode]:
+    """Evaluates all training seeds, with a progress bar on a terminal where there are several."""
     # None lets tqdm find out whether stderr is a terminal.
-    return True if len(candidate.runs) == 1 else None
+    silent = True if len(candidate.policies) == 1 else None
+    progress = tqdm(candidate.policies, desc=candidate.name, unit="seed", file=sys.stderr, disable=silent)
+    return [episode for policy in progress for episode in evaluate(policy, evaluation_set)]
 
 
 def comparison_table(name: str, episodes: Sequence[Episode], reference: str, others: Sequence[Episode] | None) -> str:
@@ -95,58 +99,58 @@ def comparison_table(name: str, episodes: Sequence[Episode], reference: str, oth
         others: the reference's episodes on the same set; None leaves the last two columns out.
     """
     own = summarise(episodes)
-    rows = [[measure.label, measure.with_interval(own[metric])] for metric, measure in MEASURES.items()]
-    rows.append(["failures", f"{own['failures']}/{own['episodes']}"])
-    header = ["", name]
-    if others is not None:
-        theirs = summarise(others)
-        header += [reference, "difference"]
-        for row, (metric, measure) in zip(rows, MEASURES.items(), strict=False):
-            paired = difference(episodes, others, metric).to_dict()
-            row += [measure.with_interval(theirs[metric]), measure.with_interval(paired, sign=True)]
-        rows[-1] += [f"{theirs['failures']}/{theirs['episodes']}", ""]
-    return text_table([header, *rows])
+    theirs = None if others is None else summarise(others)
+    rows = [["", name] if theirs is None else ["", name, reference, "difference"]]
+    for metric in TABLE_METRICS.values():
+        cells = [metric.label, metric.with_interval(own[metric.name])]
+        if theirs is not None and others is not None:
+            paired = difference(episodes, others, metric.name).to_dict()
+            cells += [metric.with_interval(theirs[metric.name]), metric.with_interval(paired, sign=True)]
+        rows.append(cells)
+    rows.append(["failures", *(f"{each['failures']}/{each['episodes']}" for each in (own, theirs) if each)])
+    return text_table(rows)
 
 
 def seed_table(episodes: Sequence[Episode]) -> str:
-    """Every training seed by itself: interquartile means over its episodes."""
-    rows = [["training seed", *(measure.label for measure in MEASURES.values()), "failures"]]
+    """Interquartile means over the episodes of every training seed, one seed per row."""
+    metrics = TABLE_METRICS.values()
+    rows = [["training seed", *(metric.label for metric in metrics), "failures"]]
     for seed in dict.fromkeys(episode["training_seed"] for episode in episodes):
         own = [episode for episode in episodes if episode["training_seed"] == seed]
-        cells = [measure.format(float(interquartile_mean(scores(own, m)[0]))) for m, measure in MEASURES.items()]
-        rows.append([str(seed), *cells, f"{failures(own)}/{len(own)}"])
+        means = (metric.format(float(interquartile_mean(scores(own, metric.name)[0]))) for metric in metrics)
+        rows.append([str(seed), *means, f"{failures(own)}/{len(own)}"])
     return text_table(rows)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    options = parse(Options, PROG, arguments)
+    args = parse(Args, PROG, arguments)
     try:
-        evaluation_set = load_set(options.set)
+        evaluation_set = load_set(args.set)
         candidate, reference = (
-            outside.find(name, trust=options.trust, trust_controller=options.trust_controller)
-            for name in (options.policy, options.against)
+            find_candidate(name, trust=args.trust, trust_controller=args.trust_controller)
+            for name in (args.policy, args.against)
         )
     except ValueError as error:
         refuse(PROG, str(error))
-    episodes = run_all(candidate, evaluation_set)
-    others = None if reference == candidate else run_all(reference, evaluation_set)
-    # Written before anything is printed: a closed pipe must not cost the result.
-    if options.json is not None:
-        write_atomically(options.json, to_json(make_result(candidate.name, evaluation_set, episodes)))
-    plural = "" if len(evaluation_set.plants) == 1 else "s"
+    episodes = _evaluate_all(candidate, evaluation_set)
+    others = None if args.policy == args.against else _evaluate_all(reference, evaluation_set)
+    # Written before anything is printed: a closed pipe must not lose the result.
+    if args.json is not None:
+        write_atomically(args.json, to_json(make_result(candidate.name, evaluation_set, episodes)))
+    count = len(evaluation_set.plants)
     print(
-        f"{candidate.name} on the set {evaluation_set.name} ({len(evaluation_set.plants)} episode{plural}, "
+        f"{candidate.name} on the set {evaluation_set.name} ({count} episode{'s' if count > 1 else ''}, "
         f"{evaluation_set.hash[:12]})\n"
     )
     print(comparison_table(candidate.name, episodes, reference.name, others))
     print(f"\nInterquartile means with 95 % intervals {RESAMPLED[summarise(episodes)['resampled']]}.")
     if others is not None:
         print(f"Differences to {reference.name} are taken episode by episode.")
-    if options.seed_runs and candidate.folder is not None:
+    if args.seed_runs and candidate.trained:
         print("\n" + seed_table(episodes))
-    if options.json is not None:
-        print(f"\nWritten to {options.json}")
+    if args.json is not None:
+        print(f"\nWritten to {args.json}")
     return 0
 
 

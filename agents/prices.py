@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -12,15 +12,14 @@ import numpy as np
 from tyro.conf import arg
 
 import capsule_gym
-from agents.evaluation.candidates import find_candidate
-from agents.evaluation.episodes import failures, scores
-from agents.evaluation.sets import load_set
+from agents.evaluation.episodes import TABLE_METRICS, evaluate, failures, scores
+from agents.evaluation.policies import find_candidate
 from agents.evaluation.statistics import Estimate, estimate
-from agents.evaluation.tables import MEASURES
 from agents.evidence.figures import plot_fronts
 from baselines.drawing import BLUE, add_note, new_figure, save, style
 from baselines.tables import markdown_table
 from capsule_gym.command_line import Positional, parse, refuse
+from capsule_gym.evaluation_sets import load_set
 from capsule_gym.files import write_atomically
 
 PROG = "python -m agents.prices"
@@ -28,7 +27,7 @@ PROG = "python -m agents.prices"
 WEIGHTS = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0, 20.0)
 
 
-SPEED, COST = MEASURES["mean_speed"], MEASURES["cost_of_transport"]
+SPEED, COST = TABLE_METRICS["mean_speed"], TABLE_METRICS["cost_of_transport"]
 
 
 class Price(NamedTuple):
@@ -78,15 +77,15 @@ def measure(name: str, set_name: str, weights: Sequence[float] = WEIGHTS) -> lis
     Raises:
         ValueError: if there is no such policy or set, or the policy is told no weight.
     """
-    evaluation_set, runs = load_set(set_name), find_candidate(name).runs
+    evaluation_set, policies = load_set(set_name), find_candidate(name).policies
     prices = []
     for weight in weights:
         episodes = []
-        for run in runs:
-            if not isinstance(run.policy, capsule_gym.Policy):
+        for policy in policies:
+            if not isinstance(policy, capsule_gym.Policy):
                 raise ValueError(f"policy must be a trained one that is told the energy weight, got {name!r}")
-            episodes += replace(run, policy=run.policy.with_energy_weight(weight)).evaluate(evaluation_set)
-        speed, cost = (estimate(scores(episodes, measure.metric)) for measure in (SPEED, COST))
+            episodes += evaluate(policy.with_energy_weight(weight), evaluation_set)
+        speed, cost = (estimate(scores(episodes, measure.name)) for measure in (SPEED, COST))
         prices.append(Price(weight, speed, cost, failures(episodes), len(episodes)))
     return prices
 

@@ -12,13 +12,11 @@ import gymnasium as gym
 import numpy as np
 from tyro.conf import arg
 
-from agents.evaluation.candidates import BASELINE, find_candidate
-from agents.evaluation.episodes import Policy
-from agents.evaluation.sets import NOMINAL_PLANT, PlantSpec
+from agents.evaluation.policies import BASELINE, Policy, find_candidate
 from baselines.drawing import BLUE, DPI, GREEN, MUTED, VERMILION, new_figure, style
 from baselines.policies import SCRIPTED
 from capsule_gym.command_line import Positional, check_output, parse, refuse
-from capsule_gym.evaluation_sets import EPISODE_SETTINGS
+from capsule_gym.evaluation_sets import EPISODE_SETTINGS, NOMINAL_PLANT, PlantSpec
 from capsule_gym.files import replacing
 from capsule_gym.parameters import check_number
 from capsule_gym.rendering import FRAME_SECONDS, ChartAxes, Renderer, write_gif
@@ -189,7 +187,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     options = parse(Options, PROG, arguments)
     try:
-        policy = find_candidate(options.policy, trust_controller=options.trust_controller).runs[0].policy
+        policy = find_candidate(options.policy, trust_controller=options.trust_controller).policies[0]
     except ValueError as error:
         refuse(PROG, str(error))
     if options.png is not None:

@@ -13,9 +13,8 @@ import numpy as np
 from tyro.conf import arg
 
 from agents.distil.students import STUDENTS
-from agents.evaluation.candidates import checkpoint_names, find_candidate
-from agents.evaluation.episodes import failures, scores
-from agents.evaluation.sets import load_set
+from agents.evaluation.episodes import evaluate, failures, scores
+from agents.evaluation.policies import checkpoint_names
 from agents.evaluation.statistics import interquartile_mean
 from agents.study.jobs import Job, Outcome, evaluations, plan
 from agents.study.progress import brief
@@ -25,6 +24,7 @@ from agents.training.presets import LARGEST_SEED, ROWS, row_settings
 from agents.training.stopping import INTERRUPTED
 from baselines.tables import text_table
 from capsule_gym.command_line import Count, Positional, parse, refuse
+from capsule_gym.evaluation_sets import load_set
 
 PROG = "python -m agents.reproduce"
 RUNS = Path("runs/reproduce")
@@ -145,10 +145,10 @@ def judge(row: str, run: Path, seconds: float) -> Verdict:
     """
     set_name = set_of(row)
     evaluation_set = load_set(set_name)
-    episodes = find_candidate(str(run)).evaluate(evaluation_set)
+    episodes = evaluate(run, evaluation_set)
     published: tuple[float, ...] = ()
     if row in checkpoint_names():
-        speeds = scores(find_candidate(row).evaluate(evaluation_set), "mean_speed")
+        speeds = scores(evaluate(row, evaluation_set), "mean_speed")
         published = tuple(float(speed) for speed in interquartile_mean(speeds))
     return Verdict(
         row,

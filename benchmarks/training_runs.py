@@ -9,13 +9,13 @@ from pathlib import Path
 from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.evaluation.episodes import evaluate, scores
-from agents.evaluation.sets import EvaluationSet
 from agents.evaluation.statistics import interquartile_mean
 from agents.training.export import export
 from agents.training.loop import own_draws
 from agents.training.runs import git_revision
 from benchmarks.trainers import Run, Trainer
 from benchmarks.training_turns import training, unit
+from capsule_gym.evaluation_sets import EvaluationSet
 
 # Of the plants that all are evaluated on: no run selects on them, no frozen set holds them.
 DRAWS = 4_000

@@ -24,13 +24,13 @@ from agents.browser import (
     task_of,
 )
 from agents.drivers import RECORDED, driver_names, trained
-from agents.evaluation.sets import SET_NAMES, load_set
 from agents.training.presets import ROWS, PPOConfig
 from baselines.gaits import families
 from baselines.gaits.performance import Choice, known_choice, tolerant_nominal
 from baselines.optimum.policy import TORQUES
 from baselines.policies import SCRIPTED
 from capsule_gym import kernels, load_policy, task
+from capsule_gym.evaluation_sets import SET_NAMES, load_set
 from capsule_gym.identification import CELLS
 from capsule_gym.kernels import LANES, Row, StepSettings
 from capsule_gym.network import Header

@@ -19,9 +19,9 @@ import numpy as np
 
 import capsule_gym
 from agents.drivers import driver_names, trained
-from agents.evaluation.sets import PlantSpec, load_set
 from baselines.policies import SCRIPTED
 from capsule_gym.command_line import parse
+from capsule_gym.evaluation_sets import PlantSpec, load_set
 from capsule_gym.files import write_atomically
 from capsule_gym.task import CONTROL_DT, HORIZON
 

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from agents.drivers import RECORDED
-from agents.evaluation.sets import SET_NAMES, EvaluationSet, PlantSpec, load_set
 from baselines.policies import SCRIPTED, Act
 from capsule_gym.command_line import parse
+from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, PlantSpec, load_set
 from capsule_gym.files import write_bytes_atomically
 from capsule_gym.task import CONTROL_DT, EPISODE_STEPS
 

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from agents.evaluation.sets import EvaluationSet, drawn_as
+from agents.evaluation.sets import validation_set
 from agents.study.jobs import Job, refuse_other_settings
 from agents.training.presets import ROWS, Config
 from baselines.policies import SCRIPTED
+from capsule_gym.evaluation_sets import EvaluationSet
 from capsule_gym.task import TORQUE_LIMIT
 
 Plants = Literal["paper", "wide"]
@@ -121,4 +122,4 @@ def plan(arms: Sequence[Arm], seeds: Sequence[int], steps: int, folder: Path) ->
 
 def own_plants(plants: Plants) -> EvaluationSet:
     """The episodes that all are judged on."""
-    return drawn_as(plants, f"authority, {plants}", FIRST_SEED, EPISODES)
+    return validation_set(plants, f"authority, {plants}", FIRST_SEED, EPISODES)

@@ -6,12 +6,12 @@ import numpy as np
 
 from agents.authority.design import DIRECT, RECIPES, Arm, direct
 from agents.authority.results import Results
+from agents.evaluation.episodes import TABLE_METRICS
 from agents.evaluation.statistics import estimate, learning_curve, paired_difference
-from agents.evaluation.tables import MEASURES
 from baselines.tables import markdown_table
 
 COMMAND = "python -m agents.authority"
-SPEED = MEASURES["mean_speed"]
+SPEED = TABLE_METRICS["mean_speed"]
 # Of a law with an agent beside the direct one, while they learn, N m; and at which shares of the budget they are shown.
 SHOWN_BASE, SHOWN_LIMIT = "gait-guarded", 0.75
 SHARES = (0.05, 0.1, 0.25, 0.5, 1.0)

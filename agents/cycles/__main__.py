@@ -13,8 +13,7 @@ from tyro.conf import arg
 
 from agents.cycles.course import BACKWARD, FORWARD, STICK, WINDOW, Balance, Course, Cycle, balance, find_cycle, follow
 from agents.cycles.picture import draw_cycles
-from agents.evaluation import outside
-from agents.evaluation.candidates import BASELINE, Candidate, checkpoint_names
+from agents.evaluation.policies import BASELINE, Candidate, checkpoint_names, find_candidate
 from agents.evaluation.statistics import interquartile_mean
 from agents.leaderboard.page import RANKING_SET
 from agents.leaderboard.rows import RESULTS, load_rows
@@ -85,11 +84,10 @@ def default_names(root: Path = ROOT) -> list[str]:
 
 def median_course(candidate: Candidate) -> Course:
     """The course of the run whose speed is the median of its training seeds'; the lower of two."""
-    courses = [follow(candidate.name, run.policy) for run in candidate.runs]
+    courses = [follow(candidate.name, policy) for policy in candidate.policies]
     order = sorted(range(len(courses)), key=lambda i: courses[i].x[-1])
     chosen = order[(len(order) - 1) // 2]
-    seed = candidate.runs[chosen].training_seed
-    several = f" (seed {seed})" if len(courses) > 1 else ""
+    several = f" (seed {candidate.trained[chosen].training_seed})" if len(courses) > 1 else ""
     return replace(courses[chosen], name=f"{candidate.name}{several}")
 
 
@@ -139,7 +137,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse(Options, PROG, arguments)
     try:
         candidates = [
-            outside.find(name, trust=options.trust, trust_controller=options.trust_controller)
+            find_candidate(name, trust=options.trust, trust_controller=options.trust_controller)
             for name in (options.names or default_names())
         ]
         cycles = [find_cycle(median_course(candidate)) for candidate in candidates]

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from agents.evaluation.episodes import Policy
-from agents.evaluation.sets import NOMINAL_PLANT, PlantSpec
-from capsule_gym.evaluation_sets import EPISODE_SETTINGS
+from agents.evaluation.policies import Policy
+from capsule_gym.evaluation_sets import EPISODE_SETTINGS, NOMINAL_PLANT, PlantSpec
 from capsule_gym.parameters import DIRECT_PHYSICS_DT, NOMINAL, EnvConfig
 from capsule_gym.task import CONTROL_DT, HORIZON
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from agents.cycles.course import BACKWARD, FORWARD, STICK, Cycle, contact, stretches
-from agents.evaluation.sets import NOMINAL_PLANT
 from baselines.drawing import BLUE, INK, MUTED, add_note, new_figure
+from capsule_gym.evaluation_sets import NOMINAL_PLANT
 from capsule_gym.parameters import NOMINAL
 
 SHADES = {FORWARD: "#dcebf5", STICK: "#c9ced6", BACKWARD: "#fbe3d3"}

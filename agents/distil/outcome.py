@@ -10,10 +10,9 @@ from tqdm import tqdm
 
 from agents.distil.run import COMPARED_SEED, distil, own_draws, read_result
 from agents.distil.students import STUDENTS, Budget
-from agents.evaluation.candidates import CHECKPOINTS, find_candidate
-from agents.evaluation.episodes import Episode, difference, failures, scores
+from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, Episode, difference, evaluate, failures, scores
+from agents.evaluation.policies import CHECKPOINTS, find_candidate
 from agents.evaluation.statistics import estimate
-from agents.evaluation.tables import MEASURES, SHARE
 from agents.study.publication import refuse_revision
 from agents.training.errors import RunError
 from agents.training.stopping import Stop
@@ -51,20 +50,22 @@ def comparison(name: str, folders: Sequence[Path], count: int) -> str:
     """
     student = STUDENTS[name]
     draws = own_draws(student, COMPARED_SEED, count)
-    policies = {name: [run for folder in folders for run in find_candidate(str(folder)).runs]}
-    policies |= {rival: list(find_candidate(rival).runs) for rival in student.rivals}
-    speed = MEASURES["mean_speed"]
-    rows = [["policy", "runs", f"{speed.label} [95 %]", SHARE.label, "failed", "student's lead (cm/s) [95 %]"]]
+    policies = {name: [run for folder in folders for run in find_candidate(str(folder)).policies]}
+    policies |= {rival: list(find_candidate(rival).policies) for rival in student.rivals}
+    speed = TABLE_METRICS["mean_speed"]
+    rows = [
+        ["policy", "runs", f"{speed.label} [95 %]", SHARE_OF_OPTIMUM.label, "failed", "student's lead (cm/s) [95 %]"]
+    ]
     own: list[Episode] = []
     for label, runs in tqdm(policies.items(), "comparing", file=sys.stderr, disable=None):
-        episodes = [episode for run in runs for episode in run.evaluate(draws)]
+        episodes = [episode for run in runs for episode in evaluate(run, draws)]
         own = own or episodes
-        found, share = (estimate(scores(episodes, metric)).to_dict() for metric in (speed.metric, SHARE.metric))
-        lead = (
-            "" if label == name else speed.with_interval(difference(own, episodes, speed.metric).to_dict(), sign=True)
-        )
+        found, share = (estimate(scores(episodes, metric)).to_dict() for metric in (speed.name, SHARE_OF_OPTIMUM.name))
+        lead = "" if label == name else speed.with_interval(difference(own, episodes, speed.name).to_dict(), sign=True)
         failed = f"{failures(episodes)}/{len(episodes)}"
-        rows.append([label, str(len(runs)), speed.with_interval(found), SHARE.format(share["iqm"]), failed, lead])
+        rows.append(
+            [label, str(len(runs)), speed.with_interval(found), SHARE_OF_OPTIMUM.format(share["iqm"]), failed, lead]
+        )
     return text_table(rows, left=1)
 
 

@@ -21,12 +21,13 @@ from agents.distil.lessons import Classroom, Lesson
 from agents.distil.network import Fit, Network
 from agents.distil.students import Budget, Student
 from agents.evaluation.episodes import evaluate, scores
-from agents.evaluation.sets import EvaluationSet, drawn_as
+from agents.evaluation.sets import validation_set
 from agents.study.jobs import FINISHED
 from agents.training.loop import FAILURE_COST
 from agents.training.runs import git_revision
 from agents.training.stopping import Stop
 from capsule_gym import Policy
+from capsule_gym.evaluation_sets import EvaluationSet
 from capsule_gym.files import to_json, write_atomically
 from capsule_gym.policy import POLICY
 
@@ -57,7 +58,7 @@ class Result:
 
 def own_draws(student: Student, first_seed: int, count: int) -> EvaluationSet:
     """Plants that are drawn as the student's episodes are."""
-    return drawn_as(student.randomization, f"own draws from {student.randomization}", first_seed, count)
+    return validation_set(student.randomization, f"own draws from {student.randomization}", first_seed, count)
 
 
 def plan(budget: Budget) -> list[tuple[float | None, Fit]]:

@@ -1,139 +1,180 @@
-"""Runs policies on evaluation sets and sums their episodes up."""
+"""Evaluates policies on evaluation sets, and summarises their episodes for results and tables."""
 
 from __future__ import annotations
 
+import math
 import platform
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
 import capsule_gym
-from agents.evaluation.sets import EvaluationSet, PlantSpec
+from agents.evaluation.policies import Candidate, Policy, find_candidate, wrap_policy
 from agents.evaluation.statistics import Estimate, estimate, paired_difference
-from agents.evaluation.tables import SHARE
 from capsule_gym import __version__
-from capsule_gym.evaluation_sets import EPISODE_SETTINGS
+from capsule_gym.evaluation_sets import EPISODE_SETTINGS, EvaluationSet, load_set
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA, TORQUE_LIMIT
 
-Act = Callable[[np.ndarray], np.ndarray]
 Episode = dict[str, Any]
 
-# What an episode says beside its metrics.
+# The fields of an episode that are no metrics.
 LABELS = ("M", "mu", "seed", "theta", "changes", "training_seed")
 PACKAGES = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
 
 
-class Policy(Protocol):
-    """What can be evaluated: scripted policies and trained ones alike.
+@dataclass(frozen=True)
+class TableMetric:
+    """How tables show a metric.
 
     Attributes:
-        name: as it appears in results.
-        env_kwargs: the `CapsuleVectorEnv` that the policy acts in: controller, residual_limit, torque_limit and so on.
-            What makes an episode (`EPISODE_SETTINGS`, number and length) is the evaluation's.
+        name: of the metric, as in results.
+        label: its name in tables, with the unit.
+        digits: decimals.
     """
 
-    @property
-    def name(self) -> str:
-        """As it appears in results."""
+    name: str
+    label: str
+    digits: int
 
-    @property
-    def env_kwargs(self) -> Mapping[str, Any]:
-        """The environment that the policy acts in."""
+    def format(self, value: float | None, *, sign: bool = False) -> str:
+        """The number; a dash for an infinite or undefined one, which means 'no forward progress'."""
+        if value is None or not math.isfinite(value):
+            return "-"
+        text = f"{value:{'+' if sign else ''}.{self.digits}f}"
+        return text.replace("-", "") if float(text) == 0.0 else text
 
-    def start(self, seeds: Sequence[int], /) -> Act:
-        """Begins a batch of episodes.
-
-        Args:
-            seeds: one per episode, for policies that draw random numbers.
-
-        Returns:
-            A function from observations of shape (episodes, entries) to actions of shape (episodes, 1), float32,
-            called once per agent step.
-        """
+    def with_interval(self, summary: Mapping[str, Any], *, sign: bool = False) -> str:
+        """`value [low, high]` from `{"iqm": .., "low": .., "high": ..}`; the value alone where there is no interval."""
+        value = self.format(summary["iqm"], sign=sign)
+        low, high = (self.format(summary[end], sign=sign) for end in ("low", "high"))
+        return value if low == high == "-" else f"{value} [{low}, {high}]"
 
 
-def evaluate(policy: Policy, evaluation_set: EvaluationSet, *, horizon: float = HORIZON) -> list[Episode]:
-    """Runs a policy once on every plant of a set, all at once, each from rest.
+TABLE_METRICS = {
+    metric.name: metric
+    for metric in (
+        TableMetric("mean_speed", "mean speed (cm/s)", 2),
+        TableMetric("cost_of_transport", "cost of transport", 2),
+        TableMetric("peak_torque", "peak torque (N m)", 3),
+        TableMetric("rms_torque", "rms torque (N m)", 3),
+        TableMetric("backward_ratio", "backward / forward travel", 3),
+        TableMetric("stuck_fraction", "fraction of time stuck", 3),
+    )
+}
+# The mean speed over the optimum's for the episode's plant, on sets for which `has_optimum`.
+SHARE_OF_OPTIMUM = TableMetric("share_of_optimum", "share of optimum", 2)
 
-    A trained policy runs in compiled code, `capsule_gym.rollout`; the others are asked at every step.
+
+def evaluate(
+    policy: Any,
+    evaluation_set: EvaluationSet | str | Path = "paper",
+    *,
+    name: str | None = None,
+    env_kwargs: Mapping[str, Any] | None = None,
+    horizon: float = HORIZON,
+) -> list[Episode]:
+    """Runs a policy once on every plant of a set, all plants at once, each from rest.
+
+    A trained policy runs in compiled code, `capsule_gym.rollout`; any other is called at every step.
 
     Args:
-        policy: what acts.
-        evaluation_set: the plants.
+        policy: as for `wrap_policy`; or a candidate, or its name or path as for `find_candidate`: all its training
+            seeds, one after the other.
+        evaluation_set: a set, the name of a frozen one, or the path of one.
+        name: as for `wrap_policy`.
+        env_kwargs: as for `wrap_policy`.
         horizon: length of an episode in s.
 
     Returns:
         One dict per plant, in order: M (kg), mu, seed, where it has them theta (rad) and changes, and the metrics of
-        `capsule_gym.task.Metrics`; where `has_optimum` says so also `share_of_optimum`, the mean speed over the
-        optimum's of the episode's plant.
+        `capsule_gym.task.Metrics`; where `has_optimum` also `share_of_optimum`; of a trained policy `training_seed`.
+
+    Raises:
+        TypeError: if the policy is something else.
+        ValueError: if there is no such policy or set, or the policy's actions are not finite or of another shape.
     """
+    chosen = evaluation_set if isinstance(evaluation_set, EvaluationSet) else load_set(evaluation_set)
+    if isinstance(policy, (str, Path)):
+        if name is not None or env_kwargs is not None:
+            raise TypeError("name and env_kwargs must not be given with a policy's name or path, which has its own")
+        policy = find_candidate(str(policy))
+    if isinstance(policy, Candidate):
+        return [episode for each in policy.policies for episode in evaluate(each, chosen, horizon=horizon)]
+    policy = wrap_policy(policy, name=name, env_kwargs=env_kwargs)
     settings: dict[str, Any] = {**policy.env_kwargs, **EPISODE_SETTINGS}
-    metrics = _run(policy, settings, evaluation_set.plants, round(horizon / settings.get("control_dt", CONTROL_DT)))
+    metrics = _run(policy, settings, chosen, round(horizon / settings.get("control_dt", CONTROL_DT)))
     limited = settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
-    return as_episodes(evaluation_set, metrics, shared=limited)
+    seed = policy.training_seed if isinstance(policy, capsule_gym.Policy) else None
+    return as_episodes(chosen, metrics, training_seed=seed, shared=limited)
 
 
 def as_episodes(
-    evaluation_set: EvaluationSet, metrics: Mapping[str, np.ndarray], *, shared: bool = True
+    evaluation_set: EvaluationSet,
+    metrics: Mapping[str, np.ndarray],
+    *,
+    training_seed: int | None = None,
+    shared: bool = True,
 ) -> list[Episode]:
     """The episodes of a set as `evaluate` returns them.
 
     Args:
         evaluation_set: the plants.
         metrics: by name, each of shape (plants,).
-        shared: whether a share of the optimum belongs to them, where `has_optimum` says so as well.
+        training_seed: of a trained policy; None for a scripted one.
+        shared: whether the policy acts under the optimum's torque limit, so that its share of the optimum is defined.
     """
     shared = shared and has_optimum(evaluation_set)
     if shared:
-        # Here, as in other functions, since numba comes with it, which takes most of a second to import.
+        # Imported here, as in other functions: it imports numba, which takes most of a second.
         from baselines.optimum import optimal_speed
+    label = {} if training_seed is None else {"training_seed": training_seed}
     episodes = []
     for i, plant in enumerate(evaluation_set.plants):
         values = {name: float(column[i]) for name, column in metrics.items()}
         if shared:
-            values[SHARE.metric] = values["mean_speed"] / optimal_speed(plant.M, plant.mu)
-        label = plant.to_dict()
+            values[SHARE_OF_OPTIMUM.name] = values["mean_speed"] / optimal_speed(plant.M, plant.mu)
+        fields = plant.to_dict()
         if not plant.changes:
-            del label["changes"]
-        episodes.append({**label, **values})
+            del fields["changes"]
+        episodes.append({**fields, **values, **label})
     return episodes
 
 
-def _run(policy: Policy, settings: Mapping[str, Any], plants: Sequence[PlantSpec], steps: int) -> dict[str, np.ndarray]:
-    """The metrics of one episode per plant, all run side by side; each of shape (plants,)."""
+def _run(
+    policy: Policy, settings: Mapping[str, Any], evaluation_set: EvaluationSet, steps: int
+) -> dict[str, np.ndarray]:
+    """The metrics of one episode per plant, all run in one batch; each of shape (plants,)."""
+    plants = evaluation_set.plants
     seeds = [plant.seed for plant in plants]
     batch = {"num_envs": len(plants), "max_episode_steps": steps, "autoreset_mode": AutoresetMode.DISABLED}
     env = capsule_gym.CapsuleVectorEnv(**{**settings, **batch})
     try:
-        observations, _ = env.reset(
-            seed=seeds,
-            options={
-                "M": np.array([plant.M for plant in plants]),
-                "mu": np.array([plant.mu for plant in plants]),
-                "state": np.array([(plant.theta, 0.0, 0.0, 0.0) for plant in plants]),
-                "changes": [[change.to_dict() for change in plant.changes] for plant in plants],
-            },
-        )
+        resets = [plant.reset_options() for plant in plants]
+        options = {key: [each[key] for each in resets] for key in resets[0]}
+        arrays = {key: np.array(options[key]) for key in ("M", "mu", "state")}
+        observations, _ = env.reset(seed=seeds, options={**options, **arrays})
         if isinstance(policy, capsule_gym.Policy):
             from capsule_gym.rollout import rollout
 
             return rollout(env.simulation, policy, steps)
         act = policy.start(seeds)
         for _ in range(steps):
+            # An environment whose episode has ended ignores its actions.
             observations, _, terminated, truncated, _ = env.step(act(observations))
             if (terminated | truncated).all():
                 break
-        # Who has ended stands still.
         return env.episode_metrics()
     finally:
         env.close()
 
 
 def has_optimum(evaluation_set: EvaluationSet) -> bool:
-    """Whether all episodes of a set are such as the table of optima holds: its start, its grid, no jumps."""
+    """Whether the table of optima covers all episodes of a set: its start, its grid, no changes of the plant."""
     from baselines.gaits.archive import in_grid
 
     return all(
@@ -146,18 +187,18 @@ def scores(episodes: Sequence[Episode], metric: str) -> np.ndarray:
     """The values of a metric, shape (training seeds, episodes of a set).
 
     Args:
-        episodes: of one policy on one set; those of a training seed follow each other.
-        metric: its name. None, which stands for infinite in files, becomes infinite again.
+        episodes: of one policy on one set; those of a training seed are adjacent.
+        metric: its name. None, which stands for infinity in files, becomes infinity again.
     """
     runs: dict[Any, list[float]] = {}
     for episode in episodes:
         value = episode[metric]
-        runs.setdefault(episode.get("training_seed"), []).append(float("inf") if value is None else value)
+        runs.setdefault(episode.get("training_seed"), []).append(math.inf if value is None else value)
     return np.array(list(runs.values()), dtype=np.float64)
 
 
 def failures(episodes: Sequence[Episode]) -> int:
-    """How many episodes ended before their time."""
+    """The number of episodes that were terminated."""
     return sum(int(episode["failed"]) for episode in episodes)
 
 
@@ -203,7 +244,7 @@ def make_result(name: str, evaluation_set: EvaluationSet, episodes: Sequence[Epi
 
     Args:
         name: of the policy.
-        evaluation_set: what it ran on.
+        evaluation_set: the set of the episodes.
         episodes: all of them; those of trained policies carry `training_seed`.
     """
     return {

@@ -42,23 +42,10 @@ from pathlib import Path
 import numpy as np
 
 from capsule_gym.command_line import parse
-from capsule_gym.evaluation_sets import NOMINAL_PLANT, SET_NAMES, Change, EvaluationSet, PlantSpec, load_set, parse_set
+from capsule_gym.evaluation_sets import NOMINAL_PLANT, SET_NAMES, Change, EvaluationSet, PlantSpec
 from capsule_gym.files import write_atomically
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, Randomization
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
-
-__all__ = [
-    "NOMINAL_PLANT",
-    "SET_NAMES",
-    "Change",
-    "EvaluationSet",
-    "PlantSpec",
-    "draw_set",
-    "drawn_as",
-    "load_set",
-    "parse_set",
-    "stale_sets",
-]
 
 PROG = "python -m agents.evaluation.sets"
 SETS_FOLDER = Path(__file__).with_name("frozen")
@@ -86,7 +73,7 @@ def _uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    # Here, as in `drawn_as`, since numba comes with it, which takes most of a second to import.
+    # Here, as in `validation_set`, since numba comes with it, which takes most of a second to import.
     from capsule_gym.elementary import exp, log
 
     return float(low * exp(float(rng.random()) * log(high / low)))
@@ -157,7 +144,7 @@ def draw_set(name: str) -> EvaluationSet:
     return EvaluationSet(name, tuple(draw(np.random.default_rng(seed))))
 
 
-def drawn_as(randomization: str, name: str, first_seed: int, count: int) -> EvaluationSet:
+def validation_set(randomization: str, name: str, first_seed: int, count: int) -> EvaluationSet:
     """A set of plants that are drawn as the environment draws those of its episodes, for choices and studies.
 
     Args:

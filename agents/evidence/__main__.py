@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from agents.evaluation import candidates
-from agents.evaluation.candidates import all_candidates
-from agents.evaluation.sets import SET_NAMES, load_set
+from agents.evaluation import policies as evaluation_policies
+from agents.evaluation.policies import all_candidates
 from agents.evidence.figures import draw_all
 from agents.evidence.material import gather
 from agents.evidence.page import COMMAND, render
 from agents.leaderboard.rows import RESULTS, load_rows
 from capsule_gym.command_line import parse, refuse
+from capsule_gym.evaluation_sets import SET_NAMES, load_set
 from capsule_gym.files import write_atomically
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None, *, root: Path = ROOT) -> int:
     path = root / "docs" / "evidence_tables.md"
     try:
         rows = load_rows(root / RESULTS, [candidate.name for candidate in all_candidates()])
-        evidence = gather(rows, [load_set(name) for name in SET_NAMES], candidates.CHECKPOINTS)
+        evidence = gather(rows, [load_set(name) for name in SET_NAMES], evaluation_policies.CHECKPOINTS)
     except ValueError as error:
         refuse(COMMAND, str(error))
     text = render(evidence)

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.evaluation.candidates import BASELINE
-from agents.evaluation.sets import EvaluationSet
+from agents.evaluation.policies import BASELINE
 from agents.evaluation.statistics import (
     Curve,
     Estimate,
@@ -24,6 +23,7 @@ from agents.evaluation.statistics import (
 from agents.leaderboard.page import RANKING_SET
 from agents.leaderboard.rows import Row
 from agents.training.presets import EVALUATED, EVALUATIONS
+from capsule_gym.evaluation_sets import EvaluationSet
 
 SPEED = "mean_speed"
 # What a policy is compared with: by its name, or what its residual is added to.

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from agents.evaluation.tables import MEASURES, Measure
+from agents.evaluation.episodes import TABLE_METRICS, TableMetric
 from agents.evidence.material import BASE, REFERENCES, Evidence, difference, improvement
 from agents.leaderboard.rows import Row
 from baselines.tables import markdown_table
 
 COMMAND = "python -m agents.evidence"
-SPEED = MEASURES["mean_speed"]
-PROBABILITY = Measure("probability", "probability", 2)
+SPEED = TABLE_METRICS["mean_speed"]
+PROBABILITY = TableMetric("probability", "probability", 2)
 LEARNING_FIGURE = "![Mean speed on own draws over steps of training, every seed and their interquartile mean]"
 
 

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from agents.evaluation.candidates import find_candidate
+from agents.evaluation.policies import find_candidate
 from agents.gallery.card import write_card
 from agents.recording import NOMINAL_TITLE, Recording, draw_comparison, record
 from capsule_gym.command_line import parse
@@ -45,7 +45,7 @@ class Options:
 
 def moving(name: str) -> Recording:
     """A driver on the paper's plant, with pictures; of a trained one the first seed."""
-    policy = find_candidate(name).runs[0].policy
+    policy = find_candidate(name).policies[0]
     return record(policy, seconds=BEGIN + SECONDS, frames_from=BEGIN, frame_seconds=FRAME_SECONDS, name=name)
 
 
@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if name == CARD_DRIVER:
             write_card(frames[CARD_FRAME], media / "card.png")
         print(f"Written: {media / name}.gif", flush=True)
-    compared = [record(find_candidate(name).runs[0].policy, name=name) for name in COMPARED]
+    compared = [record(find_candidate(name).policies[0], name=name) for name in COMPARED]
     draw_comparison(compared, figures / "gallery.png", NOMINAL_TITLE)
     return 0
 

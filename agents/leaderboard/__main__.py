@@ -23,13 +23,13 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from agents.evaluation.candidates import Candidate, all_candidates
-from agents.evaluation.sets import SET_NAMES, load_set
+from agents.evaluation.policies import Candidate, all_candidates
 from agents.leaderboard.board import build, evaluate, write
 from agents.leaderboard.check import check
 from agents.leaderboard.page import COMMAND
 from agents.leaderboard.rows import RESULTS, load_rows, save_row
 from capsule_gym.command_line import Positional, parse, refuse
+from capsule_gym.evaluation_sets import SET_NAMES, load_set
 from capsule_gym.parameters import nearest
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -13,13 +13,12 @@ from typing import Any
 
 from tqdm import tqdm
 
-from agents.evaluation.candidates import CHECKPOINTS, Candidate, Run
-from agents.evaluation.episodes import Episode, summarise
-from agents.evaluation.sets import EvaluationSet
-from agents.evaluation.tables import MEASURES, SHARE
+from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, Episode, summarise
+from agents.evaluation.policies import CHECKPOINTS, Candidate, Policy
 from agents.leaderboard import chaos
 from agents.leaderboard.page import rank, render, with_head
 from agents.leaderboard.rows import Row, evaluate_run, make_row
+from capsule_gym.evaluation_sets import EvaluationSet
 from capsule_gym.files import to_json, without_nonfinite, write_atomically
 from capsule_gym.task import HORIZON
 
@@ -43,9 +42,9 @@ def _pool(jobs: int) -> Iterator[Any]:
             raise
 
 
-def _work(item: Run | Candidate, sets: Sequence[EvaluationSet], horizon: float) -> Any:
+def _work(item: Policy | Candidate, sets: Sequence[EvaluationSet], horizon: float) -> Any:
     """One run on all sets, or how chaotic a policy is."""
-    return evaluate_run(item, sets, horizon) if isinstance(item, Run) else chaos.measure(item, horizon)
+    return chaos.measure(item, horizon) if isinstance(item, Candidate) else evaluate_run(item, sets, horizon)
 
 
 def evaluate(
@@ -59,12 +58,12 @@ def evaluate(
         jobs: number of processes.
         horizon: length of an episode in s.
     """
-    work = [item for candidate in candidates for item in (*candidate.runs, candidate)]
+    work = [item for candidate in candidates for item in (*candidate.policies, candidate)]
     with _pool(jobs) as pool_map:
         found = pool_map(_work, work, [sets] * len(work), [horizon] * len(work))
         found = iter(tqdm(found, "evaluating", len(work), file=sys.stderr, disable=None))
         for candidate in candidates:
-            runs = [next(found) for _ in candidate.runs]
+            runs = [next(found) for _ in candidate.policies]
             yield make_row(candidate, sets, runs, next(found))
 
 
@@ -78,7 +77,7 @@ def _rounded(value: Any, digits: int) -> Any:
 def _summary(episodes: Sequence[Episode]) -> dict[str, Any]:
     """What a row says of one set: its measures, to six digits, and its counts."""
     summary = summarise(episodes)
-    shown = (*MEASURES, SHARE.metric, "episodes", "failures", "resampled")
+    shown = (*TABLE_METRICS, SHARE_OF_OPTIMUM.name, "episodes", "failures", "resampled")
     return {name: _rounded(summary[name], 6) for name in shown if name in summary}
 
 

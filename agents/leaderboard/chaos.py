@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from agents.evaluation.candidates import Candidate
-from agents.evaluation.episodes import Act, Policy, evaluate, scores
-from agents.evaluation.sets import NOMINAL_PLANT, EvaluationSet
+from agents.evaluation.episodes import evaluate, scores
+from agents.evaluation.policies import Act, Candidate, Policy
+from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet
 from capsule_gym.task import HORIZON
 
 # Of full action, half the width: what a network in float32 rounds away.
@@ -70,8 +70,8 @@ def measure(candidate: Candidate, horizon: float = HORIZON) -> dict[str, float]:
     """
     copies = EvaluationSet("copies", (NOMINAL_PLANT,) * COPIES)
     ends = []
-    for run in candidate.runs:
-        speeds = scores(evaluate(Disturbed(run.policy, NOISE_SEED), copies, horizon=horizon), "mean_speed")
+    for policy in candidate.policies:
+        speeds = scores(evaluate(Disturbed(policy, NOISE_SEED), copies, horizon=horizon), "mean_speed")
         ends.append((float(speeds.min()), float(speeds.max())))
     low, high = max(ends, key=lambda end: end[1] - end[0])
     return {"low": low, "high": high}

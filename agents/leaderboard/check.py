@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from agents.evaluation.candidates import Candidate
-from agents.evaluation.sets import EvaluationSet
+from agents.evaluation.policies import Candidate
 from agents.leaderboard.board import build, evaluate, training_commands
 from agents.leaderboard.page import render, with_head
 from agents.leaderboard.rows import RESULTS, Row, load_rows, static_header
+from capsule_gym.evaluation_sets import EvaluationSet
 from capsule_gym.files import to_json
 from capsule_gym.task import HORIZON
 

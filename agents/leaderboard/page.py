@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from agents.evaluation.candidates import BASELINE
-from agents.evaluation.tables import MEASURES, SHARE, Measure
+from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TableMetric
+from agents.evaluation.policies import BASELINE
 from agents.leaderboard.chaos import COPIES, NOISE
 from baselines.tables import markdown_table
 
@@ -19,8 +19,8 @@ COMMAND = "python -m agents.leaderboard"
 # As mkdocs includes a part of a file: docs/index.md does.
 START, END = "<!-- --8<-- [start:leaderboard] -->", "<!-- --8<-- [end:leaderboard] -->"
 
-RATIO = Measure("ratio", f"x {BASELINE}", 2)
-SPEED = MEASURES["mean_speed"]
+RATIO = TableMetric("ratio", f"x {BASELINE}", 2)
+SPEED = TABLE_METRICS["mean_speed"]
 
 
 def rank(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -46,7 +46,7 @@ def _failures(summary: Mapping[str, Any]) -> str:
 
 def _share(summary: Mapping[str, Any]) -> str:
     """The share of the optimum's speed; a dash on sets that the table of optima does not cover."""
-    return SHARE.format(summary.get(SHARE.metric, {}).get("iqm"))
+    return SHARE_OF_OPTIMUM.format(summary.get(SHARE_OF_OPTIMUM.name, {}).get("iqm"))
 
 
 def _main_table(board: Mapping[str, Any]) -> str:
@@ -55,7 +55,7 @@ def _main_table(board: Mapping[str, Any]) -> str:
     for place, row in enumerate(rank(board["rows"]), start=1):
         summary = row["results"][RANKING_SET]
         speed, ratio = _speed_cells(board, row)
-        cost = MEASURES["cost_of_transport"].format(summary["cost_of_transport"]["iqm"])
+        cost = TABLE_METRICS["cost_of_transport"].format(summary["cost_of_transport"]["iqm"])
         table.append([str(place), row["policy"], speed, ratio, _share(summary), cost, _failures(summary)])
     return markdown_table(table)
 
@@ -67,12 +67,12 @@ def _unbroken(text: str) -> str:
 
 def _details_table(board: Mapping[str, Any]) -> str:
     """What the ranking leaves out."""
-    shown = [measure for measure in MEASURES.values() if measure != SPEED]
+    shown = [measure for measure in TABLE_METRICS.values() if measure != SPEED]
     table = [["policy", *(measure.label for measure in shown), "training seeds", "revision"]]
     for row in rank(board["rows"]):
         summary = row["results"][RANKING_SET]
         revision = f"`{row['revision']}`" if row["revision"] else "-"
-        cells = (_unbroken(measure.with_interval(summary[measure.metric])) for measure in shown)
+        cells = (_unbroken(measure.with_interval(summary[measure.name])) for measure in shown)
         table.append([row["policy"], *cells, str(len(row["training_seeds"]) or "-"), revision])
     return markdown_table(table)
 
@@ -111,7 +111,7 @@ def _intervals_table(board: Mapping[str, Any]) -> str:
 def _shares_table(board: Mapping[str, Any]) -> str:
     """The shares on the sets that the table of optima covers."""
     rows = rank(board["rows"])
-    names = [name for name in board["sets"] if any(SHARE.metric in row["results"][name] for row in rows)]
+    names = [name for name in board["sets"] if any(SHARE_OF_OPTIMUM.name in row["results"][name] for row in rows)]
     table = [[row["policy"], *(_share(row["results"][name]) for name in names)] for row in rows]
     return markdown_table([["policy", *names], *table])
 
@@ -239,11 +239,11 @@ def render(board: Mapping[str, Any]) -> str:
 
 def head(board: Mapping[str, Any]) -> str:
     """The leaderboard's head for the README, as a Markdown table: the fastest few, and always the baseline."""
-    table = [["policy", f"{SPEED.label} [95 %]", RATIO.label, MEASURES["cost_of_transport"].label, "failures"]]
+    table = [["policy", f"{SPEED.label} [95 %]", RATIO.label, TABLE_METRICS["cost_of_transport"].label, "failures"]]
     for place, row in enumerate(rank(board["rows"])):
         if place < HEAD_ROWS or row["policy"] == BASELINE:
             summary = row["results"][RANKING_SET]
-            transport = MEASURES["cost_of_transport"].format(summary["cost_of_transport"]["iqm"])
+            transport = TABLE_METRICS["cost_of_transport"].format(summary["cost_of_transport"]["iqm"])
             table.append([row["policy"], *_speed_cells(board, row), transport, _failures(summary)])
     return markdown_table(table)
 

@@ -30,10 +30,10 @@ from typing import Any
 
 import numpy as np
 
-from agents.evaluation.candidates import Candidate, Run
-from agents.evaluation.episodes import Episode, as_episodes, versions
-from agents.evaluation.sets import EvaluationSet
+from agents.evaluation.episodes import Episode, as_episodes, evaluate, versions
+from agents.evaluation.policies import Candidate, Policy
 from baselines.policies import SCRIPTED
+from capsule_gym.evaluation_sets import EvaluationSet
 from capsule_gym.files import file_hash, write_bytes_atomically
 from capsule_gym.policy import POLICY
 from capsule_gym.task import METRICS
@@ -111,13 +111,13 @@ class Row:
 
 def static_header(candidate: Candidate) -> dict[str, Any]:
     """What a row says before anything is evaluated."""
-    revisions = dict.fromkeys(run.revision for run in candidate.runs if run.revision)
+    revisions = dict.fromkeys(policy.revision for policy in candidate.trained)
     folder = candidate.folder
     paths = sorted(folder.rglob(POLICY)) if folder else []
     return {
         "policy": candidate.name,
         "description": candidate.description,
-        "training_seeds": [run.training_seed for run in candidate.runs if run.training_seed is not None],
+        "training_seeds": [policy.training_seed for policy in candidate.trained],
         "revision": ", ".join(revisions) or None,
         "files": {path.relative_to(folder).as_posix(): file_hash(path) for path in paths if folder},
         "base": _base(candidate),
@@ -126,15 +126,15 @@ def static_header(candidate: Candidate) -> dict[str, Any]:
 
 def _base(candidate: Candidate) -> str | None:
     """The scripted policy that does nothing but what the law under a residual does."""
-    controller = candidate.runs[0].policy.env_kwargs.get("controller")
+    controller = candidate.policies[0].env_kwargs.get("controller")
     if controller is None or candidate.folder is None:
         return None
     return next((name for name, each in SCRIPTED.items() if each.env_kwargs.get("controller") == controller), None)
 
 
-def evaluate_run(run: Run, sets: Sequence[EvaluationSet], horizon: float) -> dict[str, np.ndarray]:
+def evaluate_run(policy: Policy, sets: Sequence[EvaluationSet], horizon: float) -> dict[str, np.ndarray]:
     """One training run on all sets: by the set's name the metrics of its episodes, shape (metrics, episodes)."""
-    episodes = {each.name: run.evaluate(each, horizon) for each in sets}
+    episodes = {each.name: evaluate(policy, each, horizon=horizon) for each in sets}
     return {
         name: np.array([[each[column] for each in found] for column in COLUMNS]) for name, found in episodes.items()
     }

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from agents.evaluation.sets import EvaluationSet
 from agents.evaluation.statistics import performance_profile
 from agents.evidence.figures import PENS, panels, plot_curve, plot_learning, plot_transport
 from agents.evidence.material import SPEED, Evidence
 from agents.leaderboard.rows import Row
 from baselines.drawing import VERMILION, new_figure, style
+from capsule_gym.evaluation_sets import EvaluationSet
 
 WIDTH, COLUMNS, PANEL_HEIGHT = 4.2, 2, 1.5
 PROFILE_POINTS, PROFILE_RESAMPLES = 61, 1000

@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from agents.evaluation import candidates
-from agents.evaluation.candidates import BASELINE, Candidate, Run, all_candidates, find_candidate
-from agents.evaluation.sets import SET_NAMES, EvaluationSet, load_set
+from agents.evaluation import policies as evaluation_policies
+from agents.evaluation.policies import BASELINE, Candidate, all_candidates, find_candidate
 from agents.evaluation.statistics import estimate
 from agents.evidence.material import SPEED, Evidence, Learning, gather, read_evaluations, read_learning
 from agents.leaderboard.board import build
 from agents.leaderboard.page import RANKING_SET
 from agents.leaderboard.rows import RESULTS, Row, evaluate_run, load_row, make_row, path_of
 from agents.training.presets import BEST, CONFIG, EVALUATIONS, MODEL
+from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, load_set
 from capsule_gym.policy import POLICY, Policy
 from capsule_gym.task import HORIZON
 
@@ -72,13 +72,13 @@ def collect(names: Sequence[str], *, trust_controller: bool = False, root: Path 
         path = Path(name)
         candidate = _candidate(name, trust_controller)
         rows.append(evaluated(candidate, sets))
-        if isinstance(policy := candidate.runs[0].policy, Policy):
+        if isinstance(policy := candidate.policies[0], Policy):
             policies[candidate.name] = policy
         curves[rows[-1].name] = _learning(path)
         if (path / CONFIG).is_file():
             configs[rows[-1].name] = json.loads((path / CONFIG).read_text(encoding="utf-8"))
     _refuse_twins(rows)
-    evidence = gather(rows, sets, candidates.CHECKPOINTS)
+    evidence = gather(rows, sets, evaluation_policies.CHECKPOINTS)
     learning = evidence.learning | {name: each for name, each in curves.items() if each.seeds}
     own = build([row for row in rows if row.name not in published], sets)
     summaries = published | {row["policy"]: row["results"] for row in own["rows"]}
@@ -104,16 +104,16 @@ def _candidate(name: str, trust_controller: bool) -> Candidate:
         # Imports torch, which takes seconds.
         from agents.training.recurrent import load_best
 
-        return Candidate(path.name, (Run(path.name, load_best(path)),), "an agent with a memory")
+        return Candidate(path.name, (load_best(path),), "an agent with a memory")
     found = find_candidate(name, trust_controller=trust_controller)
     return replace(found, name=path.resolve().name)
 
 
 def evaluated(candidate: Candidate, sets: Sequence[EvaluationSet]) -> Row:
     """The row of a policy that is not on the leaderboard."""
-    row = make_row(candidate, sets, [evaluate_run(run, sets, HORIZON) for run in candidate.runs], {})
+    row = make_row(candidate, sets, [evaluate_run(policy, sets, HORIZON) for policy in candidate.policies], {})
     # A policy with a memory has no file that says its seed.
-    seeds = row.header["training_seeds"] or list(range(len(candidate.runs)))
+    seeds = row.header["training_seeds"] or list(range(len(candidate.policies)))
     return replace(row, header={**row.header, "training_seeds": seeds})
 
 

@@ -15,8 +15,8 @@ from urllib.parse import urlencode
 
 from agents.browser import describe_policy
 from agents.drivers import driver_names
-from agents.evaluation.candidates import BASELINE
-from agents.evaluation.tables import MEASURES, SHARE, Measure
+from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TableMetric
+from agents.evaluation.policies import BASELINE
 from agents.evidence.material import SPEED
 from agents.leaderboard.page import RANKING_SET
 from agents.leaderboard.rows import Row
@@ -130,8 +130,8 @@ def _sentence(material: Material, row: Row) -> str:
     description = re.sub("`([^`]+)`", r"<code>\1</code>", html.escape(row.header["description"]))
     return (
         f"<strong>{html.escape(row.name)}</strong> ({description}): "
-        f"{MEASURES[SPEED].with_interval(speed)} cm/s on the set <code>{RANKING_SET}</code>, {ratio:.2f} times as fast "
-        f"as the paper's controller; {summary['failures']} of {summary['episodes']} episodes failed."
+        f"{TABLE_METRICS[SPEED].with_interval(speed)} cm/s on the set <code>{RANKING_SET}</code>, {ratio:.2f} times "
+        f"as fast as the paper's controller; {summary['failures']} of {summary['episodes']} episodes failed."
     )
 
 
@@ -160,7 +160,7 @@ def _learning(material: Material) -> str:
 def _table(material: Material) -> str:
     """All measures of all policies on all sets."""
     evidence = material.evidence
-    heads = ["policy", "set", *(measure.label for measure in MEASURES.values()), SHARE.label, "failed"]
+    heads = ["policy", "set", *(measure.label for measure in TABLE_METRICS.values()), SHARE_OF_OPTIMUM.label, "failed"]
     rows = [
         _line(row.name, each.name, material.summaries[row.name][each.name])
         for row in evidence.rows
@@ -185,14 +185,14 @@ def _line(policy: str, set_name: str, summary: Mapping[str, Any]) -> str:
     cells = [
         f'<th scope="row">{html.escape(policy)}</th>',
         f"<td>{set_name}</td>",
-        *(_number(measure, summary[measure.metric]) for measure in MEASURES.values()),
-        _number(SHARE, summary.get(SHARE.metric, {"iqm": None, "low": None, "high": None})),
+        *(_number(measure, summary[measure.name]) for measure in TABLE_METRICS.values()),
+        _number(SHARE_OF_OPTIMUM, summary.get(SHARE_OF_OPTIMUM.name, {"iqm": None, "low": None, "high": None})),
         f'<td data-value="{failed:.6g}">{summary["failures"]}/{summary["episodes"]}</td>',
     ]
     return f'<tr data-set="{set_name}">{"".join(cells)}</tr>'
 
 
-def _number(measure: Measure, summary: Mapping[str, Any]) -> str:
+def _number(measure: TableMetric, summary: Mapping[str, Any]) -> str:
     value = summary["iqm"]
     number, _, interval = measure.with_interval(summary).partition(" ")
     # As JavaScript reads it: what does not exist is NaN.

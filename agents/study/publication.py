@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from agents.evaluation.candidates import CHECKPOINTS
+from agents.evaluation.policies import CHECKPOINTS
 from agents.study.jobs import Job, refuse_other_settings, revision_of
 from agents.training.errors import RunError
 from agents.training.presets import BEST, EVALUATIONS

@@ -28,9 +28,9 @@ from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 from tqdm import tqdm
 
-from agents.evaluation.candidates import BASELINE
-from agents.evaluation.episodes import Policy, evaluate, scores, versions
-from agents.evaluation.sets import EvaluationSet, drawn_as
+from agents.evaluation.episodes import evaluate, scores, versions
+from agents.evaluation.policies import BASELINE, Policy
+from agents.evaluation.sets import validation_set
 from agents.evaluation.statistics import interquartile_mean
 from agents.training import checkpoint
 from agents.training.checkpoint import Progress
@@ -59,6 +59,7 @@ from agents.training.runs import git_revision, save
 from agents.training.sac import LeanSAC
 from agents.training.stopping import Stop
 from baselines.policies import SCRIPTED
+from capsule_gym.evaluation_sets import EvaluationSet
 from capsule_gym.files import naming, to_json, write_atomically
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.task import CONTROL_DT, HORIZON
@@ -104,7 +105,7 @@ def own_draws(config: Config) -> EvaluationSet:
     """The plants that a run selects its best model on: its own randomisation, seeds that nothing else uses."""
     first = SELECTION_SEED + config.seed * config.evaluation_episodes
     name = f"own draws from {config.randomization}"
-    return drawn_as(config.randomization, name, first, config.evaluation_episodes)
+    return validation_set(config.randomization, name, first, config.evaluation_episodes)
 
 
 def make_env(config: Config, seed: int) -> VecNormalize:

@@ -16,8 +16,7 @@ from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
-from agents.evaluation.episodes import Policy
-from agents.evaluation.outside import adopt
+from agents.evaluation.policies import Policy, wrap_policy
 from agents.training.presets import BEST, MODEL, RecurrentPPOConfig, read_config
 from capsule_gym import load_policy
 
@@ -65,7 +64,7 @@ def present_policy(name: str, model: RecurrentPPO, env_kwargs: Mapping[str, Any]
         model: the agent, with the environments that it learns in.
         env_kwargs: the arguments of the environment that it acts in.
     """
-    return adopt(_InTraining(model), name=name, env_kwargs=env_kwargs)
+    return wrap_policy(_InTraining(model), name=name, env_kwargs=env_kwargs)
 
 
 def load_best(run: Path) -> Policy:
@@ -83,4 +82,4 @@ def load_best(run: Path) -> Policy:
     if not isinstance(config, RecurrentPPOConfig):
         return load_policy(run, trust_controller=True)
     model = RecurrentPPO.load(run / BEST / MODEL, device="cpu")
-    return adopt(model, name=run.name, env_kwargs=config.env_kwargs())
+    return wrap_policy(model, name=run.name, env_kwargs=config.env_kwargs())

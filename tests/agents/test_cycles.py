@@ -17,10 +17,10 @@ from agents.cycles.course import (
     stretches,
 )
 from agents.cycles.picture import draw_cycles
-from agents.evaluation.candidates import Candidate, Run, find_candidate
 from agents.evaluation.episodes import evaluate
-from agents.evaluation.sets import NOMINAL_PLANT, EvaluationSet, PlantSpec
+from agents.evaluation.policies import Candidate, find_candidate
 from baselines.drawing import save, style
+from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet, PlantSpec
 from tests.agents.fakes import Sine, make_policy
 
 PLANT = PlantSpec(0.6, 0.05, seed=3)
@@ -93,7 +93,7 @@ def test_what_does_not_swing_has_no_cycle():
 
 
 def test_the_balance_of_a_steady_cycle_closes():
-    cycle = find_cycle(follow("adaptive", find_candidate("adaptive").runs[0].policy))
+    cycle = find_cycle(follow("adaptive", find_candidate("adaptive").policies[0]))
     assert (cycle.swings, cycle.course.t[-1]) == (1, pytest.approx(6.6))
     found = balance(cycle)
     assert sum(phase.time for phase in found.phases.values()) == pytest.approx(1.0)
@@ -143,7 +143,7 @@ def test_the_seed_with_the_median_speed_is_shown(monkeypatch):
         return dataclasses.replace(made(0.8), x=np.array([0.0, speeds[policy.training_seed]]), name=name)
 
     monkeypatch.setattr(command, "follow", course)
-    runs = tuple(Run("learnt", make_policy(seed)) for seed in speeds)
+    runs = tuple(make_policy(seed) for seed in speeds)
     assert command.median_course(Candidate("learnt", runs, "")).name == "learnt (seed 7)"
     assert command.median_course(Candidate("learnt", runs[:1], "")).name == "learnt"
 

@@ -3,7 +3,7 @@ import csv
 import numpy as np
 import pytest
 
-from agents.evaluation import candidates
+from agents.evaluation import policies
 from agents.evaluation.statistics import Estimate
 from agents.evidence import __main__ as evidence_main
 from agents.evidence import material
@@ -187,7 +187,7 @@ def test_command_line(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(evidence_main, "all_candidates", lambda: [Named(row.name) for row in ROWS])
     monkeypatch.setattr(evidence_main, "SET_NAMES", ("nominal", "paper", "wide"))
     monkeypatch.setattr(evidence_main, "load_set", lambda name: next(s for s in SETS if s.name == name))
-    monkeypatch.setattr(candidates, "CHECKPOINTS", tmp_path / "checkpoints")
+    monkeypatch.setattr(policies, "CHECKPOINTS", tmp_path / "checkpoints")
     with pytest.raises(SystemExit) as stop:
         evidence_main.main([], root=tmp_path)
     assert stop.value.code == 2 and "adaptive: has no results" in capsys.readouterr().err

@@ -1,7 +1,7 @@
 import pytest
 from PIL import Image
 
-from agents.evaluation import candidates
+from agents.evaluation import policies
 from agents.gallery import __main__ as gallery
 from tests.agents.fakes import Sine
 
@@ -10,7 +10,7 @@ SIZE = 400_000
 
 def test_gallery_is_drawn(tmp_path, monkeypatch):
     known = {name: Sine(0.3, name="a folder's name") for name in ("one", "two")}
-    monkeypatch.setattr(candidates, "SCRIPTED", known)
+    monkeypatch.setattr(policies, "SCRIPTED", known)
     for name, value in {
         "DRIVERS": ("one", "two"),
         "COMPARED": ("one", "two"),

@@ -3,10 +3,10 @@ import pytest
 from PIL import Image
 
 from agents import recording
-from agents.evaluation import candidates
+from agents.evaluation import policies
 from agents.evaluation.episodes import evaluate
-from agents.evaluation.sets import EvaluationSet, PlantSpec
 from agents.recording import draw_comparison, record
+from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
 from capsule_gym.rendering import CHART_BOTTOM, CHART_LEFT, CHART_TOP
 from tests.agents.fakes import Sine
 
@@ -65,7 +65,7 @@ def test_figure_shows_one_to_four_recordings(tmp_path):
 
 def test_command_line(tmp_path, monkeypatch):
     known = {name: Sine(0.3, name=name) for name in ("adaptive", "bold")}
-    monkeypatch.setattr(candidates, "SCRIPTED", known)
+    monkeypatch.setattr(policies, "SCRIPTED", known)
     monkeypatch.setattr(recording, "SCRIPTED", known)
     gif, png = tmp_path / "a.gif", tmp_path / "a.png"
     assert recording.main(["bold", "--gif", str(gif), "--png", str(png), "--start", "0.1", "--seconds", "0.2"]) == 0

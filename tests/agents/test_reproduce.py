@@ -13,7 +13,7 @@ from scipy import stats
 from agents import reproduce
 from agents.distil import outcome
 from agents.distil.students import STUDENTS
-from agents.evaluation.candidates import CHECKPOINTS, checkpoint_names
+from agents.evaluation.policies import CHECKPOINTS, checkpoint_names
 from agents.reproduce import STUDENT, Verdict, prediction_interval
 from agents.study.jobs import Outcome
 from agents.training.presets import ROWS

@@ -11,8 +11,8 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 from agents.drivers import driver_names
-from agents.evaluation.candidates import BASELINE
-from agents.evaluation.sets import SET_NAMES
+from agents.evaluation.policies import BASELINE
+from capsule_gym.evaluation_sets import SET_NAMES
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -53,7 +53,7 @@ def test_a_wrong_import_breaks_its_contract(tmp_path: Path):
         "agents/evaluation/sets.py": "import benchmarks.timing",
         "agents/training/runs.py": "import agents.comparison",
         "web/fused.py": "import web.modules",
-        "examples/sb3_ppo.py": "import agents.evaluation.outside",
+        "examples/sb3_ppo.py": "import agents.evaluation.policies",
     }.items():
         with (tmp_path / place).open("a", encoding="utf-8") as file:
             file.write(f"\n{line}\n")

@@ -25,10 +25,10 @@ from agents.authority.design import (
 )
 from agents.authority.page import render
 from agents.authority.results import Results, Run, gather, judge, laws_alone, load, save
-from agents.evaluation.sets import SET_NAMES, load_set
 from agents.training.errors import RunError
 from agents.training.loop import SELECTION_SEED, own_draws
 from agents.training.presets import ROWS
+from capsule_gym.evaluation_sets import SET_NAMES, load_set
 from capsule_gym.task import TORQUE_LIMIT
 
 STEPS = 1_000_000

@@ -4,20 +4,32 @@ import math
 import numpy as np
 import pytest
 
-from agents.evaluation import episodes as evaluation
-from agents.evaluation.episodes import difference, failures, make_result, scores, summarise
-from agents.evaluation.sets import load_set, parse_set
+from agents.evaluation.episodes import (
+    SHARE_OF_OPTIMUM,
+    TABLE_METRICS,
+    TableMetric,
+    difference,
+    evaluate,
+    failures,
+    make_result,
+    scores,
+    summarise,
+)
 from agents.evaluation.statistics import estimate
+from baselines.optimum import optimal_speed
 from capsule_gym import CapsuleVectorEnv
+from capsule_gym.evaluation_sets import load_set, parse_set
 from capsule_gym.files import to_json
-from tests.agents.fakes import PLANTS, Sine, make_policy
+from capsule_gym.task import METRICS
+from tests.agents.fakes import PLANTS, Sine, make_policy, write_run
 
 TINY = parse_set(PLANTS)
+SPEED = TableMetric("speed", "speed (cm/s)", 2)
 
 
-def test_episodes_are_those_of_single_environments():
+def test_episodes_equal_those_of_single_environments():
     policy = Sine(0.5)
-    episodes = evaluation.evaluate(policy, TINY, horizon=2.0)
+    episodes = evaluate(policy, TINY, horizon=2.0)
     assert [e["seed"] for e in episodes] == [0, 1, 2]
     assert [e.get("changes", []) for e in episodes] == [p.to_dict()["changes"] for p in TINY.plants]
     for plant, episode in zip(TINY.plants, episodes, strict=True):
@@ -30,46 +42,67 @@ def test_episodes_are_those_of_single_environments():
         assert truncated.all()
         for name, values in env.episode_metrics().items():
             assert episode[name] == values[0], name
-    # The jump to a heavier platform on a rougher floor is felt.
+    # The change to a heavier platform and a rougher floor has an effect.
     assert episodes[2]["mean_speed"] != episodes[0]["mean_speed"]
 
 
-def test_an_episode_starts_from_the_angle_that_its_set_says():
+def test_episodes_start_at_the_angle_of_the_set():
     content = {"M": 0.5, "mu": 0.01, "seed": 0}
     chosen = parse_set({"name": "starts", "plants": [content, content | {"theta": 0.0}]})
-    rest, upright = evaluation.evaluate(Sine(0.0), chosen, horizon=0.5)
+    rest, upright = evaluate(Sine(0.0), chosen, horizon=0.5)
     assert rest["largest_theta"] > 1.0 > upright["largest_theta"] == 0.0
     assert "theta" not in rest and upright["theta"] == 0.0
 
 
-def test_a_trained_policy_runs_in_compiled_code_with_the_same_bits(monkeypatch):
-    policy = make_policy()
-    compiled = evaluation.evaluate(policy, TINY, horizon=2.0)
+def test_compiled_policies_give_the_bits_of_stepped_ones(monkeypatch):
+    policy = make_policy(seed=3)
+    compiled = evaluate(policy, TINY, horizon=2.0)
+    assert {episode.pop("training_seed") for episode in compiled} == {3}
     monkeypatch.setattr("capsule_gym.rollout.rollout", None)
 
     class Stepped:
         name, env_kwargs, start = policy.name, policy.env_kwargs, policy.start
 
-    assert evaluation.evaluate(Stepped(), TINY, horizon=2.0) == compiled
+    assert evaluate(Stepped(), TINY, horizon=2.0) == compiled
 
 
-def test_only_the_first_end_of_an_episode_counts():
+def test_a_name_or_path_means_all_training_seeds(world):
+    write_run(world / "mine" / "seed-3", 3)
+    assert [episode["training_seed"] for episode in evaluate(world / "mine", TINY, horizon=0.2)] == [3, 3, 3]
+    assert len(evaluate("learnt", TINY, horizon=0.2)) == 6
+    for kwargs in ({"env_kwargs": {}}, {"name": "x"}):
+        with pytest.raises(TypeError, match="must not be given with a policy's name"):
+            evaluate("learnt", TINY, **kwargs)
+
+
+def test_failed_episodes_end_early_and_are_counted():
     # Full torque swings the ball into the platform at once.
-    episodes = evaluation.evaluate(Sine(1.5, period=10.0), TINY, horizon=4.0)
+    episodes = evaluate(Sine(1.5, period=10.0), TINY, horizon=4.0)
     assert failures(episodes) == 3
     for episode in episodes:
         assert episode["duration"] < 1.0
         assert episode["mean_speed"] == pytest.approx(100.0 * episode["distance"] / 4.0)
 
 
-def test_what_a_policy_was_trained_with_does_not_change_the_episodes():
-    plain = evaluation.evaluate(Sine(0.3), TINY, horizon=1.0)
+def test_training_settings_do_not_change_the_episodes():
+    plain = evaluate(Sine(0.3), TINY, horizon=1.0)
     kwargs = {"randomization": "wide", "initial_noise": 0.3, "num_envs": 7, "max_episode_steps": 3}
     kwargs |= {"autoreset_mode": "SAME_STEP"}
-    assert evaluation.evaluate(Sine(0.3, env_kwargs=kwargs), TINY, horizon=1.0) == plain
+    assert evaluate(Sine(0.3, env_kwargs=kwargs), TINY, horizon=1.0) == plain
     # The agent's step is the policy's own; the episode is as long.
-    finer = evaluation.evaluate(Sine(0.3, env_kwargs={"control_dt": 0.01}), TINY, horizon=1.0)
-    assert finer[0]["duration"] == pytest.approx(1.0)
+    assert evaluate(Sine(0.3, env_kwargs={"control_dt": 0.01}), TINY, horizon=1.0)[0]["duration"] == pytest.approx(1.0)
+
+
+def test_shares_of_the_optimum_stand_where_it_is_known():
+    known = {"M": 0.5, "mu": 0.01, "seed": 0}
+    content = {"name": "x", "plants": [known]}
+    (episode,) = evaluate(Sine(0.3), parse_set(content), horizon=0.2)
+    assert episode["share_of_optimum"] == episode["mean_speed"] / optimal_speed(0.5, 0.01)
+    (episode,) = evaluate(Sine(0.3, env_kwargs={"torque_limit": 1.0}), parse_set(content), horizon=0.2)
+    assert "share_of_optimum" not in episode
+    for change in ({"mu": 0.6}, {"theta": 0.0}, {"changes": [{"t": 0.3, "M": 0.5, "mu": 0.02}]}):
+        unknown = parse_set({"name": "x", "plants": [known, known | change]})
+        assert not any("share_of_optimum" in each for each in evaluate(Sine(0.3), unknown, horizon=0.02))
 
 
 def episodes_of(speeds, **fields):
@@ -102,7 +135,15 @@ def test_results_are_strict_json_and_survive_it():
     np.testing.assert_array_equal(scores(result["episodes"], "cost_of_transport"), [[math.inf, math.inf]])
 
 
-def test_frozen_sets_are_accepted_by_the_environment():
-    for name in ("nominal", "extrapolation", "drift"):
-        episodes = evaluation.evaluate(Sine(0.2), load_set(name), horizon=0.1)
-        assert all(math.isfinite(e["mean_speed"]) for e in episodes)
+@pytest.mark.parametrize("name", ["nominal", "extrapolation", "drift"])
+def test_the_environment_accepts_frozen_sets(name):
+    assert all(math.isfinite(each["mean_speed"]) for each in evaluate(Sine(0.2), load_set(name), horizon=0.1))
+
+
+def test_numbers_in_tables():
+    values = (1.234, -1.235, -0.001, None, math.inf, math.nan)
+    assert [SPEED.format(value) for value in values] == ["1.23", "-1.24", "0.00", "-", "-", "-"]
+    assert [SPEED.format(value, sign=True) for value in (1.234, -0.001)] == ["+1.23", "0.00"]
+    assert SPEED.with_interval({"iqm": 1.0, "low": -0.5, "high": None}, sign=True) == "+1.00 [-0.50, -]"
+    assert SPEED.with_interval({"iqm": 1.0, "low": None, "high": None}) == "1.00"
+    assert set(TABLE_METRICS) <= set(METRICS) and SHARE_OF_OPTIMUM.name not in METRICS

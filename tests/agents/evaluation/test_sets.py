@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.evaluation import sets
-from agents.evaluation.sets import SET_NAMES, load_set
+from capsule_gym.evaluation_sets import SET_NAMES, load_set
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
 from capsule_gym.task import START_THETA
 

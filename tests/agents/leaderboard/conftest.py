@@ -1,6 +1,6 @@
 import pytest
 
-from agents.evaluation import candidates
+from agents.evaluation import policies
 from agents.leaderboard import board, chaos, rows
 from agents.leaderboard.page import END, START
 from tests.agents.fakes import Sine, Twitch, write_run
@@ -15,9 +15,9 @@ def world(tmp_path, monkeypatch):
     known = {name: Sine(amplitude, name=name) for name, amplitude in (("adaptive", 0.3), ("bold", 0.6))}
     known["wild"] = Sine(1.5, period=10.0, name="wild")
     known["twitch"] = Twitch()
-    for module in (candidates, rows):
+    for module in (policies, rows):
         monkeypatch.setattr(module, "SCRIPTED", known)
-    for module in (candidates, board):
+    for module in (policies, board):
         monkeypatch.setattr(module, "CHECKPOINTS", tmp_path / "checkpoints")
     monkeypatch.setattr(chaos, "COPIES", 20)
     for seed in (0, 1):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from agents.evaluation.candidates import find_candidate
+from agents.evaluation.policies import find_candidate
 from agents.leaderboard.chaos import NOISE, Disturbed, measure
 from tests.agents.fakes import Sine
 from tests.agents.leaderboard.world import HORIZON

@@ -1,6 +1,6 @@
 import pytest
 
-from agents.evaluation import candidates, episodes
+from agents.evaluation import episodes, policies
 from agents.leaderboard import check as module
 from agents.leaderboard.page import END, START
 from agents.leaderboard.rows import RESULTS
@@ -44,7 +44,7 @@ def test_check_names_changed_sets_before_any_work(written, monkeypatch):
 
 def test_check_names_changed_rows(written):
     write_run(written / "checkpoints" / "learnt" / "seed-1", 1, clip=9.0)
-    candidates.SCRIPTED.pop("bold")
+    policies.SCRIPTED.pop("bold")
     (written / "checkpoints" / "README.md").unlink()
     assert checked(written)[:-1] == [
         "bold: has results and does not exist",
@@ -85,7 +85,7 @@ def test_check_compares_the_last_bit_of_every_episode(written, name):
     assert stale.startswith(f"{name} on paper: mean_speed is ")
     seed = "training seed 1, " if name == "learnt" else ""
     assert stale.endswith(f" now ({seed}episode 1; 1 of {6 if name == 'learnt' else 3} differ)")
-    others = [each for each in candidates.all_candidates() if each.name != name]
+    others = [each for each in policies.all_candidates() if each.name != name]
     assert checked(written, evaluated=others) == []
 
 

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from agents.evaluation.candidates import find_candidate
+from agents.evaluation.episodes import evaluate as evaluate_policy
+from agents.evaluation.policies import find_candidate
 from agents.leaderboard.board import evaluate
 from agents.leaderboard.rows import COLUMNS, load_row, load_rows, path_of, save_row
 from tests.agents.leaderboard.world import HORIZON, SETS, make_set
@@ -19,7 +20,7 @@ def test_a_row_holds_every_number_of_its_episodes(row, world):
     assert found.same_as(row) and found.trained
     assert set(found.header["versions"]) >= {"capsule_gym", "python", "numpy"}
     for each in SETS:
-        episodes = find_candidate("learnt").evaluate(each, HORIZON)
+        episodes = evaluate_policy("learnt", each, horizon=HORIZON)
         again = found.episodes(each)
         assert all(set(old) - set(new) == {"distance", "energy"} for old, new in zip(episodes, again, strict=True))
         assert all(old[name] == value for old, new in zip(episodes, again, strict=True) for name, value in new.items())

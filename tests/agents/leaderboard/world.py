@@ -3,11 +3,11 @@
 import dataclasses
 import json
 
-from agents.evaluation.candidates import all_candidates
-from agents.evaluation.sets import parse_set
+from agents.evaluation.policies import all_candidates
 from agents.leaderboard.board import build, evaluate, write
 from agents.leaderboard.check import check
 from agents.leaderboard.rows import RESULTS, load_row, path_of, save_row
+from capsule_gym.evaluation_sets import parse_set
 
 HORIZON = 0.6
 

@@ -12,7 +12,7 @@ import pytest
 import train
 from agents.distil.network import HIDDEN
 from agents.distil.students import STUDENTS
-from agents.evaluation.candidates import CHECKPOINTS, checkpoint_names, find_candidate
+from agents.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
 from agents.training.presets import CONFIG, PRESETS, ROWS, PPOConfig, read_config
 from capsule_gym.parameters import DOCS, RANDOMIZATIONS, EnvConfig
 
@@ -48,7 +48,7 @@ def test_a_committed_policy_acts_as_its_rows_settings_say(name):
     settings = ROWS[name]
     settings.check()
     assert settings.seed == 0
-    for run in find_candidate(name).runs:
+    for run in find_candidate(name).policies:
         policy = run.policy
         assert policy.env_kwargs == settings.env_kwargs()
         assert policy.algorithm == settings.algo
@@ -57,7 +57,7 @@ def test_a_committed_policy_acts_as_its_rows_settings_say(name):
 
 @pytest.mark.parametrize("name", [name for name in STUDENTS if name in checkpoint_names()])
 def test_a_student_of_the_optimum_acts_as_it_was_taught(name):
-    for run in find_candidate(name).runs:
+    for run in find_candidate(name).policies:
         policy = run.policy
         assert policy.env_kwargs == STUDENTS[name].env_kwargs
         assert policy.algorithm == "dagger"
@@ -74,7 +74,7 @@ def test_the_table_of_commands_names_every_row_and_its_seeds():
     lines = re.findall(r"^\| `([\w-]+)` \| (\d+)(?: to (\d+))? \| `python (.*)` \|$", page, re.MULTILINE)
     assert sorted(name for name, *_ in lines) == checkpoint_names()
     for name, first, last, command in lines:
-        seeds = [run.training_seed for run in find_candidate(name).runs]
+        seeds = [run.training_seed for run in find_candidate(name).policies]
         assert seeds == list(range(int(first), int(last or first) + 1))
         if name in STUDENTS:
             assert command == f"-m agents.distil {name} --seeds N"

@@ -11,10 +11,10 @@ import torch
 from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
 
 from agents.evaluation.episodes import evaluate
-from agents.evaluation.sets import EvaluationSet, PlantSpec
 from agents.training.loop import begin, make_env, make_model, train
 from agents.training.recurrent import RecurrentActorCritic, load_best, present_policy
 from capsule_gym import load_policy
+from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
 from capsule_gym.files import to_json
 from tests.agents.training.small import small
 

@@ -1,0 +1,252 @@
+"""Policies by name or path: scripted policies, checkpoints, training runs, and policies written by others.
+
+Another project's policy is a function from observations to actions, an object with `predict`, or a folder with a
+policy file; docs/your_policy.md shows how to evaluate one.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+import capsule_gym
+from baselines.policies import SCRIPTED
+from capsule_gym.parameters import nearest
+from capsule_gym.task import TORQUE_LIMIT
+
+Act = Callable[[np.ndarray], np.ndarray]
+
+# The paper's controller, the reference of all comparisons.
+BASELINE = "adaptive"
+CHECKPOINTS = Path(__file__).parents[1] / "checkpoints"
+REFERENCE = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*):([A-Za-z_]\w*)")
+ACCEPTED = "an object with predict() as Stable-Baselines3's have, or a function from observations to actions"
+
+
+class Policy(Protocol):
+    """What can be evaluated: scripted policies and trained ones alike.
+
+    Attributes:
+        name: as it appears in results.
+        env_kwargs: the arguments of the policy's `CapsuleVectorEnv`: controller, residual_limit, torque_limit and so
+            on. The evaluation sets `EPISODE_SETTINGS`, and the number and length of the episodes.
+    """
+
+    @property
+    def name(self) -> str:
+        """As it appears in results."""
+
+    @property
+    def env_kwargs(self) -> Mapping[str, Any]:
+        """The arguments of the policy's environment."""
+
+    def start(self, seeds: Sequence[int], /) -> Act:
+        """Starts a batch of episodes.
+
+        Args:
+            seeds: one per episode, for policies that draw random numbers.
+
+        Returns:
+            A function from observations of shape (episodes, entries) to actions of shape (episodes, 1), float32,
+            called once per agent step.
+        """
+
+
+@dataclass(frozen=True)
+class ExternalPolicy:
+    """A policy of another project.
+
+    Attributes:
+        name: as it appears in results.
+        env_kwargs: the arguments of its environment; by default it commands the whole torque every 20 ms.
+        new_episode: returns the function from observations to actions, once per batch of episodes.
+    """
+
+    name: str
+    env_kwargs: Mapping[str, Any]
+    new_episode: Callable[[], Callable[[np.ndarray], Any]]
+
+    def start(self, seeds: Sequence[int]) -> Act:
+        """Starts a batch of episodes; every action is checked."""
+        act, shape = self.new_episode(), (len(seeds), 1)
+
+        def checked(observations: np.ndarray) -> np.ndarray:
+            output = act(observations)
+            accepted = f"{self.name} must return finite actions of shape {shape}, one line per observation"
+            try:
+                actions = np.asarray(output, np.float32)
+            except (TypeError, ValueError, RuntimeError) as error:
+                raise ValueError(f"{accepted}, got {type(output).__name__}: {error}") from error
+            if actions.shape != shape or not np.isfinite(actions).all():
+                raise ValueError(f"{accepted}, got {'NaN or infinity in' if actions.shape == shape else actions.shape}")
+            return actions
+
+        return checked
+
+
+def wrap_policy(policy: Any, *, name: str | None = None, env_kwargs: Mapping[str, Any] | None = None) -> Policy:
+    """Makes a policy of another project's object; returns a policy of this project as it is.
+
+    Args:
+        policy: an object with `predict(observations, state=.., episode_start=.., deterministic=True)` that returns
+            actions and the next state, as Stable-Baselines3's algorithms and policies have; or a function from
+            observations (n, entries), float32, to actions (n, 1) in [-1, 1].
+        name: as it appears in results; None takes the name of the function or of the object's class.
+        env_kwargs: the arguments of its `CapsuleVectorEnv`; None takes its attribute `env_kwargs`, or no arguments.
+
+    Raises:
+        TypeError: if it is something else.
+    """
+    if hasattr(policy, "start") and hasattr(policy, "env_kwargs") and not isinstance(policy, type):
+        if env_kwargs is not None:
+            raise TypeError(f"env_kwargs must not be given with a policy that has its own, got {dict(env_kwargs)!r}")
+        own: Policy = policy
+        return own
+    if isinstance(policy, type) or not (callable(policy) or hasattr(policy, "predict")):
+        what = f"the class {policy.__name__}" if isinstance(policy, type) else f"a {type(policy).__name__}"
+        raise TypeError(f"policy must be {ACCEPTED}, got {what}")
+    new_episode = _predict_function(policy) if callable(getattr(policy, "predict", None)) else lambda: policy
+    kwargs = getattr(policy, "env_kwargs", {}) if env_kwargs is None else env_kwargs
+    default_name = getattr(policy, "__name__", type(policy).__name__)
+    return ExternalPolicy(default_name if name is None else name, dict(kwargs), new_episode)
+
+
+def _predict_function(policy: Any) -> Callable[[], Callable[[np.ndarray], Any]]:
+    """Calls `predict`, and passes a recurrent policy its state."""
+
+    def new_episode() -> Callable[[np.ndarray], Any]:
+        state, first = None, True
+
+        def act(observations: np.ndarray) -> Any:
+            nonlocal state, first
+            starts = np.full(len(observations), first)
+            actions, state = policy.predict(observations, state=state, episode_start=starts, deterministic=True)
+            first = False
+            return actions
+
+        return act
+
+    return new_episode
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A named policy with all its training seeds.
+
+    Attributes:
+        name: as it appears in results.
+        policies: one for a scripted policy, else one per training seed in order of the seed.
+        description: one sentence for tables.
+        folder: the folder of the checkpoint; None for a scripted policy.
+    """
+
+    name: str
+    policies: tuple[Policy, ...]
+    description: str
+    folder: Path | None = None
+
+    @property
+    def trained(self) -> list[capsule_gym.Policy]:
+        """The policies that come from training runs; empty for a scripted policy."""
+        return [policy for policy in self.policies if isinstance(policy, capsule_gym.Policy)]
+
+
+def _scripted(name: str) -> Candidate:
+    return Candidate(name, (SCRIPTED[name],), SCRIPTED[name].description)
+
+
+def _trained(name: str, folder: Path, trust_controller: bool = False) -> Candidate:
+    """A trained policy from a folder with the runs seed-0, seed-1, .., from one run's folder or from a policy file."""
+    paths = [path for path in sorted(folder.glob("seed-*")) if path.is_dir()] or [folder]
+    loaded = [capsule_gym.load_policy(path, trust_controller=trust_controller) for path in paths]
+    seeds = [policy.training_seed for policy in loaded]
+    if len(set(seeds)) < len(seeds):
+        raise ValueError(f"{folder} must hold runs of different training seeds, got {seeds}")
+    descriptions = dict.fromkeys(policy.description for policy in loaded)
+    if len(descriptions) > 1:
+        raise ValueError(f"{folder} must hold runs of one kind, got: {'; '.join(descriptions)}")
+    policies = tuple(sorted(loaded, key=lambda policy: policy.training_seed))
+    return Candidate(name, policies, next(iter(descriptions)), folder)
+
+
+def checkpoint_names() -> list[str]:
+    """The names of the committed checkpoints."""
+    return sorted(path.name for path in CHECKPOINTS.glob("*") if path.is_dir())
+
+
+def all_candidates() -> list[Candidate]:
+    """All rows of the leaderboard: scripted policies, then checkpoints.
+
+    Raises:
+        ValueError: if a checkpoint is incomplete, has the name of a scripted policy, or has another torque limit than
+            the scripted policies.
+    """
+    found = [_scripted(name) for name in SCRIPTED]
+    for name in checkpoint_names():
+        if name in SCRIPTED:
+            raise ValueError(f"{CHECKPOINTS / name} must not have the name of a scripted policy, got {name!r}")
+        found.append(_trained(name, CHECKPOINTS / name))
+        for policy in found[-1].policies:
+            limit = policy.env_kwargs.get("torque_limit", TORQUE_LIMIT)
+            if limit != TORQUE_LIMIT:
+                accepted = f"a torque_limit of {TORQUE_LIMIT} N m as all others"
+                raise ValueError(f"{CHECKPOINTS / name} must act under {accepted}, got {limit}")
+    return found
+
+
+def find_candidate(name_or_path: str, *, trust: bool = False, trust_controller: bool = False) -> Candidate:
+    """Finds a policy.
+
+    Args:
+        name_or_path: a scripted policy; a checkpoint in agents/checkpoints, which means all its training seeds, or one
+            run of it as NAME/seed-0; the path of a folder with runs seed-0, seed-1, .. inside; the path of one run's
+            folder, or of a policy file; or "module:attribute", which is imported and passed to `wrap_policy`.
+        trust: accept "module:attribute": importing it runs its code.
+        trust_controller: as for `capsule_gym.load_policy`.
+
+    Raises:
+        ValueError: if there is no such policy, its folder is incomplete, or it or its law is not trusted.
+    """
+    if REFERENCE.fullmatch(name_or_path):
+        return _imported(name_or_path, trust)
+    if name_or_path in SCRIPTED:
+        return _scripted(name_or_path)
+    known = name_or_path.partition("/")[0] in checkpoint_names()
+    path = CHECKPOINTS / name_or_path if known else Path(name_or_path)
+    if path.exists():
+        return _trained(name_or_path, path, trust_controller)
+    scripted, checkpoints = (", ".join(names) or "there is none" for names in (SCRIPTED, checkpoint_names()))
+    raise ValueError(
+        f"policy must be a scripted policy ({scripted}), a checkpoint ({checkpoints}), or the path of a run's folder "
+        f"or of a policy file, got {name_or_path!r}{nearest(name_or_path, [*SCRIPTED, *checkpoint_names()])}"
+    )
+
+
+def _imported(name: str, trust: bool) -> Candidate:
+    """The policy "module:attribute"."""
+    if not trust:
+        raise ValueError(f"policy {name!r} is code, which importing it runs: --trust accepts that")
+    module_name, _, attribute = name.partition(":")
+    # As for a script: modules in the current folder are found.
+    sys.path.insert(0, "")
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
+            raise
+        raise ValueError(f"policy {name!r} names the module {module_name!r}, which does not exist") from None
+    finally:
+        sys.path.remove("")
+    if not hasattr(module, attribute):
+        raise ValueError(f"policy {name!r}: the module {module_name!r} has no {attribute!r}")
+    try:
+        return Candidate(name, (wrap_policy(getattr(module, attribute), name=name),), "a policy of another project")
+    except TypeError as error:
+        raise ValueError(f"policy {name!r}: {error}") from error

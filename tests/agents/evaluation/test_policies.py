@@ -1,0 +1,181 @@
+import sys
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import PPO
+
+from agents.evaluation.episodes import evaluate
+from agents.evaluation.policies import all_candidates, find_candidate, wrap_policy
+from capsule_gym.evaluation_sets import parse_set
+from capsule_gym.sb3 import CapsuleSB3VecEnv
+from tests.agents.fakes import PLANTS, Sine, make_policy, write_run
+
+TINY = parse_set(PLANTS)
+MODULE = """
+def zero(observations):
+    return 0.0 * observations[:, 1:2]
+
+number = 3
+"""
+
+
+def seeds(name_or_path):
+    return [policy.training_seed for policy in find_candidate(str(name_or_path)).trained]
+
+
+def test_policies_are_found_by_name_and_path(world):
+    assert [c.name for c in all_candidates()] == ["adaptive", "bold", "learnt"]
+    assert find_candidate("learnt").description == "PPO, the whole torque, trained with randomization wide"
+    folder = world / "checkpoints" / "learnt"
+    for name in ("learnt", folder):
+        assert seeds(name) == [2, 10]
+    for name in ("learnt/seed-2", folder / "seed-2", folder / "seed-2" / "policy.safetensors"):
+        assert seeds(name) == [2]
+    assert find_candidate("learnt/seed-2").name == "learnt/seed-2"
+    assert find_candidate("bold").trained == []
+    # The best policy of a run counts.
+    write_run(folder / "seed-2" / "best", 7)
+    assert seeds(folder / "seed-2") == [7]
+
+
+def test_unknown_policies_raise_an_error_that_lists_the_known_ones(world):
+    (world / "empty").mkdir()
+    (world / "model.zip").write_bytes(b"PK")
+    for name, message in (
+        ("lernt", r"scripted policy \(adaptive, bold\), a checkpoint \(learnt\), .* got 'lernt'"),
+        (world / "empty", r"empty is no folder of a training run"),
+        (world / "model.zip", r"model\.zip is no policy"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            find_candidate(str(name))
+
+
+def test_malformed_checkpoints_raise_an_error(world):
+    run = world / "checkpoints" / "learnt" / "seed-2"
+    (run / "policy.safetensors").write_bytes(b"half")
+    with pytest.raises(ValueError, match=r"seed-2.policy\.safetensors is no policy"):
+        all_candidates()
+    write_run(run, 10)
+    with pytest.raises(ValueError, match=r"different training seeds, got \[10, 10\]"):
+        all_candidates()
+    write_run(run, 2, algorithm="sac")
+    with pytest.raises(ValueError, match="runs of one kind"):
+        all_candidates()
+    for seed in (2, 10):
+        write_run(run.with_name(f"seed-{seed}"), seed, env_kwargs={"torque_limit": 1.0})
+    with pytest.raises(ValueError, match=r"must act under a torque_limit of 1\.5 N m as all others, got 1\.0"):
+        all_candidates()
+    (world / "checkpoints" / "learnt").rename(world / "checkpoints" / "bold")
+    with pytest.raises(ValueError, match="must not have the name of a scripted policy, got 'bold'"):
+        all_candidates()
+
+
+def test_a_control_law_of_another_package_must_be_trusted(world):
+    fields = {"layers": ((np.zeros((1, 10), np.float32), np.zeros(1, np.float32)),), "mean": np.zeros(10)}
+    write_run(world / "run", 0, **fields, variance=np.ones(10), env_kwargs={"controller": "somewhere:law"})
+    with pytest.raises(ValueError, match="names the control law 'somewhere:law', which does not come with"):
+        find_candidate(str(world / "run"))
+    (policy,) = find_candidate(str(world / "run"), trust_controller=True).policies
+    assert policy.env_kwargs["controller"] == "somewhere:law"
+
+
+def test_a_module_is_imported_only_if_trusted(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my_rules.py").write_text(MODULE)
+    path = list(sys.path)
+    try:
+        with pytest.raises(ValueError, match="is code, which importing it runs: --trust accepts that"):
+            find_candidate("my_rules:zero")
+        assert "my_rules" not in sys.modules
+        (policy,) = find_candidate("my_rules:zero", trust=True).policies
+        assert evaluate(policy, TINY, horizon=0.1) == evaluate(Sine(0.0), TINY, horizon=0.1)
+        for name, message in (
+            ("no_such_module:zero", "names the module 'no_such_module', which does not exist"),
+            ("my_rules:jump", "has no 'jump'"),
+            ("my_rules:number", "policy must be an object with predict.* got a int"),
+            ("runs/a:b", "policy must be a scripted policy"),
+        ):
+            with pytest.raises(ValueError, match=message):
+                find_candidate(name, trust=True)
+        (tmp_path / "my_rules.py").write_text("import no_such_package")
+        sys.modules.pop("my_rules")
+        with pytest.raises(ModuleNotFoundError, match="no_such_package"):
+            find_candidate("my_rules:zero", trust=True)
+    finally:
+        sys.modules.pop("my_rules", None)
+    assert sys.path == path
+
+
+def test_policies_of_this_project_stay_as_they_are():
+    for policy in (make_policy(), Sine(0.3)):
+        assert wrap_policy(policy) is policy
+        with pytest.raises(TypeError, match="env_kwargs must not be given with a policy that has its own"):
+            wrap_policy(policy, env_kwargs={})
+
+
+def test_a_model_of_stable_baselines3():
+    model = PPO("MlpPolicy", CapsuleSB3VecEnv(2, seed=0), n_steps=8, batch_size=16, seed=0, device="cpu")
+    assert wrap_policy(model).name == "PPO"
+    episodes = evaluate(model, TINY, horizon=0.5)
+    by_hand = evaluate(lambda observations: model.predict(observations, deterministic=True)[0], TINY, horizon=0.5)
+    assert episodes == by_hand == evaluate(model.policy, TINY, horizon=0.5)
+    assert episodes[0]["peak_torque"] > 0.0
+
+
+class Counting:
+    """A recurrent policy whose action is the number of its calls."""
+
+    env_kwargs = {"control_dt": 0.01}  # noqa: RUF012
+
+    def __init__(self):
+        self.starts = []
+
+    def predict(self, observations, state=None, episode_start=None, deterministic=False):
+        assert deterministic
+        self.starts.append(episode_start.tolist())
+        state = (0 if state is None else state) + 1
+        return np.full((len(observations), 1), 0.01 * state), state
+
+
+def test_a_recurrent_policy_starts_every_batch_without_a_state():
+    policy = Counting()
+    first, second = (evaluate(policy, TINY, horizon=0.05) for _ in range(2))
+    assert first == second
+    assert policy.starts == [[True] * 3, *[[False] * 3] * 4] * 2
+    assert first[0]["peak_torque"] == pytest.approx(1.5 * 0.05)
+
+
+def test_arguments_of_the_environment_come_from_the_caller_or_the_policy():
+    assert wrap_policy(Counting()).env_kwargs == {"control_dt": 0.01}
+    mine = wrap_policy(Counting(), env_kwargs={}, name="mine")
+    assert (mine.env_kwargs, mine.name) == ({}, "mine")
+    shapes = []
+
+    def zero(observations):
+        shapes.append(observations.shape)
+        return np.zeros((len(observations), 1))
+
+    assert wrap_policy(zero).name == "zero"
+    evaluate(zero, TINY, env_kwargs={"observe_parameters": True, "control_dt": 0.1}, horizon=0.2)
+    assert shapes == [(3, 7)] * 2
+
+
+@pytest.mark.parametrize(
+    ("output", "message"),
+    [
+        (np.zeros(3), r"of shape \(3, 1\), one line per observation, got \(3,\)"),
+        (np.full((3, 1), np.nan), "got NaN or infinity"),
+        ("full", "got str"),
+        (torch.zeros((3, 1), requires_grad=True), "got Tensor: Can't call numpy"),
+    ],
+)
+def test_wrong_actions_raise_an_error(output, message):
+    with pytest.raises(ValueError, match=message):
+        evaluate(lambda observations: output, TINY, horizon=0.1)
+
+
+@pytest.mark.parametrize("policy", [3, None, Counting])
+def test_other_objects_raise_an_error(policy):
+    with pytest.raises(TypeError, match=r"policy must be an object with predict.* got (a int|a NoneType|the class)"):
+        evaluate(policy, TINY)
