@@ -15,11 +15,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from tyro.conf import arg
+
 from benchmarks import contenders
 from benchmarks.machine import available_cores, describe, machine
 from benchmarks.output import Output, check_at_least_one
 from benchmarks.timing import measure, present
-from capsule_gym.command_line import Count, check_output, described, parse
+from capsule_gym.command_line import Count, check_output, parse
 from capsule_gym.parameters import DIRECT_PHYSICS_DT
 
 COMMAND = "python -m benchmarks.throughput"
@@ -41,8 +43,8 @@ class Options(Output):
       python -m benchmarks.throughput --markdown docs/speed_tables.md --figure docs/figures/speed.png
     """
 
-    turns: Annotated[Count | None, described(f"turns of every contender: {TURNS}, with --quick {QUICK_TURNS}")] = None
-    quick: Annotated[bool, described(f"fewer turns and trajectories, no batch of {contenders.LARGE:,}")] = False
+    turns: Annotated[Count | None, arg(help=f"turns of every contender: {TURNS}, with --quick {QUICK_TURNS}")] = None
+    quick: Annotated[bool, arg(help=f"fewer turns and trajectories, no batch of {contenders.LARGE:,}")] = False
     figure: Path | None = None
     """Draw the chart into this .png file."""
 

@@ -14,11 +14,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
+from tyro.conf import arg
+
 from baselines.tables import markdown_table, text_table
 from benchmarks.machine import machine
 from benchmarks.output import section
 from benchmarks.trainers import FORMER, PACKAGES, UNTUNED, Trainer, TurnOptions, ppo, sac
-from capsule_gym.command_line import described, parse
+from capsule_gym.command_line import parse
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -67,7 +69,7 @@ class Options(TurnOptions):
       python -m benchmarks.training_speed --axes sac --turns 3
     """
 
-    axes: Annotated[tuple[str, ...], described(f"what is changed: {', '.join(AXES)}")] = tuple(AXES)
+    axes: Annotated[tuple[str, ...], arg(help=f"what is changed: {', '.join(AXES)}")] = tuple(AXES)
 
     def check(self) -> None:
         """Refuses what cannot be measured or written."""

@@ -1,6 +1,6 @@
 """Command lines out of dataclasses: a field is an option, the text under it the help, its default the default.
 
-A command declares its options as a frozen dataclass and calls `parse(Options, "python -m agents.evaluate", arguments)`.
+A command declares its options as a frozen dataclass and calls `parse(Args, "python -m agents.evaluate", arguments)`.
 A field of type `Positional[str]` is a positional argument, one of type `Count` may be written 8e6.
 """
 
@@ -12,8 +12,8 @@ import math
 import os
 import re
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr
+from collections.abc import Sequence
+from contextlib import redirect_stderr
 from itertools import dropwhile, takewhile
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
@@ -26,7 +26,7 @@ except ImportError as error:
 
 from capsule_gym.parameters import nearest
 
-__all__ = ["Count", "Positional", "check_output", "described", "parse", "parse_some", "refuse"]
+__all__ = ["Count", "Positional", "check_output", "parse", "parse_some", "refuse"]
 
 T = TypeVar("T")
 # The codes that a terminal takes for colours.
@@ -55,11 +55,6 @@ Count = Annotated[
     ),
 ]
 """An integer >= 0, also in the form 8e6."""
-
-
-def described(text: str) -> Any:
-    """The help of a field as an annotation, for texts that hold values: `Annotated[int, ..]` with it as the second."""
-    return tyro.conf.arg(help=text)
 
 
 def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, default: T | None = None) -> T:
@@ -103,9 +98,12 @@ def parse_some(kind: type[T], prog: str, arguments: Sequence[str] | None = None)
 
 def _read(kind: Any, prog: str, arguments: Sequence[str] | None, **settings: Any) -> Any:
     """What tyro reads; its errors in one line instead of a box of several."""
+    # tyro knows nothing of https://no-color.org.
+    if os.environ.get("NO_COLOR"):
+        os.environ["TERM"] = "dumb"
     box = io.StringIO()
     try:
-        with redirect_stderr(box), _plain_where_asked():
+        with redirect_stderr(box):
             return tyro.cli(kind, prog=prog, args=arguments, config=(tyro.conf.FlagCreatePairsOff,), **settings)
     except SystemExit as stop:
         if stop.code == 2:
@@ -114,30 +112,11 @@ def _read(kind: Any, prog: str, arguments: Sequence[str] | None, **settings: Any
         raise
 
 
-@contextmanager
-def _plain_where_asked() -> Iterator[None]:
-    """Keeps tyro from colouring where NO_COLOR is set (https://no-color.org), of which it knows nothing."""
-    before = os.environ.get("TERM")
-    if os.environ.get("NO_COLOR"):
-        os.environ["TERM"] = "dumb"
-    try:
-        yield
-    finally:
-        if before is None:
-            os.environ.pop("TERM", None)
-        else:
-            os.environ["TERM"] = before
-
-
 def _first_paragraph(box: str) -> str:
     """The text in a box, below its title and above its first rule; in ASCII a rule is below the title, too."""
     lines = [line.strip("│╭╰╮╯ ") for line in box.splitlines()[1:]]
-    return " ".join(takewhile(lambda line: not _is_rule(line), dropwhile(_is_rule, lines)))
-
-
-def _is_rule(line: str) -> bool:
-    """Whether a line of a box is empty or drawn across."""
-    return set(line) <= {"─", "-"}
+    below = dropwhile(lambda line: not line.strip("─-"), lines)
+    return " ".join(takewhile(lambda line: line.strip("─-"), below))
 
 
 def _suggestion(box: str) -> str:

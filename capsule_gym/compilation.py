@@ -28,7 +28,7 @@ from numba.core.registry import CPUDispatcher
 from numba.core.serialize import dumps
 from numba.extending import _Intrinsic, intrinsic, register_jitable
 
-from capsule_gym.files import write_bytes_atomically
+from capsule_gym.files import write_atomically
 
 # A division by zero gives infinity. Python's exception would be a branch in every division, which no loop over
 # environments survives; strict floating point otherwise, so that all loops give the same bits.
@@ -188,7 +188,7 @@ class Cache(FunctionCache):
         if self._impl.check_cachable(data):
             payload = dumps(self._impl.reduce(data))
             with suppress(OSError):
-                write_bytes_atomically(self._file(sig, data.codegen), hashlib.sha256(payload).digest() + payload)
+                write_atomically(self._file(sig, data.codegen), hashlib.sha256(payload).digest() + payload)
 
     def _file(self, sig: Any, codegen: Any) -> Path:
         """Where the code of a signature lies for this processor and this version of numba and of the sources."""

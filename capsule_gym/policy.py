@@ -39,7 +39,7 @@ from safetensors.numpy import save
 
 from capsule_gym import task
 from capsule_gym.controller import is_own
-from capsule_gym.files import write_bytes_atomically
+from capsule_gym.files import write_atomically
 from capsule_gym.parameters import (
     ENERGY_WEIGHT_TEXT,
     ENERGY_WEIGHTS,
@@ -344,7 +344,7 @@ class Policy:
             "training_seed": str(self.training_seed),
             "revision": self.revision,
         }
-        write_bytes_atomically(Path(path), _in_order(save(tensors, metadata)))
+        write_atomically(Path(path), _in_order(save(tensors, metadata)))
 
 
 def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool = False) -> Policy:

@@ -28,7 +28,7 @@ from capsule_gym import kernels, resets
 from capsule_gym.compilation import fingerprint, inner, rebound
 from capsule_gym.controller import Controller
 from capsule_gym.elementary import logarithm
-from capsule_gym.files import write_bytes_atomically
+from capsule_gym.files import write_atomically
 from capsule_gym.identification import CELLS
 from capsule_gym.kernels import LANES
 from capsule_gym.network import act_lanes_noinline
@@ -159,7 +159,7 @@ def main() -> int:
         print("web.modules: started by python -m web.build, for each of the modules", file=sys.stderr)
         return 2
     name, file = sys.argv[1:]
-    write_bytes_atomically(Path(file), assemble(find_entries(name)))
+    write_atomically(Path(file), assemble(find_entries(name)))
     return 0
 
 

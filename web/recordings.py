@@ -20,7 +20,7 @@ from agents.drivers import RECORDED
 from baselines.policies import SCRIPTED, Act
 from capsule_gym.command_line import parse
 from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, PlantSpec, load_set
-from capsule_gym.files import write_bytes_atomically
+from capsule_gym.files import write_atomically
 from capsule_gym.task import CONTROL_DT, EPISODE_STEPS
 
 FILE = Path(__file__).with_name("recordings.npz")
@@ -93,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.write:
         content = io.BytesIO()
         np.savez_compressed(content, **found)
-        write_bytes_atomically(FILE, content.getvalue())
+        write_atomically(FILE, content.getvalue())
     with np.load(FILE) as known:
         wrong = [key for key, places in found.items() if not np.array_equal(places, known[key])]
     for key in wrong:

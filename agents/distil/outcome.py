@@ -17,7 +17,7 @@ from agents.study.publication import refuse_revision
 from agents.training.errors import RunError
 from agents.training.stopping import Stop
 from baselines.tables import text_table
-from capsule_gym.files import write_bytes_atomically
+from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY
 
 
@@ -82,4 +82,4 @@ def publish(name: str, folders: dict[int, Path], checkpoints: Path = CHECKPOINTS
     for seed, folder in folders.items():
         target = checkpoints / name / f"seed-{seed}"
         target.mkdir(parents=True, exist_ok=True)
-        write_bytes_atomically(target / POLICY, (folder / POLICY).read_bytes())
+        write_atomically(target / POLICY, (folder / POLICY).read_bytes())

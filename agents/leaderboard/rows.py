@@ -34,7 +34,7 @@ from agents.evaluation.episodes import Episode, as_episodes, evaluate, versions
 from agents.evaluation.policies import Candidate, Policy
 from baselines.policies import SCRIPTED
 from capsule_gym.evaluation_sets import EvaluationSet
-from capsule_gym.files import file_hash, write_bytes_atomically
+from capsule_gym.files import file_hash, write_atomically
 from capsule_gym.policy import POLICY
 from capsule_gym.task import METRICS
 
@@ -183,7 +183,7 @@ def save_row(folder: Path, row: Row) -> bool:
     arrays: dict[str, Any] = {HEADER: np.frombuffer(json.dumps(row.header).encode(), np.uint8), **row.scores}
     content = io.BytesIO()
     np.savez_compressed(content, **arrays)
-    write_bytes_atomically(path, content.getvalue())
+    write_atomically(path, content.getvalue())
     return True
 
 

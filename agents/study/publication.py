@@ -9,7 +9,7 @@ from agents.evaluation.policies import CHECKPOINTS
 from agents.study.jobs import Job, refuse_other_settings, revision_of
 from agents.training.errors import RunError
 from agents.training.presets import BEST, EVALUATIONS
-from capsule_gym.files import write_bytes_atomically
+from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY
 
 
@@ -49,7 +49,7 @@ def publish(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
     folder = checkpoints / job.row / f"seed-{job.config.seed}"
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in contents.items():
-        write_bytes_atomically(folder / name, content)
+        write_atomically(folder / name, content)
     return folder
 
 

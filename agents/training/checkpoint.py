@@ -35,7 +35,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from agents.training.errors import RunError
 from agents.training.presets import BEST, MODEL
 from agents.training.runs import archive, unarchive
-from capsule_gym.files import file_hash, naming, synchronise, to_json, write_bytes_atomically
+from capsule_gym.files import file_hash, naming, synchronise, to_json, write_atomically
 
 MANIFEST, STATE, REPLAY_BUFFER, PROGRESS = "manifest.json", "state.pkl", "replay_buffer.pkl", "progress.json"
 FORMAT = 3
@@ -263,7 +263,7 @@ def restore_best(checkpoint: Path | None, run: Path) -> None:
         return
     (run / BEST).mkdir(exist_ok=True)
     for path in sorted(saved.iterdir()):
-        write_bytes_atomically(run / BEST / path.name, path.read_bytes())
+        write_atomically(run / BEST / path.name, path.read_bytes())
 
 
 def _state(model: BaseAlgorithm) -> dict[str, Any]:

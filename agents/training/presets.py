@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import tyro
-from tyro.conf import Fixed, Suppress
+from tyro.conf import Fixed, Suppress, arg
 
 from agents.training.errors import RunError
-from capsule_gym.command_line import Count, described
+from capsule_gym.command_line import Count
 from capsule_gym.parameters import DOCS, ENERGY_WEIGHT_TEXT, ENERGY_WEIGHTS, EnvConfig, check_number, nearest
 from capsule_gym.task import HORIZON
 
@@ -36,7 +36,7 @@ Algorithm = Literal["ppo", "sac", "td3", "tqc", "recurrent-ppo"]
 
 def _option(name: str, more: str = "") -> Any:
     """The help of an option of the environment."""
-    return described(f"{DOCS[name][0].upper()}{DOCS[name][1:]}{more}.")
+    return arg(help=f"{DOCS[name][0].upper()}{DOCS[name][1:]}{more}.")
 
 
 @dataclass(frozen=True, kw_only=True)

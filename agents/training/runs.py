@@ -36,7 +36,7 @@ from agents.training.ppo import CapsulePPO
 from agents.training.presets import MODEL
 from agents.training.sac import LeanSAC
 from capsule_gym import Policy
-from capsule_gym.files import write_bytes_atomically
+from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
@@ -130,7 +130,7 @@ def unarchive(path: Path, algo: str, env: VecNormalize) -> BaseAlgorithm:
 def save(folder: Path, model: BaseAlgorithm, policy: Any) -> None:
     """Writes an agent, and its policy where that has a file, into a folder, each whole or not at all."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_bytes_atomically(folder / MODEL, archive(model))
+    write_atomically(folder / MODEL, archive(model))
     if isinstance(policy, Policy):
         policy.save(folder / POLICY)
 

@@ -1,7 +1,8 @@
-"""Files written whole or not at all, JSON that any reader accepts, hashes that layout does not change."""
+"""Files are written atomically; JSON has no number that is not finite; hashes see content alone."""
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 from pathlib import Path
@@ -9,28 +10,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capsule_gym.files import canonical_hash, file_hash, replacing, to_json, write_atomically
+from capsule_gym.files import canonical_hash, file_hash, naming, replacing, to_json, write_atomically
 
 
 def test_a_file_appears_whole_and_replaces_what_was_there(tmp_path: Path):
     path = tmp_path / "result.json"
-    for text in ("one", "zwölf"):
-        write_atomically(path, text)
-        assert path.read_text(encoding="utf-8") == text
+    for content, written in (("one", b"one"), ("zwölf\n", b"zw\xc3\xb6lf\n"), (b"\xff", b"\xff")):
+        write_atomically(path, content)
+        assert path.read_bytes() == written
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path):
+def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path: Path):
     path = tmp_path / "table.csv"
     write_atomically(path, "old")
     with pytest.raises(RuntimeError), replacing(path) as temporary:
-        assert temporary.suffix == ".csv"
-        assert temporary.parent == tmp_path
+        assert (temporary.suffix, temporary.parent) == (".csv", tmp_path)
         temporary.write_text("half", encoding="utf-8")
         assert path.read_text(encoding="utf-8") == "old"
         raise RuntimeError
     assert path.read_text(encoding="utf-8") == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_error_of_the_system_names_the_file():
+    with pytest.raises(OSError, match=r"No space left on device.*full\.json"), naming(Path("full.json")):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    with pytest.raises(OSError, match="other"), naming(Path("full.json")):
+        raise FileNotFoundError(errno.ENOENT, "missing", "other")
 
 
 def test_json_has_null_where_a_number_is_not_finite():
@@ -43,10 +50,6 @@ def test_json_has_null_where_a_number_is_not_finite():
 def test_hashes_see_content_alone(tmp_path: Path):
     assert canonical_hash({"a": 1, "b": [0.5]}) == canonical_hash({"b": [0.5], "a": 1})
     assert canonical_hash({"a": 1}) != canonical_hash({"a": 1.5})
-    first, second = tmp_path / "first", tmp_path / "second"
-    for path in (first, second):
-        path.write_bytes(b"abc")
-    assert file_hash(first) == file_hash(second)
-    assert file_hash(first).startswith("ba7816bf8f01cfea414140de5dae2223")  # FIPS 180-2, appendix B.1
-    second.write_bytes(b"abd")
-    assert file_hash(first) != file_hash(second)
+    path = tmp_path / "file"
+    path.write_bytes(b"abc")
+    assert file_hash(path).startswith("ba7816bf8f01cfea414140de5dae2223")  # FIPS 180-2, appendix B.1
