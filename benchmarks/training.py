@@ -1,216 +1,382 @@
-"""What PPO learns, and how soon, beside Stable-Baselines3's own: `python -m benchmarks.training`.
+"""Speed and learning of PPO, compared with Stable-Baselines3's own: `python -m benchmarks.training`.
 
-The contenders command the whole torque on the paper's plants. They take turns, a training each, seed by seed; seconds
-are of processor time, without the evaluations. Evaluated is on plants that are drawn for this alone, no frozen set.
+All agents command the whole torque on the paper's plants. Contenders take turns; seconds are of processor time, without
+the evaluations. Learning curves are evaluated on plants that are drawn for this alone, no frozen set.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import json
 import statistics
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import numpy as np
 from tqdm import tqdm
 from tyro.conf import arg
 
 from agents.evaluation.statistics import Estimate, estimate, learning_curve, paired_difference
-from agents.study.jobs import seeds_of
+from agents.training.presets import PRESETS, PPOConfig
+from baselines import drawing
 from baselines.tables import markdown_table, text_table
-from benchmarks.machine import describe, machine
-from benchmarks.output import Output, check_at_least_one, section
-from benchmarks.trainers import FORMER, PACKAGES, Run, ppo
-from capsule_gym.command_line import Count, check_output, parse
-from capsule_gym.files import canonical_hash, to_json, write_atomically
+from benchmarks.measurement import OutputArgs, describe, machine, save_figure, section
+from capsule_gym.command_line import Count, parse
 
 if TYPE_CHECKING:
-    from benchmarks.trainers import Trainer
+    from stable_baselines3 import PPO
 
 COMMAND = "python -m benchmarks.training"
-RUNS = Path("runs/benchmark-training")
-PRESET, PEER = ppo("preset"), ppo("SB3's PPO", own=False, **FORMER)
-# Settings that the preset is compared with by fewer seeds.
-OTHERS = (ppo("ReLU", activation="relu"), ppo("256 x 64", num_envs=256, n_steps=64))
 EVALUATIONS = 16
-# Points of the curve that the table shows, as parts of the whole.
+# Seed of the plants of the evaluations: no run selects on them, no frozen set holds them.
+PLANTS_SEED = 4_000
+# Points of the learning curve that the table shows, as parts of the whole.
 SHOWN = (0.25, 0.5, 0.75, 1.0)
-# What "learnt per minute" asks for, cm/s.
-GOAL = 10.0
+# Steps between two updates, whatever the number of environments.
+ROLLOUT = 16_384
+# The preset of the release before rollouts and updates were compiled; today's preset may change.
+TUNED: dict[str, Any] = {
+    **{"num_envs": 64, "n_steps": 256, "batch_size": 2048, "n_epochs": 6},
+    **{"learning_rate": 1e-3, "final_learning_rate": 1e-4, "gamma": 0.995, "gae_lambda": 0.98, "ent_coef": 0.0},
+    **{"hidden": 64, "log_std_init": -0.5, "termination_penalty": 30.0},
+}
+# Stable-Baselines3's defaults, on eight environments. Shorter rollouts than its 2048 cost the same per step.
+UNTUNED: dict[str, Any] = {
+    **TUNED,
+    **{"num_envs": 8, "n_steps": 512, "batch_size": 64, "n_epochs": 10, "learning_rate": 3e-4},
+    **{"final_learning_rate": 3e-4, "gamma": 0.99, "gae_lambda": 0.95, "log_std_init": 0.0},
+}
+COLOURS = (drawing.BLUE, drawing.VERMILION, drawing.GREEN, drawing.PURPLE)
+
+
+@dataclass(frozen=True)
+class Trainer:
+    """A training that is measured.
+
+    Attributes:
+        name: for the table.
+        config: its hyperparameters.
+        stock: whether the algorithm is Stable-Baselines3's, or else that of this project.
+        native: whether the environments are the native batch, or else single ones from `gym.make` in a `DummyVecEnv`;
+            these only with `stock`.
+    """
+
+    name: str
+    config: PPOConfig
+    stock: bool = False
+    native: bool = True
+
+
+def trainer(name: str, *, stock: bool = False, native: bool = True, **changes: Any) -> Trainer:
+    """The preset of the direct task with some fields changed."""
+    preset = PRESETS["direct", "ppo"]
+    assert isinstance(preset, PPOConfig)
+    return Trainer(name, dataclasses.replace(preset, **changes), stock, native)
+
+
+PRESET, PEER = trainer("preset"), trainer("SB3's PPO", stock=True, **TUNED)
+LEARNERS = (PRESET, PEER, trainer("ReLU", activation="relu"), trainer("256 x 64", num_envs=256, n_steps=64))
+# What is changed, and its values; ratios refer to the first entry of each.
+AXES: dict[str, tuple[Trainer, ...]] = {
+    "environments": (
+        trainer("64 (preset)"),
+        *(trainer(str(count), num_envs=count, n_steps=ROLLOUT // count) for count in (16, 256, 1024)),
+    ),
+    "minibatch": (
+        trainer("2048 (preset)"),
+        *(trainer(str(size), batch_size=size) for size in (64, 256, 1024, 4096, 8192)),
+    ),
+    "peers": (
+        PRESET,
+        trainer("SB3's PPO, tuned", stock=True, **TUNED),
+        trainer("SB3's PPO, untuned", stock=True, **UNTUNED),
+        trainer("SB3's PPO, untuned, DummyVecEnv", stock=True, native=False, **UNTUNED),
+    ),
+}
+PARTS = ("learning", *AXES)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(Output):
-    """Trains the preset, Stable-Baselines3's own PPO as it was the preset before, and other settings.
+class Args(OutputArgs):
+    """Learning curves and environment steps per second of PPO, compared with Stable-Baselines3's own.
 
-    Ctrl-C stops; the same command goes on with the trainings that are missing.
+    Little else should run meanwhile.
 
     Examples:
-      python -m benchmarks.training --markdown docs/train_fast_learning.md --figure docs/figures/training_curves.png
-      python -m benchmarks.training --seeds 0-1 --other-seeds 0 --total-steps 262144
+      python -m benchmarks.training --markdown docs/train_fast_tables.md --figure docs/figures/training_curves.png
+      python -m benchmarks.training --parts peers --turns 3
     """
 
-    seeds: Annotated[tuple[str, ...], arg(metavar="N")] = ("0-4",)
-    """Training seeds of the preset and of Stable-Baselines3's PPO, and ranges of them such as 0-9."""
-    other_seeds: Annotated[tuple[str, ...], arg(metavar="N")] = ("0-2",)
-    """Training seeds of the other settings; none where none is given."""
+    parts: Annotated[tuple[str, ...], arg(help=f"what is measured, of {', '.join(PARTS)}")] = PARTS
+    seeds: Count = 5
+    """Number of training seeds of each learning curve."""
     total_steps: Count = 2**20
-    """Environment steps of a training."""
-    runs: Path = RUNS
-    """Folder of the trainings that are finished."""
+    """Environment steps of a learning curve."""
+    turns: Count = 5
+    """Turns of every contender of a comparison of speed."""
+    seconds: float = 2.0
+    """Length of a turn, about, in processor time."""
     figure: Path | None = None
-    """Draw the learning curves into this file (PNG)."""
+    """Draw the learning curves into this PNG file."""
 
     def check(self) -> None:
-        """Refuses what cannot be trained or written."""
+        """Raises an error for what cannot be measured or written."""
         super().check()
-        check_output("--figure", self.figure, overwrite=True)
-        if len(seeds_of(self.seeds)) < 2:
-            raise ValueError(f"--seeds must be at least two, for an interval over them, got {' '.join(self.seeds)}")
-        seeds_of(self.other_seeds, "--other-seeds")
-        check_at_least_one("--total-steps", self.total_steps)
-
-    def plan(self) -> list[Trainer]:
-        """The trainings, seed by seed: one that is cut short has something of each."""
-        seeds, others = seeds_of(self.seeds), seeds_of(self.other_seeds)
-        return [
-            dataclasses.replace(
-                trainer, config=dataclasses.replace(trainer.config, seed=seed, total_steps=self.total_steps)
-            )
-            for seed in sorted({*seeds, *others})
-            for trainer, own in ((PRESET, seeds), (PEER, seeds), *((each, others) for each in OTHERS))
-            if seed in own
-        ]
+        for part in self.parts:
+            if part not in PARTS:
+                raise ValueError(f"--parts must be of {', '.join(PARTS)}, got {part!r}")
+        if self.seeds < 2:
+            raise ValueError(f"--seeds must be at least 2, for an interval over them, got {self.seeds}")
 
 
-def path_of(trainer: Trainer, folder: Path) -> Path:
-    """Where a finished training lies: named by its settings, the same ones are the same training."""
-    settings = {"own": trainer.own, "vec_env": trainer.vec_env, **trainer.config.to_dict()}
-    return folder / f"{canonical_hash(settings)[:12]}.json"
+@contextmanager
+def training(entry: Trainer) -> Iterator[PPO]:
+    """The agent with its environments, which are closed at the end."""
+    # torch takes seconds to import, which --help need not wait for.
+    import gymnasium as gym
+    import torch
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
+
+    from agents.training.loop import Falling, make_env, make_model
+    from capsule_gym import ENV_ID
+    from capsule_gym.sb3 import CapsuleSB3VecEnv
+
+    config, kwargs = entry.config, entry.config.env_kwargs()
+    torch.set_num_threads(1)
+    if entry.stock:
+        batch: VecEnv = (
+            CapsuleSB3VecEnv(config.num_envs, config.seed, **kwargs)
+            if entry.native
+            else DummyVecEnv([lambda: gym.make(ENV_ID, **kwargs) for _ in range(config.num_envs)])
+        )
+        model = PPO(
+            "MlpPolicy",
+            VecNormalize(batch, norm_reward=False, gamma=config.gamma),
+            learning_rate=Falling(config.learning_rate, config.final_learning_rate, 1.0),
+            n_steps=config.n_steps,
+            batch_size=config.batch_size,
+            n_epochs=config.n_epochs,
+            gamma=config.gamma,
+            gae_lambda=config.gae_lambda,
+            ent_coef=config.ent_coef,
+            policy_kwargs={"net_arch": [config.hidden, config.hidden], "log_std_init": config.log_std_init},
+            seed=config.seed,
+            device="cpu",
+        )
+    else:
+        model = cast("PPO", make_model(config, make_env(config, config.seed)))
+    try:
+        yield model
+    finally:
+        cast("VecEnv", model.get_env()).close()
 
 
-def train_all(plan: Sequence[Trainer], folder: Path) -> list[Run]:
-    """The trainings of a plan that are finished: earlier ones, and those until Ctrl-C."""
-    folder.mkdir(parents=True, exist_ok=True)
-    missing = [trainer for trainer in plan if not path_of(trainer, folder).is_file()]
-    if missing:
-        # torch takes seconds to import, which --help need not wait for.
-        from benchmarks.training_runs import train, warm_up
+@dataclass(frozen=True)
+class Run:
+    """A learning curve.
 
-        with tqdm(missing, unit=" trainings", dynamic_ncols=True) as bar:
-            try:
-                for trainer in {trainer.name: trainer for trainer in missing}.values():
-                    warm_up(trainer)
-                for trainer in bar:
-                    bar.set_description(f"{trainer.name}, seed {trainer.config.seed}")
-                    run = train(trainer, max(1, trainer.config.total_steps // EVALUATIONS))
-                    write_atomically(path_of(trainer, folder), to_json(dataclasses.asdict(run)))
-            except KeyboardInterrupt:
-                print("\nStopped; the same command goes on. What is finished:", file=sys.stderr)
-    paths = [path_of(trainer, folder) for trainer in plan]
-    return [Run(**json.loads(path.read_text(encoding="utf-8"))) for path in paths if path.is_file()]
+    Attributes:
+        name: of its `Trainer`.
+        seed: of the training.
+        steps: environment steps until each evaluation of the deterministic policy.
+        seconds: of processor time until then, without the evaluations.
+        mean_speed: interquartile mean over the episodes of each evaluation, cm/s.
+        failed: share of these episodes that failed.
+    """
 
+    name: str
+    seed: int
+    steps: list[int] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    mean_speed: list[float] = field(default_factory=list)
+    failed: list[float] = field(default_factory=list)
 
-def by_name(runs: Sequence[Run]) -> dict[str, list[Run]]:
-    """The runs of each contender."""
-    return {name: [run for run in runs if run.name == name] for name in dict.fromkeys(run.name for run in runs)}
+    @property
+    def rate(self) -> float:
+        """Environment steps per second."""
+        return self.steps[-1] / self.seconds[-1]
 
-
-def ratios(runs: Sequence[Run], peers: Sequence[Run]) -> list[float]:
-    """How many times the peer's steps per second, by each seed that both have."""
-    rates = {run.seed: run.rate for run in peers}
-    return [run.rate / rates[run.seed] for run in runs if run.seed in rates]
+    def speed_at(self, part: float) -> float:
+        """The mean speed at the evaluation that is nearest to that part of the steps."""
+        return self.mean_speed[int(np.abs(np.array(self.steps) - part * self.steps[-1]).argmin())]
 
 
-def speed_difference(runs: Sequence[Run], peers: Sequence[Run]) -> Estimate:
-    """Of the mean speed over the whole curve, what it is more than the peer's."""
-    own, other = (np.array([[statistics.mean(run.mean_speed)] for run in each]) for each in (runs, peers))
-    return paired_difference(own, other)
+def learn(entry: Trainer) -> Run:
+    """Trains for `total_steps`; the deterministic policy is evaluated about `EVALUATIONS` times, between updates."""
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    from agents.evaluation.episodes import evaluate, scores
+    from agents.evaluation.statistics import interquartile_mean
+    from agents.training.export import export
+    from agents.training.loop import own_draws
+
+    config, run = entry.config, Run(entry.name, entry.config.seed)
+    plants = own_draws(dataclasses.replace(config, seed=PLANTS_SEED))
+    every = max(1, config.total_steps // EVALUATIONS)
+
+    class Evaluation(BaseCallback):
+        began = 0.0
+
+        def _on_training_start(self) -> None:
+            self.began = time.process_time()
+
+        def _on_step(self) -> bool:
+            return True
+
+        def _on_rollout_start(self) -> None:
+            if self.num_timesteps - (run.steps[-1] if run.steps else 0) >= every:
+                self._on_training_end()
+
+        def _on_training_end(self) -> None:
+            now = time.process_time()
+            kwargs = config.env_kwargs()
+            policy = export(run.name, self.model, env_kwargs=kwargs, training_seed=run.seed, revision="none")
+            episodes = evaluate(policy, plants)
+            run.steps.append(self.num_timesteps)
+            run.seconds.append(round(now - self.began, 3))
+            run.mean_speed.append(round(float(interquartile_mean(scores(episodes, "mean_speed"))[0]), 4))
+            run.failed.append(float(scores(episodes, "failed").mean()))
+            self.began += time.process_time() - now
+
+    with training(entry) as model:
+        model.learn(config.total_steps, callback=Evaluation())
+    return run
 
 
-def compared(runs: Sequence[Run], peers: Sequence[Run]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """At which steps the one's mean is below the other's interval, in it, and above it."""
-    own, other = (learning_curve([(run.steps, run.mean_speed) for run in each]) for each in (runs, peers))
-    value = own.value[np.searchsorted(own.x, other.x, side="right") - 1]
-    below, above = value < other.low, value > other.high
-    return other.x[below], other.x[~below & ~above], other.x[above]
+def learning(seeds: int, total_steps: int) -> dict[str, list[Run]]:
+    """The learning curves of `LEARNERS` by name, a list over seeds."""
+    runs: dict[str, list[Run]] = {entry.name: [] for entry in LEARNERS}
+    with tqdm(total=seeds * len(LEARNERS), desc="learning", unit=" trainings") as bar:
+        for entry in LEARNERS:  # compiles before a clock runs
+            learn(dataclasses.replace(entry, config=dataclasses.replace(entry.config, total_steps=1)))
+        for seed in range(seeds):
+            for entry in LEARNERS:
+                config = dataclasses.replace(entry.config, seed=seed, total_steps=total_steps)
+                runs[entry.name].append(learn(dataclasses.replace(entry, config=config)))
+                bar.update()
+    return runs
 
 
-def rows(runs: Mapping[str, Sequence[Run]]) -> list[list[str]]:
-    """The comparison as a table; intervals are over seeds."""
+def learning_table(runs: Mapping[str, Sequence[Run]]) -> list[list[str]]:
+    """The learning curves as a table; intervals are over seeds."""
     peers = runs[PEER.name]
-    head = [
-        "",
-        "seeds",
-        "steps/s",
-        "ratio (range)",
-        *(f"at {100.0 * part:g} %" for part in SHOWN),
-        "whole curve",
-        "failures",
-    ]
-    table = [[*head, f"s to {GOAL:g} cm/s"]]
+    shown = (f"at {100.0 * part:g} %" for part in SHOWN)
+    table = [["", "seeds", "steps/s", "ratio (range)", *shown, "whole curve", "failures"]]
     for name, own in runs.items():
-        found = ratios(own, peers)
+        ratios = [run.rate / peer.rate for run, peer in zip(own, peers, strict=True)]
+        speeds = [estimate([[run.speed_at(part)] for run in own]) for part in SHOWN]
         table.append(
             [
                 name,
                 str(len(own)),
                 f"{statistics.median(run.rate for run in own):,.0f}",
-                "" if own is peers else f"{statistics.median(found):.1f} ({min(found):.1f} to {max(found):.1f})",
-                *(_interval(estimate([[run.at(part)] for run in own])) for part in SHOWN),
+                "" if own is peers else f"{statistics.median(ratios):.1f} ({min(ratios):.1f} to {max(ratios):.1f})",
+                *map(_interval, speeds),
                 _interval(estimate([[statistics.mean(run.mean_speed)] for run in own])),
                 f"{100.0 * statistics.mean(run.failed[-1] for run in own):.1f} %",
-                f"{statistics.median(run.seconds_to(GOAL) for run in own):.1f}",
             ]
         )
     return table
 
 
 def _interval(found: Estimate) -> str:
-    """A speed with its interval, where there is one."""
-    interval = f" [{found.low:.1f}, {found.high:.1f}]" if found.resampled != "nothing" else ""
-    return f"{found.value:.1f}{interval}"
+    """A speed with its interval."""
+    return f"{found.value:.1f} [{found.low:.1f}, {found.high:.1f}]"
 
 
-def verdict(runs: Mapping[str, Sequence[Run]]) -> str:
-    """What the comparison of the preset with its peer comes to, in a sentence."""
-    own, peers = runs[PRESET.name], runs[PEER.name]
-    below, inside, above = compared(own, peers)
-    found, difference = ratios(own, peers), speed_difference(own, peers)
-    last = f" below it, the last at {below[-1] / 1e6:.2f} M steps" if below.size else " below it"
+def difference(runs: Mapping[str, Sequence[Run]]) -> str:
+    """The difference of the preset's mean speed from its peer's over the whole curve, in a sentence."""
+    own, other = (np.array([[statistics.mean(run.mean_speed)] for run in runs[each.name]]) for each in (PRESET, PEER))
+    found = paired_difference(own, other)
     return (
-        f"The preset makes {statistics.median(found):.1f} times the steps per second of {PEER.name}. Of its "
-        f"{below.size + inside.size + above.size} evaluations {inside.size} lie within the other's interval, "
-        f"{above.size} above and {below.size}{last}. Over the whole curve it is {difference.value:+.1f} cm/s "
-        f"[{difference.low:+.1f}, {difference.high:+.1f}]."
+        f"Over the whole curve the preset is {found.value:+.1f} cm/s [{found.low:+.1f}, {found.high:+.1f}] compared "
+        f"with {PEER.name} from as many steps."
     )
+
+
+def draw(runs: Mapping[str, Sequence[Run]], note: str) -> Any:
+    """The learning curves over environment steps and over seconds, to be called in `drawing.style`."""
+    figure = drawing.new_figure(3.1)
+    left, right = figure.subplots(1, 2, sharey=True)
+    for (name, own), colour in zip(runs.items(), COLOURS, strict=True):
+        curve = learning_curve([(run.steps, run.mean_speed) for run in own])
+        seconds = np.median([run.seconds for run in own], axis=0)
+        for axes, x in ((left, curve.x / 1e6), (right, seconds)):
+            axes.fill_between(x, curve.low, curve.high, color=colour, alpha=0.15, linewidth=0.0)
+            axes.plot(x, curve.value, color=colour, label=name)
+    left.set(xlabel="environment steps (millions)", ylabel="mean speed (cm/s)", xlim=(0.0, None), ylim=(-1.0, None))
+    right.set(xlabel="seconds of processor time", xscale="log")
+    left.legend(loc="upper left")
+    drawing.add_note(figure, note)
+    return figure
+
+
+def speeds(entries: Sequence[Trainer], turns: int, seconds: float) -> dict[str, list[float]]:
+    """Environment steps per second by name, updates included, one number per turn."""
+    rates: dict[str, list[float]] = {entry.name: [] for entry in entries}
+    with ExitStack() as stack:
+        contenders = []
+        for entry in tqdm(entries, desc="preparing"):
+            model, unit = stack.enter_context(training(entry)), entry.config.num_envs * entry.config.n_steps
+            _train(model, unit)  # compiles
+            contenders.append((entry.name, model, unit * max(1, round(seconds * _train(model, unit) / unit))))
+        for _ in tqdm(range(turns), desc="turns"):
+            for name, model, steps in contenders:
+                rates[name].append(_train(model, steps))
+    return rates
+
+
+def _train(model: PPO, steps: int) -> float:
+    """Continues a training for so many steps; returns its environment steps per second."""
+    start = time.process_time()
+    model.learn(steps, reset_num_timesteps=False)
+    return steps / (time.process_time() - start)
+
+
+def speed_table(entries: Sequence[Trainer], rates: Mapping[str, Sequence[float]]) -> list[list[str]]:
+    """A comparison of speed; ratios are medians over the turns, each to the first entry's rate in the same turn."""
+    table = [["", "env steps/s", "gradient updates/s", "ratio", "range of the ratio"]]
+    first = rates[entries[0].name]
+    for entry in entries:
+        rate, config = statistics.median(rates[entry.name]), entry.config
+        ratios = [own / other for own, other in zip(rates[entry.name], first, strict=True)]
+        updates = f"{rate * config.n_epochs / config.batch_size:,.0f}"
+        span = f"{min(ratios):.2f} to {max(ratios):.2f}" if entry is not entries[0] else ""
+        table.append([entry.name, f"{rate:,.0f}", updates, f"{statistics.median(ratios):.2f}", span])
+    return table
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    options = parse(Options, COMMAND, arguments)
-    found, plan = machine(*PACKAGES), options.plan()
-    runs = by_name(train_all(plan, options.runs))
-    if not {PRESET.name, PEER.name} <= runs.keys():
-        return 1
-    table, words = rows(runs), verdict(runs)
-    print(f"\n{text_table(table)}\n\n{words}")
-    note = (
-        f"Speeds in cm/s, interquartile means with 95 % intervals over training seeds; {options.total_steps:,} steps. "
-        f"{describe(found)}."
-    )
-    settings = {trainer.name: trainer.config.to_dict() for trainer in (PRESET, PEER, *OTHERS)}
-    numbers = {"machine": found, "settings": settings, "runs": [vars(run) for each in runs.values() for run in each]}
-    options.write(COMMAND, numbers, section("learning", [markdown_table(table), "", words, "", note]))
-    if options.figure is not None:
-        from benchmarks.training_figure import save
-
-        save(options.figure, runs, note)
-    return 0 if sum(map(len, runs.values())) == len(plan) else 1
+    args = parse(Args, COMMAND, arguments)
+    found = machine("stable-baselines3", "torch")
+    numbers: dict[str, Any] = {"machine": found, "turns": args.turns, "seconds": args.seconds}
+    lines: list[str] = []
+    for part in args.parts:
+        words: list[str] = []
+        if part == "learning":
+            runs = learning(args.seeds, args.total_steps)
+            numbers["runs"] = [vars(run) for own in runs.values() for run in own]
+            table = learning_table(runs)
+            note = f"Interquartile means with 95 % intervals over seeds; {args.total_steps:,} steps. {describe(found)}."
+            words = [difference(runs), ""]
+            if args.figure is not None:
+                with drawing.style():
+                    save_figure(draw(runs, note), args.figure)
+        else:
+            numbers[part] = speeds(AXES[part], args.turns, args.seconds)
+            table = speed_table(AXES[part], numbers[part])
+            note = f"{describe(found)}; {args.turns} turns of about {args.seconds:g} s of processor time."
+        print(f"\n{part}\n\n{text_table(table)}", *words, flush=True)
+        lines += section(part, [*markdown_table(table).split("\n"), "", *words, note])
+        # After every part, so that nothing is lost.
+        args.write(COMMAND, numbers, lines)
+    return 0
 
 
 if __name__ == "__main__":

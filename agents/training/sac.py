@@ -16,8 +16,7 @@ EPSILON = 1e-6
 class LeanSAC(SAC):
     """SAC whose `train` makes the same updates with fewer calls, about 1.7 times as fast.
 
-    `python -m benchmarks.training --parts sac` measures it. Networks of 64 units are so small that an update is mostly
-    the cost of calling torch, not of computing:
+    Networks of 64 units are so small that an update is mostly the cost of calling torch, not of computing:
     one draw from the replay buffer for all updates of a call; gradients only of what is then stepped (SB3 also
     computes the critics' for the actor's loss, and clears them); the entropy coefficient's in closed form; the log
     probability from the noise that was drawn, without objects for distributions; losses read once, at the end.

@@ -1,116 +1,59 @@
-"""Learning curves of contenders: the trainings, their going on, and what is said of them."""
+"""Speed and learning of trainings: nothing here measures a time."""
 
 from __future__ import annotations
 
 import json
-import math
 
 import pytest
-import torch
 
 from benchmarks import training
-from benchmarks.trainers import Run, ppo
+from benchmarks.training import Run, trainer
 
 TINY = {"num_envs": 8, "n_steps": 4, "batch_size": 32, "hidden": 8, "evaluation_episodes": 2}
 
 
-@pytest.fixture
-def tiny(monkeypatch):
-    monkeypatch.setattr(training, "PRESET", ppo("own", **TINY))
-    monkeypatch.setattr(training, "PEER", ppo("plain", own=False, **TINY))
-    monkeypatch.setattr(training, "OTHERS", (ppo("other", activation="relu", **TINY),))
-
-
-def test_contenders_are_compared_and_a_comparison_goes_on(tiny, tmp_path, capsys):
-    options = ["--seeds", "0-1", "--total-steps", "1024", "--runs", str(tmp_path / "runs")]
-    before = torch.get_num_threads()
-    assert training.main([*options, "--other-seeds", "--json", str(tmp_path / "a.json")]) == 0
-    assert torch.get_num_threads() == before
-    finished = {path: path.stat().st_mtime_ns for path in (tmp_path / "runs").iterdir()}
-    assert len(finished) == 4
-    files = ["--json", str(tmp_path / "b.json"), "--markdown", str(tmp_path / "b.md")]
-    files += ["--figure", str(tmp_path / "curves.png")]
-    assert training.main([*options, "--other-seeds", "0", *files]) == 0
-    assert all(path.stat().st_mtime_ns == then for path, then in finished.items())
-    assert len(list((tmp_path / "runs").iterdir())) == 5
-    runs = json.loads((tmp_path / "b.json").read_text())["runs"]
-    assert [(run["name"], run["seed"]) for run in runs] == [
-        ("own", 0),
-        ("own", 1),
-        ("plain", 0),
-        ("plain", 1),
-        ("other", 0),
+def test_every_part_is_measured_and_written(tmp_path, monkeypatch, capsys) -> None:
+    own, peer = trainer("preset", **TINY), trainer("SB3's PPO", stock=True, **TINY)
+    single = trainer("one by one", stock=True, native=False, **TINY)
+    monkeypatch.setattr(training, "LEARNERS", (own, peer))
+    monkeypatch.setattr(training, "AXES", {"peers": (peer, single)})
+    words = ["--parts", "learning", "peers", "--seeds", "2", "--total-steps", "512", "--turns", "2"]
+    words += ["--seconds", "0.01", "--json", str(tmp_path / "a.json"), "--markdown", str(tmp_path / "a.md")]
+    assert training.main([*words, "--figure", str(tmp_path / "curves.png")]) == 0
+    numbers = json.loads((tmp_path / "a.json").read_text())
+    assert [(run["name"], run["seed"]) for run in numbers["runs"]] == [
+        *(("preset", seed) for seed in range(2)),
+        *(("SB3's PPO", seed) for seed in range(2)),
     ]
-    for run in runs:
-        assert run["steps"] == list(range(64, 1025, 64))
-        assert run["seconds"] == sorted(run["seconds"])
+    for run in numbers["runs"]:
+        assert run["steps"] == list(range(32, 513, 32)) and run["seconds"] == sorted(run["seconds"])
         assert len(run["mean_speed"]) == len(run["failed"]) == len(run["steps"])
-    assert "| other " in (tmp_path / "b.md").read_text()
+    assert {name: len(rates) for name, rates in numbers["peers"].items()} == {"SB3's PPO": 2, "one by one": 2}
+    page = (tmp_path / "a.md").read_text()
+    assert "[start:learning]" in page and "[end:peers]" in page and "| one by one " in page
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
-    assert "times the steps per second" in capsys.readouterr().out
+    assert "gradient updates/s" in capsys.readouterr().out
 
 
-def test_what_is_finished_before_ctrl_c_counts(tiny, tmp_path, monkeypatch, capsys):
-    from benchmarks import training_runs
-
-    train, trained = training_runs.train, []
-
-    def interrupted(trainer, every):
-        if len(trained) == 4:
-            raise KeyboardInterrupt
-        trained.append(trainer.name)
-        return train(trainer, every)
-
-    monkeypatch.setattr(training_runs, "train", interrupted)
-    options = ["--seeds", "0-1", "--other-seeds", "0", "--total-steps", "64", "--runs", str(tmp_path)]
-    assert training.main(options) == 1
-    assert "Stopped" in capsys.readouterr().err
-    assert len(list(tmp_path.iterdir())) == 4
-
-
-def run(seed, speeds, seconds=(1.0, 2.0, 3.0)):
-    return Run("x", seed, [100, 200, 300], list(seconds), list(speeds), [0.0] * 3)
-
-
-def test_a_run_says_how_far_it_was_and_when():
-    first = run(0, (1.0, 5.0, 4.0))
-    assert first.rate == 100.0
-    assert first.at(0.5) == 1.0 and first.at(0.7) == 5.0 and first.at(1.0) == 4.0
-    assert first.seconds_to(4.0) == 2.0 and first.seconds_to(5.5) == math.inf
-
-
-def test_points_are_counted_by_the_peers_interval():
-    peers = [run(seed, (1.0 + seed, 1.0 + seed, 1.0 + seed)) for seed in range(2)]
-    own = [run(seed, (0.5, 1.5, 2.5)) for seed in range(2)]
-    assert [steps.tolist() for steps in training.compared(own, peers)] == [[100.0], [200.0], [300.0]]
-    assert training.speed_difference(own, own).value == 0.0
-
-
-def test_ratios_are_seed_by_seed():
-    fast, slow = [run(seed, (0.0,) * 3, (0.1, 0.2, 0.3 + seed)) for seed in range(2)], [run(1, (0.0,) * 3)]
-    assert training.ratios(fast, slow) == pytest.approx([3.0 / 1.3])
-
-
-def test_the_peer_is_the_former_preset_whatever_is_todays():
-    from benchmarks.trainers import FORMER
-
-    changes = training.PEER.config.to_dict()
-    assert all(changes[name] == value for name, value in FORMER.items())
-    assert not training.PEER.own and training.PEER.config.task == "direct"
+def test_numbers_of_the_tables_follow_from_the_runs() -> None:
+    first, other = trainer("first", batch_size=1024, n_epochs=4), trainer("other")
+    header, _, row = training.speed_table((first, other), {"first": [10.0, 20.0], "other": [20.0, 30.0]})
+    cells = dict(zip(header, row, strict=True))
+    assert (cells["ratio"], cells["range of the ratio"]) == ("1.75", "1.50 to 2.00")
+    runs = {
+        name: [Run(name, seed, [100, 200], [1.0, second], [speed, 2 * speed], [0.0, 0.5]) for seed in range(2)]
+        for name, second, speed in (("preset", 2.0, 2.0), ("SB3's PPO", 8.0, 1.0))
+    }
+    header, row, _ = training.learning_table(runs)
+    cells = dict(zip(header, row, strict=True))
+    assert (cells["steps/s"], cells["ratio (range)"], cells["failures"]) == ("100", "4.0 (4.0 to 4.0)", "50.0 %")
+    assert cells["at 25 %"].startswith("2.0 [") and cells["at 100 %"].startswith("4.0 [")
+    assert cells["whole curve"].startswith("3.0 [")
+    assert "+1.5 cm/s [+1.5, +1.5]" in training.difference(runs)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--json", __file__], "--json"),
-        (["--figure", "nowhere/curves.png"], "--figure"),
-        (["--seeds", "1"], "--seeds"),
-        (["--other-seeds", "a"], "--other-seeds"),
-        (["--total-steps", "0"], "--total-steps"),
-    ],
+    "entry", [each for entries in training.AXES.values() for each in entries], ids=lambda x: x.name
 )
-def test_bad_options_are_named(arguments, message, capsys):
-    with pytest.raises(SystemExit) as stop:
-        training.main(arguments)
-    assert stop.value.code == 2
-    assert message in capsys.readouterr().err
+def test_a_rollout_is_as_long_for_every_setting(entry: training.Trainer) -> None:
+    assert entry.stock or entry.config.num_envs * entry.config.n_steps == training.ROLLOUT

@@ -1,0 +1,317 @@
+"""Error and creep of the same capsule in MuJoCo, compared with this package: `python -m benchmarks.mujoco`.
+
+Without friction and with MuJoCo's RK4 it follows `capsule_gym` to 1e-8 over two seconds
+(tests/benchmarks/test_mujoco.py): the plant is the same, and only friction differs. MuJoCo's constraints are soft, so
+that a platform creeps below the friction limit. Needs the extra `bench`.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from baselines.tables import markdown_table, text_table
+from benchmarks.measurement import OutputArgs, available_cores, describe, machine
+from capsule_gym import task
+from capsule_gym.command_line import Count, parse, refuse
+from capsule_gym.parameters import DIRECT_PHYSICS_DT, Capsule, Plant
+
+COMMAND = "python -m benchmarks.mujoco"
+XML = Path(__file__).with_name("capsule.xml")
+START = (task.START_THETA, 0.0, 0.0, 0.0)
+INTEGRATORS = ("implicitfast", "RK4")
+# MuJoCo's own limits of stiffness: the largest impedance, and the time constant in steps below which it clips.
+STIFF_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+STIFF_STEPS = 2.0
+NOSLIP_ITERATIONS = 10
+# A platform on a contact sinks into the floor first, s.
+SETTLING_SECONDS = 1.0
+# Friction coefficient and amplitude of the random torque (N m) of the compared trajectories.
+CASES = ((0.01, 0.5), (0.1, 1.0))
+# Shares of the friction limit.
+LOADS = (0.2, 0.5, 0.9)
+CREEP_SECONDS = 10.0
+# The motor swings the pendulum about this angle, rad.
+CENTRE, SWING = -0.6, 0.1
+
+
+@dataclass(frozen=True)
+class FrictionModel:
+    """One of MuJoCo's ways to model the floor.
+
+    Attributes:
+        name: for tables.
+        contact: a sphere on a plane, elliptic cone, whose normal force acts; else the constant mu (M + m) g on the
+            joint x (`frictionloss`).
+        stiff: constraints as stiff as MuJoCo allows at the step; else its default solver parameters.
+        noslip: with MuJoCo's no-slip solver after the main one.
+    """
+
+    name: str
+    contact: bool
+    stiff: bool = False
+    noslip: bool = False
+
+
+FRICTIONS = (
+    FrictionModel("frictionloss", contact=False),
+    FrictionModel("contact", contact=True),
+    FrictionModel("contact, stiff", contact=True, stiff=True),
+)
+# These two creep less than `frictionloss`, at the same speed and error.
+ALL_FRICTIONS = (
+    *FRICTIONS,
+    FrictionModel("frictionloss, stiff", contact=False, stiff=True),
+    FrictionModel("frictionloss, noslip", contact=False, noslip=True),
+)
+
+
+def build_model(friction: FrictionModel, integrator: str, timestep: float, capsule: Capsule | None = None) -> Any:
+    """Compiles the model.
+
+    Args:
+        friction: how the floor is modelled.
+        integrator: one of `INTEGRATORS`.
+        timestep: s.
+        capsule: the plant, by default the paper's; MuJoCo has one friction coefficient for both directions, at rest and
+            in motion.
+    """
+    import mujoco
+
+    capsule = capsule or Capsule()
+    constants = {name: getattr(capsule, name) for name in ("M", "m", "l", "g", "k", "c", "mu")}
+    coulomb = 0.0 if friction.contact else capsule.mu * (capsule.M + capsule.m) * capsule.g
+    text = Template(XML.read_text(encoding="utf-8")).substitute(constants, coulomb=coulomb)
+    spec = mujoco.MjSpec.from_string(text)
+    spec.option.timestep = timestep
+    spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
+    if friction.noslip:
+        spec.option.noslip_iterations = NOSLIP_ITERATIONS
+    if not friction.contact:
+        spec.delete(spec.joint("z"))
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    if friction.stiff:
+        reference = (STIFF_STEPS * timestep, 1.0)
+        for geom in spec.geoms:
+            geom.solref, geom.solimp = reference, STIFF_IMPEDANCE
+        spec.joint("x").solref_friction, spec.joint("x").solimp_friction = reference, STIFF_IMPEDANCE
+    return spec.compile()
+
+
+def start_data(model: Any, theta: float) -> Any:
+    """MuJoCo's data of a capsule at rest at the angle theta; a platform on a contact has sunk into the floor before."""
+    import mujoco
+
+    data = mujoco.MjData(model)
+    for _ in range(round(SETTLING_SECONDS / model.opt.timestep) if model.nv > 2 else 0):
+        data.joint("theta").qpos[0] = theta
+        mujoco.mj_step(model, data)
+        for joint in ("theta", "x"):
+            data.joint(joint).qpos[0] = data.joint(joint).qvel[0] = 0.0
+    data.joint("theta").qpos[0], data.time = theta, 0.0
+    return data
+
+
+class Batch:
+    """Copies of a model that `mujoco.rollout` steps together from `START`.
+
+    Args:
+        model: from `build_model`.
+        num_envs: number of copies.
+        threads: number of threads that share them.
+        substeps: integration steps in one step.
+        restarts: whether a copy whose ball meets the platform starts again.
+    """
+
+    def __init__(self, model: Any, num_envs: int, threads: int, substeps: int, *, restarts: bool = True) -> None:
+        import mujoco
+        from mujoco import rollout
+
+        self.model, self.substeps, self.restarts = model, substeps, restarts
+        # The time, positions, velocities.
+        kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        self._start = np.empty(mujoco.mj_stateSize(model, kind))
+        mujoco.mj_getState(model, start_data(model, START[0]), self._start, kind)
+        theta, x = model.joint("theta").qposadr[0], model.joint("x").qposadr[0]
+        self._columns = [1 + theta, 1 + model.nq + theta, 1 + x, 1 + model.nq + x]
+        self._states = np.tile(self._start, (num_envs, 1))
+        self._trace = np.empty((num_envs, substeps, self._start.size))
+        self._data = [mujoco.MjData(model) for _ in range(threads)]
+        # Without a pool MuJoCo steps on the calling thread.
+        self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)
+
+    def step(self, torques: np.ndarray) -> np.ndarray:
+        """One step with the torques held, N m; returns theta, theta_dot, x, x_dot, a row for each copy."""
+        controls = torques[:, None, None]
+        self._rollout.rollout(self.model, self._data, self._states, controls, nstep=self.substeps, state=self._trace)
+        self._states[:] = self._trace[:, -1]
+        if self.restarts:
+            self._states[np.abs(self._states[:, self._columns[0]]) >= math.pi / 2.0] = self._start
+        return self._states[:, self._columns]
+
+    def close(self) -> None:
+        """Ends the threads."""
+        self._rollout.close()
+
+
+def simulate(model: Any, torques: np.ndarray, threads: int = 1) -> np.ndarray:
+    """Trajectories from `START` under torques that are held for `task.CONTROL_DT`.
+
+    Args:
+        model: from `build_model`.
+        torques: one trajectory per row, N m.
+        threads: number of threads that share the trajectories.
+
+    Returns:
+        theta, theta_dot, x, x_dot at the end of each interval: shape (trajectories, intervals, 4).
+    """
+    batch = Batch(model, len(torques), threads, round(task.CONTROL_DT / model.opt.timestep), restarts=False)
+    states = [batch.step(column) for column in torques.T]
+    batch.close()
+    return np.array(states).swapaxes(0, 1)
+
+
+def load_torque(load: float, theta: float, theta_dot: float, plant: Plant) -> float:
+    """The motor torque that loads a platform at rest with a share of its friction limit and swings the pendulum."""
+    from benchmarks import driver
+
+    return driver.torque_for_load(-load if theta > CENTRE else load, theta, theta_dot, plant)
+
+
+def largest_creep(load: float, timestep: float) -> float:
+    """Largest |x'| of `capsule_gym` in `CREEP_SECONDS` under `load_torque`, m/s."""
+    from benchmarks import driver
+
+    plant = Capsule().plant()
+    state, largest = (CENTRE - SWING, 0.0, 0.0, 0.0), 0.0
+    for _ in range(round(CREEP_SECONDS / timestep)):
+        motion = driver.step(*state, load_torque(load, state[0], state[1], plant), plant, timestep)
+        state = (motion.theta, motion.theta_dot, motion.x, motion.x_dot)
+        largest = max(largest, abs(motion.x_dot))
+    return largest
+
+
+def driven_creep(model: Any, load: float) -> float:
+    """Median |x'| of MuJoCo in `CREEP_SECONDS` under `load_torque`, m/s."""
+    import mujoco
+
+    data, plant = start_data(model, CENTRE - SWING), Capsule().plant()
+    theta, x, speeds = data.joint("theta"), data.joint("x"), []
+    for _ in range(round(CREEP_SECONDS / model.opt.timestep)):
+        data.ctrl[0] = load_torque(load, theta.qpos[0], theta.qvel[0], plant)
+        mujoco.mj_step(model, data)
+        speeds.append(abs(float(x.qvel[0])))
+    return float(np.median(speeds))
+
+
+def steady_creep(model: Any, load: float) -> float:
+    """Mean x' of MuJoCo under a constant force on the platform, over the second half of `CREEP_SECONDS`, m/s."""
+    import mujoco
+    from scipy.optimize import brentq
+
+    capsule = Capsule()
+    # Spring and gravity balance.
+    rest = brentq(lambda theta: capsule.m * capsule.g * capsule.l * math.sin(theta) - capsule.k * theta, 0.1, math.pi)
+    data = start_data(model, rest)
+    x, half = data.joint("x"), round(0.5 * CREEP_SECONDS / model.opt.timestep)
+    x.qfrc_applied[0] = load * capsule.mu * (capsule.M + capsule.m) * capsule.g
+    mujoco.mj_step(model, data, half)
+    middle = float(x.qpos[0])
+    mujoco.mj_step(model, data, half)
+    return (float(x.qpos[0]) - middle) / (half * model.opt.timestep)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What was found of one model at the default step.
+
+    Attributes:
+        name: friction model and integrator.
+        errors: largest error in any state, one per case.
+        driven: creep under the motor's load, one per share of the limit, m/s.
+        steady: creep under a constant force, m/s; empty where no force can be applied.
+    """
+
+    name: str
+    errors: list[float]
+    driven: list[float]
+    steady: list[float]
+
+
+def measure(trajectories: int) -> list[Result]:
+    """The results of this package and of every friction model and integrator of MuJoCo."""
+    from benchmarks import accuracy
+
+    step = DIRECT_PHYSICS_DT
+    expected = [
+        accuracy.expected_trajectories(mu, amplitude, trajectories) for mu, amplitude in tqdm(CASES, desc="reference")
+    ]
+    own = [accuracy.errors(mu, known, [step]).max() for (mu, _), known in zip(CASES, expected, strict=True)]
+    results = [Result("capsule_gym", own, [largest_creep(load, step) for load in LOADS], [])]
+    variants = [(friction, integrator) for friction in ALL_FRICTIONS for integrator in INTEGRATORS]
+    for friction, integrator in tqdm(variants, desc="MuJoCo"):
+        errors = []
+        for (mu, _), known in zip(CASES, expected, strict=True):
+            model = build_model(friction, integrator, step, Capsule(mu=mu))
+            states = simulate(model, np.array([trajectory.torques for trajectory in known]), available_cores())
+            ends = [found[each.intervals - 1] for found, each in zip(states, known, strict=True)]
+            errors.append(float(np.abs(np.array(ends) - [each.state for each in known]).max()))
+        model = build_model(friction, integrator, step)
+        driven, steady = ([creep(model, load) for load in LOADS] for creep in (driven_creep, steady_creep))
+        results.append(Result(f"MuJoCo {friction.name}, {integrator}", errors, driven, steady))
+    return results
+
+
+def table(results: Sequence[Result]) -> list[list[str]]:
+    """The table of errors and creep."""
+    errors = (f"error, mu = {mu:g}, ±{amplitude:g} N m" for mu, amplitude in CASES)
+    driven, steady = ([f"{kind}, {load:.0%}" for load in LOADS] for kind in ("driven", "steady"))
+    rows = [["", *errors, *driven, *steady]]
+    for result in results:
+        numbers = [f"{value:.1e}" for value in (*result.errors, *result.driven, *result.steady)]
+        rows.append([result.name, *numbers, *["-"] * (len(rows[0]) - 1 - len(numbers))])
+    return rows
+
+
+@dataclass(frozen=True, kw_only=True)
+class Args(OutputArgs):
+    """Error and creep below the friction limit of the same capsule in MuJoCo. Needs the extra `bench`.
+
+    Examples:
+      python -m benchmarks.mujoco --markdown docs/speed_mujoco.md
+    """
+
+    trajectories: Count = 16
+    """Trajectories of random torque for each error."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    args = parse(Args, COMMAND, arguments)
+    try:
+        results = measure(args.trajectories)
+    except ImportError as error:
+        refuse(COMMAND, f'{error}: pip install "capsule-gym[bench]"')
+    note = (
+        f"Error: the largest in any state after 10 s of random torque, {args.trajectories} trajectories, against "
+        f"DOP853. Creep in m/s; driven: median |x'| over {CREEP_SECONDS:g} s while the pendulum pushes the platform "
+        "with that share of its friction limit mu N, forwards and backwards in turn; steady: mean x' under a constant "
+        "external force of that share, which capsule_gym does not have. 'stiff': the hardest constraints that MuJoCo "
+        f"allows at the step of {1e3 * DIRECT_PHYSICS_DT:g} ms. {describe(machine('mujoco'))}."
+    )
+    print(text_table(table(results)), note, sep="\n\n")
+    numbers = {"machine": machine("mujoco"), "results": [asdict(result) for result in results]}
+    args.write(COMMAND, numbers, [*markdown_table(table(results)).split("\n"), "", note])
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
