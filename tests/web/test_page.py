@@ -12,7 +12,7 @@ from urllib.parse import parse_qs
 import pytest
 
 from agents.report.page import embedded, own_drivers
-from benchmarks.page import BROWSERS, find_browser, started
+from benchmarks.web import BROWSERS, find_browser, started
 from capsule_gym import load_policy
 from web import build
 
