@@ -303,7 +303,7 @@ def draw(runs: Mapping[str, Sequence[Run]], note: str) -> Any:
     """The learning curves over environment steps and over seconds, to be called in `drawing.style`."""
     figure = drawing.new_figure(3.1)
     left, right = figure.subplots(1, 2, sharey=True)
-    for (name, own), colour in zip(runs.items(), COLOURS, strict=True):
+    for (name, own), colour in zip(runs.items(), COLOURS, strict=False):
         curve = learning_curve([(run.steps, run.mean_speed) for run in own])
         seconds = np.median([run.seconds for run in own], axis=0)
         for axes, x in ((left, curve.x / 1e6), (right, seconds)):

@@ -50,7 +50,7 @@ def test_a_wrong_import_breaks_its_contract(tmp_path: Path):
         "capsule_gym/rendering.py": "def plot():\n    import matplotlib",
         "baselines/tables.py": "import torch",
         "baselines/laws/gains.py": "from baselines.gaits import bound",
-        "agents/evaluation/sets.py": "import benchmarks.timing",
+        "agents/evaluation/sets.py": "import benchmarks.web",
         "agents/training/runs.py": "import agents.comparison",
         "web/fused.py": "import web.modules",
         "examples/sb3_ppo.py": "import agents.evaluation.policies",
