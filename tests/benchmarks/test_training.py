@@ -17,7 +17,7 @@ def test_every_part_is_measured_and_written(tmp_path, monkeypatch, capsys) -> No
     single = trainer("one by one", stock=True, native=False, **TINY)
     monkeypatch.setattr(training, "LEARNERS", (own, peer))
     monkeypatch.setattr(training, "AXES", {"peers": (peer, single)})
-    words = ["--parts", "learning", "peers", "--seeds", "2", "--total-steps", "512", "--turns", "2"]
+    words = ["--parts", "learning", "peers", "--seeds", "2", "--total-steps", "1024", "--turns", "2"]
     words += ["--seconds", "0.01", "--json", str(tmp_path / "a.json"), "--markdown", str(tmp_path / "a.md")]
     assert training.main([*words, "--figure", str(tmp_path / "curves.png")]) == 0
     numbers = json.loads((tmp_path / "a.json").read_text())
@@ -26,7 +26,7 @@ def test_every_part_is_measured_and_written(tmp_path, monkeypatch, capsys) -> No
         *(("SB3's PPO", seed) for seed in range(2)),
     ]
     for run in numbers["runs"]:
-        assert run["steps"] == list(range(32, 513, 32)) and run["seconds"] == sorted(run["seconds"])
+        assert run["steps"] == list(range(64, 1025, 64)) and run["seconds"] == sorted(run["seconds"])
         assert len(run["mean_speed"]) == len(run["failed"]) == len(run["steps"])
     assert {name: len(rates) for name, rates in numbers["peers"].items()} == {"SB3's PPO": 2, "one by one": 2}
     page = (tmp_path / "a.md").read_text()
