@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 import baselines
-from capsule_gym import Policy, kernels, task
+from capsule_gym import Policy, layout, task
 from capsule_gym.controller import Controller, find_controller
 from capsule_gym.network import HEADER
 from capsule_gym.observation import MU_BOUND, observation_names
@@ -58,7 +58,7 @@ def describe_settings(options: EnvConfig) -> dict[str, Any]:
     # Whatever M and mu the page allows.
     check_step(NOMINAL, LIGHTEST, MU_BOUND, settings)
     return {
-        "fixed": kernels.pack(NOMINAL.plant(), settings, np.zeros((0, 0))).tolist(),
+        "fixed": layout.pack(NOMINAL.plant(), settings, np.zeros((0, 0))).tolist(),
         "entries": len(observation_names(law is not None, options.observe_parameters)),
         "control_dt": options.control_dt,
         "steps": round(task.HORIZON / options.control_dt),

@@ -110,7 +110,7 @@ def kernel_steps(num_envs: int, held: bool = False, **options: Any) -> Turn:
         held: whether each environment keeps its first torque, so that the platform seldom reverses.
         **options: of the environments.
     """
-    from capsule_gym.kernels import Row
+    from capsule_gym.layout import Row
 
     simulation = seeded(num_envs, **options)
     draws = ACTION_SCALE * np.random.default_rng(SEED).uniform(-1.0, 1.0, (1 if held else DRAWS, num_envs))
@@ -137,7 +137,7 @@ def kernel_steps(num_envs: int, held: bool = False, **options: Any) -> Turn:
 
 def single_kernel_steps() -> Turn:
     """A single environment, without the cost of the call from Python: a block with one lane in use."""
-    from capsule_gym.kernels import Row
+    from capsule_gym.layout import Row
 
     simulation = seeded(1)
     # Short enough that the episode runs on under every one of the torques.

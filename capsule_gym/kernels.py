@@ -1,30 +1,25 @@
-"""Compiles the physics, the task and a control law into one step of the agent, for any number of environments.
+"""The compiled step of the environment: the physics, the task and a control law, for any number of environments.
 
-The environments lie in one float64 array `world` of shape (blocks, rows, LANES): one row per quantity of `Row`, the
-law's memory and its line of the reference behind them. Within a block every loop runs over the environments, and the
-compiler takes several at once; an environment to which something happens (a change of phase, the end of the episode)
-is left out of that and follows alone. One environment is a block with one lane in use, threads share a batch by blocks:
-the arithmetic is the same everywhere, and so are the results, bit for bit.
+`step` is one agent step, from the action to the observation. `capsule_gym.layout` says where the numbers lie. Loops run
+over the environments of a block and are vectorised; an environment in which an event happens (a change of the contact
+phase, the end of the episode) is left out of the loop over its substep and integrated by itself.
 
-A law enters as a global of the kernel. Both are copied, the kernel with that global bound, under names that hold a hash
-of everything it compiles, which lets numba's disk cache serve built-in and user laws alike and never serve a stale one.
+The control law is a global of the kernel. `build` copies the kernel, binds that global, and compiles the copy under a
+name that holds a hash of everything compiled: numba's disk cache serves built-in and user laws, and no stale code.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import lru_cache
-from itertools import repeat
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any
 
 import numpy as np
 from numba import types
-from numba.core import cgutils
 from numba.core.errors import NumbaError
 from numba.core.registry import CPUDispatcher
-from numba.extending import intrinsic
 
 from capsule_gym import dynamics, task
 from capsule_gym.compilation import (
@@ -39,132 +34,29 @@ from capsule_gym.compilation import (
     use_widest_vectors,
 )
 from capsule_gym.elementary import clip
+from capsule_gym.layout import (
+    AT,
+    CONSTANTS,
+    ENDING,
+    HALTED,
+    LANES,
+    MEMORY,
+    UNDER_WAY,
+    StepSettings,
+    load,
+    plant_of,
+    store,
+    unpack,
+)
 from capsule_gym.observation import write_observation
 from capsule_gym.parameters import Plant
 
-# `task` itself does without numba, which takes most of a second to import.
+# `task` itself is imported without numba, which takes most of a second.
 for _function in (task.reward_terms, task.termination, task.continues, task.bounded):
     inlined(_function)
 
-# Environments that one loop takes through a step together. Their rows lie side by side at offsets that the compiler
-# knows, and one block stays in the first-level cache.
-LANES = 64
-
-
-class Quantities(NamedTuple):
-    """A whole number for each quantity of one environment in `world`, in their order there."""
-
-    # What `info` shows, under these names.
-    theta: int
-    theta_dot: int
-    x: int
-    x_dot: int
-    M: int
-    mu: int
-    torque: int
-    law_torque: int
-    normal_force: int
-    energy: int
-    reward_progress: int
-    reward_energy: int
-    reward_termination: int
-    # How the agent step has ended.
-    reward: int
-    termination: int
-    steps: int
-    # The episode's, down to `largest_theta_dot`.
-    start_x: int
-    duration: int
-    episode_energy: int
-    # Distance weighted with (M + m) g, J: the denominator of the cost of transport, also where M changes on the way.
-    weight_distance: int
-    torque_squared: int
-    peak_torque: int
-    forward: int
-    backward: int
-    stuck: int
-    smallest_normal_ratio: int
-    largest_theta: int
-    largest_theta_dot: int
-    # Row of the reference table that the law has seen last.
-    clock: int
-    # What the caller wants: the action, and 1.0 where the environment takes part in the step.
-    action: int
-    active: int
-    # Of the running step: m / (M + m), x at its start, the phase of the contact, whether something happens in the
-    # present substep, how far the environment has stopped, and the time that its present torque has acted.
-    mass_ratio: int
-    before_x: int
-    slip: int
-    eventful: int
-    # What `dynamics.runge_kutta` returned for the present substep.
-    next_theta: int
-    next_theta_dot: int
-    next_x: int
-    next_x_dot: int
-    x_ddot: int
-    first_normal_force: int
-    least_normal_force: int
-    halt: int
-    elapsed: int
-
-
-# Each quantity's row of a block, and where that begins in the block's memory. numba takes plain integers in a tuple for
-# constants, the members of an enumeration not.
-Row = Quantities(*range(len(Quantities._fields)))
-AT = Quantities(*(LANES * row for row in Row))
-ROWS = len(Row)
-# Where the law's memory begins; its line of the reference follows.
-MEMORY = ROWS * LANES
-# The values of `Row.halt`: under way; stopped in the present substep, its law to be asked once more; and at rest.
-UNDER_WAY, ENDING, HALTED = 0.0, 1.0, 2.0
 # As a plain integer, which numba takes for a constant.
 DIVERGED = int(task.Termination.diverged)
-
-
-class StepSettings(NamedTuple):
-    """What the kernels need to know of the environment besides the plant; SI units."""
-
-    torque_limit: float
-    residual_limit: float
-    physics_dt: float
-    physics_steps: int
-    law_steps: int
-    energy_weight: float
-    termination_penalty: float
-    with_reference: bool
-    with_parameters: bool
-
-
-def pack(plant: Plant, settings: StepSettings, reference: np.ndarray) -> np.ndarray:
-    """Plant, settings and the controller's table in one array, shape (CONSTANTS + table.size,).
-
-    Numbers in a tuple, and every array more, would take longer to enter compiled code than a substep takes.
-    """
-    # Named, since numpy makes objects of integers that fit none of its own: to the kernel these would be addresses.
-    return np.concatenate([np.array([*plant, *settings], np.float64), reference.ravel()], dtype=np.float64)
-
-
-def check_arrays(**arrays: tuple[Any, type, tuple[int | None, ...]]) -> None:
-    """Refuses what compiled code would read or write beyond: its raw entry points look at nothing of an array.
-
-    Args:
-        arrays: by name the array, its dtype, and its shape, with None for a length that does not matter.
-
-    Raises:
-        TypeError: if one is no contiguous, aligned array of that dtype and shape.
-    """
-    for name, (array, dtype, shape) in arrays.items():
-        sound = isinstance(array, np.ndarray) and array.dtype == dtype and array.ndim == len(shape)
-        sound = sound and all(size in (None, own) for size, own in zip(shape, array.shape, strict=True))
-        if not (sound and array.flags.c_contiguous and array.flags.aligned and array.dtype.isnative):
-            got = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
-            raise TypeError(f"{name} must be a contiguous array of {dtype.__name__} of shape {shape}, got {got}")
-
-
-# Where `pack` begins with the settings, and with the controller's table.
-SETTINGS = len(Plant._fields)
-CONSTANTS = SETTINGS + len(StepSettings._fields)
 
 
 def no_law(
@@ -174,96 +66,14 @@ def no_law(
     return 0.0, memory
 
 
-def _places(context: Any, builder: Any, kind: Any, array: Any, start: Any, stride: int, count: int) -> Iterator[Any]:
-    """Where `count` entries of a contiguous array lie, from `start` on, in steps of `stride`.
-
-    NUMBA_BOUNDSCHECK has them checked like what is indexed (`make boundscheck`).
-    """
-    own = context.make_array(kind)(context, builder, array)
-    for n in range(count):
-        offset = builder.add(start, context.get_constant(types.intp, n * stride))
-        if context.enable_boundscheck:
-            cgutils.do_boundscheck(context, builder, offset, own.nitems)
-        yield builder.gep(own.data, [offset])
-
-
-@intrinsic(prefer_literal=True)
-def load(typing_context: Any, array: Any, start: Any, stride: Any, count: Any) -> Any:
-    """The tuple of `count` entries of a contiguous float64 array from `start` on, in steps of `stride`; unchecked.
-
-    The last two are constants of the compiler's. Slices would do as well, were their bounds not checked at run time,
-    which keeps the loop around them from vectorising.
-    """
-    size, step = count.literal_value, stride.literal_value
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        places = _places(context, builder, signature.args[0], arguments[0], arguments[1], step, size)
-        return context.make_tuple(builder, signature.return_type, [builder.load(place) for place in places])
-
-    return types.UniTuple(types.float64, size)(array, types.intp, stride, count), generate
-
-
-@intrinsic(prefer_literal=True)
-def store(typing_context: Any, array: Any, start: Any, stride: Any, values: Any) -> Any:
-    """Writes a tuple where `load` would read it."""
-    step = stride.literal_value
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        entries = cgutils.unpack_tuple(builder, arguments[3])
-        places = _places(context, builder, signature.args[0], arguments[0], arguments[1], step, len(entries))
-        for entry, place in zip(entries, places, strict=True):
-            builder.store(entry, place)
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, stride, types.UniTuple(types.float64, len(values))), generate
-
-
-@intrinsic
-def record(typing_context: Any, array: Any, start: Any, kind: Any) -> Any:
-    """The named tuple of class `kind` whose fields are the entries of a float64 array from `start` on; unchecked.
-
-    The class says the order of the fields and their types: float, int or bool.
-    """
-    hints = get_type_hints(kind.instance_class)
-    compiled = {float: types.float64, int: types.int64, bool: types.boolean}
-    fields = [compiled[hints[name]] for name in kind.instance_class._fields]
-    if len(set(fields)) == 1:
-        result = types.NamedUniTuple(fields[0], len(fields), kind.instance_class)
-    else:
-        result = types.NamedTuple(fields, kind.instance_class)
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        places = _places(context, builder, signature.args[0], arguments[0], arguments[1], 1, len(fields))
-        entries = [builder.load(place) for place in places]
-        values = map(context.cast, repeat(builder), entries, repeat(types.float64), fields)
-        return context.make_tuple(builder, result, list(values))
-
-    return result(array, types.intp, kind), generate
-
-
-@jitable
-def unpack(fixed: np.ndarray, pivot_torque_on_contact: float) -> tuple[Plant, StepSettings]:
-    """Plant and settings out of what `pack` has packed, but for the constant that the compiler is to know."""
-    plant = record(fixed, 0, Plant)
-    return Plant(plant.M, plant.mu, plant.mass_ratio, pivot_torque_on_contact, *plant[4:]), record(
-        fixed, SETTINGS, StepSettings
-    )
-
-
 # A table for a task without a law.
 NO_REFERENCE = np.zeros((1, 2))
 
-# Bound anew, per law, in the copies that `build` makes; so are the functions below that call each other.
+# `bind` gives these the values of a law.
 law: Callable[..., Any] = no_law
 MEMORY_SIZE = 1
 REFERENCE_SIZE = NO_REFERENCE.shape[1]
 PIVOT_TORQUE_ON_CONTACT = 0.0
-
-
-@inlined
-def plant_of(block: np.ndarray, j: int, plant: Plant) -> Plant:
-    """The plant of one environment."""
-    return Plant(block[AT.M + j], block[AT.mu + j], block[AT.mass_ratio + j], *plant[3:])
 
 
 @inlined
@@ -406,10 +216,10 @@ def call_controller(
         block[AT.clock + j] = clock if clock < cycle else 0.0
     # Environments that began together read the same line of the reference; where they read different ones, no compiler
     # vectorises the loop, which is therefore one of its own.
-    first, apart = block[AT.clock], 0
+    first, others = block[AT.clock], 0
     for j in range(n):
-        apart += block[AT.clock + j] != first
-    if apart == 0:
+        others += block[AT.clock + j] != first
+    if others == 0:
         line = load(fixed, CONSTANTS + np.int64(first) * REFERENCE_SIZE, 1, REFERENCE_SIZE)
         for j in range(n):
             store(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, line)
@@ -485,21 +295,61 @@ def observe(
             )
 
 
-def advance(
-    world: np.ndarray,
-    first: int,
-    last: int,
+@inlined
+def step(
+    block: np.ndarray,
+    n: int,
     begin: bool,
     fixed: np.ndarray,
+    plant: Plant,
+    settings: StepSettings,
     observations: np.ndarray,
-) -> int:
-    """One agent step of the environments first..last-1 that `Row.active` names; the others stand still.
+) -> None:
+    """One agent step of a block of environments, or with `begin` the first call of the law in an episode.
+
+    Args:
+        block: one block of `world`; changed.
+        n: environments in it.
+        begin: begin an episode instead of taking a step.
+        fixed: from `capsule_gym.layout.pack`, with the next two.
+        plant: what the environments' plants have in common.
+        settings: of the environment.
+        observations: of the block's environments; written.
+    """
+    h = settings.physics_dt
+    cycle = (fixed.size - CONSTANTS) // REFERENCE_SIZE
+    # The action is clipped to [-1, 1].
+    if begin_step(block, n, plant, begin) == 0 and begin:
+        return
+    for _ in range(1 if begin else settings.law_steps):
+        if not begin:
+            # u = clip(law torque + residual_limit action), constant until the law is called again.
+            sticking = apply_torque(block, n, plant, settings)
+            for substep in range(settings.physics_steps):
+                # Where nothing sticks the compiler leaves out a third of the work.
+                if sticking > 0:
+                    step_smooth(block, n, plant, h, True)
+                else:
+                    step_smooth(block, n, plant, h, False)
+                for j in range(n):
+                    if block[AT.eventful + j] != 0.0:
+                        # Stick, slip, and the end of the episode (`task.termination`).
+                        sticking += step_with_events(block, j, plant, h, (substep + 1) * h)
+        call_controller(block, n, fixed, cycle, settings, 0.0 if begin else 1.0)
+    if not begin:
+        # The reward (`task.reward_terms`) and the sums of the episode.
+        finish_step(block, n, plant, settings)
+    observe(block, n, begin, settings, cycle, observations)
+
+
+def advance(world: np.ndarray, first: int, last: int, begin: bool, fixed: np.ndarray, observations: np.ndarray) -> int:
+    """`step` of the environments first..last-1 that `Row.active` names; the others stand still.
 
     Args:
         world: shape (blocks, (ROWS + memory cells + columns of the reference) LANES), float64; changed.
         first: first environment, a multiple of LANES.
         last: one past the last environment.
-        begin: begin an episode instead of taking a step: the law is asked for its first torque.
+        begin: begin an episode instead of taking a step: the law is called for its first torque.
         fixed: plant, settings and the controller's table, from `pack`; M and mu come from `world`.
         observations: shape (environments, entries), float32; written.
 
@@ -507,30 +357,12 @@ def advance(
         Index of an environment whose law returned no finite torque, or -1.
     """
     plant, settings = unpack(fixed, PIVOT_TORQUE_ON_CONTACT)
-    cycle = (fixed.size - CONSTANTS) // REFERENCE_SIZE
-    h = settings.physics_dt
     broken = -1
     for b in range(first // LANES, (last + LANES - 1) // LANES):
         block = world[b]
         n = last - b * LANES
         n = n if n < LANES else LANES
-        if begin_step(block, n, plant, begin) == 0 and begin:
-            continue
-        for _ in range(1 if begin else settings.law_steps):
-            if not begin:
-                sticking = apply_torque(block, n, plant, settings)
-                for substep in range(settings.physics_steps):
-                    if sticking > 0:
-                        step_smooth(block, n, plant, h, True)
-                    else:
-                        step_smooth(block, n, plant, h, False)
-                    for j in range(n):
-                        if block[AT.eventful + j] != 0.0:
-                            sticking += step_with_events(block, j, plant, h, (substep + 1) * h)
-            call_controller(block, n, fixed, cycle, settings, 0.0 if begin else 1.0)
-        if not begin:
-            finish_step(block, n, plant, settings)
-        observe(block, n, begin, settings, cycle, observations[b * LANES :])
+        step(block, n, begin, fixed, plant, settings, observations[b * LANES :])
         for j in range(n):
             if block[AT.active + j] != 0.0 and not math.isfinite(block[AT.law_torque + j]):
                 broken = b * LANES + j
@@ -565,7 +397,7 @@ def bind(
         "REFERENCE_SIZE": reference_size,
         "PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact,
     }
-    for function in (call_controller, observe):
+    for function in (call_controller, observe, step):
         bindings[function.__name__] = inlined(rebound(function, f"{function.__name__}_{digest}", bindings))
     return bindings
 

@@ -17,7 +17,7 @@ from numba import types
 from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, jitable, kernel, use_widest_vectors
 from capsule_gym.elementary import clip, fma, log, tanh
 from capsule_gym.identification import CELLS, ESTIMATES, estimates, identify
-from capsule_gym.kernels import LANES, load, record, store
+from capsule_gym.layout import LANES, load, record, store
 from capsule_gym.observation import observation_names
 from capsule_gym.parameters import Capsule, EnvConfig
 

@@ -4,12 +4,13 @@
 look for them; `tests/capsule_gym/test_parameters.py` compares those with `EnvConfig`.
 """
 
+# ruff: noqa: RUF009 (`_option` returns a field of the dataclass)
 from __future__ import annotations
 
 import difflib
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -130,9 +131,9 @@ def check_contact_is_regular(M: float, m: float, mu: float) -> None:
         )
 
 
-def _check_size(name: str, value: Any, smallest: float = 0.0) -> None:
-    """Refuses constants so large or small that forces between them are no floating-point numbers."""
-    check_number(name, value, f"a number from {smallest:g} to {LARGEST:g}", smallest, LARGEST)
+def _check_size(name: str, value: Any, smallest: float) -> float:
+    """Returns a constant of the plant as a float; between larger or smaller ones no force would be a number."""
+    return check_number(name, value, f"a finite number from {smallest:g} to {LARGEST:g}", smallest, LARGEST)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,8 +155,7 @@ class Capsule:
 
     Raises:
         TypeError: if a field is of the wrong type.
-        ValueError: if a field is out of range, or beyond 1e12, or a mass, a length or a ratio below 1e-12, or the
-            plant admits Painleve's paradox.
+        ValueError: if a field is out of range, or the plant admits Painleve's paradox.
 
     Examples:
         >>> Capsule(mu=0.1).plant().mu
@@ -163,7 +163,7 @@ class Capsule:
         >>> Capsule(l=-1.0)
         Traceback (most recent call last):
         ...
-        ValueError: Capsule.l must be a finite number > 0, got -1.0
+        ValueError: Capsule.l must be a finite number from 1e-12 to 1e+12, got -1.0
     """
 
     M: float = 0.5
@@ -178,23 +178,13 @@ class Capsule:
     normal_force: NormalForce = "newton"
 
     def __post_init__(self) -> None:
-        lowest: dict[str, tuple[str, float, bool]] = {
-            **dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), ("> 0", 0.0, True)),
-            **dict.fromkeys(("k", "c", "mu"), (">= 0", 0.0, False)),
-            "static_ratio": (">= 1", 1.0, False),
-        }
-        for name, (words, low, open_low) in lowest.items():
-            value = check_number(
-                f"Capsule.{name}", getattr(self, name), f"a finite number {words}", low, open_low=open_low
-            )
-            # What is worked out of numpy's narrow numbers would be as coarse as they are, or overflow.
+        smallest = {**dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), SMALLEST), "static_ratio": 1.0}
+        for name in ("M", "m", "l", "g", "k", "c", "mu", "static_ratio", "backward_ratio"):
+            # numpy's narrow numbers would make what follows from them as coarse as they are.
+            value = _check_size(f"Capsule.{name}", getattr(self, name), smallest.get(name, 0.0))
             object.__setattr__(self, name, value)
         if not isinstance(self.normal_force, str) or self.normal_force not in ("newton", "paper"):
             raise ValueError(f"Capsule.normal_force must be 'newton' or 'paper', got {written(self.normal_force)}")
-        for name in ("M", "m", "l", "backward_ratio", "static_ratio"):
-            _check_size(f"Capsule.{name}", getattr(self, name), SMALLEST)
-        for name in ("g", "k", "c", "mu"):
-            _check_size(f"Capsule.{name}", getattr(self, name))
         self.check_plant(self.M, self.mu)
 
     def check_plant(self, M: float, mu: float) -> None:
@@ -208,10 +198,7 @@ class Capsule:
             TypeError: if one is no number.
             ValueError: if one is out of range or together they admit Painleve's paradox.
         """
-        M = check_number("M", M, "a finite number > 0 (kg)", 0.0, open_low=True)
-        mu = check_number("mu", mu, "a finite number >= 0", 0.0)
-        _check_size("M", M, SMALLEST)
-        _check_size("mu", mu)
+        M, mu = _check_size("M", M, SMALLEST), _check_size("mu", mu, 0.0)
         check_contact_is_regular(M, self.m, mu * max(1.0, self.backward_ratio) * self.static_ratio)
 
     def fastest_rate(self, M: float, mu: float) -> float:
@@ -391,13 +378,13 @@ RANDOMIZATIONS = {
 }
 
 DIRECT_PHYSICS_DT = 2e-3
-# Between the calls of a control law inside the step, s, where its `Controller` says nothing else.
+# Between the calls of a control law inside the step, s, unless its `Controller` says otherwise.
 LAW_DT = LAW_PHYSICS_DT = 1e-3
 # Steps of the integrator in a step of the agent: what takes a tenth of a second.
 MOST_SUBSTEPS = 1_000_000
 # N m, and cm: with these no sum of an episode leaves the floating-point numbers.
 LARGEST_TORQUE, LARGEST_COST = 1e6, 1e12
-# Energy weights that a policy can be told, cm/J: their logarithms are numbers.
+# Energy weights that a policy can observe, cm/J: their logarithms are numbers.
 ENERGY_WEIGHTS = SMALLEST, LARGEST_COST
 ENERGY_WEIGHT_TEXT = f"a number of cm/J from {SMALLEST:g} to {LARGEST_COST:g}"
 # s. Steps of more digits than these would not divide each other, whatever they are.
@@ -407,27 +394,16 @@ RENDER_MODES = ("human", "rgb_array")
 Check = Callable[[str, Any], Any]
 
 
-def _anything(name: str, value: Any) -> Any:
-    """For what is checked where it is resolved."""
-    return value
-
-
-def _positive(unit: str, most: float) -> Check:
-    accepted = f"a finite number > 0 ({unit}), at most {most:g}"
-    return partial(check_number, accepted=accepted, low=0.0, high=most, open_low=True)
-
-
-def _is_step(name: str, value: Any) -> float:
-    accepted = f"a finite number of s in [{SHORTEST_STEP:g}, {LONGEST_STEP:g}]"
-    return check_number(name, value, accepted, SHORTEST_STEP, LONGEST_STEP)
-
-
-def _at_least_zero(unit: str, most: float) -> Check:
-    return partial(check_number, accepted=f"a finite number >= 0 ({unit}), at most {most:g}", low=0.0, high=most)
+def _number(low: float, high: float, unit: str, *, open_low: bool = False) -> Check:
+    """A check of a number with that unit between two limits."""
+    bounds = f"> {low:g} ({unit})" if open_low else f">= {low:g} ({unit})"
+    return partial(
+        check_number, accepted=f"a finite number {bounds}, at most {high:g}", low=low, high=high, open_low=open_low
+    )
 
 
 def _or_none(check: Check) -> Check:
-    """A check that lets None through."""
+    """A check that accepts None, too."""
     return lambda name, value: None if value is None else check(name, value)
 
 
@@ -435,10 +411,6 @@ def _is_capsule(name: str, value: Any) -> Capsule:
     if not isinstance(value, Capsule):
         raise TypeError(f"{name} must be a Capsule or None, got {written(value)}")
     return value
-
-
-def _is_noise(name: str, value: Any) -> float:
-    return check_number(name, value, "a number of rad in [0, 0.5]", 0.0, 0.5)
 
 
 def _is_randomization(name: str, value: Any) -> str | Randomization:
@@ -459,98 +431,68 @@ def _is_render_mode(name: str, value: Any) -> str:
     return value
 
 
-def _about(doc: str, check: Check, shown: str | None = None) -> dict[str, Any]:
-    """What a field of `EnvConfig` says of itself.
+def _option(default: Any, doc: str, check: Check = lambda name, value: value) -> Any:
+    """A field of `EnvConfig`.
 
     Args:
+        default: its default.
         doc: one line on what it is, with its unit.
-        check: returns a value as it is kept, or raises a TypeError or ValueError that names the option.
-        shown: the default in words; None where its value says it.
+        check: returns a value as it is kept, or raises a TypeError or ValueError that names the option. Without one the
+            value is checked where it is resolved.
     """
-    return {"doc": doc, "check": check, "shown": shown}
+    return field(default=default, metadata={"doc": doc, "check": check})
 
 
+_IS_STEP = _number(SHORTEST_STEP, LONGEST_STEP, "s")
 _RANGES = "; ".join(f'"{name}": {ranges}' for name, ranges in RANDOMIZATIONS.items())
 
 
 @dataclass(frozen=True, kw_only=True)
 class EnvConfig:
-    """The options of an environment; each field says below what it is, and what is None where it follows from others.
+    """The options of an environment; None stands for a value that follows from the other options.
 
     Raises:
         TypeError: if an option is of the wrong type.
         ValueError: if an option is out of range.
     """
 
-    controller: str | Controller | Callable[[], Controller] | None = field(
-        default=None,
-        metadata=_about(
-            'control law inside the step: an import string "module:attribute", a `Controller`, or a function that '
-            "returns one",
-            _anything,
-        ),
+    controller: str | Controller | Callable[[], Controller] | None = _option(
+        None,
+        'control law inside the step: an import string "module:attribute", a `Controller`, or a function that '
+        "returns one",
     )
-    residual_limit: float | None = field(
-        default=None,
-        metadata=_about(
-            "torque of the action 1, N m", _or_none(_at_least_zero("N m", LARGEST_TORQUE)), "`torque_limit`"
-        ),
+    residual_limit: float | None = _option(
+        None, "torque of the action 1, N m", _or_none(_number(0.0, LARGEST_TORQUE, "N m"))
     )
-    torque_limit: float = field(
-        default=task.TORQUE_LIMIT, metadata=_about("largest motor torque, N m", _positive("N m", LARGEST_TORQUE))
+    torque_limit: float = _option(
+        task.TORQUE_LIMIT, "largest motor torque, N m", _number(0.0, LARGEST_TORQUE, "N m", open_low=True)
     )
-    randomization: str | Randomization = field(
-        default="paper",
-        metadata=_about(
-            f"where M and mu of an episode come from: {_RANGES}; or a `Randomization`",
-            _is_randomization,
-        ),
+    randomization: str | Randomization = _option(
+        "paper", f"where M and mu of an episode come from: {_RANGES}; or a `Randomization`", _is_randomization
     )
-    capsule: Capsule | None = field(
-        default=None, metadata=_about("the plant's constants", _or_none(_is_capsule), "`Capsule()`")
+    capsule: Capsule | None = _option(None, "the plant's constants", _or_none(_is_capsule))
+    observe_parameters: bool = _option(False, "whether the observation ends with M and mu", _is_bool)
+    energy_weight: float = _option(
+        task.ENERGY_WEIGHT, "centimetres that a joule costs", _number(0.0, LARGEST_COST, "cm/J")
     )
-    observe_parameters: bool = field(
-        default=False, metadata=_about("whether the observation ends with M and mu", _is_bool)
+    termination_penalty: float = _option(
+        task.TERMINATION_PENALTY, "centimetres that a failure costs", _number(0.0, LARGEST_COST, "cm")
     )
-    energy_weight: float = field(
-        default=task.ENERGY_WEIGHT,
-        metadata=_about("centimetres that a joule costs", _at_least_zero("cm/J", LARGEST_COST)),
+    initial_noise: float = _option(
+        0.0, "half width of the uniform noise on the initial angle, rad", _number(0.0, 0.5, "rad")
     )
-    termination_penalty: float = field(
-        default=task.TERMINATION_PENALTY,
-        metadata=_about("centimetres that a failure costs", _at_least_zero("cm", LARGEST_COST)),
+    control_dt: float = _option(task.CONTROL_DT, "agent step, s", _IS_STEP)
+    physics_dt: float | None = _option(
+        None, "step of the fourth-order integrator, s; at most a million in an agent step", _or_none(_IS_STEP)
     )
-    initial_noise: float = field(
-        default=0.0, metadata=_about("half width of the uniform noise on the initial angle, rad", _is_noise)
+    threads: int = _option(
+        1, "threads that share a batch, from 64 environments each; the results do not depend on it", check_count
     )
-    control_dt: float = field(default=task.CONTROL_DT, metadata=_about("agent step, s", _is_step))
-    physics_dt: float | None = field(
-        default=None,
-        metadata=_about(
-            "step of the fourth-order integrator, s; at most a million in an agent step",
-            _or_none(_is_step),
-            f"{1e3 * DIRECT_PHYSICS_DT:g} ms, with a controller {1e3 * LAW_PHYSICS_DT:g} ms",
-        ),
-    )
-    threads: int = field(
-        default=1,
-        metadata=_about(
-            "threads that share a batch, from 64 environments each; the results do not depend on it", check_count
-        ),
-    )
-    render_mode: str | None = field(
-        default=None, metadata=_about('"human" or, also of a batch, "rgb_array"', _or_none(_is_render_mode))
-    )
+    render_mode: str | None = _option(None, '"human" or, also of a batch, "rgb_array"', _or_none(_is_render_mode))
 
     def __post_init__(self) -> None:
         for each in fields(self):
             object.__setattr__(self, each.name, each.metadata["check"](each.name, getattr(self, each.name)))
-
-    @classmethod
-    def among(cls, arguments: Mapping[str, Any]) -> EnvConfig:
-        """The options among a function's arguments, as `locals()` gives them; the others keep their defaults."""
-        names = {each.name for each in fields(cls)}
-        return cls(**{name: value for name, value in arguments.items() if name in names})
 
 
 DEFAULTS = EnvConfig()

@@ -13,7 +13,7 @@ from numba import types
 
 from capsule_gym.compilation import compile_now, fingerprint, inlined, kernel
 from capsule_gym.elementary import interpolate
-from capsule_gym.kernels import AT, LANES, MEMORY, Row
+from capsule_gym.layout import AT, LANES, MEMORY, Row
 from capsule_gym.task import START_THETA
 
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from capsule_gym import identification, kernels
+from capsule_gym import identification, kernels, layout
 from capsule_gym.compilation import compile_now, fingerprint, kernel
-from capsule_gym.kernels import AT, LANES
+from capsule_gym.layout import AT, LANES
 from capsule_gym.network import act_lanes_noinline, workspace
 from capsule_gym.parameters import check_count
 from capsule_gym.policy import Policy
@@ -124,13 +124,13 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
     changes = np.array(
         [(i, *change) for i, schedule in simulation._changes.items() for change in schedule], np.float64
     ).reshape(-1, 4)
-    fixed = kernels.pack(simulation.capsule.plant(), simulation.settings, simulation.reference)
+    fixed = layout.pack(simulation.capsule.plant(), simulation.settings, simulation.reference)
     memory = np.zeros(simulation.num_envs * identification.CELLS if policy.identifies else 0)
     inputs = np.empty((simulation.num_envs, len(policy.mean)), np.float32)
     blocks = simulation.world.reshape(len(simulation.world), -1)
-    kernels.check_arrays(
+    layout.check_arrays(
         world=(blocks, np.float64, (None, simulation.world[0].size)),
-        fixed=(fixed, np.float64, (kernels.CONSTANTS + simulation.reference.size,)),
+        fixed=(fixed, np.float64, (layout.CONSTANTS + simulation.reference.size,)),
         observations=(simulation.observations, np.float32, (simulation.num_envs, entries)),
         network=(policy._network, np.float64, (None,)),
         changes=(changes, np.float64, (None, 4)),

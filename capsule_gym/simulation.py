@@ -7,15 +7,16 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
 
-from capsule_gym import kernels, resets, task
+from capsule_gym import kernels, layout, resets, task
 from capsule_gym.controller import Controller, find_controller
-from capsule_gym.kernels import LANES, Row
+from capsule_gym.layout import LANES, Row
 from capsule_gym.observation import observation_names, parameter_bounds
 from capsule_gym.parameters import (
     DEFAULTS,
@@ -41,10 +42,8 @@ STABLE = 2.6
 # Environments in a batch: some 7 GB.
 MOST_ENVS = 2**24
 
-# What a copy of a simulation makes anew.
-BOUND = frozenset({"controller", "reference", "memory"}) | {
-    *("_pool", "_owner", "_action", "_kernel", "_advance", "_advance_one", "_draw", "_renew")
-}
+# The arrays of a simulation's episodes, which a copy takes over; what is compiled it binds itself.
+COPIED_ATTRIBUTES = ("world", "observations", "_keys", "_episodes", "_due")
 
 # What a change of the plant within an episode says.
 CHANGE = ("t", "M", "mu")
@@ -86,7 +85,7 @@ def divide(name: str, whole: float, part_name: str, part: float) -> int:
     return count
 
 
-def check_step(capsule: Capsule, M: float, mu: float, settings: kernels.StepSettings) -> None:
+def check_step(capsule: Capsule, M: float, mu: float, settings: layout.StepSettings) -> None:
     """Refuses a plant that is too stiff for the integrator's step.
 
     Args:
@@ -111,7 +110,7 @@ def check_step(capsule: Capsule, M: float, mu: float, settings: kernels.StepSett
     )
 
 
-def make_settings(options: EnvConfig, controller: Controller | None) -> kernels.StepSettings:
+def make_settings(options: EnvConfig, controller: Controller | None) -> layout.StepSettings:
     """What the kernels need to know of the options, with what is None worked out.
 
     Args:
@@ -131,7 +130,7 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> kernels.
             f"control_dt must be at most {MOST_SUBSTEPS} times physics_dt={physics_dt!r} s, "
             f"got {options.control_dt!r} s"
         )
-    return kernels.StepSettings(
+    return layout.StepSettings(
         torque_limit=torque_limit,
         residual_limit=torque_limit if residual_limit is None else residual_limit,
         physics_dt=physics_dt,
@@ -147,7 +146,7 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> kernels.
 def count_rows(controller: Controller | None) -> int:
     """The rows of `Simulation.world`: those of `Row`, the law's memory and its line of the reference."""
     acting = controller or NO_CONTROLLER
-    return kernels.ROWS + len(acting.memory) + acting.reference.shape[1]
+    return layout.ROWS + len(acting.memory) + acting.reference.shape[1]
 
 
 def episode_metrics(world: np.ndarray, horizon: float | None) -> dict[str, np.ndarray]:
@@ -217,8 +216,8 @@ class Simulation:
         self.randomization.check(self.capsule)
         # M in kg and mu, where they are observed.
         self._largest = parameter_bounds(self.capsule, self.randomization)
-        controller = find_controller(options.controller)
-        self.settings = make_settings(options, controller)
+        self.controller = find_controller(options.controller)
+        self.settings = make_settings(options, self.controller)
         # The lightest platform on the roughest floor is the stiffest plant.
         ranges = self.randomization
         lightest, roughest = (ranges.M or (self.capsule.M,))[0], (ranges.mu or (self.capsule.mu,))[-1]
@@ -226,10 +225,13 @@ class Simulation:
         blocks = -(-self.num_envs // LANES)
         names = observation_names(self.settings.with_reference, self.settings.with_parameters)
         try:
-            self.world = np.zeros((blocks, count_rows(controller), LANES))
+            self.world = np.zeros((blocks, count_rows(self.controller), LANES))
             self.observations = np.zeros((self.num_envs, len(names)), np.float32)
         except MemoryError as error:
             raise ValueError(f"num_envs must be as many as there is memory for, got {self.num_envs}: {error}") from None
+        # What an info shows of the first environment. The views save the single environment a good part of a step.
+        self.first = self.world[0, : Row.steps, 0]
+        self._action: Any = memoryview(self.world[0, Row.action])
         self._keys = np.zeros((self.num_envs, 2), np.uint64)
         self._episodes = np.zeros(self.num_envs, np.int64)
         self._changes: dict[int, list[tuple[float, float, float]]] = {}
@@ -241,42 +243,42 @@ class Simulation:
         count = min(options.threads, blocks)
         edges = [min(self.num_envs, LANES * (blocks * n // count)) for n in range(count + 1)]
         self._ranges = list(pairwise(edges))
-        self._bind(controller)
+        self._pool: ThreadPoolExecutor | None = None
+        # The process whose threads they are.
+        self._owner = 0
+        self._bind()
 
     def __getstate__(self) -> dict[str, Any]:
         """What the episodes need to go on: no code, no threads."""
-        return {name: value for name, value in vars(self).items() if name not in BOUND}
+        names = ("num_envs", "options", "_changes", *COPIED_ATTRIBUTES)
+        return {name: getattr(self, name) for name in names}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        controller = find_controller(self.options.controller)
-        if count_rows(controller) != self.world.shape[1]:
+        Simulation.__init__(self, state["num_envs"], state["options"])
+        if state["world"].shape != self.world.shape:
             raise ValueError(
                 f"controller={self.options.controller!r} must be as it was when the simulation was pickled, with as "
                 f"much memory and as many columns of the reference"
             )
-        self._bind(controller)
+        self._take_over(state)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
-        twin = memo[id(self)] = type(self).__new__(type(self))
-        vars(twin).update(deepcopy(self.__getstate__(), memo))
         # The very law: a function that returns one need not return the same a second time.
-        twin._bind(self.controller)
+        twin = memo[id(self)] = type(self)(self.num_envs, replace(self.options, controller=self.controller))
+        twin.options = self.options
+        twin._take_over(self.__getstate__())
         return twin
 
-    def _bind(self, controller: Controller | None) -> None:
-        """Compiles the kernel, or loads it, and binds the arguments that stay the same from step to step.
+    def _take_over(self, state: dict[str, Any]) -> None:
+        """Continues the episodes of another simulation."""
+        for name in COPIED_ATTRIBUTES:
+            getattr(self, name)[...] = state[name]
+        self._changes = deepcopy(state["_changes"])
 
-        All that it sets stands in `BOUND`.
-        """
-        self.controller = controller
-        acting = controller or NO_CONTROLLER
+    def _bind(self) -> None:
+        """Compiles the kernel, or loads it, and binds the arguments that stay the same from step to step."""
+        acting = self.controller or NO_CONTROLLER
         self.reference, self.memory = acting.reference, acting.memory
-        self._pool: ThreadPoolExecutor | None = None
-        # The process whose threads they are.
-        self._owner = 0
-        # Set through a memoryview, which takes half the time of an array.
-        self._action: Any = memoryview(self.world[0, Row.action])
         plant = self.capsule.plant()
         self._kernel = kernels.build(
             acting.law,
@@ -285,20 +287,20 @@ class Simulation:
             plant.pivot_torque_on_contact,
             f"the control law {self.controller.name!r}" if self.controller else "no control law",
         )
-        blocks = self.world.reshape(len(self.world), -1)
+        blocks, observations = self.world.reshape(len(self.world), -1), self.observations
+        fixed = layout.pack(plant, self.settings, self.reference)
+        layout.check_arrays(
+            world=(blocks, np.float64, (None, self.world[0].size)),
+            fixed=(fixed, np.float64, (layout.CONSTANTS + self.reference.size,)),
+            observations=(observations, np.float32, (self.num_envs, None)),
+        )
         # The kernel's only compiled form: numba's search for the right one is 0.3 us of the 4 that a step takes, and so
         # are the arguments, where they are looked up each time.
         compiled: Callable[..., int] = next(iter(self._kernel.overloads.values())).entry_point
-        fixed = (kernels.pack(plant, self.settings, self.reference), self.observations)
-        kernels.check_arrays(
-            world=(blocks, np.float64, (None, self.world[0].size)),
-            fixed=(fixed[0], np.float64, (kernels.CONSTANTS + self.reference.size,)),
-            observations=(self.observations, np.float32, (self.num_envs, None)),
-        )
         self._advance: Callable[[int, int, bool], int] = lambda first, last, begin: compiled(
-            blocks, first, last, begin, *fixed
+            blocks, first, last, begin, fixed, observations
         )
-        self._advance_one = partial(compiled, blocks, 0, 1, False, *fixed)
+        self._advance_one = partial(compiled, blocks, 0, 1, False, fixed, observations)
         draw, renew = resets.compiled()
         lines = np.array(self.randomization.lines(self.capsule))
         self._draw = partial(draw, lines, self.options.initial_noise)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,21 +13,20 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from capsule_gym import task
-from capsule_gym.controller import Controller
 from capsule_gym.env import (
     RESET_OPTIONS,
     REWARD_TERMS,
     as_actions,
     check_options,
+    describe,
+    make_simulation,
     make_spaces,
-    options_among,
-    show,
     shown_state,
 )
-from capsule_gym.kernels import Row
-from capsule_gym.parameters import Capsule, EnvConfig, Randomization, check_count, written
+from capsule_gym.layout import Row
+from capsule_gym.parameters import EnvConfig, check_count, written
 from capsule_gym.rendering import Renderer
-from capsule_gym.simulation import Simulation, check_seed
+from capsule_gym.simulation import check_seed
 
 
 class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -47,22 +46,9 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         num_envs: number of environments.
         max_episode_steps: agent steps until truncation.
         autoreset_mode: an `AutoresetMode` or its name, "NEXT_STEP", "SAME_STEP" or "DISABLED".
-        controller: control law inside the step: an import string "module:attribute", a `Controller`, or a function that
-            returns one.
-        residual_limit: torque of the action 1, N m.
-        torque_limit: largest motor torque, N m.
-        randomization: where M and mu of an episode come from: "none": the capsule's own M and mu; "paper": M in [0.45,
-            0.55] kg, mu in [0.009, 0.011]; "wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3]; "broad": M in
-            [0.25, 1.2] kg, mu log-uniform in [0.002, 0.6]; or a `Randomization`.
-        capsule: the plant's constants.
-        observe_parameters: whether the observation ends with M and mu.
-        energy_weight: centimetres that a joule costs.
-        termination_penalty: centimetres that a failure costs.
-        initial_noise: half width of the uniform noise on the initial angle, rad.
-        control_dt: agent step, s.
-        physics_dt: step of the fourth-order integrator, s; at most a million in an agent step.
-        threads: threads that share a batch, from 64 environments each; the results do not depend on it.
-        render_mode: "human" or, also of a batch, "rgb_array".
+        render_mode: None or "rgb_array".
+        **options: the other arguments of `CapsuleEnv`, and `threads`: threads that share a batch, from 64 environments
+            each; the results do not depend on it.
 
     Raises:
         TypeError: if an argument is of the wrong type.
@@ -82,31 +68,20 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         *,
         max_episode_steps: int = task.EPISODE_STEPS,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        controller: str | Controller | Callable[[], Controller] | None = EnvConfig.controller,
-        residual_limit: float | None = EnvConfig.residual_limit,
-        torque_limit: float = EnvConfig.torque_limit,
-        randomization: str | Randomization = EnvConfig.randomization,
-        capsule: Capsule | None = EnvConfig.capsule,
-        observe_parameters: bool = EnvConfig.observe_parameters,
-        energy_weight: float = EnvConfig.energy_weight,
-        termination_penalty: float = EnvConfig.termination_penalty,
-        initial_noise: float = EnvConfig.initial_noise,
-        control_dt: float = EnvConfig.control_dt,
-        physics_dt: float | None = EnvConfig.physics_dt,
-        threads: int = EnvConfig.threads,
-        render_mode: str | None = EnvConfig.render_mode,
+        render_mode: str | None = None,
+        **options: Any,
     ) -> None:
-        options = options_among(locals())
-        if render_mode not in (None, *self.metadata["render_modes"]):
+        config = EnvConfig(render_mode=render_mode, **options)
+        if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode of a batch must be None or 'rgb_array', got {written(render_mode)}")
         self.autoreset_mode = _find_mode(autoreset_mode)
         self.max_episode_steps = check_count("max_episode_steps", max_episode_steps)
-        self.simulation = Simulation(num_envs, options)
+        self.simulation = make_simulation(num_envs, config)
         self.num_envs = self.simulation.num_envs
         self.render_mode = render_mode
         self.metadata = {
             **type(self).metadata,
-            "render_fps": round(1.0 / options.control_dt),
+            "render_fps": round(1.0 / self.simulation.options.control_dt),
             "autoreset_mode": self.autoreset_mode,
         }
         self.single_action_space, self.single_observation_space = make_spaces(self.simulation)
@@ -168,7 +143,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._ended[rows] = False
         # The mask of the first reset need not name every environment; one that has not begun has no mass.
         self._started = self._started or bool(self.simulation.row(Row.M).all())
-        return self.simulation.observations.copy(), _masked(_infos(self.simulation.rows(0, Row.start_x)), mask)
+        return self.simulation.observations.copy(), _masked(self._info(), mask)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One agent step of every environment.
@@ -212,7 +187,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             terminated &= active
             truncated &= active
         ended = terminated | truncated
-        info = _masked(_infos(shown), self._everywhere)
+        info = _masked(describe(shown, shown[Row.termination].astype(np.int64)), self._everywhere)
         if active is not None and self.autoreset_mode is AutoresetMode.DISABLED:
             info |= {f"_{name}": active for name in REWARD_TERMS}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
@@ -252,6 +227,11 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             renderer.close()
         self._renderers = []
 
+    def _info(self) -> dict[str, Any]:
+        """The info of the present state, without the masks."""
+        rows = self.simulation.rows(0, Row.start_x)
+        return describe(rows, rows[Row.termination].astype(np.int64))
+
     def _begin_next(self, info: dict[str, Any], ended: np.ndarray) -> None:
         """Begins the next episodes, and moves to the info's `final_..` how the last ones have ended."""
         simulation = self.simulation
@@ -267,38 +247,27 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         info["final_info"] = _masked({**shared, "metrics": metrics}, ended)
         info["_final_obs"] = info["_final_info"] = ended
         simulation.reset(rows)
-        info |= _infos(simulation.rows(0, Row.start_x))
+        info |= self._info()
 
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
         """Hands the seeds out: environment i of seed s gets s + i."""
         accepted = f"an integer in [0, 2**128), None, or a sequence of {self.num_envs} of these"
-        if seed is None:
-            if self._np_random is not None:
-                return
-        elif not isinstance(seed, (Sequence, np.ndarray)):
-            super().reset(seed=check_seed(seed, accepted))
-        else:
+        fresh = self._np_random is None
+        given: Sequence[int | None] = [None] * self.num_envs
+        if isinstance(seed, (Sequence, np.ndarray)):
             if (isinstance(seed, np.ndarray) and seed.ndim != 1) or len(seed) != self.num_envs:
                 raise ValueError(f"seed must be {accepted}, got {written(seed)}")
-            seeds = [None if own is None else check_seed(own, accepted) for own in seed]
-            fresh = self._np_random is None
-            first = self._first_seed()
-            for i, own in enumerate(seeds):
-                if own is not None:
-                    self.simulation.seed(i, own)
-                elif fresh:
-                    self.simulation.seed(i, first + i)
-            return
-        first = self._first_seed()
-        for i in range(self.num_envs):
-            self.simulation.seed(i, first + i)
-
-    def _first_seed(self) -> int:
-        """The seed of environment 0; drawn from the system's entropy where none was given."""
+            given = [None if own is None else check_seed(own, accepted) for own in seed]
+        elif seed is not None:
+            super().reset(seed=check_seed(seed, accepted))
+            fresh = True
+        # Without a seed the first reset draws one from the system's entropy.
         _ = self.np_random
-        seed = self.np_random_seed
-        assert seed is not None
-        return seed
+        first = self.np_random_seed
+        assert first is not None
+        for i, own in enumerate(given):
+            if own is not None or fresh:
+                self.simulation.seed(i, first + i if own is None else own)
 
     def _check_mask(self, mask: Any) -> np.ndarray:
         """The environments that a reset means."""
@@ -337,21 +306,11 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
 def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:
     """The autoreset mode of that name or value."""
-    if isinstance(mode, AutoresetMode):
-        return mode
     for candidate in AutoresetMode:
-        if isinstance(mode, str) and mode in (candidate.name, candidate.value):
+        if mode is candidate or (isinstance(mode, str) and mode in (candidate.name, candidate.value)):
             return candidate
     names = [candidate.name for candidate in AutoresetMode]
     raise ValueError(f"autoreset_mode must be an AutoresetMode or one of {names}, got {written(mode)}")
-
-
-def _infos(rows: np.ndarray) -> dict[str, Any]:
-    """The infos that the first rows of `Row` hold, without their masks."""
-    info = show(rows)
-    info["state"] = info["state"].T
-    info["termination"] = rows[Row.termination].astype(np.int64)
-    return info
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:

@@ -29,10 +29,10 @@ from baselines.gaits import families
 from baselines.gaits.performance import Choice, known_choice, tolerant_nominal
 from baselines.optimum.policy import TORQUES
 from baselines.policies import SCRIPTED
-from capsule_gym import kernels, load_policy, task
+from capsule_gym import load_policy, task
 from capsule_gym.evaluation_sets import SET_NAMES, load_set
 from capsule_gym.identification import CELLS
-from capsule_gym.kernels import LANES, Row, StepSettings
+from capsule_gym.layout import LANES, SETTINGS, Row, StepSettings
 from capsule_gym.network import Header
 from capsule_gym.observation import M_BOUND, MU_BOUND
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, EnvConfig
@@ -115,7 +115,7 @@ def layout() -> dict[str, Any]:
         "starts": STARTS,
         "entries": ENTRIES,
         "cells": CELLS,
-        "energy_weight": kernels.SETTINGS + StepSettings._fields.index("energy_weight"),
+        "energy_weight": SETTINGS + StepSettings._fields.index("energy_weight"),
         "log_energy_weight": Header._fields.index("log_energy_weight"),
         "torques": TORQUES.tolist(),
         "terminations": [termination.name for termination in task.Termination],

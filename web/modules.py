@@ -24,13 +24,13 @@ from numba.np.arrayobj import get_cfarray_intrinsic
 
 from agents.browser import find_law
 from baselines.gaits import families
-from capsule_gym import kernels, resets
+from capsule_gym import kernels, layout, resets
 from capsule_gym.compilation import fingerprint, inner, rebound
 from capsule_gym.controller import Controller
 from capsule_gym.elementary import logarithm
 from capsule_gym.files import write_atomically
 from capsule_gym.identification import CELLS
-from capsule_gym.kernels import LANES
+from capsule_gym.layout import LANES
 from capsule_gym.network import act_lanes_noinline
 from capsule_gym.observation import observation_names
 from capsule_gym.parameters import NOMINAL
@@ -48,7 +48,7 @@ CACHE = ROOT / "build" / "web"
 
 # The most entries that an observation can have. Of a single one only the first row is read, wherever the next begins.
 ENTRIES = len(observation_names(True, True))
-STARTS = kernels.Row.torque
+STARTS = layout.Row.torque
 NUMBERS, FLOATS, INTEGERS = types.CPointer(types.float64), types.CPointer(types.float32), types.CPointer(types.int64)
 
 array = get_cfarray_intrinsic("C", None)

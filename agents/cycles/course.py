@@ -78,7 +78,7 @@ def follow(name: str, policy: Policy, plant: PlantSpec = NOMINAL_PLANT, *, secon
         seconds: length of the recording.
     """
     # Here, since numba comes with it, which takes most of a second to import.
-    from capsule_gym.kernels import Row
+    from capsule_gym.layout import Row
     from capsule_gym.simulation import Simulation, divide
 
     names = {each.name for each in fields(EnvConfig)}

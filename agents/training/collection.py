@@ -11,11 +11,11 @@ from gymnasium import spaces
 from numba import types
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from capsule_gym import kernels, resets
+from capsule_gym import kernels, layout, resets
 from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, kernel
 from capsule_gym.elementary import exp
 from capsule_gym.identification import CELLS
-from capsule_gym.kernels import AT, LANES, record
+from capsule_gym.layout import AT, LANES, record
 from capsule_gym.network import (
     LAW_TORQUE,
     Header,
@@ -135,7 +135,7 @@ def collect(
         ends: written, likewise: 0.0 where the episode goes on after the step, 1.0 where it ends.
         cut: written: step and environment of the episodes that were cut off, not failed; shape (rows, 2), int64.
         cut_inputs: written: their last inputs, shape (rows, columns), float32.
-        ended: written: of episodes that ended return, length and the rows of `world`; shape (rows, 2 + kernels.ROWS).
+        ended: written: of episodes that ended return, length and the rows of `world`; shape (rows, 2 + layout.ROWS).
 
     Returns:
         How many rows of `cut` and of `ended` are written; an environment whose law returned no finite torque, or -1.
@@ -144,9 +144,9 @@ def collect(
     steps, privileged, told = int(course[0]), course[1] != 0.0, course[2] != 0.0
     way = Course(steps, privileged, told, course[3], course[4], course[5])
     # Of the plant only what no law has a say in is read here.
-    plant, settings = kernels.unpack(fixed, 0.0)
+    plant, settings = layout.unpack(fixed, 0.0)
     lanes = workspace(network)
-    row, starts = np.empty(1, np.int64), np.empty((kernels.Row.torque, 1))
+    row, starts = np.empty(1, np.int64), np.empty((layout.Row.torque, 1))
     cuts = endings = 0
     for b in range(begin // LANES, (end + LANES - 1) // LANES):
         block, first = world[b], b * LANES
@@ -193,7 +193,7 @@ def collect(
                     cuts += 1
                 if endings < len(ended):
                     ended[endings, 0], ended[endings, 1] = returns[i], lengths[i]
-                    for k in range(kernels.ROWS):
+                    for k in range(layout.ROWS):
                         ended[endings, 2 + k] = block[k * LANES + j]
                     endings += 1
                 row[0] = i
@@ -335,7 +335,7 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         self.over[:] = 1.0
         simulation = self.batch.simulation
         # Apart from each other in time: a rollout is to hold every part of an episode.
-        simulation.write(kernels.Row.steps, np.arange(self.num_envs) * self.course.steps // self.num_envs)
+        simulation.write(layout.Row.steps, np.arange(self.num_envs) * self.course.steps // self.num_envs)
         if self.course.told:
             low, high = self.course.least, self.course.most
             # Counted already: the episodes that begin here are the ones before.
@@ -377,8 +377,8 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         if chances is None:
             chances = np.zeros((0, count, 3))
         blocks = simulation.world.reshape(len(simulation.world), -1)
-        fixed = kernels.pack(simulation.capsule.plant(), simulation.settings, simulation.reference)
-        kernels.check_arrays(
+        fixed = layout.pack(simulation.capsule.plant(), simulation.settings, simulation.reference)
+        layout.check_arrays(
             network=(network, np.float64, (None,)),
             noise=(noise, np.float64, (steps, count)),
             chances=(chances, np.float64, (steps if len(chances) else 0, count, 3)),
@@ -392,7 +392,7 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
             # In a rollout an environment's episode is cut off at most so often.
             most = (last - first) * (steps // self.course.steps + 1)
             cut, cut_inputs = np.empty((most, 2), np.int64), np.empty((most, self.columns), np.float32)
-            ended = np.empty((max(most, MOST_ENDED), 2 + kernels.ROWS))
+            ended = np.empty((max(most, MOST_ENDED), 2 + layout.ROWS))
             cuts, endings, broken = compiled(
                 simulation._kernel,
                 blocks,

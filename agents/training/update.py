@@ -22,7 +22,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, jitable, kernel, use_widest_vectors
-from capsule_gym.kernels import check_arrays, record
+from capsule_gym.layout import check_arrays, record
 from capsule_gym.network import Layer
 
 # Samples that are taken through the networks together.

@@ -26,7 +26,7 @@ from baselines.gaits import GAIT_DT as GAIT_DT
 from baselines.laws.gait import COEFFICIENTS, cubic
 from capsule_gym.compilation import compile_cached, inlined
 from capsule_gym.elementary import clip, sincos
-from capsule_gym.kernels import load
+from capsule_gym.layout import load
 
 # The torque in parts of the limit: of parameters, time in s, and theta, theta_dot and x_dot in SI units.
 Torque = Callable[[tuple[float, ...], float, float, float, float], float]

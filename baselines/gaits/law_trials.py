@@ -24,7 +24,7 @@ from baselines.gaits.rounds import import_cma, score
 from baselines.laws.gait import LIGHTEST, NO_REFERENCE, PARAMETERS, guarded_torque
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.controller import Controller
-from capsule_gym.kernels import ROWS
+from capsule_gym.layout import ROWS
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
 from capsule_gym.resets import plant_at
 from capsule_gym.task import HORIZON

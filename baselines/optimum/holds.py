@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from capsule_gym.kernels import Row
+from capsule_gym.layout import Row
 from capsule_gym.parameters import DIRECT_PHYSICS_DT, Capsule, EnvConfig
 from capsule_gym.simulation import Simulation
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.optimum.solver import Problem, Solution
-from capsule_gym.kernels import Row
+from capsule_gym.layout import Row
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import HORIZON, START_THETA
 

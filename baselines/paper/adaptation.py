@@ -20,7 +20,7 @@ from baselines.laws.profiles import PROPOSED
 from baselines.laws.reference import COLUMNS, reference_table
 from baselines.paper.traces import Trace
 from capsule_gym.compilation import compile_cached
-from capsule_gym.kernels import load
+from capsule_gym.layout import load
 from capsule_gym.parameters import LAW_DT, NOMINAL, Plant
 
 # A change of V below this is rounding.

@@ -19,7 +19,7 @@ from baselines.laws.profiles import PROPOSED
 from baselines.laws.reference import reference_table
 from baselines.paper.traces import CYCLES, UNLIMITED
 from capsule_gym.controller import Controller, Law
-from capsule_gym.kernels import ROWS, Row
+from capsule_gym.layout import ROWS, Row
 from capsule_gym.parameters import LAW_DT, NOMINAL, EnvConfig
 from capsule_gym.simulation import Simulation
 

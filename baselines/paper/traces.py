@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import Capsule, Controller
-from capsule_gym.kernels import ROWS, Row
+from capsule_gym.layout import ROWS, Row
 from capsule_gym.parameters import LAW_DT, NOMINAL, EnvConfig
 from capsule_gym.simulation import Simulation
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gymnasium as gym
 import numpy as np
 
-from capsule_gym.kernels import Row
+from capsule_gym.layout import Row
 
 # Orders, and scratch that every step begins anew; all other rows are the episode's.
 SCRATCH = {"action", "active", "mass_ratio", "before_x", "slip", "elapsed", "halt", "eventful"} | {

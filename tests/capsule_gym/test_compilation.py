@@ -16,7 +16,7 @@ import numba
 import numpy as np
 import pytest
 
-from capsule_gym import Capsule, dynamics, elementary, kernels, observation, task
+from capsule_gym import Capsule, dynamics, elementary, kernels, layout, observation, task
 from capsule_gym.compilation import fingerprint
 from tests.capsule_gym.fakes import helper, make_law, other_helper
 
@@ -117,10 +117,10 @@ def test_an_edit_of_any_compiled_constant_changes_the_kernels_fingerprint(module
     assert fingerprint(kernels.advance) == before
 
 
-@pytest.mark.parametrize("field", kernels.AT._fields)
+@pytest.mark.parametrize("field", layout.AT._fields)
 def test_an_edit_of_where_a_row_begins_changes_the_kernels_fingerprint(field, monkeypatch):
     before = fingerprint(kernels.advance)
-    monkeypatch.setattr(kernels, "AT", kernels.AT._replace(**{field: 1 + getattr(kernels.AT, field)}))
+    monkeypatch.setattr(kernels, "AT", layout.AT._replace(**{field: 1 + getattr(layout.AT, field)}))
     assert fingerprint(kernels.advance) != before
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Controller
 from capsule_gym.controller import find_controller
-from capsule_gym.kernels import ROWS
+from capsule_gym.layout import ROWS
 
 
 def test_a_law_of_the_users_own():

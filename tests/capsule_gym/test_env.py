@@ -17,7 +17,7 @@ from gymnasium.utils.env_checker import check_env
 
 import baselines
 from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization
-from capsule_gym.kernels import Row
+from capsule_gym.layout import Row
 from capsule_gym.parameters import EnvConfig
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import ENV_ID, METRICS, Termination

@@ -95,7 +95,7 @@ def test_a_given_mass_or_friction_is_every_plants_and_does_not_jump():
     ("given", "error", "message"),
     [
         ({"seed": 100}, ValueError, "seed must be one of the set 'drift', 0 to 99, got 100"),
-        ({"seed": 0, "M": 0.0}, ValueError, r"\bM must be a finite number > 0.*got 0\.0"),
+        ({"seed": 0, "M": 0.0}, ValueError, r"\bM must be a finite number.*got 0\.0"),
         ({"seed": 0, "M": 0.05, "mu": 2.0}, ValueError, "Painleve"),
         ({"seed": 0, "mu": "rough"}, TypeError, "mu must be a finite number.*'rough'"),
     ],

@@ -6,9 +6,9 @@ import numba
 import numpy as np
 import pytest
 
-from capsule_gym import Capsule, kernels
+from capsule_gym import Capsule, kernels, layout
 from capsule_gym.compilation import OPTIONS, compile_cached
-from capsule_gym.kernels import LANES, Row, StepSettings, pack, unpack
+from capsule_gym.layout import LANES, Row, StepSettings, pack, unpack
 from tests.capsule_gym.fakes import helper, make_law
 
 PLANT = Capsule().plant()
@@ -30,15 +30,15 @@ def test_kernels_of_the_same_law_are_built_once():
 
 
 def three_from(array: np.ndarray, start: int) -> tuple[float, ...]:
-    return kernels.load(array, start, 2, 3)
+    return layout.load(array, start, 2, 3)
 
 
 def two_to(array: np.ndarray, start: int) -> None:
-    kernels.store(array, start, 1, (1.0, 2.0))
+    layout.store(array, start, 1, (1.0, 2.0))
 
 
 def settings_at(array: np.ndarray, start: int) -> StepSettings:
-    return kernels.record(array, start, StepSettings)
+    return layout.record(array, start, StepSettings)
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_plant_and_settings_survive_packing():
 
 def test_packed_numbers_are_float64_also_where_an_integer_fits_no_type_of_numpy():
     fixed = pack(PLANT, StepSettings(1, 1, 1, 10**300, 1, 0, 0, False, False), np.zeros((3, 2), np.float32))
-    assert fixed.dtype == np.float64 and fixed.shape == (kernels.CONSTANTS + 6,)
+    assert fixed.dtype == np.float64 and fixed.shape == (layout.CONSTANTS + 6,)
     with pytest.raises(OverflowError):
         pack(PLANT, StepSettings(1, 1, 1, 10**400, 1, 0, 0, False, False), np.zeros((3, 2)))
 
@@ -105,15 +105,15 @@ def test_packed_numbers_are_float64_also_where_an_integer_fits_no_type_of_numpy(
     ],
 )
 def test_arrays_that_compiled_code_would_misread_are_refused(array):
-    kernels.check_arrays(world=(np.zeros((4, 3)), np.float64, (None, 3)))
+    layout.check_arrays(world=(np.zeros((4, 3)), np.float64, (None, 3)))
     with pytest.raises(TypeError, match=r"^world must be a contiguous array of float64 of shape \(None, 3\), got "):
-        kernels.check_arrays(world=(array, np.float64, (None, 3)))
+        layout.check_arrays(world=(array, np.float64, (None, 3)))
 
 
 def test_rows_lie_in_order():
-    assert kernels.ROWS == len(Row)
+    assert layout.ROWS == len(Row)
     assert list(Row) == list(range(len(Row)))
-    assert {name: row * LANES for name, row in Row._asdict().items()} == kernels.AT._asdict()
+    assert {name: row * LANES for name, row in Row._asdict().items()} == layout.AT._asdict()
     # The two blocks of rows that others read as a whole.
     assert Row._fields[Row.theta : Row.M] == ("theta", "theta_dot", "x", "x_dot")
     assert Row._fields[Row.reward_progress : Row.reward] == ("reward_progress", "reward_energy", "reward_termination")

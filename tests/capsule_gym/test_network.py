@@ -13,7 +13,7 @@ import pytest
 
 from capsule_gym import network
 from capsule_gym.compilation import fingerprint
-from capsule_gym.kernels import LANES
+from capsule_gym.layout import LANES
 from capsule_gym.network import (
     FEW,
     SATURATION,

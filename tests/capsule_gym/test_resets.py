@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from capsule_gym import Capsule, Randomization
-from capsule_gym.kernels import Row
+from capsule_gym.layout import Row
 from capsule_gym.parameters import EnvConfig
 from capsule_gym.resets import Stream, random_stream
 from capsule_gym.simulation import Simulation

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Controller, Policy, load_policy
-from capsule_gym.kernels import LANES, Row
+from capsule_gym.layout import LANES, Row
 from capsule_gym.rollout import rollout
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import METRICS

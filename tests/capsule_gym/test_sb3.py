@@ -7,7 +7,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym.kernels import Row
+from capsule_gym.layout import Row
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 
 

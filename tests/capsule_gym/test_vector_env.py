@@ -11,7 +11,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from capsule_gym import Capsule, CapsuleVectorEnv, Controller
-from capsule_gym.kernels import ROWS, Row
+from capsule_gym.layout import ROWS, Row
 from capsule_gym.task import ENV_ID, METRICS, Termination
 from tests.capsule_gym.fakes import EPISODE_ROWS, layout
 

@@ -13,7 +13,7 @@ import pytest
 from agents.browser import describe_policy
 from agents.leaderboard.rows import RESULTS, load_row, path_of
 from capsule_gym import CapsuleEnv, load_policy
-from capsule_gym.kernels import Row
+from capsule_gym.layout import Row
 from capsule_gym.task import METRICS
 from tests import bits
 from tests.web.conftest import Node

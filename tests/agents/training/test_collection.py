@@ -19,7 +19,7 @@ from agents.training.collection import PRIVILEGED, Rollout, RolloutVecEnv
 from capsule_gym import Capsule, CapsuleVectorEnv, Controller, Policy, Randomization
 from capsule_gym.elementary import exp
 from capsule_gym.identification import CELLS, estimates, identify
-from capsule_gym.kernels import LANES, Row
+from capsule_gym.layout import LANES, Row
 from capsule_gym.network import LAW_TORQUE, input_names, pack, to_action
 from capsule_gym.observation import observation_names
 from capsule_gym.resets import Stream, plant_at, random_stream

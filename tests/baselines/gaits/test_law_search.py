@@ -12,7 +12,7 @@ from baselines.gaits.law_search import main
 from baselines.gaits.law_trials import Search, Trials, draw_episodes, draw_plants
 from baselines.laws.gait import PARAMETERS, gait, known_parameters
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym.kernels import Row
+from capsule_gym.layout import Row
 
 
 @pytest.fixture

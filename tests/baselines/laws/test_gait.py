@@ -13,7 +13,7 @@ from baselines.laws import gait as module
 from baselines.laws.gait import COEFFICIENTS, LIGHTEST, PARAMETERS, gait, gait_identifying, known_parameters
 from baselines.policies import SCRIPTED
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym.kernels import ROWS, Row
+from capsule_gym.layout import ROWS, Row
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
 from capsule_gym.task import HORIZON, TORQUE_LIMIT
 

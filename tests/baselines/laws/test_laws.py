@@ -19,7 +19,7 @@ from baselines.laws.reference import COLUMNS, reference_table
 from baselines.policies import SCRIPTED
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, dynamics
 from capsule_gym.controller import find_controller
-from capsule_gym.kernels import ROWS
+from capsule_gym.layout import ROWS
 from capsule_gym.parameters import NOMINAL
 
 NO_ACTION = np.zeros(1, np.float32)

@@ -12,7 +12,7 @@ from baselines.paper.adaptive_study import LongRun
 from baselines.paper.adaptive_variants import endure, varied
 from baselines.paper.adaptive_verdicts import converged
 from baselines.paper.traces import trace
-from capsule_gym.kernels import Row
+from capsule_gym.layout import Row
 from capsule_gym.parameters import RANDOMIZATIONS, EnvConfig
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import TORQUE_LIMIT

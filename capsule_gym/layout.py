@@ -1,0 +1,221 @@
+"""The memory layout of the compiled step, and how compiled code reads and writes it.
+
+The environments lie in one float64 array `world` of shape (blocks, rows, LANES): one row per quantity of `Row`, then
+the memory of the control law and its row of the reference. Within a block every loop runs over the environments, and
+the compiler takes several at once. One environment is a block with one lane in use; threads share a batch by blocks.
+The arithmetic is the same everywhere, and so are the results, bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import repeat
+from typing import Any, NamedTuple, get_type_hints
+
+import numpy as np
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from capsule_gym.compilation import inlined, jitable
+from capsule_gym.parameters import Plant
+
+# Environments that one loop takes through a step together. Their rows lie side by side at offsets that the compiler
+# knows, and one block stays in the first-level cache.
+LANES = 64
+
+
+class Quantities(NamedTuple):
+    """A whole number for each quantity of one environment in `world`, in their order there."""
+
+    # What `info` shows, under these names.
+    theta: int
+    theta_dot: int
+    x: int
+    x_dot: int
+    M: int
+    mu: int
+    torque: int
+    law_torque: int
+    normal_force: int
+    energy: int
+    reward_progress: int
+    reward_energy: int
+    reward_termination: int
+    # How the agent step has ended.
+    reward: int
+    termination: int
+    steps: int
+    # The episode's, down to `largest_theta_dot`.
+    start_x: int
+    duration: int
+    episode_energy: int
+    # Distance weighted with (M + m) g, J: the denominator of the cost of transport, also where M changes on the way.
+    weight_distance: int
+    torque_squared: int
+    peak_torque: int
+    forward: int
+    backward: int
+    stuck: int
+    smallest_normal_ratio: int
+    largest_theta: int
+    largest_theta_dot: int
+    # Row of the reference table that the law has seen last.
+    clock: int
+    # What the caller wants: the action, and 1.0 where the environment takes part in the step.
+    action: int
+    active: int
+    # Of the running step: m / (M + m), x at its start, the phase of the contact, whether something happens in the
+    # present substep, how far the environment has stopped, and the time that its present torque has acted.
+    mass_ratio: int
+    before_x: int
+    slip: int
+    eventful: int
+    # What `dynamics.runge_kutta` returned for the present substep.
+    next_theta: int
+    next_theta_dot: int
+    next_x: int
+    next_x_dot: int
+    x_ddot: int
+    first_normal_force: int
+    least_normal_force: int
+    halt: int
+    elapsed: int
+
+
+# Each quantity's row of a block, and where that begins in the block's memory. numba takes plain integers in a tuple for
+# constants, the members of an enumeration not.
+Row = Quantities(*range(len(Quantities._fields)))
+AT = Quantities(*(LANES * row for row in Row))
+ROWS = len(Row)
+# Where the law's memory begins; its line of the reference follows.
+MEMORY = ROWS * LANES
+# The values of `Row.halt`: under way; stopped in the present substep, its law to be asked once more; and at rest.
+UNDER_WAY, ENDING, HALTED = 0.0, 1.0, 2.0
+
+
+class StepSettings(NamedTuple):
+    """What the kernels need to know of the environment besides the plant; SI units."""
+
+    torque_limit: float
+    residual_limit: float
+    physics_dt: float
+    physics_steps: int
+    law_steps: int
+    energy_weight: float
+    termination_penalty: float
+    with_reference: bool
+    with_parameters: bool
+
+
+def pack(plant: Plant, settings: StepSettings, reference: np.ndarray) -> np.ndarray:
+    """Plant, settings and the controller's table in one array, shape (CONSTANTS + table.size,).
+
+    Numbers in a tuple, and every array more, would take longer to enter compiled code than a substep takes.
+    """
+    # Named, since numpy makes objects of integers that fit none of its own: to the kernel these would be addresses.
+    return np.concatenate([np.array([*plant, *settings], np.float64), reference.ravel()], dtype=np.float64)
+
+
+def check_arrays(**arrays: tuple[Any, type, tuple[int | None, ...]]) -> None:
+    """Refuses what compiled code would read or write beyond: its raw entry points look at nothing of an array.
+
+    Args:
+        arrays: by name the array, its dtype, and its shape, with None for a length that does not matter.
+
+    Raises:
+        TypeError: if one is no contiguous, aligned array of that dtype and shape.
+    """
+    for name, (array, dtype, shape) in arrays.items():
+        sound = isinstance(array, np.ndarray) and array.dtype == dtype and array.ndim == len(shape)
+        sound = sound and all(size in (None, own) for size, own in zip(shape, array.shape, strict=True))
+        if not (sound and array.flags.c_contiguous and array.flags.aligned and array.dtype.isnative):
+            got = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+            raise TypeError(f"{name} must be a contiguous array of {dtype.__name__} of shape {shape}, got {got}")
+
+
+# Where `pack` begins with the settings, and with the controller's table.
+SETTINGS = len(Plant._fields)
+CONSTANTS = SETTINGS + len(StepSettings._fields)
+
+
+def _places(context: Any, builder: Any, kind: Any, array: Any, start: Any, stride: int, count: int) -> Iterator[Any]:
+    """Where `count` entries of a contiguous array lie, from `start` on, in steps of `stride`.
+
+    NUMBA_BOUNDSCHECK has them checked like what is indexed (`make boundscheck`).
+    """
+    own = context.make_array(kind)(context, builder, array)
+    for n in range(count):
+        offset = builder.add(start, context.get_constant(types.intp, n * stride))
+        if context.enable_boundscheck:
+            cgutils.do_boundscheck(context, builder, offset, own.nitems)
+        yield builder.gep(own.data, [offset])
+
+
+@intrinsic(prefer_literal=True)
+def load(typing_context: Any, array: Any, start: Any, stride: Any, count: Any) -> Any:
+    """The tuple of `count` entries of a contiguous float64 array from `start` on, in steps of `stride`; unchecked.
+
+    The last two are constants of the compiler's. Slices would do as well, were their bounds not checked at run time,
+    which keeps the loop around them from vectorising.
+    """
+    size, step = count.literal_value, stride.literal_value
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        places = _places(context, builder, signature.args[0], arguments[0], arguments[1], step, size)
+        return context.make_tuple(builder, signature.return_type, [builder.load(place) for place in places])
+
+    return types.UniTuple(types.float64, size)(array, types.intp, stride, count), generate
+
+
+@intrinsic(prefer_literal=True)
+def store(typing_context: Any, array: Any, start: Any, stride: Any, values: Any) -> Any:
+    """Writes a tuple where `load` would read it."""
+    step = stride.literal_value
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        entries = cgutils.unpack_tuple(builder, arguments[3])
+        places = _places(context, builder, signature.args[0], arguments[0], arguments[1], step, len(entries))
+        for entry, place in zip(entries, places, strict=True):
+            builder.store(entry, place)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, stride, types.UniTuple(types.float64, len(values))), generate
+
+
+@intrinsic
+def record(typing_context: Any, array: Any, start: Any, kind: Any) -> Any:
+    """The named tuple of class `kind` whose fields are the entries of a float64 array from `start` on; unchecked.
+
+    The class says the order of the fields and their types: float, int or bool.
+    """
+    hints = get_type_hints(kind.instance_class)
+    compiled = {float: types.float64, int: types.int64, bool: types.boolean}
+    fields = [compiled[hints[name]] for name in kind.instance_class._fields]
+    if len(set(fields)) == 1:
+        result = types.NamedUniTuple(fields[0], len(fields), kind.instance_class)
+    else:
+        result = types.NamedTuple(fields, kind.instance_class)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        places = _places(context, builder, signature.args[0], arguments[0], arguments[1], 1, len(fields))
+        entries = [builder.load(place) for place in places]
+        values = map(context.cast, repeat(builder), entries, repeat(types.float64), fields)
+        return context.make_tuple(builder, result, list(values))
+
+    return result(array, types.intp, kind), generate
+
+
+@jitable
+def unpack(fixed: np.ndarray, pivot_torque_on_contact: float) -> tuple[Plant, StepSettings]:
+    """Plant and settings out of what `pack` has packed, but for the constant that the compiler is to know."""
+    plant = record(fixed, 0, Plant)
+    return Plant(plant.M, plant.mu, plant.mass_ratio, pivot_torque_on_contact, *plant[4:]), record(
+        fixed, SETTINGS, StepSettings
+    )
+
+
+@inlined
+def plant_of(block: np.ndarray, j: int, plant: Plant) -> Plant:
+    """The plant of one environment."""
+    return Plant(block[AT.M + j], block[AT.mu + j], block[AT.mass_ratio + j], *plant[3:])
