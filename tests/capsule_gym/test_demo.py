@@ -1,19 +1,23 @@
-"""The demo: what its command line refuses, what it writes, and gymnasium's own `play`."""
+"""The demo: agents are found by name, an episode is the environment's, and the command writes and refuses."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
-import capsule_gym
+import baselines
 from capsule_gym import demo
+from capsule_gym.demo import Agent, Episode, agent_names, control_laws, find_agent
+from capsule_gym.evaluation_sets import load_set
+from capsule_gym.task import HORIZON, Termination
 
 Image = pytest.importorskip("PIL.Image")
-pygame = pytest.importorskip("pygame")
+pytest.importorskip("pygame")
+
+PLANT = load_set("paper").plants[0]
 
 
 @pytest.fixture(autouse=True)
@@ -21,91 +25,157 @@ def dummy(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
 
 
-def test_a_demo_in_a_file_has_the_pictures_that_were_asked_for(tmp_path, capsys):
+def agent(name: str) -> Agent:
+    return find_agent("NAME_OR_PATH", name)
+
+
+@pytest.mark.parametrize(
+    ("name", "shown", "controller"),
+    [
+        ("adaptive", "adaptive", "baselines:adaptive"),
+        ("baselines:adaptive", "adaptive", "baselines:adaptive"),
+        ("feedback-linearising", "feedback-linearising", "baselines:feedback_linearising"),
+        ("gait-guarded", "gait-guarded", "baselines:gait"),
+        ("gait", "gait", "baselines:gait"),
+        ("zero", "zero", None),
+    ],
+)
+def test_a_law_is_found_by_the_leaderboards_name_and_by_pythons(name, shown, controller):
+    assert agent(name)[:2] == (shown, {"controller": controller})
+
+
+def test_every_agent_and_every_law_has_one_name():
+    assert {"zero", "adaptive", "gait-guarded", "direct-ppo"} <= set(agent_names())
+    assert len(agent_names()) == len(set(agent_names()))
+    assert sorted(control_laws().values()) == sorted(f"baselines:{name}" for name in baselines.__all__)
+
+
+@pytest.mark.parametrize("name", ["random", "gait-nominal", "dp-oracle"])
+def test_a_name_that_is_neither_law_nor_trained_is_refused(name):
+    with pytest.raises(ValueError, match=f"NAME_OR_PATH must be one of zero, .*gait-guarded.* got '{name}'"):
+        agent(name)
+
+
+def test_a_broken_policy_file_is_refused_by_its_path(tmp_path):
+    path = tmp_path / "policy.safetensors"
+    path.write_bytes(b"no policy")
+    with pytest.raises(ValueError, match=r"policy\.safetensors is no policy"):
+        agent(str(path))
+
+
+def test_an_episode_is_the_environments_and_stands_still_at_its_end():
+    episode = Episode(agent("direct-ppo"), load_set("nominal").plants[0])
+    assert episode.mean_speed == 0.0 and episode.end is None
+    episode.advance(2.0 * HORIZON)
+    assert episode.end is Termination.none and episode.time == pytest.approx(HORIZON)
+    assert episode.mean_speed == pytest.approx(episode.env.episode_metrics()["mean_speed"], rel=1e-12) != 0.0
+    last, time = episode.state(), episode.time
+    episode.advance(3.0 * HORIZON)
+    assert (episode.state(), episode.time) == (last, time)
+    assert episode.ghost() == ("direct-ppo", last["theta"], last["x"])
+    episode.begin(PLANT)
+    assert (episode.end, episode.time, episode.state()["x"]) == (None, 0.0, 0.0)
+
+
+def test_a_policys_own_control_interval_keeps_the_time_and_its_reference_is_shown():
+    episode = Episode(agent("residual-ppo"), PLANT)
+    assert episode.agent.env_kwargs["control_dt"] == 0.005
+    episode.advance(0.1)
+    assert episode.time == pytest.approx(0.1)
+    simulation = episode.env.simulation
+    tick = round(0.1 / simulation.controller.dt)
+    assert episode.state()["theta_reference"] == simulation.reference[tick % len(simulation.reference), 0] != 0.0
+
+
+def test_a_plant_jumps_when_its_set_says_so():
+    plant = load_set("drift").plants[0]
+    episode = Episode(agent("zero"), plant)
+    episode.advance(plant.changes[0].t)
+    assert episode.state()["M"] == plant.M and episode.state()["theta_reference"] is None
+    episode.advance(plant.changes[0].t + 0.02)
+    assert episode.state()["M"] == plant.changes[0].M
+
+
+def test_a_file_has_the_pictures_that_were_asked_for(tmp_path, capsys):
     path = tmp_path / "out.gif"
-    assert demo.main(["direct-ppo", "--rival", "adaptive", "--start", "1", "--seconds", "0.4", "-o", str(path)]) == 0
-    said = capsys.readouterr().out
-    assert "direct-ppo" in said and "adaptive" in said and str(path) in said
+    assert demo.main(["direct-ppo", "--rival", "zero", "--start", "1", "--seconds", "0.4", "-o", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert "direct-ppo" in out and "zero" in out and "over 1.4 s" in out and str(path) in out
     with Image.open(path) as picture:
-        assert picture.n_frames == 11
-        assert picture.info["duration"] == 40
+        assert (picture.n_frames, picture.info["duration"]) == (11, 40)
         first = np.asarray(picture.convert("RGB"))
         picture.seek(10)
         assert (first != np.asarray(picture.convert("RGB"))).any()
-
-
-def test_slow_motion_has_more_pictures_of_the_same_time(tmp_path):
-    path = tmp_path / "slow.gif"
-    assert demo.main(["adaptive", "--seconds", "0.2", "--speed", "0.5", "-o", str(path)]) == 0
+    with pytest.raises(SystemExit):
+        demo.main(["zero", "--seconds", "0.1", "-o", str(path)])
     with Image.open(path) as picture:
         assert picture.n_frames == 11
+    # In slow motion there are more pictures of the same time.
+    assert demo.main(["zero", "--seconds", "0.1", "--speed", "0.5", "-o", str(path), "--overwrite"]) == 0
+    with Image.open(path) as picture:
+        assert picture.n_frames == 6
 
 
-def test_a_demo_in_a_window_ends_with_its_time(monkeypatch, capsys):
+def test_a_window_ends_with_its_time(monkeypatch, capsys):
     monkeypatch.setattr(demo, "FPS", 100)
-    assert demo.main(["adaptive", "--seconds", "0.1", "--M", "0.6", "--mu", "0.05"]) == 0
-    assert "M = 0.6 kg, mu = 0.05" in capsys.readouterr().out
+    assert demo.main(["zero", "--seconds", "0.1", "--M", "0.6", "--mu", "0.05"]) == 0
+    assert "over 0.1 s on M = 0.6 kg, mu = 0.05" in capsys.readouterr().out
+
+
+def test_a_failure_ends_the_picture_and_is_named(tmp_path, capsys):
+    def push() -> demo.Callable[[np.ndarray], np.ndarray]:
+        return lambda observation: np.ones(1, np.float32)
+
+    episode = Episode(Agent("pusher", {}, push), PLANT)
+    with demo.renderer_of("demo", episode, "rgb_array", "pusher") as renderer:
+        count = sum(1 for _ in demo.draw_episode(renderer, [0.1 * n for n in range(300)], episode, None))
+    assert count < 300 and episode.end in (Termination.pendulum, Termination.contact)
+
+
+def test_the_plants_are_those_of_the_set_from_the_seed_on(tmp_path):
+    path = tmp_path / "own.json"
+    path.write_text(load_set("drift").to_json(), encoding="utf-8")
+    assert demo.PlantArgs().plants() == load_set("paper").plants
+    assert demo.PlantArgs(set=str(path), seed=7).plants() == load_set("drift").from_seed(7)
+    assert demo.PlantArgs(seed=7, M=0.6, mu=0.05).plants() == load_set("paper").from_seed(7, M=0.6, mu=0.05)
+    for speed in (0.1, 20.0):
+        demo.PlantArgs(speed=speed).check()
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (["direct-po"], "did you mean 'direct-ppo'?"),
-        (["gait-nominal"], "NAME_OR_PATH must be one of"),
-        (["adaptive", "--rival", "nobody-at-all"], "--rival must be one of"),
-        (["adaptive", "--set", "papr"], "did you mean 'paper'?"),
-        (["adaptive", "--seed", "100"], "0 to 99"),
-        (["adaptive", "--mu", "9"], "mu=9"),
-        (["adaptive", "--M", "-1"], "M"),
-        (["adaptive", "--speed", "0"], "--speed"),
-        (["adaptive", "--start", "34"], "--start"),
-        (["adaptive", "--seconds", "0"], "--seconds"),
-        (["adaptive", "-o", "out.mp4"], "--output must name a GIF"),
-        (["adaptive", "-o", "nowhere/out.gif"], "--output"),
-        (["adaptive", "-o", "out.gif", "--seconds", "33", "--speed", "0.1"], "at most 1000 pictures"),
+        (["zero", "--rival", "nobody-at-all"], "--rival must be one of"),
+        (["zero", "--set", "papr"], "got 'papr'; did you mean 'paper'?"),
+        (["zero", "--seed", "100"], "seed must be one of the set 'paper', 0 to 99, got 100"),
+        (["zero", "--seed", "-1"], "must be an integer >= 0, got '-1'"),
+        (["zero", "--mu", "9"], "mu=9"),
+        (["zero", "--M", "0"], "M must be a finite number > 0"),
+        (["zero", "--speed", "0.09"], "--speed must be a number from 0.1 to 20, got 0.09"),
+        (["zero", "--speed", "nan"], "--speed must be a number from 0.1 to 20, got nan"),
+        (["zero", "--start", "34"], "--start"),
+        (["zero", "--seconds", "0"], "--seconds"),
+        (["zero", "-o", "out.mp4"], "--output must name a GIF"),
+        (["zero", "-o", "nowhere/out.gif"], "--output"),
+        (["zero", "-o", "out.gif", "--seconds", "33", "--speed", "0.1"], "at most 1000 pictures, got 8250"),
     ],
 )
-def test_what_cannot_be_shown_is_refused_in_a_line(words, said, capsys):
+def test_bad_arguments_are_refused_in_a_line(words, said, capsys):
     with pytest.raises(SystemExit) as ended:
         demo.main(words)
     error = capsys.readouterr().err
     assert ended.value.code == 2 and said in error and error.count("\n") == 1
 
 
-def test_a_file_is_replaced_only_if_that_is_asked_for(tmp_path, capsys):
-    path = tmp_path / "kept.gif"
-    path.write_bytes(b"mine")
-    with pytest.raises(SystemExit):
-        demo.main(["adaptive", "--seconds", "0.1", "-o", str(path)])
-    assert path.read_bytes() == b"mine"
-    assert demo.main(["adaptive", "--seconds", "0.1", "-o", str(path), "--overwrite"]) == 0
-    assert path.read_bytes().startswith(b"GIF")
-
-
-@pytest.mark.parametrize("module", ["play", "demo"])
-def test_without_pygame_one_line_names_what_to_install(module):
+@pytest.mark.parametrize("words", [["play"], ["demo", "zero"]])
+def test_without_pygame_one_line_names_what_to_install(words):
     code = f"""
 import sys
 sys.modules["pygame"] = None
-from capsule_gym.{module} import main
-main({["adaptive"] if module == "demo" else []!r})
+from capsule_gym.{words[0]} import main
+main({words[1:]!r})
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    *_, last = done.stderr.splitlines()
     assert done.returncode == 2 and "Traceback" not in done.stderr
-    assert 'pip install "capsule-gym[render]"' in last
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_gymnasiums_own_play_plays(monkeypatch):
-    from gymnasium.utils.play import play as gymnasium_play
-
-    down = [pygame.event.Event(pygame.KEYDOWN, key=pygame.K_a)]
-    events = iter([[], down, [], [], [pygame.event.Event(pygame.QUIT)]])
-    monkeypatch.setattr(pygame.event, "get", lambda: next(events))
-    actions = []
-    env = gym.make(capsule_gym.ENV_ID, render_mode="rgb_array")
-    gymnasium_play(
-        env, callback=lambda *step: actions.append(float(step[2][0])), noop=np.zeros(1, np.float32), fps=10_000
-    )
-    assert actions[0] == 0.0 and actions[-1] == 1.0
+    assert 'pip install "capsule-gym[render]"' in done.stderr.splitlines()[-1]

@@ -1,47 +1,197 @@
-"""The command line of the game; what happens in it is in test_game.py."""
+"""The game: what its keys do, that both robots share plant and time, and how an episode and the command end."""
 
 from __future__ import annotations
 
 import re
 
+import gymnasium as gym
+import numpy as np
 import pytest
 
+import capsule_gym
 from capsule_gym import play
+from capsule_gym.demo import find_agent
+from capsule_gym.evaluation_sets import load_set
+from capsule_gym.parameters import Capsule
+from capsule_gym.play import STRENGTHS, Game
+from capsule_gym.rendering import Renderer
+from capsule_gym.task import HORIZON, Termination
 
 pygame = pytest.importorskip("pygame")
+PLANTS = load_set("wide").plants[:3]
 
 
 @pytest.fixture(autouse=True)
-def dummy(monkeypatch):
+def display(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    yield
+    pygame.display.quit()
 
 
-def test_play_opens_a_window_and_ends_by_a_key(monkeypatch):
+@pytest.fixture
+def game() -> Game:
+    return Game(PLANTS, find_agent("--rival", "zero"))
+
+
+def press(game: Game, *names: str) -> None:
+    for name in names:
+        game.on_key(name, True)
+        game.on_key(name, False)
+
+
+@pytest.mark.parametrize(("key", "side"), [("left", 1.0), ("a", 1.0), ("right", -1.0), ("d", -1.0)])
+def test_the_keys_swing_the_ball_to_their_side(game, key, side):
+    game.on_key(key, True)
+    game.tick(0.2)
+    assert side * (game.episode.state()["theta"] - game.rival.state()["theta"]) > 0.01
+
+
+def test_the_last_key_wins_and_the_one_before_comes_back(game):
+    def after(name: str, pressed: bool) -> float:
+        game.on_key(name, pressed)
+        return float(np.sign(game.action))
+
+    assert [after("a", True), after("d", True), after("d", False), after("a", False)] == [1.0, -1.0, 1.0, 0.0]
+
+
+def test_strength_scales_the_torque_step_by_step_and_ends_at_the_limit(game):
+    game.on_key("d", True)
+    assert game.action == -STRENGTHS[1]
+    for key, strengths in (("up", [*STRENGTHS[2:], 1.0]), ("down", [*STRENGTHS[-2::-1], STRENGTHS[0]])):
+        for strength in strengths:
+            press(game, key)
+            assert game.action == -strength
+
+
+def test_both_are_on_the_same_plant_at_the_same_time(game):
+    for number in (0, 1, 2, 0):
+        for episode in (game.episode, game.rival):
+            assert (episode.state()["M"], episode.state()["mu"]) == (PLANTS[number].M, PLANTS[number].mu)
+        game.tick(0.5)
+        assert game.episode.time == pytest.approx(0.5) and game.rival.time == pytest.approx(0.5)
+        press(game, "n")
+        assert game.episode.time == game.rival.time == 0.0
+
+
+def test_again_is_the_same_episode_bit_for_bit(game):
+    game.tick(1.0)
+    before = game.episode.state(), game.rival.state()
+    press(game, "r")
+    game.tick(1.0)
+    assert (game.episode.state(), game.rival.state()) == before
+
+
+def test_speed_pause_and_single_steps(game):
+    press(game, "+")
+    game.tick(0.1)
+    assert game.speed == 2.0 and game.episode.time == pytest.approx(0.2)
+    press(game, "space")
+    game.tick(1.0)
+    assert game.episode.time == pytest.approx(0.2)
+    press(game, ".", ".")
+    assert game.episode.time == pytest.approx(0.24)
+    press(game, "-", "[-]")
+    assert game.speed == 0.5
+    press(game, *["-"] * 20)
+    assert game.speed == 0.1
+    press(game, *["=", "[+]"] * 10)
+    assert game.speed == 20.0
+
+
+def test_no_time_is_lost_between_frames_that_are_shorter_than_a_step(game):
+    press(game, *["-"] * 20)
+    for _ in range(100):
+        game.tick(0.02)
+    assert game.episode.time == pytest.approx(0.2)
+
+
+def test_a_failure_is_named_and_stops_both(game):
+    game.on_key("a", True)
+    press(game, *["up"] * 9)
+    game.tick(20.0)
+    assert game.episode.end in (Termination.pendulum, Termination.contact)
+    assert game.rival.time == pytest.approx(game.episode.time) and game.best is None
+    assert re.match(r"The (ball|capsule) .* after \d\.\d s: -?\d+\.\d\d cm/s, zero -?\d", game.banner())
+
+
+def test_a_whole_episode_ends_with_the_time_and_is_remembered_as_the_best(game):
+    assert game.banner() == "" and "speed 1 " in game.overlay().note
+    game.tick(100.0)
+    assert game.episode.end is Termination.none and game.episode.time == pytest.approx(HORIZON)
+    assert game.best == game.episode.mean_speed
+    assert "your best" in game.banner()
+    game.best = 100.0
+    press(game, "r")
+    assert game.banner() == ""
+    game.tick(100.0)
+    assert game.best == 100.0
+
+
+def test_keys_of_the_window_reach_the_game_until_it_ends(game):
+    renderer = Renderer(Capsule(), "human", 100_000, 1.5, "you and zero", game.on_key)
+    for key in (pygame.K_g, pygame.K_SPACE, pygame.K_q):
+        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
+    game.run(renderer, 0.02)
+    assert game.over and game.paused and not game.shows_ghost
+    game.over = False
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    game.run(renderer, 0.02)
+    assert renderer.closed and not game.over
+
+
+def test_ghost_and_banner_are_drawn(game):
+    renderer = Renderer(Capsule(), "rgb_array", 50, 1.5)
+    game.on_key("a", True)
+    game.tick(0.5)
+    with_ghost = renderer.draw(**game.episode.state(), overlay=game.overlay())
+    press(game, "g")
+    without = renderer.draw(**game.episode.state(), overlay=game.overlay())
+    assert with_ghost is not None and (with_ghost != without).any(axis=2).sum() > 500
+    game.tick(100.0)
+    ended = renderer.draw(**game.episode.state(), overlay=game.overlay())
+    assert ended is not None and (ended == (30, 41, 59)).all(axis=2)[382:410].sum() > 10_000
+
+
+def test_the_command_ends_by_a_key_and_by_an_interrupt(monkeypatch):
     events = iter([[], [pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE)]])
     monkeypatch.setattr(pygame.event, "get", lambda: next(events))
     assert play.main(["--rival", "zero", "--set", "nominal"]) == 0
+    assert not pygame.display.get_init()
 
-
-def test_an_interrupt_closes_the_window_and_is_the_exit_status(monkeypatch):
     def interrupt() -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(pygame.event, "get", interrupt)
-    assert play.main(["--rival", "zero"]) == 130
-    assert not pygame.display.get_init()
+    with pytest.raises(SystemExit) as ended:
+        play.main(["--rival", "zero"])
+    assert ended.value.code == 130 and not pygame.display.get_init()
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (["--rival", "adaptve"], "--rival must be one of .* got 'adaptve'; did you mean 'adaptive'"),
-        (["--set", "wid"], "set must be one of .* got 'wid'; did you mean 'wide'"),
         (["--speed", "21"], "--speed must be a number from 0.1 to 20, got 21"),
     ],
 )
-def test_what_cannot_be_played_is_refused_in_a_line(words, said, capsys):
+def test_bad_arguments_are_refused_in_a_line(words, said, capsys):
     with pytest.raises(SystemExit) as ended:
         play.main(words)
     error = capsys.readouterr().err
     assert ended.value.code == 2 and error.count("\n") == 1
     assert re.search(said, error)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_gymnasiums_own_play_plays(monkeypatch):
+    from gymnasium.utils.play import play as gymnasium_play
+
+    down = [pygame.event.Event(pygame.KEYDOWN, key=pygame.K_a)]
+    events = iter([[], down, [], [], [pygame.event.Event(pygame.QUIT)]])
+    monkeypatch.setattr(pygame.event, "get", lambda: next(events))
+    actions = []
+    env = gym.make(capsule_gym.ENV_ID, render_mode="rgb_array")
+    gymnasium_play(
+        env, callback=lambda *step: actions.append(float(step[2][0])), noop=np.zeros(1, np.float32), fps=10_000
+    )
+    assert actions[0] == 0.0 and actions[-1] == 1.0
