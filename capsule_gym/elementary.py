@@ -207,16 +207,3 @@ def log(x: float) -> float:
 def clip(value: float, limit: float) -> float:
     """The value, kept within -limit to limit; NaN stays NaN."""
     return limit if value > limit else -limit if value < -limit else value
-
-
-@inlined
-def interpolate(low: float, growth: float, growth_of_log: float, share: float) -> float:
-    """The number at a share of a range, uniform or, where `growth_of_log` is positive, log-uniform.
-
-    Args:
-        low: where the range begins.
-        growth: how much the number grows over the range.
-        growth_of_log: how much its logarithm grows; 0.0 for a uniform range.
-        share: in [0, 1).
-    """
-    return low * exp(growth_of_log * share) if growth_of_log > 0.0 else low + growth * share

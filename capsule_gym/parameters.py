@@ -281,9 +281,8 @@ class Randomization:
 
     Examples:
         >>> heavy = Randomization(M=(0.8, 1.0), mu=(0.01, 0.1), log_mu=True)
-        >>> M, mu = heavy.draw(np.random.default_rng(0), Capsule())
-        >>> 0.8 <= M < 1.0 and 0.01 <= mu < 0.1
-        True
+        >>> print(heavy)
+        M in [0.8, 1] kg, mu log-uniform in [0.01, 0.1]
     """
 
     M: tuple[float, float] | None = None
@@ -334,28 +333,6 @@ class Randomization:
             capsule.check_plant(self.M[1] if self.M else capsule.M, self.mu[0] if self.mu else capsule.mu)
         except ValueError as error:
             raise ValueError(f"Randomization(M={self.M}, mu={self.mu}): {error}") from None
-
-    def draw(self, rng: np.random.Generator, capsule: Capsule) -> tuple[float, float]:
-        """Draws M in kg and mu for one episode: always two numbers of the stream, so that ranges do not shift it."""
-        # Here, since it comes with numba, which takes most of a second to import.
-        from capsule_gym.elementary import interpolate
-
-        low_M, growth_M, *mu = self.lines(capsule)
-        share_M, share_mu = rng.random(2).tolist()
-        return interpolate(low_M, growth_M, 0.0, share_M), interpolate(*mu, share_mu)
-
-    def lines(self, capsule: Capsule) -> tuple[float, float, float, float, float]:
-        """What `resets.plant_at` takes: where M (kg) and mu begin, how much they grow, and how much log(mu) grows.
-
-        Args:
-            capsule: where what is not drawn comes from.
-        """
-        # As in `draw`.
-        from capsule_gym.elementary import log
-
-        M, mu = self.M or (capsule.M, capsule.M), self.mu or (capsule.mu, capsule.mu)
-        growth = log(mu[1] / mu[0]) if self.mu and self.log_mu else 0.0
-        return float(M[0]), float(M[1] - M[0]), float(mu[0]), float(mu[1] - mu[0]), growth
 
     def __str__(self) -> str:
         if self.M is None and self.mu is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from enum import IntEnum
 from functools import lru_cache
 from typing import Any
@@ -12,8 +12,9 @@ import numpy as np
 from numba import types
 
 from capsule_gym.compilation import compile_now, fingerprint, inlined, kernel
-from capsule_gym.elementary import interpolate
+from capsule_gym.elementary import exp, log
 from capsule_gym.layout import AT, LANES, MEMORY, Row
+from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.task import START_THETA
 
 
@@ -81,25 +82,47 @@ def draw_two(key_0: np.uint64, key_1: np.uint64, stream: np.uint64, episode: np.
     return _UNIT * (a >> _SHIFT), _UNIT * (b >> _SHIFT)
 
 
-@inlined
-def plant_at(lines: Sequence[float], share_M: float, share_mu: float) -> tuple[float, float]:
-    """M in kg and mu at these shares, in [0, 1), of their ranges.
+def plant_ranges(randomization: Randomization, capsule: Capsule) -> np.ndarray:
+    """Where M (kg) and mu begin and how much they grow, in pairs, and how much log(mu) grows; float64, shape (5,).
 
     Args:
-        lines: from `capsule_gym.parameters.Randomization.lines`.
-        share_M: of the range of M.
-        share_mu: of the range of mu, or of log(mu) where that is drawn.
+        randomization: the ranges.
+        capsule: has what is not drawn.
     """
-    return interpolate(lines[0], lines[1], 0.0, share_M), interpolate(lines[2], lines[3], lines[4], share_mu)
+    M, mu = randomization.M or (capsule.M, capsule.M), randomization.mu or (capsule.mu, capsule.mu)
+    growth_of_log = log(mu[1] / mu[0]) if randomization.mu and randomization.log_mu else 0.0
+    return np.array([M[0], M[1] - M[0], mu[0], mu[1] - mu[0], growth_of_log])
+
+
+@inlined
+def plant_at(ranges: np.ndarray, share_M: float, share_mu: float) -> tuple[float, float]:
+    """M in kg and mu at these shares, in [0, 1), of their ranges, or of the range of log(mu) where that is drawn."""
+    low_M, growth_M, low_mu, growth_mu, growth_of_log = ranges[0], ranges[1], ranges[2], ranges[3], ranges[4]
+    mu = low_mu * exp(growth_of_log * share_mu) if growth_of_log > 0.0 else low_mu + growth_mu * share_mu
+    return low_M + growth_M * share_M, mu
+
+
+def draw_plant(randomization: Randomization, capsule: Capsule, rng: np.random.Generator) -> tuple[float, float]:
+    """Draws M in kg and mu: always two numbers of the stream, so that ranges do not shift it.
+
+    Examples:
+        >>> from capsule_gym import Capsule, Randomization
+        >>> heavy = Randomization(M=(0.8, 1.0), mu=(0.01, 0.1), log_mu=True)
+        >>> M, mu = draw_plant(heavy, Capsule(), np.random.default_rng(0))
+        >>> 0.8 <= M < 1.0 and 0.01 <= mu < 0.1
+        True
+    """
+    M, mu = plant_at(plant_ranges(randomization, capsule), *rng.random(2).tolist())
+    return float(M), float(mu)
 
 
 def draw(
-    lines: np.ndarray, noise: float, rows: np.ndarray, keys: np.ndarray, episodes: np.ndarray, starts: np.ndarray
+    ranges: np.ndarray, noise: float, rows: np.ndarray, keys: np.ndarray, episodes: np.ndarray, starts: np.ndarray
 ) -> None:
     """Draws how the next episodes of some environments start.
 
     Args:
-        lines: from `Randomization.lines`.
+        ranges: from `plant_ranges`.
         noise: half width of the noise on the initial angle, rad.
         rows: indices of the environments, int64, shape (n,).
         keys: of every environment, uint64, shape (num_envs, 2).
@@ -120,7 +143,7 @@ def draw(
             theta += noise * (2.0 * share - 1.0)
         starts[Row.theta, n] = theta
         starts[Row.theta_dot, n] = starts[Row.x, n] = starts[Row.x_dot, n] = 0.0
-        starts[Row.M, n], starts[Row.mu, n] = plant_at(lines, share_M, share_mu)
+        starts[Row.M, n], starts[Row.mu, n] = plant_at(ranges, share_M, share_mu)
 
 
 def renew(

@@ -302,8 +302,8 @@ class Simulation:
         )
         self._advance_one = partial(compiled, blocks, 0, 1, False, fixed, observations)
         draw, renew = resets.compiled()
-        lines = np.array(self.randomization.lines(self.capsule))
-        self._draw = partial(draw, lines, self.options.initial_noise)
+        ranges = resets.plant_ranges(self.randomization, self.capsule)
+        self._draw = partial(draw, ranges, self.options.initial_noise)
         self._renew = partial(renew, blocks, np.array(self.memory), plant.m, plant.g)
 
     def row(self, row: int) -> np.ndarray:

@@ -21,6 +21,7 @@ from capsule_gym.compilation import compile_cached
 from capsule_gym.identification import CELLS
 from capsule_gym.network import make_header, write_inputs
 from capsule_gym.parameters import NOMINAL, EnvConfig, Randomization
+from capsule_gym.resets import draw_plant
 from capsule_gym.task import CONTROL_DT
 
 Act = Callable[[np.ndarray], np.ndarray]
@@ -151,6 +152,6 @@ class Classroom:
         drawn, rng, changes = Randomization.named(self._student.randomization), self._rng, []
         for _ in range(self._env.num_envs):
             times = np.sort(rng.uniform(0.0, seconds, rng.poisson(self._student.jump_rate * seconds))).tolist()
-            plants = [drawn.draw(rng, NOMINAL) for _ in times]
+            plants = [draw_plant(drawn, NOMINAL, rng) for _ in times]
             changes.append([{"t": t, "M": M, "mu": mu} for t, (M, mu) in zip(times, plants, strict=True)])
         return {"changes": changes}

@@ -81,7 +81,10 @@ def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 def _drawn(rng: np.random.Generator, randomization: str) -> tuple[float, float]:
     """M and mu from one of the environment's own ranges."""
-    M, mu = RANDOMIZATIONS[randomization].draw(rng, NOMINAL)
+    # Like the other local imports here: numba comes with it.
+    from capsule_gym.resets import draw_plant
+
+    M, mu = draw_plant(RANDOMIZATIONS[randomization], NOMINAL, rng)
     return _rounded_mass(M), _rounded_friction(mu)
 
 
@@ -153,11 +156,11 @@ def validation_set(randomization: str, name: str, first_seed: int, count: int) -
         first_seed: the episodes' seeds are this and those that follow; far from 0, 1, .., which the frozen sets use.
         count: how many.
     """
-    from capsule_gym.resets import Stream, random_stream
+    from capsule_gym.resets import Stream, draw_plant, random_stream
 
     drawn = Randomization.named(randomization)
     seeds = range(first_seed, first_seed + count)
-    plants = [PlantSpec(*drawn.draw(random_stream(seed, 0, Stream.parameters), NOMINAL), seed) for seed in seeds]
+    plants = [PlantSpec(*draw_plant(drawn, NOMINAL, random_stream(seed, 0, Stream.parameters)), seed) for seed in seeds]
     return EvaluationSet(name, tuple(plants))
 
 

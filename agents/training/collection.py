@@ -27,7 +27,7 @@ from capsule_gym.network import (
     write_inputs_noinline,
 )
 from capsule_gym.observation import observation_names
-from capsule_gym.resets import Stream, draw_two, plant_at, random_stream
+from capsule_gym.resets import Stream, draw_two, plant_at, plant_ranges, random_stream
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.simulation import episode_metrics
 
@@ -386,7 +386,7 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         seen = np.empty((steps, count, self.columns), np.float32)
         actions, rewards, ends = (np.empty((steps, count), np.float32) for _ in range(3))
         compiled, course = _compiled(), np.array(self.course, np.float64)
-        lines, law_memory = np.array(simulation.randomization.lines(simulation.capsule)), np.array(simulation.memory)
+        lines, law_memory = plant_ranges(simulation.randomization, simulation.capsule), np.array(simulation.memory)
 
         def run(first: int, last: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
             # In a rollout an environment's episode is cut off at most so often.

@@ -26,7 +26,7 @@ from capsule_gym import CapsuleVectorEnv
 from capsule_gym.controller import Controller
 from capsule_gym.layout import ROWS
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
-from capsule_gym.resets import plant_at
+from capsule_gym.resets import plant_at, plant_ranges
 from capsule_gym.task import HORIZON
 
 # Steps of the search in the parameters' own units.
@@ -102,7 +102,7 @@ class Trials:
 def draw_plants(rng: np.random.Generator, count: int) -> np.ndarray:
     """M in kg and mu of plants that lie evenly over `wide`, a Latin hypercube in M and log(mu), shape (2, count)."""
     shares = [(rng.permutation(count) + rng.random(count)) / count for _ in range(2)]
-    lines = RANDOMIZATIONS["wide"].lines(NOMINAL)
+    lines = plant_ranges(RANDOMIZATIONS["wide"], NOMINAL)
     return np.array([plant_at(lines, *pair) for pair in np.transpose(shares).tolist()]).T
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from capsule_gym import dynamics
 from capsule_gym.parameters import RANDOMIZATIONS, Capsule, Plant, Randomization, check_contact_is_regular
+from capsule_gym.resets import draw_plant
 
 POSITIVE = ("M", "m", "l", "g", "backward_ratio")
 NON_NEGATIVE = ("k", "c", "mu")
@@ -289,7 +290,7 @@ def test_names():
 
 def draws(randomization: Randomization, n: int, seed: int = 5) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    return np.array([randomization.draw(rng, Capsule()) for _ in range(n)])
+    return np.array([draw_plant(randomization, Capsule(), rng) for _ in range(n)])
 
 
 def test_the_same_stream_draws_the_same_plants():
@@ -299,7 +300,7 @@ def test_the_same_stream_draws_the_same_plants():
 
 
 def test_without_ranges_the_capsule_keeps_its_own_values():
-    assert Randomization().draw(np.random.default_rng(0), Capsule(M=0.7, mu=0.2)) == (0.7, 0.2)
+    assert draw_plant(Randomization(), Capsule(M=0.7, mu=0.2), np.random.default_rng(0)) == (0.7, 0.2)
 
 
 def test_a_range_of_one_parameter_does_not_shift_the_stream_of_the_other():

@@ -10,7 +10,7 @@ import pytest
 from capsule_gym import Capsule, Randomization
 from capsule_gym.layout import Row
 from capsule_gym.parameters import EnvConfig
-from capsule_gym.resets import Stream, random_stream
+from capsule_gym.resets import Stream, draw_plant, random_stream
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import START_THETA
 
@@ -38,7 +38,9 @@ def test_what_is_drawn_are_the_numbers_of_numpys_philox_bit_for_bit(randomizatio
     for episode in range(40):
         simulation.reset(rows)
         for i, seed in enumerate(SEEDS):
-            plant = simulation.randomization.draw(random_stream(seed, episode, Stream.parameters), simulation.capsule)
+            plant = draw_plant(
+                simulation.randomization, simulation.capsule, random_stream(seed, episode, Stream.parameters)
+            )
             noise = random_stream(seed, episode, Stream.initial_state).uniform(-1.0, 1.0)
             column = simulation.columns(rows)[:, i]
             assert (column[Row.M], column[Row.mu]) == plant
@@ -52,7 +54,7 @@ def test_a_range_is_drawn_as_its_formula_says():
     wide = Randomization.named("wide")
     for seed in range(200):
         shares = random_stream(seed, 0, Stream.parameters).random(2).tolist()
-        M, mu = wide.draw(random_stream(seed, 0, Stream.parameters), Capsule())
+        M, mu = draw_plant(wide, Capsule(), random_stream(seed, 0, Stream.parameters))
         assert M == 0.35 + (0.75 - 0.35) * shares[0]
         assert mu == pytest.approx(0.005 * (0.3 / 0.005) ** shares[1], rel=1e-15)
 

@@ -22,7 +22,7 @@ from capsule_gym.identification import CELLS, estimates, identify
 from capsule_gym.layout import LANES, Row
 from capsule_gym.network import LAW_TORQUE, input_names, pack, to_action
 from capsule_gym.observation import observation_names
-from capsule_gym.resets import Stream, plant_at, random_stream
+from capsule_gym.resets import Stream, plant_at, plant_ranges, random_stream
 from capsule_gym.task import METRICS, Termination
 from tests.agents.training.small import small
 from tests.capsule_gym.test_network import make_layers
@@ -108,7 +108,7 @@ class Loop:
         return np.array(found, np.float32)
 
     def jump(self, chances: np.ndarray) -> None:
-        lines = self.simulation.randomization.lines(self.simulation.capsule)
+        lines = plant_ranges(self.simulation.randomization, self.simulation.capsule)
         for i, (chance, share_M, share_mu) in enumerate(chances):
             if chance < self.own["jump"]:
                 lane = self.simulation.world[i // LANES, :, i % LANES]

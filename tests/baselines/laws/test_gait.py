@@ -15,6 +15,7 @@ from baselines.policies import SCRIPTED
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.layout import ROWS, Row
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
+from capsule_gym.resets import draw_plant
 from capsule_gym.task import HORIZON, TORQUE_LIMIT
 
 POLYNOMIAL = FAMILIES["phase-space"]
@@ -90,7 +91,7 @@ def test_only_the_guard_keeps_a_light_platform_on_the_floor():
 @pytest.mark.parametrize(("name", "slowest", "mean"), [("paper", 16.0, 18.0), ("wide", 10.0, 17.0)])
 def test_the_gait_is_fast_and_does_not_fail_on_plants_that_it_is_not_told(name, slowest, mean):
     rng = np.random.default_rng(31)
-    M, mu = np.array([RANDOMIZATIONS[name].draw(rng, NOMINAL) for _ in range(128)]).T
+    M, mu = np.array([draw_plant(RANDOMIZATIONS[name], NOMINAL, rng) for _ in range(128)]).T
     metrics = episodes("baselines:gait", M, mu).episode_metrics()
     assert metrics["failed"].sum() == 0.0
     assert metrics["mean_speed"].min() > slowest
