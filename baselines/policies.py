@@ -14,7 +14,7 @@ from baselines.gaits import GAIT_DT
 Act = Callable[[np.ndarray], np.ndarray]
 Start = Callable[[Sequence[int]], Act]
 GAIT: dict[str, Any] = {"control_dt": GAIT_DT}
-PERFORMANCE, OPTIMUM = "baselines.gaits.performance", "baselines.optimum.policy"
+PERFORMANCE, OPTIMUM = "baselines.gaits.policy", "baselines.dynamic_programming.policy"
 
 
 def _no_action(seeds: Sequence[int]) -> Act:

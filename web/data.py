@@ -25,9 +25,10 @@ from agents.browser import (
 )
 from agents.drivers import RECORDED, driver_names, trained
 from agents.training.presets import ROWS, PPOConfig
+from baselines.dynamic_programming.policy import TORQUES
 from baselines.gaits import families
-from baselines.gaits.performance import Choice, known_choice, tolerant_nominal
-from baselines.optimum.policy import TORQUES
+from baselines.gaits.archive import GaitMap
+from baselines.gaits.policy import oracle_map, tolerant_nominal
 from baselines.policies import SCRIPTED
 from capsule_gym import load_policy, task
 from capsule_gym.evaluation_sets import SET_NAMES, load_set
@@ -41,9 +42,9 @@ from web.episodes import FILE, describe_plant, env_kwargs
 from web.modules import COMMON, ENTRIES, STARTS, build
 from web.recordings import OVER, known_recordings
 
-GAITS: dict[str, Callable[[], Choice]] = {
-    "gait-nominal": lambda: Choice((NOMINAL.M,), (NOMINAL.mu,), ((tolerant_nominal(),),)),
-    "gait-oracle": known_choice,
+GAITS: dict[str, Callable[[], GaitMap]] = {
+    "gait-nominal": lambda: GaitMap((NOMINAL.M,), (NOMINAL.mu,), ((tolerant_nominal(),),)),
+    "gait-oracle": oracle_map,
 }
 RANDOM = "random"
 # As many as a frozen set has plants, whose seeds are 0, 1, ..
@@ -158,11 +159,11 @@ def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
     return {**described, "kind": "none" if options.controller is None else "law"}
 
 
-def describe_gaits(choice: Choice, archive: Archive) -> dict[str, Any]:
+def describe_gaits(gait_map: GaitMap, archive: Archive) -> dict[str, Any]:
     """Gaits with a clock, and which of them suits which plant."""
-    used, cells = choice.used()
-    table = families.pack([gait.family for gait in used], [gait.parameters for gait in used])
-    return {"M": choice.M, "edges": choice.edges().tolist(), "cells": cells, "table": archive.add_array(table)}
+    used, cells = gait_map.indexed()
+    table = families.encode([gait.family for gait in used], [gait.parameters for gait in used])
+    return {"M": gait_map.M, "edges": gait_map.edges().tolist(), "cells": cells, "table": archive.add_array(table)}
 
 
 def describe_set(name: str) -> dict[str, Any]:

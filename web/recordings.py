@@ -40,7 +40,7 @@ def record(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
     """
     # Here, since numba comes with them, which takes most of a second to import.
     from agents.evaluation.episodes import evaluate
-    from baselines.optimum.policy import TORQUES
+    from baselines.dynamic_programming.policy import TORQUES
 
     policy, taken = SCRIPTED[name], []
 

@@ -1,7 +1,8 @@
 """What the teacher says: states that teacher and student come to, and what each torque would cost there.
 
-The teacher is the optimum of the plant at hand, `baselines.optimum.policy.Oracle`. It is shown M and mu, the student
-only where it is told them; what is best for it then is what costs least over the plants that a state may belong to.
+The teacher is the optimum of the plant at hand, `baselines.dynamic_programming.policy.Oracle`. It is shown M and
+mu, the student only where it is told them; what is best for it then is what costs least over the plants that a state
+may belong to.
 One that identifies them on line is given what `capsule_gym.identification` finds besides.
 """
 
@@ -15,7 +16,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from agents.distil.students import Student
-from baselines.optimum.policy import TORQUES, Oracle
+from baselines.dynamic_programming.policy import TORQUES, Oracle
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.compilation import compile_cached
 from capsule_gym.identification import CELLS
@@ -35,7 +36,7 @@ class Lesson(NamedTuple):
 
     Attributes:
         inputs: what the student's network is given, shape (states, inputs), float32.
-        regrets: what each of `TORQUES` costs against the best, cm, shape (states, TRIED), float32.
+        regrets: what each of `TORQUES` costs against the best, cm, shape (states, NUM_TORQUES), float32.
     """
 
     inputs: np.ndarray
@@ -46,7 +47,7 @@ def regrets_of(scores: np.ndarray, most: float) -> np.ndarray:
     """What each torque costs against the best.
 
     Args:
-        scores: what the torques are worth, cm, shape (states, TRIED).
+        scores: what the torques are worth, cm, shape (states, NUM_TORQUES).
         most: what one costs at most, cm.
 
     Returns:

@@ -13,7 +13,7 @@ from agents.distil.lessons import Lesson
 from agents.distil.students import Student
 from agents.training.ppo import FastTanh
 from agents.training.runs import Normalisation
-from baselines.optimum.policy import TRIED
+from baselines.dynamic_programming.policy import NUM_TORQUES
 from capsule_gym import Policy
 from capsule_gym.policy import IMITATION
 from capsule_gym.task import CONTROL_DT
@@ -30,14 +30,14 @@ def interpolated(regrets: torch.Tensor, torques: torch.Tensor) -> torch.Tensor:
     """What torques cost between those that the teacher tried, linear between them.
 
     Args:
-        regrets: of `TORQUES`, shape (n, TRIED).
+        regrets: of `TORQUES`, shape (n, NUM_TORQUES).
         torques: in [-1, 1], shape (n,).
 
     Returns:
         In the unit of the regrets, shape (n,).
     """
-    positions = 0.5 * (TRIED - 1) * (torques + 1.0)
-    below = positions.detach().long().clamp(0, TRIED - 2)
+    positions = 0.5 * (NUM_TORQUES - 1) * (torques + 1.0)
+    below = positions.detach().long().clamp(0, NUM_TORQUES - 2)
     low, high = (regrets.gather(1, (below + n)[:, None])[:, 0] for n in (0, 1))
     return low + (positions - below) * (high - low)
 

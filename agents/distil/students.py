@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from baselines.optimum import LEAST_CONTACT
+from baselines.dynamic_programming import MIN_NORMAL_FORCE
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Student:
     rivals: tuple[str, ...]
     identifies: bool = False
     jump_rate: float = 0.0
-    margin: float = LEAST_CONTACT
+    margin: float = MIN_NORMAL_FORCE
     most_regret: float = 5.0
     budget: Budget = Budget()
 

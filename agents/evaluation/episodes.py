@@ -131,7 +131,7 @@ def as_episodes(
     shared = shared and has_optimum(evaluation_set)
     if shared:
         # Imported here, as in other functions: it imports numba, which takes most of a second.
-        from baselines.optimum import optimal_speed
+        from baselines.dynamic_programming import optimal_speed
     label = {} if training_seed is None else {"training_seed": training_seed}
     episodes = []
     for i, plant in enumerate(evaluation_set.plants):
@@ -175,7 +175,7 @@ def _run(
 
 def has_optimum(evaluation_set: EvaluationSet) -> bool:
     """Whether the table of optima covers all episodes of a set: its start, its grid, no changes of the plant."""
-    from baselines.gaits.archive import in_grid
+    from baselines.archive import in_grid
 
     return all(
         plant.theta == START_THETA and not plant.changes and in_grid(plant.M, plant.mu)

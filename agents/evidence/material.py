@@ -169,8 +169,8 @@ def profile(row: Row, set_name: str, fastest: float) -> Curve:
 def fronts() -> dict[str, list[tuple[float, float]]]:
     """What is known of the nominal plant: by name pairs of cost of transport and mean speed (cm/s), slowest first."""
     # Here, since numba comes with it, which takes most of a second to import.
+    from baselines.dynamic_programming.archive import optimal_front
     from baselines.gaits.archive import pareto_front
-    from baselines.optimum.records import optimal_front
 
     gaits = [(gait.cost_of_transport, gait.mean_speed) for gait in pareto_front()]
     return {"best-known gaits": gaits, "optimum": optimal_front()}

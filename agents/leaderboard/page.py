@@ -195,9 +195,10 @@ def _every_set(board: Mapping[str, Any]) -> list[str]:
         "## Share of the optimum",
         "",
         "Each episode's mean speed over the optimum's on its plant: what dynamic programming has found for a torque "
-        "that is held for 20 ms, from the same start, under the same limits (`python -m baselines.optimum`); linear in "
-        "M and log(mu) between the plants of its grid. A share may exceed 1 a little: by the error between the plants, "
-        "by that of the optimum itself, and by a torque that changes more often. Sets with plants outside the grid, or "
+        "that is held for 20 ms, from the same start, under the same limits "
+        "(`python -m baselines.dynamic_programming`); linear in M and log(mu) between the plants of its grid. A share "
+        "may exceed 1 a little: by the error between the plants, by that of the optimum itself, and by a torque that "
+        "changes more often. Sets with plants outside the grid, or "
         "whose plants change on the way, have none. Here too, interquartile means.",
         "",
         *_folded("Shares on every set that has them", _shares_table(board)),

@@ -1,55 +1,47 @@
-"""Best-known gaits of the direct-torque task.
+"""Best-known gaits of the direct-torque task: torque within 1.5 N m, |theta| < pi/2, N > 0, from rest over 33 s.
 
-For every plant of a grid in M and mu, and every family of `baselines.gaits.families`, `data/gaits.json` holds the
-fastest gait that `python -m baselines.gaits` has found: torque limit 1.5 N m, |theta| < pi/2, N > 0, from rest over
-33 s, with an agent step of 10 ms. A gait counts only if it is robust: with M, mu and the first angle moved by 1 part in
-1000 its speed must move by less than 1 %. A gait that beats an entry replaces it; nothing else does.
-
-The fastest gaits run close to the limits, and fail on plants a few percent off. The file therefore also holds tolerant
-gaits, the best in the worst case with M 10 % and mu about 20 % off. `gait-nominal` is the tolerant gait of the nominal
-plant; `gait-oracle` looks up, in the map of `data/oracle.json`, which of all gaits serves best around the plant
-that it is shown.
+`data/archive.json` holds, for every plant of `baselines.archive.PLANTS` and every family of `baselines.gaits.families`,
+the fastest gait that `python -m baselines.gaits` has found; the front of speed against cost of transport on the nominal
+plant; tolerant gaits, whose slowest run with M 10 % and mu about 20 % off is fastest; and the map of `gait-oracle`. A
+gait counts only if it is robust: with M, mu and the first angle changed by 1 part in 1000, its speed changes by less
+than 1 %. An entry is replaced by better ones only.
 """
 
 from __future__ import annotations
 
-import json
 import math
-from bisect import bisect_right
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from baselines.archive import PLANTS, read_archive, write_archive
 from baselines.gaits import FOLDER
 from baselines.gaits.families import FAMILIES
-from capsule_gym.elementary import log
-from capsule_gym.parameters import Capsule
+from capsule_gym.parameters import NOMINAL
 
-GRID_M = (0.35, 0.5, 0.75, 1.0)
-GRID_MU = (0.005, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5)
-PLANTS = tuple((M, mu) for M in GRID_M for mu in GRID_MU)
-# Points of the front closer than this in speed (cm/s) would only lengthen the file.
+# cm/s: the front keeps one gait in every interval of speed of this width.
 FRONT_SPACING = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gait:
-    """A gait with what it achieves and where it came from.
+    """A gait, its performance and its origin.
 
     Attributes:
         M: mass of its plant's platform, kg.
         mu: friction coefficient of its plant.
         family: a name of `FAMILIES`.
-        parameters: as the family names them.
+        parameters: as the family orders them.
         mean_speed: cm/s.
         cost_of_transport: integral |u theta_dot| dt / ((M + m) g distance).
         sensitivity: largest relative change of the mean speed for changes of 1 part in 1000.
-        seed: of the search, and the number of the round.
-        evaluations: candidates that the whole search had tried by the end of that round.
-        seconds: for which the whole search had run by then.
-        command: that ran the round.
+        seed: of the search, and the number of the iteration.
+        evaluations: candidates that the search had evaluated by the end of that iteration.
+        seconds: run time of the search until then.
+        command: that ran the iteration.
         worst_speed: of a tolerant gait, the slowest mean speed with M 10 % and mu about 20 % off, cm/s; else None.
     """
 
@@ -67,127 +59,139 @@ class Gait:
     worst_speed: float | None = None
 
     @property
-    def tolerance(self) -> float:
-        """What tolerant gaits are ordered by: `worst_speed` in cm/s, minus infinity where it was not looked at."""
-        return -math.inf if self.worst_speed is None else self.worst_speed
+    def key(self) -> tuple[str, float, float, bool]:
+        """Family, plant and whether the gait is tolerant: the archive holds one gait of each key."""
+        return self.family, self.M, self.mu, self.worst_speed is not None
 
-    @classmethod
-    def from_dict(cls, fields: dict[str, Any]) -> Gait:
-        """The gait from its JSON object."""
-        return cls(**{**fields, "parameters": tuple(fields["parameters"]), "seed": tuple(fields["seed"])})
+    @property
+    def score(self) -> float:
+        """The speed by which gaits of one key are compared: a tolerant gait's worst, else the mean; cm/s."""
+        return self.mean_speed if self.worst_speed is None else self.worst_speed
+
+    def dominates(self, other: Gait) -> bool:
+        """Whether the gait is no slower and has no larger cost of transport than another."""
+        return self.mean_speed >= other.mean_speed and self.cost_of_transport <= other.cost_of_transport
+
+
+@dataclass(frozen=True)
+class GaitMap:
+    """The gait that `gait-oracle` uses on every plant: a table over cells in M and log(mu).
+
+    Attributes:
+        M: centres of the cells, kg, ascending.
+        mu: likewise.
+        gaits: the gait of each cell, shape (len(M), len(mu)).
+    """
+
+    M: tuple[float, ...]
+    mu: tuple[float, ...]
+    gaits: tuple[tuple[Gait, ...], ...]
+
+    def find(self, M: np.ndarray, mu: np.ndarray) -> list[Gait]:
+        """The gaits of plants, from the nearest cells in M and log(mu)."""
+        rows = np.abs(M[:, None] - np.array(self.M)).argmin(axis=1)
+        columns = np.searchsorted(self.edges(), mu * mu)
+        return [self.gaits[i][j] for i, j in zip(rows, columns, strict=True)]
+
+    def edges(self) -> np.ndarray:
+        """The squares of mu between the cells: the midpoint in log(mu) is the square root of a product."""
+        return np.multiply(self.mu[:-1], self.mu[1:])
+
+    def indexed(self) -> tuple[list[Gait], list[list[int]]]:
+        """The distinct gaits, and the index among them of every cell's gait."""
+        distinct = list(dict.fromkeys(gait for row in self.gaits for gait in row))
+        return distinct, [[distinct.index(gait) for gait in row] for row in self.gaits]
 
 
 @dataclass
 class Archive:
-    """What a search knows.
+    """What the search has found.
 
     Attributes:
-        plants: the grid as pairs of M (kg) and mu.
-        gaits: the fastest of each plant and family, sorted by family, M and mu.
-        front: gaits of the nominal plant, none slower and dearer than another, slowest first.
-        tolerant: of each plant and family the gait with the largest `worst_speed`, sorted likewise.
-        rounds: of the search so far.
-        evaluations: candidates tried so far.
-        seconds: that the search has run so far.
+        gaits: fastest and tolerant gaits by `Gait.key`.
+        front: gaits of the nominal plant, none of which dominates another, slowest first.
+        oracle: the map of `gait-oracle`; None before it has been computed.
+        iterations: of the search so far.
+        evaluations: candidates evaluated so far.
+        seconds: run time of the search so far.
     """
 
-    plants: tuple[tuple[float, float], ...] = PLANTS
-    gaits: list[Gait] = field(default_factory=list)
+    gaits: dict[tuple[str, float, float, bool], Gait] = field(default_factory=dict)
     front: list[Gait] = field(default_factory=list)
-    tolerant: list[Gait] = field(default_factory=list)
-    rounds: int = 0
+    oracle: GaitMap | None = None
+    iterations: int = 0
     evaluations: int = 0
     seconds: float = 0.0
 
-    def of_plant(self, M: float, mu: float) -> list[Gait]:
-        """The gaits of one plant, the fastest first."""
-        return sorted((g for g in self.gaits if (g.M, g.mu) == (M, mu)), key=lambda g: -g.mean_speed)
+    def of_plant(self, M: float, mu: float, *, tolerant: bool = False) -> list[Gait]:
+        """The gaits of one plant, the fastest, or those with the largest worst speed, first."""
+        found = [g for g in self.gaits.values() if (g.M, g.mu, g.worst_speed is not None) == (M, mu, tolerant)]
+        return sorted(found, key=lambda g: -g.score)
 
-    def table(self) -> dict[tuple[float, float], Gait]:
+    def fastest(self) -> dict[tuple[float, float], Gait]:
         """The fastest gait of every plant that has one."""
-        return {plant: found[0] for plant in self.plants if (found := self.of_plant(*plant))}
-
-    def offer(self, gait: Gait) -> bool:
-        """Takes a gait where it is faster than the one known of its plant and family; returns whether it was."""
-        same = [g for g in self.gaits if (g.M, g.mu, g.family) == (gait.M, gait.mu, gait.family)]
-        if gait.mean_speed <= max([0.0, *(g.mean_speed for g in same)]):
-            return False
-        others = [g for g in self.gaits if g not in same]
-        self.gaits = sorted([*others, gait], key=lambda g: (g.family, g.M, g.mu))
-        return True
-
-    def offer_tolerant(self, gait: Gait) -> bool:
-        """Takes a gait where its worst speed beats that of the tolerant one known; returns whether it did."""
-        same = [g for g in self.tolerant if (g.M, g.mu, g.family) == (gait.M, gait.mu, gait.family)]
-        if gait.tolerance <= max([0.0, *(g.tolerance for g in same)]):
-            return False
-        others = [g for g in self.tolerant if g not in same]
-        self.tolerant = sorted([*others, gait], key=lambda g: (g.family, g.M, g.mu))
-        return True
+        return {plant: found[0] for plant in PLANTS if (found := self.of_plant(*plant))}
 
     def everything(self) -> list[Gait]:
-        """All gaits, of every list."""
-        return [*self.gaits, *self.front, *self.tolerant]
+        """All gaits, those of the front included."""
+        return [*(self.gaits[key] for key in sorted(self.gaits)), *self.front]
 
-    def library(self) -> list[Gait]:
-        """The gaits that a policy may choose from: the fastest and the tolerant ones."""
-        return [*self.gaits, *self.tolerant]
-
-    def offer_front(self, gait: Gait) -> bool:
-        """Takes a gait of the nominal plant into the front if none there beats it; returns whether it did."""
-        if gait.mean_speed <= 0.0 or any(_dominates(g, gait) for g in self.front):
+    def offer(self, gait: Gait) -> bool:
+        """Keeps a gait if it moves forwards and beats the known one of its key; returns whether it was kept."""
+        known = self.gaits.get(gait.key)
+        if gait.score <= max(0.0, known.score if known else 0.0):
             return False
-        front = [g for g in self.front if not _dominates(gait, g)]
-        cell = math.floor(gait.mean_speed / FRONT_SPACING)
-        crowd = [g for g in front if math.floor(g.mean_speed / FRONT_SPACING) == cell]
-        if any(g.cost_of_transport < gait.cost_of_transport for g in crowd):
-            return False
-        self.front = sorted([*(g for g in front if g not in crowd), gait], key=lambda g: g.mean_speed)
+        self.gaits[gait.key] = gait
         return True
 
-    def to_json(self) -> str:
-        """The text of the file: one gait a line."""
+    def offer_front(self, gait: Gait) -> bool:
+        """Keeps a gait of the nominal plant in the front unless one there beats it; returns whether it was kept."""
+        if gait.mean_speed <= 0.0 or any(g.dominates(gait) for g in self.front):
+            return False
+        interval = math.floor(gait.mean_speed / FRONT_SPACING)
+        same = [g for g in self.front if math.floor(g.mean_speed / FRONT_SPACING) == interval]
+        if any(g.cost_of_transport < gait.cost_of_transport for g in same):
+            return False
+        others = [g for g in self.front if g not in same and not gait.dominates(g)]
+        self.front = sorted([*others, gait], key=lambda g: g.mean_speed)
+        return True
 
-        def lines(gaits: Sequence[Gait]) -> str:
-            return ",\n".join("  " + json.dumps(asdict(gait)) for gait in gaits)
-
-        counts = {"rounds": self.rounds, "evaluations": self.evaluations, "seconds": round(self.seconds, 1)}
-        return (
-            f'{{\n "search": {json.dumps(counts)},\n "gaits": [\n{lines(self.gaits)}\n ],\n'
-            f' "front": [\n{lines(self.front)}\n ],\n "tolerant": [\n{lines(self.tolerant)}\n ]\n}}\n'
-        )
-
-
-def _dominates(one: Gait, other: Gait) -> bool:
-    """Whether one gait is no slower and no dearer than another."""
-    return one.mean_speed >= other.mean_speed and one.cost_of_transport <= other.cost_of_transport
+    def save(self, folder: Path = FOLDER) -> None:
+        """Writes the archive."""
+        oracle = None
+        if self.oracle is not None:
+            used, cells = self.oracle.indexed()
+            oracle = {"M": self.oracle.M, "mu": self.oracle.mu, "gaits": [gait.key for gait in used], "cells": cells}
+        counts = {"iterations": self.iterations, "evaluations": self.evaluations, "seconds": round(self.seconds, 1)}
+        gaits = [asdict(self.gaits[key]) for key in sorted(self.gaits)]
+        front = [asdict(gait) for gait in self.front]
+        write_archive(folder, {"search": counts, "oracle": oracle, "gaits": gaits, "front": front})
 
 
 def load_archive(folder: Path = FOLDER) -> Archive:
-    """What is known; nothing where the folder holds no gaits.json.
-
-    Args:
-        folder: of gaits.json.
+    """Reads the archive of a folder; an empty one where there is none.
 
     Raises:
         ValueError: if the file is malformed.
     """
-    path = folder / "gaits.json"
-    if not path.is_file():
-        return Archive()
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        names = ("gaits", "front", "tolerant")
-        lists: dict[str, Any] = {name: [Gait.from_dict(each) for each in content[name]] for name in names}
-        archive = Archive(**lists, **content["search"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} must be what the gait search writes, got {type(error).__name__}: {error}") from error
+    return read_archive(folder, "python -m baselines.gaits", _build, Archive)
+
+
+def _build(content: dict[str, Any], arrays: dict[str, np.ndarray]) -> Archive:
+    """The archive of a JSON object."""
+    gaits = {gait.key: gait for gait in (Gait(**fields) for fields in content["gaits"])}
+    archive = Archive(gaits, [Gait(**fields) for fields in content["front"]], **content["search"])
     for gait in archive.everything():
-        if gait.family not in FAMILIES or len(gait.parameters) != len(FAMILIES[gait.family].names):
+        if gait.family not in FAMILIES or len(gait.parameters) != len(FAMILIES[gait.family].units):
             raise ValueError(
-                f"{path} must hold families {', '.join(FAMILIES)} with their numbers of parameters, got "
-                f"{gait.family!r} with {len(gait.parameters)}"
+                f"gaits must be of the families {', '.join(FAMILIES)} and have their number of parameters, "
+                f"got {gait.family!r} with {len(gait.parameters)}"
             )
+    oracle = content["oracle"]
+    if oracle is not None:
+        used = [gaits[key] for key in oracle["gaits"]]
+        cells = tuple(tuple(used[index] for index in row) for row in oracle["cells"])
+        archive.oracle = GaitMap(oracle["M"], oracle["mu"], cells)
     return archive
 
 
@@ -199,67 +203,15 @@ def known_gaits() -> Archive:
         ValueError: if the data lacks a plant of the grid.
     """
     archive = load_archive()
-    missing = [plant for plant in PLANTS if plant not in archive.table()]
+    missing = [plant for plant in PLANTS if plant not in archive.fastest()]
     if missing:
-        raise ValueError(f"{FOLDER / 'gaits.json'} must hold a gait for every plant of the grid, lacks {missing}")
+        raise ValueError(f"{FOLDER} must hold a gait for every plant of the grid, lacks {missing}")
     return archive
-
-
-def between_plants(table: Mapping[tuple[float, float], float], M: float, mu: float) -> float:
-    """What a table of the grid's plants says of a plant between them: linear in M and in log(mu).
-
-    Args:
-        table: a number for every plant of the grid.
-        M: mass of the platform, kg.
-        mu: friction coefficient.
-
-    Raises:
-        ValueError: if the plant lies outside the grid.
-    """
-    if not in_grid(M, mu):
-        raise ValueError(
-            f"M must be in [{GRID_M[0]}, {GRID_M[-1]}] kg and mu in [{GRID_MU[0]}, {GRID_MU[-1]}], "
-            f"got M={M!r}, mu={mu!r}"
-        )
-    (row, share_M), (column, share_mu) = place(M, GRID_M), place(log(mu), log_grid())
-    corners = [[table[GRID_M[i], GRID_MU[j]] for j in (column, column + 1)] for i in (row, row + 1)]
-    below, above = (left + share_mu * (right - left) for left, right in corners)
-    return below + share_M * (above - below)
-
-
-def best_known_speed(M: float, mu: float) -> float:
-    """The best-known gaits' mean speed from rest over 33 s at a torque limit of 1.5 N m, in cm/s; see `between_plants`.
-
-    Args:
-        M: mass of the platform, kg.
-        mu: friction coefficient.
-
-    Raises:
-        ValueError: if the plant lies outside the grid.
-    """
-    return between_plants({plant: gait.mean_speed for plant, gait in known_gaits().table().items()}, M, mu)
-
-
-@lru_cache(maxsize=1)
-def log_grid() -> list[float]:
-    """The logarithms of `GRID_MU`."""
-    return [log(mu) for mu in GRID_MU]
-
-
-def place(value: float, grid: Sequence[float]) -> tuple[int, float]:
-    """The cell of an ascending grid that a value lies in, and how far into it, from 0 to 1."""
-    cell = min(bisect_right(grid, value), len(grid) - 1) - 1
-    return cell, (value - grid[cell]) / (grid[cell + 1] - grid[cell])
-
-
-def in_grid(M: float, mu: float) -> bool:
-    """Whether a plant lies within the grid of known gaits."""
-    return GRID_M[0] <= M <= GRID_M[-1] and GRID_MU[0] <= mu <= GRID_MU[-1]
 
 
 def pareto_front() -> list[Gait]:
     """The gaits of the nominal plant that none beats in both speed and cost of transport, the slowest first."""
-    archive, nominal = known_gaits(), Capsule()
-    everything = [*archive.front, *archive.of_plant(nominal.M, nominal.mu)]
-    kept = [g for g in everything if not any(_dominates(other, g) for other in everything if other != g)]
-    return sorted(dict.fromkeys(kept), key=lambda g: g.mean_speed)
+    archive = known_gaits()
+    candidates = [*archive.front, *archive.of_plant(NOMINAL.M, NOMINAL.mu)]
+    kept = [gait for gait in candidates if not any(g.dominates(gait) for g in candidates if g != gait)]
+    return sorted(dict.fromkeys(kept), key=lambda gait: gait.mean_speed)

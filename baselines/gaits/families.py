@@ -1,15 +1,15 @@
-"""The families of gaits: how a handful of parameters, the time and the observation give a torque.
+"""The families of gaits: how parameters, the time and the observation give a torque.
 
-| family | torque, in parts of the torque limit, clipped to [-1, 1] |
-|---|---|
-| `harmonics` | four harmonics of a period, plus linear feedback of theta, theta_dot and x_dot |
-| `bang-bang` | full torque with free switching times, plus the same feedback |
-| `phase-space` | a cubic polynomial of the state without any clock, steep where it pays: a switching surface |
+| family | torque over the torque limit, clipped to [-1, 1] | parameters |
+|---|---|---|
+| `harmonics` | Fourier series with four harmonics, plus feedback | period, offset, 4 cosines, 4 sines, gains |
+| `bang-bang` | full torque with free switching times, plus feedback | 4 durations, phase, gains |
+| `phase-space` | cubic polynomial of the state | `COEFFICIENTS` |
 
-All hold feedback, so that a gait can be an attracting cycle and not a course that only its own plant follows.
+The feedback is linear in theta, theta_dot and x_dot, with three gains. It makes a gait an attracting limit cycle.
 
-A gait's torque is the same bits for one gait and for many, on every machine and in a browser: it is a function of
-numbers, compiled as the environment's step is.
+The torque is a function of numbers, compiled as the environment's step is: the same bits for one gait and for many, on
+every machine and in a browser.
 """
 
 from __future__ import annotations
@@ -28,18 +28,12 @@ from capsule_gym.compilation import compile_cached, inlined
 from capsule_gym.elementary import clip, sincos
 from capsule_gym.layout import load
 
-# The torque in parts of the limit: of parameters, time in s, and theta, theta_dot and x_dot in SI units.
-Torque = Callable[[tuple[float, ...], float, float, float, float], float]
-
 HARMONICS = 4
-# Behind period, offset and both series.
+# Index of the gains behind period, offset and both series.
 GAINS = 2 + 2 * HARMONICS
-
-FEEDBACK = ("theta", "theta_dot", "x_dot")
-
-# Every family's parameters are filled up with zeros to so many; before them stands the family's number.
-LONGEST = len(COEFFICIENTS)
-WIDTH = 1 + LONGEST
+# Encoded gaits have a common width: the family's number, then its parameters, padded with zeros.
+MAX_PARAMETERS = len(COEFFICIENTS)
+WIDTH = 1 + MAX_PARAMETERS
 
 
 @inlined
@@ -60,25 +54,27 @@ def _harmonics(p: tuple[float, ...], time: float, theta: float, theta_dot: float
 
 
 @inlined
-def _impulse(pushes: tuple[float, ...], period: float, moment: float) -> float:
-    """Integral of a square wave up to a moment, in s; it stands at 1, -1, 1 and -1 for the times given."""
-    cycles = np.floor(moment / period)
-    left = moment - cycles * period
-    total = cycles * (pushes[0] - pushes[1] + pushes[2] - pushes[3])
+def _square_integral(durations: tuple[float, ...], period: float, time: float) -> float:
+    """Integral up to a time, s, of a square wave that is 1, -1, 1 and -1 for the given durations."""
+    cycles = np.floor(time / period)
+    remaining = time - cycles * period
+    total = cycles * (durations[0] - durations[1] + durations[2] - durations[3])
     for i in range(4):
-        spent = min(left, pushes[i])
-        total += spent if i % 2 == 0 else -spent
-        left -= spent
+        elapsed = min(remaining, durations[i])
+        total += elapsed if i % 2 == 0 else -elapsed
+        remaining -= elapsed
     return float(total)
 
 
 @inlined
 def _bang_bang(p: tuple[float, ...], time: float, theta: float, theta_dot: float, x_dot: float) -> float:
-    pushes = abs(p[0]), abs(p[1]), abs(p[2]), abs(p[3])
-    period = pushes[0] + pushes[1] + pushes[2] + pushes[3]
+    durations = abs(p[0]), abs(p[1]), abs(p[2]), abs(p[3])
+    period = durations[0] + durations[1] + durations[2] + durations[3]
     # The mean over the step, so that the torque depends continuously on the switching times.
     start = time + p[4] * period
-    square = (_impulse(pushes, period, start + GAIT_DT) - _impulse(pushes, period, start)) / GAIT_DT
+    square = (
+        _square_integral(durations, period, start + GAIT_DT) - _square_integral(durations, period, start)
+    ) / GAIT_DT
     return square + _feedback(p[5:], theta, theta_dot, x_dot)
 
 
@@ -94,77 +90,56 @@ class Family:
     """A kind of gait.
 
     Attributes:
-        name: as it stands in the data.
-        names: of the parameters, in order.
-        units: steps of the search, one per parameter, in the parameter's own unit.
-        start: where a search from nothing begins.
-        spread: standard deviations of the random starts around it.
-        torque: the torque before clipping; see `Torque`.
+        units: of the search, one per parameter, in the parameter's own unit.
+        start: parameters around which a search without known gaits starts.
+        spread: standard deviations of these starts.
+        torque: torque over its limit before clipping, from parameters, time in s, theta, theta_dot and x_dot.
     """
 
-    name: str
-    names: tuple[str, ...]
     units: tuple[float, ...]
     start: tuple[float, ...]
     spread: tuple[float, ...]
-    torque: Torque
+    torque: Callable[[tuple[float, ...], float, float, float, float], float]
 
 
-def _families() -> dict[str, Family]:
-    series = (*(f"cos_{k}" for k in range(1, HARMONICS + 1)), *(f"sin_{k}" for k in range(1, HARMONICS + 1)))
-    gains, gain_units = tuple(f"gain_{name}" for name in FEEDBACK), (1.0, 0.1, 1.0)
-    # Positive feedback of theta_dot starts an oscillation by itself.
-    excited = tuple(1.0 if name == "phi_010" else 0.0 for name in COEFFICIENTS)
-    steps, durations = ("push_1", "pull_1", "push_2", "pull_2"), (0.25, 0.1, 0.1, 0.25)
-    families = (
-        Family(
-            "harmonics",
-            ("period", "offset", *series, *gains),
-            (0.05, 0.3, *(0.5 for _ in series), *gain_units),
-            (0.65, 0.0, *(0.0 for _ in series), 0.0, 0.0, 0.0),
-            (0.08, 0.2, *(0.7 for _ in series), 0.5, 0.05, 0.5),
-            _harmonics,
-        ),
-        Family(
-            "bang-bang",
-            (*steps, "phase", *gains),
-            (0.04, 0.04, 0.04, 0.04, 0.1, *gain_units),
-            (*durations, 0.0, 0.0, 0.0, 0.0),
-            (0.08, 0.08, 0.08, 0.08, 0.3, 0.3, 0.03, 0.3),
-            _bang_bang,
-        ),
-        Family(
-            "phase-space",
-            COEFFICIENTS,
-            tuple(1.0 for _ in COEFFICIENTS),
-            excited,
-            tuple(0.7 for _ in COEFFICIENTS),
-            _phase_space,
-        ),
-    )
-    return {family.name: family for family in families}
-
-
-FAMILIES = _families()
-
-
-# A family's number, as compiled code knows it, is its place.
-NUMBERS = {name: number for number, name in enumerate(FAMILIES)}
+_SERIES = 2 * HARMONICS
+FAMILIES = {
+    "harmonics": Family(
+        units=(0.05, 0.3, *(0.5,) * _SERIES, 1.0, 0.1, 1.0),
+        start=(0.65, 0.0, *(0.0,) * _SERIES, 0.0, 0.0, 0.0),
+        spread=(0.08, 0.2, *(0.7,) * _SERIES, 0.5, 0.05, 0.5),
+        torque=_harmonics,
+    ),
+    "bang-bang": Family(
+        units=(0.04, 0.04, 0.04, 0.04, 0.1, 1.0, 0.1, 1.0),
+        start=(0.25, 0.1, 0.1, 0.25, 0.0, 0.0, 0.0, 0.0),
+        spread=(0.08, 0.08, 0.08, 0.08, 0.3, 0.3, 0.03, 0.3),
+        torque=_bang_bang,
+    ),
+    "phase-space": Family(
+        units=(1.0,) * len(COEFFICIENTS),
+        # Positive feedback of theta_dot starts an oscillation.
+        start=tuple(1.0 if name == "phi_010" else 0.0 for name in COEFFICIENTS),
+        spread=(0.7,) * len(COEFFICIENTS),
+        torque=_phase_space,
+    ),
+}
 
 
 @inlined
-def action(gaits: np.ndarray, place: int, time: float, theta: float, theta_dot: float, x_dot: float) -> float:
+def action(gaits: np.ndarray, offset: int, time: float, theta: float, theta_dot: float, x_dot: float) -> float:
     """The action of one gait, in [-1, 1].
 
     Args:
-        gaits: what `pack` makes.
-        place: where this one begins.
+        gaits: from `encode`, flat.
+        offset: index at which this gait begins.
         time: since the start of the episode, s.
         theta: rad.
         theta_dot: rad/s.
         x_dot: m/s; exactly 0.0 in stick.
     """
-    family, p = gaits[place], load(gaits, place + 1, 1, LONGEST)
+    # The families' numbers are their places in `FAMILIES`.
+    family, p = gaits[offset], load(gaits, offset + 1, 1, MAX_PARAMETERS)
     if family == 0.0:
         torque = _harmonics(p, time, theta, theta_dot, x_dot)
     elif family == 1.0:
@@ -174,32 +149,26 @@ def action(gaits: np.ndarray, place: int, time: float, theta: float, theta_dot: 
     return clip(torque, 1.0)
 
 
-def pack(families: Sequence[str], parameters: Sequence[Sequence[float]]) -> np.ndarray:
-    """Gaits as compiled code takes them: the family's number, then the parameters.
+def encode(families: Sequence[str], parameters: Sequence[Sequence[float]]) -> np.ndarray:
+    """Gaits as compiled code takes them: the family's number, then the parameters; shape (gaits, `WIDTH`), float64.
 
     Args:
         families: of each gait.
         parameters: of each, as many as its family has.
-
-    Returns:
-        Shape (gaits, `WIDTH`), float64.
     """
-    packed = np.zeros((len(families), WIDTH))
-    for row, name, own in zip(packed, families, parameters, strict=True):
-        row[0], row[1 : 1 + len(own)] = NUMBERS[name], own
-    return packed
+    encoded = np.zeros((len(families), WIDTH))
+    for row, name, values in zip(encoded, families, parameters, strict=True):
+        row[0], row[1 : 1 + len(values)] = tuple(FAMILIES).index(name), values
+    return encoded
 
 
 def actions(gaits: np.ndarray, time: float, observations: np.ndarray) -> np.ndarray:
-    """The actions of many gaits.
+    """The actions of many gaits, shape (gaits, 1), float32, in [-1, 1].
 
     Args:
-        gaits: what `pack` makes.
+        gaits: from `encode`.
         time: since the start of the episode, s.
         observations: one per gait, float32; theta, theta_dot and x_dot come first.
-
-    Returns:
-        Shape (gaits, 1), float32, in [-1, 1].
     """
     out = np.empty((len(gaits), 1), np.float32)
     _compiled()(gaits.reshape(-1), time, observations[:, :3].astype(np.float64), out)
@@ -214,5 +183,5 @@ def _act(gaits: np.ndarray, time: float, states: np.ndarray, out: np.ndarray) ->
 
 @lru_cache(maxsize=1)
 def _compiled() -> Any:
-    """The function above, compiled."""
+    """`_act`, compiled."""
     return compile_cached(_act)

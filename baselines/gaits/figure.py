@@ -1,4 +1,4 @@
-"""Draws the best-known gaits: speed over friction beside the bound that needs no search, and the front of the costs."""
+"""Draws the best-known gaits: speed over friction next to the upper bound, and the front of speed against cost."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from baselines.archive import GRID_M, GRID_MU
 from baselines.drawing import BLUE, GREEN, INK, MUTED, PURPLE, VERMILION, add_note, new_figure
-from baselines.gaits.archive import GRID_M, GRID_MU, known_gaits, pareto_front
+from baselines.gaits.archive import known_gaits, pareto_front
 from baselines.gaits.bound import speed_bound
 from baselines.gaits.families import FAMILIES
 from baselines.tables import printed_above
@@ -22,7 +23,7 @@ SPEEDS = (2, 5, 10, 20, 50, 100)
 
 
 def draw_gaits() -> Any:
-    """The figure, to be called in the house style."""
+    """The figure, to be drawn within `baselines.drawing.style`."""
     figure = new_figure(3.9)
     speeds, front = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
     _draw_speeds(speeds)
@@ -43,7 +44,7 @@ def draw_gaits() -> Any:
 
 def _absent() -> str:
     """Which families have no mark."""
-    shown = {gait.family for gait in (*known_gaits().table().values(), *pareto_front())}
+    shown = {gait.family for gait in (*known_gaits().fastest().values(), *pareto_front())}
     absent = [name for name in FAMILIES if name not in shown]
     return f" No {' and no '.join(absent)} gait is the fastest or the cheapest anywhere." if absent else ""
 
@@ -55,7 +56,7 @@ def _mark(family: str) -> dict[str, Any]:
 
 def _draw_speeds(axes: Any) -> None:
     """Best-known speed and bound over mu, one colour for each M, the mark for the family."""
-    table = known_gaits().table()
+    table = known_gaits().fastest()
     friction = np.geomspace(GRID_MU[0], GRID_MU[-1], BOUND_POINTS)
     for M, colour in zip(GRID_M, COLOURS, strict=True):
         gaits = [table[M, mu] for mu in GRID_MU]

@@ -18,7 +18,7 @@ from agents.distil.network import Fit, Network, interpolated
 from agents.distil.students import STUDENTS, Budget
 from agents.training.errors import RunError
 from agents.training.stopping import INTERRUPTED
-from baselines.optimum.policy import FATAL, TORQUES, TRIED
+from baselines.dynamic_programming.policy import FAILURE_SCORE, NUM_TORQUES, TORQUES
 from capsule_gym import load_policy
 from capsule_gym.task import CONTROL_DT
 
@@ -46,10 +46,10 @@ def distil(folder, *words: str) -> int:
 
 
 def test_a_torque_costs_what_the_best_is_worth_more():
-    scores = np.zeros((3, TRIED))
-    scores[0] = -((np.arange(TRIED) - 7.0) ** 2)
-    scores[1, 5:] = FATAL
-    scores[2] = FATAL
+    scores = np.zeros((3, NUM_TORQUES))
+    scores[0] = -((np.arange(NUM_TORQUES) - 7.0) ** 2)
+    scores[1, 5:] = FAILURE_SCORE
+    scores[2] = FAILURE_SCORE
     regrets = regrets_of(scores, 5.0)
     assert regrets.dtype == np.float32
     assert regrets[0, 7] == 0.0 and regrets[0, 8] == 1.0 and regrets[0, -1] == 5.0
@@ -65,13 +65,13 @@ def test_the_teachers_own_torques_cost_nothing(lesson):
 
 
 def test_the_cost_is_linear_between_the_torques_that_were_tried():
-    regrets = torch.arange(TRIED, dtype=torch.float32).square().repeat(3, 1)
-    spacing = 2.0 / (TRIED - 1)
+    regrets = torch.arange(NUM_TORQUES, dtype=torch.float32).square().repeat(3, 1)
+    spacing = 2.0 / (NUM_TORQUES - 1)
     torques = torch.tensor([-1.0, -1.0 + 2.25 * spacing, 1.0], requires_grad=True)
     costs = interpolated(regrets, torques)
-    assert costs.tolist() == pytest.approx([0.0, 4.0 + 0.25 * 5.0, (TRIED - 1.0) ** 2], rel=1e-4)
+    assert costs.tolist() == pytest.approx([0.0, 4.0 + 0.25 * 5.0, (NUM_TORQUES - 1.0) ** 2], rel=1e-4)
     costs.sum().backward()
-    assert (spacing * torques.grad).tolist() == pytest.approx([1.0, 5.0, 2.0 * TRIED - 3.0], rel=1e-4)
+    assert (spacing * torques.grad).tolist() == pytest.approx([1.0, 5.0, 2.0 * NUM_TORQUES - 3.0], rel=1e-4)
 
 
 def test_a_student_sees_the_plant_only_where_it_is_told(lesson):

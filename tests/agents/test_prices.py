@@ -6,8 +6,8 @@ import math
 import pytest
 
 from agents import prices
+from baselines.dynamic_programming.archive import optimal_front
 from baselines.gaits.archive import pareto_front
-from baselines.optimum.records import optimal_front
 
 
 @pytest.fixture

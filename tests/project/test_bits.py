@@ -25,8 +25,8 @@ MODULES = [
     for pattern in ("capsule_gym/*.py", "baselines/laws/*.py", "baselines/policies.py", "agents/evaluation/*.py")
     for path in sorted(ROOT.glob(pattern))
     if path.name not in PICTURES
-] + [f"baselines/gaits/{name}.py" for name in ("archive", "families", "performance")]
-MODULES += [f"baselines/optimum/{name}.py" for name in ("grid", "holds", "policy", "records", "solver")]
+] + [f"baselines/gaits/{name}.py" for name in ("archive", "families", "policy")]
+MODULES += [f"baselines/dynamic_programming/{name}.py" for name in ("archive", "grid", "policy", "problem", "solver")]
 # Functions whose last digit is the library's, and sums whose order or whose fused products are the processor's.
 FOREIGN = set(
     "sin cos tan asin acos atan atan2 arcsin arccos arctan arctan2 sinh cosh tanh arcsinh arccosh arctanh asinh acosh "

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from baselines.drawing import save, style
+from baselines.dynamic_programming.figure import draw_optimum
 from baselines.gaits.figure import draw_gaits
-from baselines.optimum.figure import draw_optimum
 from baselines.paper.figures.adaptive import (
     draw_adaptive_error,
     draw_adaptive_torque,

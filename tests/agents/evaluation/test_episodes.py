@@ -16,7 +16,7 @@ from agents.evaluation.episodes import (
     summarise,
 )
 from agents.evaluation.statistics import estimate
-from baselines.optimum import optimal_speed
+from baselines.dynamic_programming import optimal_speed
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.evaluation_sets import load_set, parse_set
 from capsule_gym.files import to_json

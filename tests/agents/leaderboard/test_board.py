@@ -7,7 +7,7 @@ from agents.evaluation.policies import all_candidates, checkpoint_names, find_ca
 from agents.leaderboard.board import build, evaluate, training_commands
 from agents.leaderboard.page import render
 from agents.leaderboard.rows import static_header
-from baselines.optimum import optimal_speed
+from baselines.dynamic_programming import optimal_speed
 from capsule_gym.evaluation_sets import parse_set
 from tests.agents.leaderboard.world import SETS, board_of, make_set, read, row_of, table
 

@@ -1,13 +1,13 @@
-"""The grid of the dynamic programming: coordinates in which the motion is slow and sticking lies on nodes.
+"""The grid of states: coordinates in which the motion is slow and stick lies on nodes.
 
 A state (theta, theta_dot, x_dot) becomes (theta, s, w), with q = m l / (M + m):
 
     w = x_dot / q - cos(theta) theta_dot        the velocity of the centre of mass over q, rad/s
     y = x_dot / (q max(cos(theta), 0.3))        the velocity of the platform, as a rate of the pendulum, rad/s
-    s = y / (STRETCH + |y|)                     finer near sticking
+    s = y / (STRETCH + |y|)                     finer near stick
 
-Only friction changes w, and slowly; along x_dot itself every hold would jump over many cells, and interpolation smear
-the value with every jump. Sticking is the plane s = 0, on which nodes lie: there the value has its kink.
+Only friction changes w, and slowly. Along x_dot every step would cross many cells, each with an error of interpolation.
+Stick is the plane s = 0, where the value has a kink; nodes lie on it.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from capsule_gym.task import THETA_LIMIT
 
 # rad/s: where the spacing of y is four times that at rest.
 STRETCH = 10.0
-# Below this cosine the velocity of the platform says little of the pendulum's rate.
-LEAST_COSINE = 0.3
-# rad/s; from below what any of the optima needs to above it.
-WIDEST_Y = (-10.0, 22.0)
-# A position so far inside the last cell that its node is still the last but one.
+# Bounds the cosine in y from below.
+MIN_COSINE = 0.3
+# rad/s: the range of y on the first grid, wider than any solution needs.
+INITIAL_Y = (-10.0, 22.0)
+# Cells: positions end so far before the last node, so that they lie in a cell.
 EDGE = 1e-4
-# The position from which nothing follows.
-DEAD = -1.0
-# rad/s: nodes near +-pi/2 where the platform would need more of the pendulum are no states that anybody reaches.
-FASTEST_NODE = 40.0
+# Stands for the position of a failed state and of one off the grid.
+FAILED = -1.0
+# rad/s: the rate of nodes near +-pi/2, where no motion reaches the platform's velocity, is clipped.
+MAX_NODE_RATE = 40.0
 
 
 @jitable
@@ -55,30 +55,30 @@ def locate(theta: float, theta_dot: float, x_dot: float, q: float, axes: np.ndar
         axes: first node and spacing of theta (rad), s and w (rad/s), shape (3, 2).
     """
     cos = sincos(theta)[1]
-    moved = x_dot / q
+    rate = x_dot / q
     return (
         (theta - axes[0, 0]) / axes[0, 1],
-        (stretched(moved / max(cos, LEAST_COSINE)) - axes[1, 0]) / axes[1, 1],
-        (moved - cos * theta_dot - axes[2, 0]) / axes[2, 1],
+        (stretched(rate / max(cos, MIN_COSINE)) - axes[1, 0]) / axes[1, 1],
+        (rate - cos * theta_dot - axes[2, 0]) / axes[2, 1],
     )
 
 
 @jitable
-def confined(position: float, nodes: int) -> float:
-    """The nearest position along an axis at which there is something to interpolate."""
+def clamped(position: float, nodes: int) -> float:
+    """The nearest position along an axis that lies in a cell."""
     return max(0.0, min(position, nodes - 1.0 - EDGE))
 
 
 @jitable
-def interpolate(values: np.ndarray, a: float, b: float, c: float, bend: float) -> float:
-    """The value at a position: linear along theta and s, along w linear but for the parabola that all values share.
+def interpolate(values: np.ndarray, a: float, b: float, c: float, curvature: float) -> float:
+    """The value at a position: linear along theta and s; along w linear plus a parabola of known curvature.
 
     Args:
         values: at the nodes, shape of the grid.
         a: position along theta, in cells.
         b: along s.
         c: along w.
-        bend: curvature along w over 2, times the square of its spacing.
+        curvature: half the second derivative along w, times the square of its spacing.
     """
     i, j, k = int(a), int(b), int(c)
     f, g, w = a - i, b - j, c - k
@@ -88,34 +88,34 @@ def interpolate(values: np.ndarray, a: float, b: float, c: float, bend: float) -
     low = values[i + 1, j, k] + w * (values[i + 1, j, k + 1] - values[i + 1, j, k])
     high = values[i + 1, j + 1, k] + w * (values[i + 1, j + 1, k + 1] - values[i + 1, j + 1, k])
     far = low + g * (high - low)
-    return near + f * (far - near) - bend * w * (1.0 - w)
+    return near + f * (far - near) - curvature * w * (1.0 - w)
 
 
 def _locate_all(states: np.ndarray, q: float, axes: np.ndarray, nodes: np.ndarray, positions: np.ndarray) -> None:
     """Writes the position of every column of states, shape (3, n), into positions, shape (n, 3)."""
     for n in range(states.shape[1]):
-        place = locate(states[0, n], states[1, n], states[2, n], q, axes)
+        position = locate(states[0, n], states[1, n], states[2, n], q, axes)
         inside = True
         for axis in range(3):
-            inside = inside and 0.0 <= place[axis] <= nodes[axis] - 1.0
+            inside = inside and 0.0 <= position[axis] <= nodes[axis] - 1.0
         for axis in range(3):
-            positions[n, axis] = confined(place[axis], nodes[axis]) if inside else DEAD
+            positions[n, axis] = clamped(position[axis], nodes[axis]) if inside else FAILED
 
 
 @lru_cache(maxsize=1)
 def _compiled() -> Any:
-    """The function above, compiled."""
+    """`_locate_all`, compiled."""
     return compile_cached(_locate_all)
 
 
 @dataclass(frozen=True)
 class Grid:
-    """A regular grid over (theta, s, w) for one mass of the platform.
+    """A regular grid over (theta, s, w) for one mass of the platform; a state off the grid counts as failed.
 
     Attributes:
-        shape: nodes along theta, s and w, at least 2 each.
-        y: from where to where y is covered, rad/s, 0 within; beyond is dead.
-        w: first and last node of w, rad/s, likewise.
+        shape: nodes along theta, s and w, at least 4 each.
+        y: range of y, rad/s, around 0.
+        w: first and last node of w, rad/s.
         M: mass of the platform, kg.
         capsule: the plant's other constants.
     """
@@ -144,7 +144,7 @@ class Grid:
         """First node and spacing along theta, s and w, shape (3, 2)."""
         low, high = stretched(self.y[0]), stretched(self.y[1])
         spacing = (high - low) / (self.shape[1] - 1)
-        # So that a node lies at rest.
+        # A node lies at s = 0.
         first = -round(-low / spacing) * spacing
         return np.array(
             [
@@ -162,12 +162,12 @@ class Grid:
         s[np.abs(s).argmin()] = 0.0
         theta, s, w = (each.reshape(-1) for each in np.meshgrid(theta, s, w, indexing="ij"))
         cos = sines_and_cosines(theta)[1]
-        moved = np.maximum(cos, LEAST_COSINE) * STRETCH * s / (1.0 - np.abs(s))
-        theta_dot = (moved - w) / np.maximum(cos, 1e-9)
-        return np.stack([theta, np.clip(theta_dot, -FASTEST_NODE, FASTEST_NODE), self.q * moved])
+        rate = np.maximum(cos, MIN_COSINE) * STRETCH * s / (1.0 - np.abs(s))
+        theta_dot = (rate - w) / np.maximum(cos, 1e-9)
+        return np.stack([theta, np.clip(theta_dot, -MAX_NODE_RATE, MAX_NODE_RATE), self.q * rate])
 
     def positions(self, states: np.ndarray) -> np.ndarray:
-        """Where states of shape (3, n) lie, in cells from the first node, shape (n, 3), float32; DEAD off the grid."""
+        """Positions of states of shape (3, n) in cells from the first node, shape (n, 3), float32; else FAILED."""
         out = np.empty((states.shape[1], 3), np.float32)
         _compiled()(np.ascontiguousarray(states, np.float64), self.q, self.axes, np.array(self.shape), out)
         return out

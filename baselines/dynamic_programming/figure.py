@@ -1,4 +1,4 @@
-"""Draws the optimum on the nominal plant: what a state is worth, which torque is best there, and the cycle."""
+"""Draws the solution on the nominal plant: values and best torques over the phase plane, and the limit cycle."""
 
 from __future__ import annotations
 
@@ -7,44 +7,42 @@ from typing import Any
 import numpy as np
 
 from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, add_note, new_figure
-from baselines.optimum.cycles import Cycle, cycle
-from baselines.optimum.motion import ACTIONS
-from baselines.optimum.records import known_optima
-from baselines.optimum.solver import Problem, Solution
+from baselines.dynamic_programming.archive import known_results
+from baselines.dynamic_programming.problem import Problem, Transitions
+from baselines.dynamic_programming.solver import Solution
+from baselines.dynamic_programming.trajectory import ACTIONS, Cycle, cycle
 from capsule_gym.parameters import NOMINAL
 
 # Points of the maps along either axis, and the rates they reach to, rad/s.
 POINTS = 141
 RATES = (-8.0, 14.0)
 THETA = 1.55
-# Every so many of the candidates are tried, which is fine enough for a map.
-EVERY = 3
-# cm: below, a state is as good as lost; and the range of values that is coloured.
-LOST = -20.0
+# cm: states of a smaller value fail; and the range of values that is coloured.
+FAILING = -20.0
 SHOWN = 16.0
 
 
 def draw_optimum() -> Any:
-    """The figure, to be called in the house style."""
-    solution, own = known_optima().solution(Problem()), cycle()
+    """The figure, to be drawn within `baselines.drawing.style`."""
+    solution, own = known_results().solution(Problem()), cycle()
     q = solution.grid.q
     w = float(np.median(own.x_dot / q - np.cos(own.theta) * own.theta_dot))
     figure = new_figure(5.6)
     (value, torque), (motion, force) = figure.subplots(2, 2, height_ratios=(1.35, 1.0))
     values, torques = _maps(solution, w)
-    top = float(values.max())
-    _draw_map(figure, value, np.where(values < LOST, np.nan, values), own, "viridis", "value (cm)", (top - SHOWN, top))
-    value.set_title("What a state is worth, against the start")
-    limit = solution.problem.torque_limit
-    _draw_map(figure, torque, np.where(values < LOST, np.nan, torques), own, "RdBu_r", "torque (N m)", (-limit, limit))
+    top, limit, failing = float(values.max()), solution.problem.torque_limit, values < FAILING
+    _draw_map(figure, value, np.where(failing, np.nan, values), own, "viridis", "value (cm)", (top - SHOWN, top))
+    value.set_title("Value of a state, relative to the start")
+    _draw_map(figure, torque, np.where(failing, np.nan, torques), own, "RdBu_r", "torque (N m)", (-limit, limit))
     torque.set_title("The best torque")
     _draw_motion(motion, own)
     _draw_forces(force, own)
     add_note(
         figure,
-        f"Nominal plant, torque held for 20 ms. Maps: the slice where the centre of mass moves at {100.0 * q * w:.1f} "
-        "cm/s, its median over the cycle; grey: lost. Black: the cycle, which begins at the dot. Shaded: the platform "
-        f"slides backwards, and friction pushes the capsule forwards. Period {own.period:.2f} s, {own.speed:.1f} cm/s.",
+        f"Nominal plant, control interval 20 ms. Maps: the slice where the centre of mass moves at {100.0 * q * w:.1f} "
+        "cm/s, its median over the cycle; grey: failure. Black: the cycle, which begins at the dot. Shaded: the "
+        "platform slides backwards, and friction pushes the capsule forwards. Period "
+        f"{own.period:.2f} s, {own.speed:.1f} cm/s.",
     )
     return figure
 
@@ -54,13 +52,13 @@ def _maps(solution: Solution, w: float) -> tuple[np.ndarray, np.ndarray]:
     theta, theta_dot = np.meshgrid(np.linspace(-THETA, THETA, POINTS), np.linspace(*RATES, POINTS))
     x_dot = solution.grid.q * (w + np.cos(theta) * theta_dot)
     states = np.stack([theta.ravel(), theta_dot.ravel(), x_dot.ravel()])
-    holds = solution.problem.holds(states.shape[1])
+    model = Transitions(solution.problem, states.shape[1])
     best = np.full(states.shape[1], -np.inf)
     torques = np.zeros(states.shape[1])
-    for action in ACTIONS[::EVERY]:
-        holds.put(states)
-        ends, rewards, dead = holds.take(np.full(best.size, action))
-        scores = np.where(dead, -np.inf, rewards + solution.at(ends))
+    # Every third torque is fine enough for a map.
+    for action in ACTIONS[::3]:
+        ends, rewards, failed = model.step(states, np.full(best.size, action))
+        scores = np.where(failed, -np.inf, rewards + solution.at(ends))
         torques = np.where(scores > best, solution.problem.torque_limit * action, torques)
         best = np.maximum(best, scores)
     return best.reshape(theta.shape), torques.reshape(theta.shape)

@@ -1,0 +1,158 @@
+"""What the gait search and the dynamic programming share: the grid of plants, the archive format and the search loop.
+
+An archive is a folder with `archive.json`, an object whose lists hold one result a line, and with `arrays.npz` where
+results have arrays.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from capsule_gym.elementary import log
+from capsule_gym.files import replacing, write_atomically
+
+GRID_M = (0.35, 0.5, 0.75, 1.0)
+GRID_MU = (0.005, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5)
+PLANTS = tuple((M, mu) for M in GRID_M for mu in GRID_MU)
+ARCHIVE, ARRAYS = "archive.json", "arrays.npz"
+
+T = TypeVar("T")
+
+
+def read_archive(
+    folder: Path, command: str, build: Callable[[dict[str, Any], dict[str, np.ndarray]], T], empty: Callable[[], T]
+) -> T:
+    """Reads an archive.
+
+    Args:
+        folder: of the files.
+        command: that writes them, for the error message.
+        build: makes the archive from the JSON object, in which lists have become tuples, and the arrays.
+        empty: makes the archive of a folder without one.
+
+    Raises:
+        ValueError: if a file is malformed.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    try:
+        if not (folder / ARCHIVE).is_file():
+            return empty()
+        content = _frozen(json.loads((folder / ARCHIVE).read_text(encoding="utf-8")))
+        if (folder / ARRAYS).is_file():
+            # From memory: numpy leaves a malformed file open.
+            with np.load(io.BytesIO((folder / ARRAYS).read_bytes()), allow_pickle=False) as found:
+                arrays = dict(found)
+        return build(content, arrays)
+    except (KeyError, IndexError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        message = f"{folder} must hold an archive written by `{command}`, got {type(error).__name__}: {error}"
+        raise ValueError(message) from error
+
+
+def _frozen(value: Any) -> Any:
+    """The same JSON value with tuples for lists, as frozen dataclasses hold them."""
+    if isinstance(value, dict):
+        return {key: _frozen(each) for key, each in value.items()}
+    return tuple(_frozen(each) for each in value) if isinstance(value, list) else value
+
+
+def write_archive(folder: Path, content: Mapping[str, Any], arrays: Mapping[str, np.ndarray] | None = None) -> None:
+    """Writes an archive, each file atomically and the results last, so that none lacks its arrays.
+
+    Args:
+        folder: of the files.
+        content: the JSON object; the entries of its lists get a line each.
+        arrays: by name.
+    """
+    if arrays:
+        ordered: dict[str, Any] = {name: arrays[name] for name in sorted(arrays)}
+        with replacing(folder / ARRAYS) as temporary:
+            np.savez_compressed(temporary, **ordered)
+    parts = []
+    for name, value in content.items():
+        lines = ",\n".join(f"  {json.dumps(each)}" for each in value) if isinstance(value, list) else ""
+        parts.append(f' "{name}": ' + (f"[\n{lines}\n ]" if lines else json.dumps(value)))
+    write_atomically(folder / ARCHIVE, "{\n" + ",\n".join(parts) + "\n}\n")
+
+
+def run_search(steps: Iterable[object], save: Callable[[], None]) -> bool:
+    """Takes the steps of a search and saves after each; Ctrl-C ends the search and keeps what has been found.
+
+    Args:
+        steps: does the work as it is iterated.
+        save: writes what has been found so far.
+
+    Returns:
+        Whether Ctrl-C ended the search.
+    """
+    try:
+        for _ in steps:
+            save()
+    except KeyboardInterrupt:
+        save()
+        print("\ninterrupted: results so far are kept", flush=True)
+        return True
+    return False
+
+
+@lru_cache(maxsize=1)
+def _log_grid() -> list[float]:
+    """The logarithms of `GRID_MU`."""
+    return [log(mu) for mu in GRID_MU]
+
+
+def _locate(M: float, mu: float) -> tuple[tuple[int, float], tuple[int, float]]:
+    """The cell of the grid that contains a plant, along M and log(mu), and the position in it from 0 to 1."""
+
+    def along(value: float, nodes: Sequence[float]) -> tuple[int, float]:
+        cell = min(bisect_right(nodes, value), len(nodes) - 1) - 1
+        return cell, (value - nodes[cell]) / (nodes[cell + 1] - nodes[cell])
+
+    return along(M, GRID_M), along(log(mu), _log_grid())
+
+
+def in_grid(M: float, mu: float) -> bool:
+    """Whether a plant lies within the grid."""
+    return GRID_M[0] <= M <= GRID_M[-1] and GRID_MU[0] <= mu <= GRID_MU[-1]
+
+
+def between_plants(table: Mapping[tuple[float, float], float], M: float, mu: float) -> float:
+    """Interpolates a table between the plants of the grid, linearly in M and in log(mu).
+
+    Args:
+        table: a number for every plant of the grid.
+        M: mass of the platform, kg.
+        mu: friction coefficient.
+
+    Raises:
+        ValueError: if the plant lies outside the grid.
+    """
+    if not in_grid(M, mu):
+        raise ValueError(
+            f"M must be in [{GRID_M[0]}, {GRID_M[-1]}] kg and mu in [{GRID_MU[0]}, {GRID_MU[-1]}], "
+            f"got M={M!r}, mu={mu!r}"
+        )
+    (row, share_M), (column, share_mu) = _locate(M, mu)
+    corners = [[table[GRID_M[i], GRID_MU[j]] for j in (column, column + 1)] for i in (row, row + 1)]
+    below, above = (left + share_mu * (right - left) for left, right in corners)
+    return below + share_M * (above - below)
+
+
+def interpolation_weights(M: float, mu: float) -> tuple[list[int], list[float]]:
+    """The corners of a plant's cell, as indices of `PLANTS`, and their weights; outside the grid those of its edge."""
+    M = min(max(M, GRID_M[0]), GRID_M[-1])
+    mu = min(max(mu, GRID_MU[0]), GRID_MU[-1])
+    (row, share_M), (column, share_mu) = _locate(M, mu)
+    # Rounding of the logarithm may miss an edge.
+    share_mu = min(max(share_mu, 0.0), 1.0)
+    corners = [i * len(GRID_MU) + j for i in (row, row + 1) for j in (column, column + 1)]
+    weights = [a * b for a in (1.0 - share_M, share_M) for b in (1.0 - share_mu, share_mu)]
+    return corners, weights

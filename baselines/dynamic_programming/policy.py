@@ -1,0 +1,180 @@
+"""The scripted policies `optimum-nominal` and `optimum-oracle`: one-step lookahead with the values of the solutions.
+
+A policy tries a few dozen torques in the environment's own step, on the plant that it assumes, and takes the one with
+the largest reward plus value of the next state. The values are those of the coarse grids; between the plants of
+`baselines.archive.PLANTS` they are interpolated, linearly in M and log(mu).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from baselines.archive import PLANTS, interpolation_weights
+from baselines.dynamic_programming import MIN_NORMAL_FORCE
+from baselines.dynamic_programming.archive import known_results
+from baselines.dynamic_programming.grid import clamped, interpolate, locate
+from baselines.dynamic_programming.problem import Problem, Transitions
+from baselines.dynamic_programming.solver import Solution
+from capsule_gym.compilation import compile_cached
+from capsule_gym.parameters import NOMINAL
+
+Act = Callable[[np.ndarray], np.ndarray]
+
+# Torques over their limit that a policy tries, float32 as the environment's actions.
+NUM_TORQUES = 41
+TORQUES = np.linspace(-1.0, 1.0, NUM_TORQUES).astype(np.float32)
+# cm: the score of a torque that fails.
+FAILURE_SCORE = -1e6
+# N: `optimum-nominal` leaves so much normal force, for platforms that are lighter than it assumes.
+NOMINAL_MARGIN = 1.6
+
+
+def _score(
+    states: np.ndarray,
+    rewards: np.ndarray,
+    failed: np.ndarray,
+    q: np.ndarray,
+    corners: np.ndarray,
+    weights: np.ndarray,
+    values: np.ndarray,
+    shapes: np.ndarray,
+    axes: np.ndarray,
+    curvatures: np.ndarray,
+    failure: float,
+    scores: np.ndarray,
+) -> None:
+    """Writes the scores of every environment's torques.
+
+    Args:
+        states: next states, shape (3, environments torques).
+        rewards: of the steps, cm.
+        failed: whether the steps fail.
+        q: m l / (M + m) of every environment, m.
+        corners: tables around every environment's plant, shape (environments, corners).
+        weights: of these tables, shape (environments, corners).
+        values: of all tables, concatenated.
+        shapes: of the tables, and in a fourth column where each begins.
+        axes: shape (tables, 3, 2).
+        curvatures: of the tables, `Solution.cell_curvature`, cm.
+        failure: the score of a torque that fails, cm.
+        scores: cm, shape (environments, torques); written.
+    """
+    count = scores.shape[1]
+    for n in range(scores.shape[0]):
+        for a in range(count):
+            lane = n * count + a
+            score = rewards[lane]
+            if failed[lane]:
+                score = failure
+            else:
+                for c in range(corners.shape[1]):
+                    t = corners[n, c]
+                    if weights[n, c] > 0.0:
+                        size, begin = shapes[t], shapes[t, 3]
+                        end = begin + size[0] * size[1] * size[2]
+                        table = values[begin:end].reshape((size[0], size[1], size[2]))
+                        i, j, k = locate(states[0, lane], states[1, lane], states[2, lane], q[n], axes[t])
+                        i, j, k = clamped(i, size[0]), clamped(j, size[1]), clamped(k, size[2])
+                        score += weights[n, c] * interpolate(table, i, j, k, curvatures[t])
+            scores[n, a] = score
+
+
+@lru_cache(maxsize=1)
+def _compiled() -> Any:
+    """`_score`, compiled."""
+    return compile_cached(_score)
+
+
+def _tables(solutions: Sequence[Solution]) -> tuple[np.ndarray, ...]:
+    """The values of solutions as `_score` takes them: values, shapes, axes and curvatures."""
+    begins = np.cumsum([0, *(solution.values.size for solution in solutions[:-1])])
+    return (
+        np.concatenate([solution.values.reshape(-1) for solution in solutions]),
+        np.array([(*s.grid.shape, begin) for s, begin in zip(solutions, begins.tolist(), strict=True)]),
+        np.array([solution.grid.axes for solution in solutions]),
+        np.array([solution.cell_curvature for solution in solutions]),
+    )
+
+
+class Lookahead:
+    """The policy on the nominal plant, for some environments.
+
+    Args:
+        count: environments.
+        tables: of `_tables`.
+        margin: normal force that a torque must leave, N.
+    """
+
+    def __init__(self, count: int, tables: tuple[np.ndarray, ...], margin: float) -> None:
+        self._tables = tables
+        self._transitions = Transitions(Problem(margin=margin), count * NUM_TORQUES)
+        self._actions = np.tile(TORQUES.astype(np.float64), count)
+        self._scores = np.empty((count, NUM_TORQUES))
+        self._q = np.full(count, NOMINAL.m * NOMINAL.l / (NOMINAL.M + NOMINAL.m))
+        self._corners, self._weights = np.zeros((count, 1), np.int64), np.ones((count, 1))
+
+    def scores(self, observations: np.ndarray) -> np.ndarray:
+        """The score of each torque: its reward plus the value of the next state, cm; `FAILURE_SCORE` if it fails.
+
+        Args:
+            observations: shape (count, entries); theta, theta_dot and x_dot come first.
+
+        Returns:
+            Shape (count, torques), float64, in the order of `TORQUES`; the next call changes it.
+        """
+        states = np.repeat(observations[:, :3].T.astype(np.float64), NUM_TORQUES, axis=1)
+        outcome = self._transitions.step(states, self._actions)
+        plants = self._q, self._corners, self._weights
+        _compiled()(*outcome, *plants, *self._tables, FAILURE_SCORE, self._scores)
+        return self._scores
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """The actions for observations of shape (count, entries): shape (count, 1), float32."""
+        return TORQUES[self.scores(observations).argmax(axis=1)][:, None]
+
+
+class Oracle(Lookahead):
+    """The policy that observes the plants: M and mu are the last two entries of an observation.
+
+    Args:
+        count: environments.
+        margin: normal force that a torque must leave, N.
+    """
+
+    def __init__(self, count: int, margin: float = MIN_NORMAL_FORCE) -> None:
+        super().__init__(count, _oracle_tables(), margin)
+        self._observed = np.zeros((count, 2), np.float32)
+
+    def scores(self, observations: np.ndarray) -> np.ndarray:
+        """As of any lookahead, on the plants observed."""
+        plants = observations[:, -2:]
+        # On most steps no plant has changed.
+        if not np.array_equal(plants, self._observed):
+            self._observed[:] = plants
+            M, mu = plants.T.astype(np.float64)
+            self._transitions.set_plants(np.repeat(M, NUM_TORQUES), np.repeat(mu, NUM_TORQUES))
+            self._q = NOMINAL.m * NOMINAL.l / (M + NOMINAL.m)
+            cells = [interpolation_weights(*plant) for plant in zip(M.tolist(), mu.tolist(), strict=True)]
+            self._corners, self._weights = (np.array(each) for each in zip(*cells, strict=True))
+        return super().scores(observations)
+
+
+@lru_cache(maxsize=1)
+def _oracle_tables() -> tuple[np.ndarray, ...]:
+    """The values of every plant of the grid."""
+    return _tables([known_results().solution(Problem(M=M, mu=mu)) for M, mu in PLANTS])
+
+
+def start_nominal(seeds: Sequence[int]) -> Act:
+    """The policy of the nominal plant that leaves `NOMINAL_MARGIN` of normal force, on every plant."""
+    tables = _tables([known_results().solution(Problem(margin=NOMINAL_MARGIN))])
+    return Lookahead(len(seeds), tables, NOMINAL_MARGIN).act
+
+
+def start_oracle(seeds: Sequence[int]) -> Act:
+    """The policy that observes the plant."""
+    return Oracle(len(seeds)).act

@@ -1,0 +1,199 @@
+"""Grid, transitions and solver: against the environment, closed forms and value iteration in numpy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+from baselines.dynamic_programming.grid import FAILED, Grid
+from baselines.dynamic_programming.problem import Problem, Transitions
+from baselines.dynamic_programming.refinement import divide_nodes
+from baselines.dynamic_programming.solver import FAILURE_VALUE, _compiled, _improve, solve, transitions, values_at
+from baselines.dynamic_programming.trajectory import repeat, run_policy
+from capsule_gym import CapsuleEnv
+
+SHAPE = (13, 18, 7)
+
+
+def make_grid(shape=SHAPE, w=(-2.0, 5.0)):
+    return Grid(shape, (-6.0, 20.0), w, 0.5)
+
+
+@pytest.fixture(scope="module")
+def solution():
+    return solve(Problem(), make_grid(), torques=5, refinements=0, tolerance=0.02)
+
+
+# The grid
+
+
+def test_nodes_lie_at_their_own_positions():
+    grid = make_grid()
+    states = grid.nodes()
+    expected = np.stack(np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij"), axis=-1).reshape(-1, 3)
+    # Rounding may put the outermost nodes off the grid, and the rate of others is clipped.
+    inner = ((expected > 0) & (expected < np.array(SHAPE) - 1)).all(axis=1) & (np.abs(states[1]) < 39.0)
+    np.testing.assert_allclose(grid.positions(states)[inner], expected[inner], atol=2e-4)
+    assert inner.mean() > 0.3
+    # Stick lies on nodes.
+    assert (states[2] == 0.0).sum() == SHAPE[0] * SHAPE[2]
+    position = grid.positions(np.array([[0.3], [2.0], [0.0]]))[0, 1]
+    assert position == pytest.approx(round(position), abs=1e-5)
+
+
+def test_states_off_the_grid_fail():
+    states = np.array([[0.0, 0.0, 1.6, 0.0], [0.0, 0.0, 0.0, 30.0], [0.0, 2.0, 0.0, 0.0]])
+    positions = make_grid().positions(states)
+    assert (positions[0] >= 0.0).all()
+    assert (positions[1:, 0] == FAILED).all()
+
+
+def test_interpolation_is_exact_for_linear_functions_plus_the_parabola():
+    rng = np.random.default_rng(0)
+    positions = (rng.random((50, 3)) * (np.array(SHAPE) - 1.01)).astype(np.float32)
+    a, b, c = np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij")
+    values = (2.0 * a - 3.0 * b + 0.7 * c + 0.5 * c * c).astype(np.float32)
+    x, y, z = positions.astype(np.float64).T
+    expected = 2.0 * x - 3.0 * y + 0.7 * z + 0.5 * z * z
+    np.testing.assert_allclose(values_at(values, positions, 0.5), expected, rtol=1e-5, atol=1e-4)
+
+
+def test_nodes_are_divided_by_the_ranges():
+    assert divide_nodes((31, 51, 16), (-6.0, 20.0), (-1.0, 4.8)) == (31, 51, 16)
+    along_theta, along_s, along_w = divide_nodes((31, 51, 16), (-1.0, 3.4), (-16.0, 14.0))
+    assert along_theta == 31 and along_s < along_w
+    assert along_s * along_w == pytest.approx(51 * 16, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("shape", "y", "w", "named"),
+    [
+        ((3, 9, 9), (-1.0, 1.0), (-1.0, 1.0), "shape"),
+        ((9, 9), (-1.0, 1.0), (-1.0, 1.0), "shape"),
+        ((9, 9, 9), (1.0, 2.0), (-1.0, 1.0), "y must be"),
+        ((9, 9, 9), (-1.0, 1.0), (1.0, 1.0), "w must be"),
+    ],
+)
+def test_invalid_grids_raise_an_error(shape, y, w, named):
+    with pytest.raises(ValueError, match=named):
+        Grid(shape, y, w, 0.5)
+
+
+# Transitions
+
+
+def test_a_transition_is_a_step_of_the_environment_bit_for_bit():
+    rng = np.random.default_rng(1)
+    starts = rng.uniform([-1.2, -6.0, 0.0, -0.3], [1.2, 6.0, 0.0, 0.6], (40, 4))
+    starts[::3, 3] = 0.0
+    actions = rng.uniform(-1.0, 1.0, 40).astype(np.float32)
+    model = Transitions(Problem(mu=0.2, energy_weight=0.3), 40)
+    # A batch that has been used is as good as a new one, and every state may have its own plant.
+    model.step(rng.uniform(-1.0, 1.0, (3, 40)), np.ones(40))
+    M = rng.uniform(0.4, 0.6, 40)
+    model.set_plants(M, np.full(40, 0.2))
+    ends, rewards, failed = model.step(starts[:, [0, 1, 3]].T, actions.astype(np.float64))
+    env = CapsuleEnv(randomization="none", energy_weight=0.3, termination_penalty=0.0)
+    for i, (start, action) in enumerate(zip(starts, actions, strict=True)):
+        env.reset(seed=0, options={"M": M[i], "mu": 0.2, "state": start})
+        _, reward, terminated, _, info = env.step(action[None])
+        assert (ends[:, i] == info["state"][[0, 1, 3]]).all()
+        assert (rewards[i], failed[i]) == (reward, terminated)
+    env.close()
+
+
+def test_lost_contact_the_end_of_the_swing_and_the_edge_of_the_grid_fail():
+    grid = make_grid()
+    nodes = grid.nodes()
+    torques = np.tile([-1.0, 1.0], (nodes.shape[1], 1))
+    failed = transitions(Problem(), grid, torques)[0][..., 0] == FAILED
+    falling = (nodes[0] > 1.5) & (nodes[1] > 5.0)
+    assert falling.any() and failed[falling].all()
+    # (M + m) g = m l theta_dot^2 at the upright.
+    thrown = (np.abs(nodes[0]) < 0.1) & (nodes[1] > 13.0)
+    assert thrown.any() and failed[thrown].all()
+    slow = (np.abs(nodes[0]) < 0.9) & (np.abs(nodes[1]) < 2.0) & (np.abs(nodes[2]) < 0.2)
+    inner = (grid.positions(nodes)[:, 2] > 1.5) & (grid.positions(nodes)[:, 2] < 4.5)
+    assert (slow & inner).any() and not failed[slow & inner].any()
+    with_margin = transitions(Problem(margin=3.0), grid, torques)[0][..., 0] == FAILED
+    assert (with_margin >= failed).all() and with_margin.sum() > failed.sum()
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"M": -1.0}, {"mu": np.nan}, {"margin": -1.0}, {"control_dt": 0.0}, {"torque_limit": 0.0}]
+)
+def test_invalid_problems_raise_an_error(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        Problem(**wrong)
+
+
+# The solver
+
+
+def test_the_solution_is_that_of_value_iteration(solution):
+    """Relative value iteration in numpy, with scipy's interpolation, on the same transitions."""
+    grid, torques = solution.grid, np.tile(np.linspace(-1.0, 1.0, 5), (np.prod(SHAPE), 1))
+    positions, rewards = transitions(Problem(), grid, torques)
+    failed = positions[..., 0] == FAILED
+    coordinates = np.moveaxis(positions, 2, 0).reshape(3, -1).clip(0.0)
+
+    def operator(values):
+        after = map_coordinates(values, coordinates, order=1).reshape(rewards.shape)
+        return (rewards + np.where(failed, FAILURE_VALUE, after)).max(axis=1).reshape(SHAPE)
+
+    values = solution.values.astype(np.float64)
+    alive = values > 0.5 * FAILURE_VALUE
+    # Its own values change by the gain alone, and other initial values converge to them.
+    assert np.ptp((operator(values) - values)[alive]) < 0.05 * Problem().control_dt + 1e-4
+    assert solution.span < 0.02
+    origin = grid.positions(np.array([[-np.pi / 3.0], [0.0], [0.0]])).T
+    other = np.zeros(SHAPE)
+    for _ in range(600):
+        other = operator(other)
+        other -= map_coordinates(other, origin, order=1)
+    np.testing.assert_allclose(other[alive], values[alive], atol=0.5)
+    assert 10.0 < solution.gain < 30.0
+    assert solution.at(np.array([[-np.pi / 3.0], [0.0], [0.0]]))[0] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_the_operator_is_monotone_and_a_contraction():
+    torques = np.tile(np.linspace(-1.0, 1.0, 3), (np.prod(SHAPE), 1))
+    positions, rewards = transitions(Problem(), make_grid(), torques)
+    chosen = np.zeros(np.prod(SHAPE), np.int32)
+
+    def operator(values):
+        out = np.empty_like(values)
+        _compiled(_improve)(values, out, chosen, positions, rewards, 0.3, 0.01, FAILURE_VALUE)
+        return out
+
+    rng = np.random.default_rng(2)
+    below = rng.uniform(FAILURE_VALUE, 50.0, SHAPE).astype(np.float32)
+    above = below + rng.uniform(0.0, 5.0, SHAPE).astype(np.float32)
+    change = operator(above) - operator(below)
+    assert (change >= -1e-4).all() and change.max() <= (above - below).max() + 1e-4
+    assert np.unique(chosen).size > 1
+
+
+def test_more_torques_and_a_smaller_energy_weight_gain_more(solution):
+    coarse = solve(Problem(), make_grid(), torques=3, refinements=0)
+    refined = solve(Problem(), make_grid(), torques=5, refinements=1, start=solution)
+    assert coarse.gain < solution.gain + 0.05 and solution.gain < refined.gain + 0.05
+    assert solve(Problem(energy_weight=3.0), make_grid(), torques=5, refinements=0, start=solution).gain < solution.gain
+
+
+def test_without_torque_or_friction_nothing_is_gained():
+    # The pendulum swings to rest, which moves the platform once.
+    settled = run_policy(solve(Problem(torque_limit=1e-6), make_grid(), torques=1, refinements=2, tolerance=0.2))
+    assert abs(settled.metrics["mean_speed"][0]) < 0.05
+    assert (settled.states[-500:, 2] == settled.states[-1, 2]).all()
+    # The centre of mass stays where it is, and the platform within an arm's length of it.
+    frictionless = solve(Problem(mu=0.0), make_grid(w=(-1.0, 1.0)), torques=5, refinements=0, tolerance=0.2)
+    assert abs(run_policy(frictionless, horizon=4.0).states[-1, 2, 0]) < 2.0 * frictionless.grid.q
+
+
+def test_a_trajectory_repeats_bit_for_bit(solution):
+    trajectory = run_policy(solution, horizon=3.0)
+    again = repeat(solution.problem, trajectory.choices[:, 0])
+    assert (again.states == trajectory.states).all()
+    assert again.metrics["mean_speed"] == trajectory.metrics["mean_speed"] > 0.0
