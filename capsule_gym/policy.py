@@ -27,7 +27,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -58,6 +58,14 @@ SEED_FOLDER = re.compile(r"seed-([0-9]{1,18})")
 # A wheel carries the pretrained policies in the package; in a checkout they lie with the training commands.
 FOLDERS = (Path(__file__).with_name("checkpoints"), Path(__file__).parents[1] / "agents" / "checkpoints")
 FORMAT, FORMAT_VERSION = "capsule_gym policy", "2"
+_SWITCH = ({"true": True, "false": False}.__getitem__, "'true' or 'false'")
+# How each entry of a file's metadata is read, and what is accepted there; `Policy` checks the rest.
+METADATA: dict[str, tuple[Callable[[str], Any], str]] = {
+    **dict.fromkeys(("algorithm", "activation", "squashing", "output", "env_kwargs", "revision"), (str, "a string")),
+    **dict.fromkeys(("identifies", "told_energy_weight"), _SWITCH),
+    **dict.fromkeys(("clip", "epsilon"), (float, "a number")),
+    "training_seed": (int, "an integer >= 0"),
+}
 # The algorithm whose policies copy others, and learn from no reward.
 IMITATION = "dagger"
 ACTIVATIONS, SQUASHINGS, OUTPUTS = ("tanh", "relu"), ("clip", "tanh"), ("action", "torque")
@@ -90,39 +98,6 @@ def pretrained() -> dict[str, Path]:
         found.setdefault(name, file)
         found[f"{name}/seed-{seed}"] = file
     return found
-
-
-class Actor:
-    """A policy in a batch of episodes, from their beginnings on: the function from observations to actions.
-
-    Args:
-        policy: what acts.
-        count: how many episodes.
-    """
-
-    def __init__(self, policy: Policy, count: int) -> None:
-        self.policy = policy
-        self._memory = policy.new_memory(count)
-        self._count = count
-
-    def __call__(self, observations: np.ndarray) -> np.ndarray:
-        """The actions of the next step.
-
-        Args:
-            observations: shape (episodes, entries), finite; of a single episode also (entries,).
-
-        Returns:
-            Shape (episodes, 1), or (1,), float32, in [-1, 1].
-
-        Raises:
-            ValueError: if the observations have another shape or are not finite.
-        """
-        array = self.policy._checked(observations)
-        rows = array.reshape(-1, array.shape[-1])
-        if len(rows) != self._count:
-            raise ValueError(f"observations must be of {self._count} episodes, one a row, got {len(rows)} rows")
-        actions = self.policy._decide(rows, self._memory)
-        return actions if array.ndim == 2 else actions[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,12 +244,12 @@ class Policy:
                 f"{self.name!r} identifies M and mu from one observation to the next: act = policy.start([0]) at the "
                 "beginning of an episode, then act(observation) at every step"
             )
-        array = self._checked(observation)
-        actions = self._decide(array.reshape(-1, self.entries), np.zeros(0))
-        return actions if array.ndim == 2 else actions[0]
+        return self._act(observation, np.zeros(0))
 
-    def _checked(self, observation: Any) -> np.ndarray:
-        """One observation, or many, as compiled code can read it."""
+    def _act(self, observation: Any, memory: np.ndarray, count: int | None = None) -> np.ndarray:
+        """The actions for one observation or for many, of `count` episodes where that is fixed; changes the memory."""
+        from capsule_gym.network import compiled_act_batch
+
         try:
             array = np.require(observation, np.float32, ["C", "A"])
         except (TypeError, ValueError, OverflowError) as error:
@@ -283,15 +258,12 @@ class Policy:
             raise ValueError(
                 f"observation must be finite and of shape ({self.entries},) or (n, {self.entries}), got {observation!r}"
             )
-        return array
-
-    def _decide(self, rows: np.ndarray, memory: np.ndarray) -> np.ndarray:
-        """The actions for observations (n, entries) and what is remembered of these episodes, which changes."""
-        from capsule_gym.network import compiled_act_batch
-
+        rows = array.reshape(-1, self.entries)
+        if count not in (None, len(rows)):
+            raise ValueError(f"observations must be of {count} episodes, one a row, got {len(rows)} rows")
         actions = np.empty((len(rows), 1), np.float32)
         compiled_act_batch()(self._network, rows, memory, np.empty((len(rows), len(self.mean)), np.float32), actions)
-        return actions
+        return actions if array.ndim == 2 else actions[0]
 
     def new_memory(self, count: int) -> np.ndarray:
         """What it remembers at the beginning of so many episodes: of one that identifies M and mu the filters."""
@@ -299,16 +271,18 @@ class Policy:
 
         return np.zeros(count * CELLS if self.identifies else 0)
 
-    def start(self, seeds: Sequence[int]) -> Actor:
+    def start(self, seeds: Sequence[int]) -> Callable[[np.ndarray], np.ndarray]:
         """Begins a batch of episodes, as scripted policies do.
 
         Args:
             seeds: one per episode; the policy draws no random numbers and counts them only.
 
         Returns:
-            The function from observations (n, entries) to actions (n, 1), float32, to be called once per step.
+            The function from observations (episodes, entries) to actions (episodes, 1), or from (entries,) of a single
+            episode to (1,), to be called once per step. It raises a ValueError as the policy itself does.
         """
-        return Actor(self, len(seeds))
+        memory = self.new_memory(len(seeds))
+        return lambda observations: self._act(observations, memory, len(seeds))
 
     def with_energy_weight(self, energy_weight: float) -> Policy:
         """The same policy with another energy weight among its inputs, in cm/J.
@@ -478,66 +452,23 @@ def _parse(name: str, path: Path) -> Policy:
                 raise ValueError(f"{tensor} must be {dtype}, got {part.get_dtype()}")
         _widths([(parts[weights].get_shape(), parts[bias].get_shape()) for weights, bias in layers])
         arrays = {tensor: file.get_tensor(tensor) for tensor in names}
+    values: dict[str, Any] = {}
+    for key, (read, accepted) in METADATA.items():
+        if key not in metadata:
+            raise ValueError(f"its metadata must hold {key!r}, got {sorted(metadata)}")
+        try:
+            values[key] = read(metadata[key])
+        except (KeyError, ValueError):
+            raise ValueError(f"{key} must be {accepted}, got {metadata[key][:50]!r}") from None
+    values["env_kwargs"] = env_kwargs = json.loads(values["env_kwargs"])
+    for key, kind in (("capsule", Capsule), ("randomization", Randomization)):
+        if isinstance(env_kwargs, dict) and isinstance(env_kwargs.get(key), dict):
+            env_kwargs[key] = kind(**env_kwargs[key])
+    values["observes_energy_weight"] = values.pop("told_energy_weight")
     return Policy(
         name=name,
-        algorithm=_text(metadata, "algorithm"),
         layers=tuple((arrays[weights], arrays[bias]) for weights, bias in layers),
-        activation=_text(metadata, "activation"),
-        squashing=_text(metadata, "squashing"),
-        output=_text(metadata, "output"),
-        identifies=_switch(metadata, "identifies"),
-        observes_energy_weight=_switch(metadata, "told_energy_weight"),
         mean=arrays["inputs.mean"],
         variance=arrays["inputs.variance"],
-        clip=_number(metadata, "clip"),
-        epsilon=_number(metadata, "epsilon"),
-        env_kwargs=_env_kwargs(_text(metadata, "env_kwargs")),
-        training_seed=_seed(_text(metadata, "training_seed")),
-        revision=_text(metadata, "revision"),
+        **values,
     )
-
-
-def _text(metadata: dict[str, str], key: str) -> str:
-    """An entry of the metadata."""
-    if key not in metadata:
-        raise ValueError(f"its metadata must hold {key!r}, got {sorted(metadata)}")
-    return metadata[key]
-
-
-def _number(metadata: dict[str, str], key: str) -> float:
-    """An entry of the metadata that is a number."""
-    text = _text(metadata, key)
-    try:
-        return float(text)
-    except ValueError:
-        raise ValueError(f"{key} must be a number, got {text[:50]!r}") from None
-
-
-def _switch(metadata: dict[str, str], key: str) -> bool:
-    """An entry of the metadata that is true or false."""
-    text = _text(metadata, key)
-    if text not in ("true", "false"):
-        raise ValueError(f"{key} must be 'true' or 'false', got {text[:50]!r}")
-    return text == "true"
-
-
-def _seed(text: str) -> int:
-    """A training seed."""
-    if not re.fullmatch(r"[0-9]{1,40}", text):
-        raise ValueError(f"training_seed must be an integer >= 0, got {text[:50]!r}")
-    return int(text)
-
-
-def _env_kwargs(text: str) -> dict[str, Any]:
-    """The environment's arguments out of their JSON: capsules and ranges become what they were."""
-
-    def refuse(constant: str) -> None:
-        raise ValueError(f"env_kwargs must hold finite numbers, got {constant}")
-
-    content = json.loads(text, parse_constant=refuse)
-    if not isinstance(content, dict):
-        raise ValueError(f"env_kwargs must be an object, got {text[:50]!r}")
-    for name, kind in (("capsule", Capsule), ("randomization", Randomization)):
-        if isinstance(content.get(name), dict):
-            content[name] = kind(**content[name])
-    return content

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from capsule_gym import identification, kernels, layout
+from capsule_gym import kernels, layout
 from capsule_gym.compilation import compile_now, fingerprint, kernel
 from capsule_gym.layout import AT, LANES
 from capsule_gym.network import act_lanes_noinline, workspace
@@ -125,7 +125,7 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
         [(i, *change) for i, schedule in simulation._changes.items() for change in schedule], np.float64
     ).reshape(-1, 4)
     fixed = layout.pack(simulation.capsule.plant(), simulation.settings, simulation.reference)
-    memory = np.zeros(simulation.num_envs * identification.CELLS if policy.identifies else 0)
+    memory = policy.new_memory(simulation.num_envs)
     inputs = np.empty((simulation.num_envs, len(policy.mean)), np.float32)
     blocks = simulation.world.reshape(len(simulation.world), -1)
     layout.check_arrays(
