@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -38,10 +38,6 @@ class Change:
     M: float
     mu: float
 
-    def to_dict(self) -> dict[str, float]:
-        """The fields as plain types."""
-        return {"t": self.t, "M": self.M, "mu": self.mu}
-
 
 @dataclass(frozen=True)
 class PlantSpec:
@@ -62,14 +58,14 @@ class PlantSpec:
     theta: float = START_THETA
 
     def reset_options(self) -> dict[str, Any]:
-        """What `reset` of an environment is told to begin this episode."""
-        changes = [change.to_dict() for change in self.changes]
+        """The options of `reset` that begin this episode."""
+        changes = [asdict(change) for change in self.changes]
         return {"M": self.M, "mu": self.mu, "state": [self.theta, 0.0, 0.0, 0.0], "changes": changes}
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""
         start = {} if self.theta == START_THETA else {"theta": self.theta}
-        changes = [change.to_dict() for change in self.changes]
+        changes = [asdict(change) for change in self.changes]
         return {"M": self.M, "mu": self.mu, "seed": self.seed, **start, "changes": changes}
 
 
@@ -144,12 +140,6 @@ def _fields(where: str, value: Any, required: Sequence[str], optional: Sequence[
     return value
 
 
-def _items(where: str, value: Any, accepted: str) -> list[Any]:
-    if not isinstance(value, list):
-        raise ValueError(f"{where} must be {accepted}, got {value!r}")
-    return value
-
-
 def _mass_and_friction(where: str, entry: dict[str, Any]) -> tuple[float, float]:
     M = check_number(f"{where}.M", entry["M"], "a finite number > 0 (kg)", 0.0, open_low=True)
     mu = check_number(f"{where}.mu", entry["mu"], "a finite number > 0", 0.0, open_low=True)
@@ -177,7 +167,9 @@ def _parse_plant(where: str, value: Any) -> PlantSpec:
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ValueError(f"{where}.seed must be an integer >= 0, got {seed!r}")
     changes: list[Change] = []
-    for j, change in enumerate(_items(f"{where}.changes", entry.get("changes", []), "a list of changes")):
+    if not isinstance(entry.get("changes", []), list):
+        raise ValueError(f"{where}.changes must be a list of changes, got {entry['changes']!r}")
+    for j, change in enumerate(entry.get("changes", [])):
         changes.append(_parse_change(f"{where}.changes[{j}]", change, changes[-1].t if changes else 0.0))
     return PlantSpec(M, mu, seed, tuple(changes), theta)
 
@@ -197,9 +189,9 @@ def parse_set(content: Any) -> EvaluationSet:
     name = entry["name"]
     if not isinstance(name, str) or not name.strip():
         raise ValueError(f"set.name must be a string that is not empty, got {name!r}")
-    plants = _items("set.plants", entry["plants"], "a list of at least one plant")
-    if not plants:
-        raise ValueError("set.plants must be a list of at least one plant, got []")
+    plants = entry["plants"]
+    if not isinstance(plants, list) or not plants:
+        raise ValueError(f"set.plants must be a list of at least one plant, got {plants!r}")
     return EvaluationSet(name, tuple(_parse_plant(f"set.plants[{i}]", plant) for i, plant in enumerate(plants)))
 
 

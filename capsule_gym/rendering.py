@@ -416,7 +416,9 @@ class Renderer:
         """
         if self._closed:
             raise gymnasium.error.ClosedEnvironmentError("draw() was called after close(): make a new Renderer")
-        if self._mode == "human" and not self._window_is_open():
+        if self._window is not None:
+            self._handle_events()
+        if self.closed:
             return None
         contact = STICK if x_dot == 0.0 else SLIP
         self._record(time, 100.0 * x, x_dot == 0.0)
@@ -433,7 +435,10 @@ class Renderer:
         self._canvas.write(f"M {M:.3f} kg     \N{GREEK SMALL LETTER MU} {mu:.4f}", 17, GREY, 24, HEADER + 46)
         self._draw_contact(x_dot, contact)
         self._draw_chart(time)
-        self._draw_words(over)
+        self._canvas.write(over.note, 16, GREY, CHART_LEFT, CHART_TOP - 14)
+        if over.banner:
+            self._canvas.box(MIDDLE - BANNER_HALF, BANNER, 2 * BANNER_HALF, 32, INK, radius=6)
+            self._canvas.write(over.banner, 20, WHITE, MIDDLE, BANNER + 22, "centre")
         if self._mode == "rgb_array":
             return self._canvas.array()
         self._window.blit(self._canvas.frame(), (0, 0))
@@ -460,18 +465,16 @@ class Renderer:
         """Whether nothing is drawn any more: after `close`, or since its user closed the window."""
         return self._closed or (self._mode == "human" and self._window is None)
 
-    def _window_is_open(self) -> bool:
-        """Answers the window system and says whether the window is still there."""
-        if self._window is not None:
-            # Others may have called pygame.quit(). Taking every event keeps the queue from filling up.
-            events = self._pygame.event.get() if self._pygame.display.get_init() else None
-            if events is None or any(event.type == self._pygame.QUIT for event in events):
-                self._close_window()
-            elif self._on_key is not None:
-                for event in events:
-                    if event.type in (self._pygame.KEYDOWN, self._pygame.KEYUP):
-                        self._on_key(self._pygame.key.name(event.key), event.type == self._pygame.KEYDOWN)
-        return self._window is not None
+    def _handle_events(self) -> None:
+        """Passes the window's keys on, and closes it when its user or `pygame.quit()` of others does."""
+        # Taking every event keeps the queue from filling up.
+        events = self._pygame.event.get() if self._pygame.display.get_init() else None
+        if events is None or any(event.type == self._pygame.QUIT for event in events):
+            self._close_window()
+            return
+        for event in events:
+            if self._on_key is not None and event.type in (self._pygame.KEYDOWN, self._pygame.KEYUP):
+                self._on_key(self._pygame.key.name(event.key), event.type == self._pygame.KEYDOWN)
 
     def _draw_floor(self, x: float) -> None:
         """The ruler as it passes beneath the robot, and the flag at the start."""
@@ -504,13 +507,6 @@ class Renderer:
             canvas.disc(ball, BALL, GHOST)
         text = f"{ghost.name} {_number(100.0 * abs(lead), 1)} cm {'ahead' if lead > 0.0 else 'behind'}"
         canvas.write(text, 17, GREY, WIDTH - 24, HEADER + 46, "right")
-
-    def _draw_words(self, overlay: Overlay) -> None:
-        """The line above the chart, and the one across the ruler."""
-        self._canvas.write(overlay.note, 16, GREY, CHART_LEFT, CHART_TOP - 14)
-        if overlay.banner:
-            self._canvas.box(MIDDLE - BANNER_HALF, BANNER, 2 * BANNER_HALF, 32, INK, radius=6)
-            self._canvas.write(overlay.banner, 20, WHITE, MIDDLE, BANNER + 22, "centre")
 
     def _draw_speed(self, x_dot: float) -> None:
         """An arrow above the shell, as long as the platform is fast."""
@@ -592,15 +588,12 @@ class Renderer:
         while samples[0][0] < time - CHART_SECONDS:
             samples.popleft()
 
-    def _fitting_axes(self, time: float) -> ChartAxes:
-        """The last seconds, and what the displacement was in them."""
-        values = [x_cm for _, x_cm, _ in self._samples]
-        return ChartAxes(max(self._samples[0][0], time - CHART_SECONDS), CHART_SECONDS, min(values), max(values))
-
     def _draw_chart(self, time: float) -> None:
         """The displacement over the last seconds, in the colours of the contact."""
         canvas = self._canvas
-        begin, seconds, low, high = self._axes or self._fitting_axes(time)
+        values = [x_cm for _, x_cm, _ in self._samples]
+        fitting = ChartAxes(max(self._samples[0][0], time - CHART_SECONDS), CHART_SECONDS, min(values), max(values))
+        begin, seconds, low, high = self._axes or fitting
         step = _nice_step(max(high - low, CHART_SMALLEST_SPAN_CM) / 2.0)
         bottom = math.floor(low / step)
         top = max(math.ceil(high / step), bottom + 1)
@@ -623,19 +616,6 @@ class Renderer:
         canvas.disc(previous[0], 4, colour)
 
 
-def import_pillow() -> Any:
-    """Imports pillow's `Image`.
-
-    Raises:
-        ImportError: if pillow is not installed.
-    """
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise ImportError('pillow is not installed, run: pip install "capsule-gym[render]"') from error
-    return Image
-
-
 def write_gif(frames: Iterable[np.ndarray], path: Path, frame_seconds: float = FRAME_SECONDS, width: int = 640) -> None:
     """Writes pictures as a looping GIF.
 
@@ -649,8 +629,10 @@ def write_gif(frames: Iterable[np.ndarray], path: Path, frame_seconds: float = F
         ImportError: if pillow is not installed.
         ValueError: if there are no pictures.
     """
-    Image = import_pillow()
-
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise ImportError('pillow is not installed, run: pip install "capsule-gym[render]"') from error
     pictures = []
     for frame in frames:
         height = round(frame.shape[0] * width / frame.shape[1])

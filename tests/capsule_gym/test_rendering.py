@@ -1,4 +1,4 @@
-"""The renderer: what the frames show, that no display is needed, and that nothing leaks."""
+"""The canvas, the frames, the window and the GIF: what they show, and that frames need no display."""
 
 from __future__ import annotations
 
@@ -18,15 +18,19 @@ from capsule_gym.rendering import (
     CHART_LEFT,
     CHART_TOP,
     FLOOR,
+    FRAME_SECONDS,
     HEADER,
     HEIGHT,
     RULER,
     WIDTH,
+    Canvas,
     ChartAxes,
     Renderer,
+    write_gif,
 )
 
 pygame = pytest.importorskip("pygame")
+Image = pytest.importorskip("PIL.Image")
 
 STATE: dict[str, Any] = {
     "theta": 0.3,
@@ -62,8 +66,26 @@ def test_frame_is_an_rgb_array() -> None:
     assert pixels.shape == (HEIGHT, WIDTH, 3)
     assert pixels.dtype == np.uint8
     assert pixels.flags.c_contiguous and pixels.flags.writeable
-    assert pixels.mean() > 128
     assert colours(pixels) > 100
+    np.testing.assert_array_equal(pixels, frame())
+    # Channels are in the order red, green, blue: the badge of slip is orange, that of stick blue.
+    for badge, order in ((frame(x_dot=0.1), 1), (pixels, -1)):
+        red, green, blue = badge[40, 830].astype(int)[::order]
+        assert red > green > blue
+    assert frame(x=-0.5)[STAGE, 750:790].min() < 60 < frame(x=5.0)[STAGE, 750:790].min()  # the flag at the start
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"mode": "ansi"}, "mode must be 'human' or 'rgb_array', got 'ansi'"),
+        ({"fps": 0}, "fps must be a finite number > 0"),
+        ({"torque_limit": -1.0}, "torque_limit must be a finite number > 0"),
+    ],
+)
+def test_bad_arguments_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Renderer(**{"capsule": Capsule(), "mode": "rgb_array", "fps": 50, "torque_limit": 1.5, **changes})
 
 
 def test_held_axes_stay_while_the_robot_moves() -> None:
@@ -79,25 +101,6 @@ def test_held_axes_stay_while_the_robot_moves() -> None:
     assert len(np.unique(labels(held=False), axis=0)) > 1
 
 
-def test_channels_are_in_the_order_red_green_blue() -> None:
-    badge_slip, badge_stick = frame(x_dot=0.1)[40, 830].astype(int), frame()[40, 830].astype(int)
-    assert badge_slip[0] > badge_slip[1] > badge_slip[2]
-    assert badge_stick[0] < badge_stick[1] < badge_stick[2]
-
-
-def test_a_frame_is_not_overwritten_by_the_next() -> None:
-    renderer = Renderer(Capsule(), "rgb_array", 50, 1.5)
-    first = renderer.draw(**STATE)
-    assert first is not None
-    copy = first.copy()
-    renderer.draw(**{**STATE, "theta": -1.0, "time": 1.02})
-    np.testing.assert_array_equal(first, copy)
-
-
-def test_the_same_state_gives_the_same_frame() -> None:
-    np.testing.assert_array_equal(frame(), frame())
-
-
 @pytest.mark.parametrize(
     ("name", "value", "region"),
     [
@@ -105,6 +108,7 @@ def test_the_same_state_gives_the_same_frame() -> None:
         ("theta_dot", 5.0, STAGE),
         ("theta_reference", 0.8, STAGE),
         ("torque", 0.8, STAGE),
+        ("torque", -0.8, STAGE),
         ("x_dot", 1e-9, STAGE),
         ("x_dot", 0.5, STAGE),
         ("x", 0.21, FLOOR_REGION),
@@ -116,11 +120,6 @@ def test_the_same_state_gives_the_same_frame() -> None:
 )
 def test_every_quantity_shows(name: str, value: float, region: slice) -> None:
     assert (frame()[region] != frame(**{name: value})[region]).any()
-
-
-@pytest.mark.parametrize(("name", "value"), [("torque", 0.8), ("x_dot", 0.5)])
-def test_the_sign_shows_in_the_stage(name: str, value: float) -> None:
-    assert (frame(**{name: value})[STAGE] != frame(**{name: -value})[STAGE]).any()
 
 
 def test_growing_theta_swings_the_ball_to_the_left() -> None:
@@ -141,12 +140,6 @@ def test_ruler_scrolls_and_repeats_with_new_labels_every_ten_centimetres() -> No
     assert (here[labels] != whole[labels]).any()
     # Moving on by one mark moves the whole ruler by one mark's pixels to the left.
     np.testing.assert_array_equal(here[labels, 156:800], whole[labels, 100:744])
-
-
-def test_start_is_marked_only_near_the_start() -> None:
-    away, near = frame(x=5.0)[STAGE], frame(x=-0.5)[STAGE]
-    flag = slice(750, 790)
-    assert near[:, flag].min() < 60 < away[:, flag].min()
 
 
 def test_chart_starts_anew_when_time_goes_back() -> None:
@@ -189,34 +182,6 @@ def test_extreme_values_draw(sign: float, l: float) -> None:
         )
         assert pixels is not None
         assert colours(pixels) > 100
-
-
-def test_figures_keep_their_places() -> None:
-    """Each column of the header keeps its own ground clear at both edges, whatever the values."""
-    for sign in (-1.0, 1.0):
-        pixels = frame(x=sign * 12.34, x_dot=sign * 1.5, torque=sign * 1.5, theta=sign * math.pi / 2, time=1234.5)
-        for column in range(1, 6):
-            edge = pixels[30 : HEADER - 8, 160 * column - 8 : 160 * column + 8]
-            hairline = edge[0, 8]
-            clear = (edge == 255).all(axis=2) | (edge == hairline).all(axis=2)
-            assert clear[:, :7].all() and clear[:, 10:].all()
-
-
-def test_numpy_scalars_and_whole_numbers_are_accepted() -> None:
-    as_numpy = {name: np.float64(value) for name, value in STATE.items()}
-    np.testing.assert_array_equal(frame(**as_numpy), frame())
-    frame(theta=0, x=0, x_dot=0, torque=0, time=0)
-
-
-def test_mode_is_checked() -> None:
-    with pytest.raises(ValueError, match=r"mode must be 'human' or 'rgb_array', got 'ansi'"):
-        Renderer(Capsule(), "ansi", 50, 1.5)
-
-
-@pytest.mark.parametrize(("fps", "torque_limit", "name"), [(0, 1.5, "fps"), (50, -1.0, "torque_limit")])
-def test_numbers_are_checked(fps: int, torque_limit: float, name: str) -> None:
-    with pytest.raises(ValueError, match=f"{name} must be a finite number > 0"):
-        Renderer(Capsule(), "rgb_array", fps, torque_limit)
 
 
 def test_close_twice_then_draw_says_so() -> None:
@@ -290,15 +255,6 @@ class TestWindow:
         with pytest.raises(gymnasium.error.ClosedEnvironmentError):
             renderer.draw(**STATE)
 
-    def test_frames_are_held_to_the_rate(self) -> None:
-        renderer = Renderer(Capsule(), "human", 20, 1.5)
-        renderer.draw(**STATE)
-        start = pygame.time.get_ticks()
-        for _ in range(3):
-            renderer.draw(**STATE)
-        assert pygame.time.get_ticks() - start >= 140
-        renderer.close()
-
     def test_a_window_closed_by_its_user_stays_closed(self) -> None:
         renderer = Renderer(Capsule(), "human", 200, 1.5)
         renderer.draw(**STATE)
@@ -315,10 +271,123 @@ class TestWindow:
         assert renderer.draw(**STATE) is None
         renderer.close()
 
-    def test_frames_leave_a_window_of_the_user_alone(self) -> None:
-        pygame.display.init()
-        window = pygame.display.set_mode((64, 48))
-        renderer = Renderer(Capsule(), "rgb_array", 50, 1.5)
-        renderer.draw(**STATE)
-        renderer.close()
-        assert pygame.display.get_surface() is window
+
+WHITE, RED = (255, 255, 255), (255, 0, 0)
+
+
+def covered_by(canvas: Canvas) -> np.ndarray:
+    """How much of each pixel is covered by red, 0 to 1."""
+    return 1.0 - canvas.array()[:, :, 1] / 255.0
+
+
+@pytest.fixture
+def canvas() -> Canvas:
+    made = Canvas(60, 40)
+    made.fill(WHITE)
+    return made
+
+
+def test_a_box_covers_its_pixels_and_no_others(canvas):
+    canvas.box(10, 5, 20, 8, RED)
+    covered = covered_by(canvas)
+    assert (covered[5:13, 10:30] == 1.0).all()
+    assert covered.sum() == 20 * 8
+
+
+def test_a_border_leaves_the_inside_alone(canvas):
+    canvas.box(10, 5, 20, 10, RED, line=2)
+    assert covered_by(canvas).sum() == 20 * 10 - 16 * 6
+
+
+def test_a_disc_has_its_area_and_smooth_edges(canvas):
+    canvas.disc((30.0, 20.0), 10.0, RED)
+    covered = covered_by(canvas)
+    assert covered.sum() == pytest.approx(np.pi * 100.0, rel=0.03)
+    assert np.count_nonzero((covered > 0.1) & (covered < 0.9)) > 20
+    y, x = np.indices(covered.shape)
+    assert (covered * x).sum() / covered.sum() == pytest.approx(29.5, abs=0.3)
+    assert (covered * y).sum() / covered.sum() == pytest.approx(19.5, abs=0.3)
+
+
+@pytest.mark.parametrize("degrees", [0, 20, 45, 70, 90])
+def test_a_ribbon_is_as_wide_where_it_slants(canvas, degrees):
+    along = 15.0 * np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
+    canvas.ribbon([(30 - along[0], 20 - along[1]), (30 + along[0], 20 + along[1])], 4.0, RED)
+    assert covered_by(canvas).sum() == pytest.approx(30.0 * 4.0, rel=0.2)
+
+
+@pytest.mark.parametrize("align", ["left", "centre", "right"])
+def test_text_stands_at_its_edge(canvas, align):
+    canvas.write("HHH", 16, RED, 30.0, 25.0, align)
+    columns = np.flatnonzero(covered_by(canvas).max(axis=0) > 0.2)
+    rows = np.flatnonzero(covered_by(canvas).max(axis=1) > 0.2)
+    edge = {"left": columns[0], "centre": (columns[0] + columns[-1] + 1) / 2, "right": columns[-1] + 1}[align]
+    assert edge == pytest.approx(30.0, abs=1.6)
+    assert rows[-1] + 1 == pytest.approx(25.0, abs=1.1)
+
+
+def test_a_cropped_layer_is_laid_where_it_was_covered_by(canvas):
+    layer = Canvas(60, 40, transparent=True)
+    layer.box(42, 11, 6, 7, RED)
+    layer.crop()
+    canvas.overlay(layer)
+    covered = covered_by(canvas)
+    assert (covered[11:18, 42:48] == 1.0).all()
+    assert covered.sum() == 6 * 7
+
+
+def shaded(place: int) -> np.ndarray:
+    """A picture of many greys, with a few red pixels at that place."""
+    frame = np.empty((100, 200, 3), np.uint8)
+    frame[:] = np.add.outer(np.arange(100), np.arange(200))[..., None] * 255 // 298
+    frame[10:14, place : place + 4] = RED
+    return frame
+
+
+def read(path) -> tuple[list[np.ndarray], list[float]]:
+    """The pictures of a GIF, and how long each stands, in s."""
+    with Image.open(path) as moving:
+        pictures, seconds = [], []
+        for n in range(moving.n_frames):
+            moving.seek(n)
+            pictures.append(np.asarray(moving.convert("RGB"), int))
+            seconds.append(moving.info["duration"] / 1000)
+        assert moving.info["loop"] == 0
+    return pictures, seconds
+
+
+def test_every_frame_is_there_for_its_time_with_its_colours(tmp_path):
+    frames = [shaded(20 * n) for n in range(6)]
+    write_gif(iter(frames), tmp_path / "moving.gif", width=200)
+    pictures, seconds = read(tmp_path / "moving.gif")
+    assert seconds == [FRAME_SECONDS] * 6
+    for picture, frame in zip(pictures, frames, strict=True):
+        assert np.abs(picture - frame).max() < 16
+
+
+def test_size_and_pace_are_those_asked_for(tmp_path):
+    write_gif([shaded(0), shaded(90)], tmp_path / "small.gif", frame_seconds=0.1, width=50)
+    pictures, seconds = read(tmp_path / "small.gif")
+    assert [picture.shape for picture in pictures] == [(25, 50, 3)] * 2
+    assert seconds == [0.1, 0.1]
+
+
+def test_what_stood_there_stays_where_no_picture_can_be_written(tmp_path):
+    def breaking():
+        yield shaded(0)
+        raise RuntimeError
+
+    path = tmp_path / "kept.gif"
+    path.write_bytes(b"mine")
+    with pytest.raises(ValueError, match="frames must hold at least one picture, got none"):
+        write_gif((), path)
+    with pytest.raises(RuntimeError):
+        write_gif(breaking(), path)
+    assert path.read_bytes() == b"mine" and list(tmp_path.iterdir()) == [path]
+
+
+def test_without_pillow_the_error_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    with pytest.raises(ImportError, match=r'pip install "capsule-gym\[render\]"'):
+        write_gif([shaded(0)], tmp_path / "none.gif")
+    assert not list(tmp_path.iterdir())

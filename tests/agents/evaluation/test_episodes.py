@@ -34,7 +34,7 @@ def test_episodes_equal_those_of_single_environments():
     assert [e.get("changes", []) for e in episodes] == [p.to_dict()["changes"] for p in TINY.plants]
     for plant, episode in zip(TINY.plants, episodes, strict=True):
         env = CapsuleVectorEnv(1, max_episode_steps=100, randomization="none")
-        options = {"M": plant.M, "mu": plant.mu, "changes": [[change.to_dict() for change in plant.changes]]}
+        options = {"M": plant.M, "mu": plant.mu, "changes": [plant.reset_options()["changes"]]}
         observation, _ = env.reset(seed=[plant.seed], options=options)
         act = policy.start([plant.seed])
         for _ in range(100):
