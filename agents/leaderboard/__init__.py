@@ -1,1 +1,1 @@
-"""Every policy on every frozen set: what `python -m agents.leaderboard` writes and checks."""
+"""The leaderboard: every policy on every frozen set."""

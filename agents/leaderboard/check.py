@@ -1,4 +1,13 @@
-"""What in the committed leaderboard is stale."""
+"""Finds what in the committed leaderboard is stale, as CI does: `python -m agents.leaderboard --check`.
+
+The check is exact. It compares the policies listed, their descriptions and training seeds, the sets' hashes, the hash
+of every policy's file and the revisions they were trained at; leaderboard.json and the pages must be what the results
+give. Then it evaluates everything again with the current code and compares every bit of every episode: networks, laws
+and plants give the same bits on every machine.
+
+It compares neither versions of packages nor the revision of the code: a commit makes the leaderboard stale exactly
+where it changes a number.
+"""
 
 from __future__ import annotations
 
@@ -10,24 +19,23 @@ from typing import Any
 import numpy as np
 
 from agents.evaluation.policies import Candidate
-from agents.leaderboard.board import build, evaluate, training_commands
-from agents.leaderboard.page import render, with_head
-from agents.leaderboard.rows import RESULTS, Row, load_rows, static_header
+from agents.leaderboard.page import build, render, training_commands, with_head
+from agents.leaderboard.rows import RESULTS, Row, evaluate, load_rows, static_header
 from capsule_gym.evaluation_sets import EvaluationSet
 from capsule_gym.files import to_json
 from capsule_gym.task import HORIZON
 
 
-def _numbers(where: str, value: Any) -> dict[str, Any]:
-    """What stands in nested dicts, by where it stands, in words."""
+def _flattened(where: str, value: Any) -> dict[str, Any]:
+    """The values of nested dicts; the keys are the path to each, in words."""
     if not isinstance(value, dict):
         return {where: value}
-    return {key: each for name, entry in value.items() for key, each in _numbers(f"{where} {name}", entry).items()}
+    return {key: each for name, entry in value.items() for key, each in _flattened(f"{where} {name}", entry).items()}
 
 
 def _differences(where: str, recorded: Any, found: Any, places: tuple[str, str]) -> list[str]:
-    """Compares nested numbers to the last of their digits."""
-    old, new = _numbers(where, recorded), _numbers(where, found)
+    """Compares nested numbers exactly."""
+    old, new = _flattened(where, recorded), _flattened(where, found)
     return [
         f"{key} is {old.get(key, 'absent')!r} {places[0]} and {new.get(key, 'absent')!r} {places[1]}"
         for key in dict.fromkeys([*old, *new])
@@ -35,37 +43,31 @@ def _differences(where: str, recorded: Any, found: Any, places: tuple[str, str])
     ]
 
 
-def _stale_headers(folder: Path, rows: Sequence[Row], candidates: Sequence[Candidate]) -> list[str]:
-    """Compares what needs no evaluation: what each row was evaluated from, and which rows there are."""
-    names = [candidate.name for candidate in candidates]
-    strays = sorted(path.stem for path in folder.glob("*.npz") if path.stem not in names)
-    stale = [f"{name}: has results and does not exist" for name in strays]
+def _stale_headers(rows: Sequence[Row], candidates: Sequence[Candidate]) -> Iterator[str]:
+    """Compares the fields of the headers that need no evaluation."""
     commands = training_commands()
     for row, candidate in zip(rows, candidates, strict=True):
         for field, now in static_header(candidate).items():
             before = row.header[field]
-            if before == now:
-                continue
-            if field == "files":
+            if field == "files" and before != now:
                 changed = sorted(path for path in {*before, *now} if before.get(path) != now.get(path))
-                stale.append(f"{row.name}: files have changed: {', '.join(changed)}")
-            else:
-                stale.append(f"{row.name}: {field} is {before!r} in its results and {now!r} now")
+                yield f"{row.name}: files have changed: {', '.join(changed)}"
+            elif before != now:
+                yield f"{row.name}: {field} is {before!r} in its results and {now!r} now"
         if row.trained and row.name not in commands:
-            stale.append(f"{row.name}: the table in agents/checkpoints/README.md has no command that trains it")
-    return stale
+            yield f"{row.name}: the table in agents/checkpoints/README.md has no command that trains it"
 
 
 def _stale_sets(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> Iterator[str]:
+    """Compares the sets that the rows were evaluated on with the present ones."""
     for row in rows:
         for each in sets:
             try:
                 row.check_set(each)
             except ValueError as error:
                 yield str(error)
-        for name in row.header["sets"]:
-            if name not in [each.name for each in sets]:
-                yield f"{row.name}: the set {name} is in its results and does not exist"
+        for name in sorted(set(row.header["sets"]) - {each.name for each in sets}):
+            yield f"{row.name}: the set {name} is in its results and does not exist"
 
 
 def _stale_board(root: Path, board: dict[str, Any]) -> list[str]:
@@ -89,25 +91,21 @@ def _stale_board(root: Path, board: dict[str, Any]) -> list[str]:
     return stale or ["leaderboard.json is not what the results give"]
 
 
-def _stale_pages(root: Path, board: dict[str, Any]) -> list[str]:
+def _stale_pages(root: Path, board: dict[str, Any]) -> Iterator[str]:
     """Compares the rendered pages with what the results give."""
-    stale = []
-    page = root / "LEADERBOARD.md"
+    page, readme = root / "LEADERBOARD.md", root / "README.md"
     if not page.is_file() or page.read_text(encoding="utf-8") != render(board):
-        stale.append("LEADERBOARD.md is not what the results give")
-    readme = root / "README.md"
-    if readme.is_file():
-        text = readme.read_text(encoding="utf-8")
-        try:
-            if with_head(text, board) != text:
-                stale.append("README.md: the leaderboard's head is not what the results give")
-        except ValueError as error:
-            stale.append(str(error))
-    return stale
+        yield "LEADERBOARD.md is not what the results give"
+    text = readme.read_text(encoding="utf-8") if readme.is_file() else ""
+    try:
+        if with_head(text, board) != text:
+            yield "README.md: the leaderboard's head is not what the results give"
+    except ValueError as error:
+        yield str(error)
 
 
 def _stale_episodes(recorded: Row, found: Row) -> Iterator[str]:
-    """Compares every number of every episode, bit for bit; of a metric the first that differs is named."""
+    """Compares every number of every episode, bit for bit; names the first that differs of every metric."""
     seeds = recorded.header["training_seeds"]
     for set_name, values in recorded.scores.items():
         now = found.scores[set_name]
@@ -123,10 +121,8 @@ def _stale_episodes(recorded: Row, found: Row) -> Iterator[str]:
                     f"{recorded.name} on {set_name}: {name} is {before[run, episode].item()!r} in its results and "
                     f"{after[run, episode].item()!r} now ({where}; {len(differs)} of {before.size} differ)"
                 )
-    places = ("in its results", "now")
-    yield from _differences(
-        f"{recorded.name} disturbed:", recorded.header["disturbed"], found.header["disturbed"], places
-    )
+    ranges = (recorded.header["disturbed"], found.header["disturbed"])
+    yield from _differences(f"{recorded.name} disturbed:", *ranges, ("in its results", "now"))
 
 
 def check(
@@ -134,7 +130,7 @@ def check(
     candidates: Sequence[Candidate],
     sets: Sequence[EvaluationSet],
     *,
-    evaluated: Sequence[Candidate] | None = None,
+    evaluated: Sequence[Candidate],
     jobs: int = 1,
     horizon: float = HORIZON,
 ) -> list[str]:
@@ -144,20 +140,25 @@ def check(
         root: the project's folder, with leaderboard.json, LEADERBOARD.md, README.md and the results.
         candidates: the rows that should be there.
         sets: the sets that they should be evaluated on.
-        evaluated: the rows to evaluate again; None for all.
+        evaluated: the rows to evaluate again.
         jobs: number of processes.
         horizon: length of an episode in s.
     """
-    evaluated = candidates if evaluated is None else evaluated
+    names = [candidate.name for candidate in candidates]
     try:
-        # What needs no evaluation comes first: whoever has to write the leaderboard anew learns it at once.
-        rows = load_rows(root / RESULTS, [candidate.name for candidate in candidates])
+        rows = load_rows(root / RESULTS, names)
     except ValueError as error:
         return [str(error)]
-    stale = _stale_headers(root / RESULTS, rows, candidates) + list(_stale_sets(rows, sets))
+    # What needs no evaluation comes first: it takes no time.
+    stale = [
+        f"{path.stem}: has results and does not exist"
+        for path in sorted((root / RESULTS).glob("*.npz"))
+        if path.stem not in names
+    ]
+    stale += [*_stale_headers(rows, candidates), *_stale_sets(rows, sets)]
     if not stale:
         board = build(rows, sets)
-        stale = _stale_board(root, board) + _stale_pages(root, board)
+        stale = [*_stale_board(root, board), *_stale_pages(root, board)]
     if stale:
         return [*stale, *(["the numbers were not evaluated again"] if evaluated else [])]
     recorded = {row.name: row for row in rows}

@@ -1,17 +1,17 @@
-"""What a row of the leaderboard rests on: every episode of every training run, in one file per policy.
+"""The rows of the leaderboard: every episode of every training run, in one file per policy.
 
 `agents/leaderboard/results/NAME.npz` is a numpy archive without pickles. For every set it holds an array of float64, of
 shape (metrics, training seeds, episodes), and under `header` a JSON text in UTF-8:
 
 | field | meaning |
 |---|---|
-| `policy`, `description` | what was evaluated |
+| `policy`, `description` | the policy |
 | `training_seeds`, `revision`, `files` | its runs, the revision they were trained at, the sha256 of each policy file |
 | `base` | the scripted policy whose law runs inside its step; null for none |
 | `metrics` | the rows of the arrays |
 | `sets` | the sha256 of each set's content |
 | `versions` | of Python and of the packages that evaluated it |
-| `disturbed` | the range of the mean speed under noise (`agents.leaderboard.chaos`) |
+| `disturbed` | the range of the mean speed under small noise on the actions (`disturbed_range`) |
 
 Distance and energy are left out: they follow from speed and cost of transport. So is the share of the optimum, which
 follows from speed and plant.
@@ -21,32 +21,43 @@ from __future__ import annotations
 
 import io
 import json
+import multiprocessing
+import sys
 import zipfile
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
-from agents.evaluation.episodes import Episode, as_episodes, evaluate, versions
-from agents.evaluation.policies import Candidate, Policy
-from baselines.policies import SCRIPTED
-from capsule_gym.evaluation_sets import EvaluationSet
+from agents.evaluation.episodes import Episode, as_episodes, versions
+from agents.evaluation.episodes import evaluate as evaluate_policy
+from agents.evaluation.policies import Act, Candidate, Policy
+from baselines.policies import SCRIPTED, ScriptedPolicy
+from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet
 from capsule_gym.files import file_hash, write_atomically
 from capsule_gym.policy import POLICY
-from capsule_gym.task import METRICS
+from capsule_gym.task import HORIZON, METRICS
 
 # From the project's folder.
 RESULTS = Path("agents", "leaderboard", "results")
 COLUMNS = tuple(name for name in METRICS if name not in ("distance", "energy"))
 HEADER = "header"
+FIELDS = ("policy", "description", "training_seeds", "revision", "files", "base", "versions", "disturbed")
+# Half the width of the noise on the actions, in parts of the full action: the rounding error of a network in float32.
+NOISE = 1e-7
+NOISE_SEED = 1_000_000_007
+COPIES = 200
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """All episodes of one policy, with what they were made from.
+    """All episodes of one policy, and what they were evaluated from.
 
     Attributes:
         header: the fields of the table above.
@@ -63,7 +74,7 @@ class Row:
 
     @property
     def trained(self) -> bool:
-        """Whether it was learnt."""
+        """Whether the policy was trained."""
         return bool(self.header["training_seeds"])
 
     def score(self, set_name: str, metric: str) -> np.ndarray:
@@ -72,7 +83,7 @@ class Row:
         return found
 
     def episodes(self, evaluation_set: EvaluationSet) -> list[Episode]:
-        """The episodes as `Candidate.evaluate` gives them, less what the file leaves out.
+        """The episodes as `agents.evaluation.episodes.evaluate` returns them, without the metrics left out.
 
         Raises:
             ValueError: if the row was evaluated on another set of this name, or on none.
@@ -82,12 +93,11 @@ class Row:
         found = []
         for i, seed in enumerate(self.header["training_seeds"] or [None]):
             metrics = dict(zip(self.header["metrics"], columns[:, i], strict=True))
-            label = {} if seed is None else {"training_seed": seed}
-            found += [{**episode, **label} for episode in as_episodes(evaluation_set, metrics)]
+            found += as_episodes(evaluation_set, metrics, training_seed=seed)
         return found
 
     def check_set(self, evaluation_set: EvaluationSet) -> None:
-        """Refuses a set that is not the one that the row was evaluated on."""
+        """Raises a ValueError if the row was evaluated on another set of this name, or on none."""
         recorded = self.header["sets"].get(evaluation_set.name)
         if recorded != evaluation_set.hash:
             raise ValueError(
@@ -110,34 +120,68 @@ class Row:
 
 
 def static_header(candidate: Candidate) -> dict[str, Any]:
-    """What a row says before anything is evaluated."""
-    revisions = dict.fromkeys(policy.revision for policy in candidate.trained)
-    folder = candidate.folder
-    paths = sorted(folder.rglob(POLICY)) if folder else []
+    """The fields of a row's header that need no evaluation."""
+    trained, folder = candidate.trained, candidate.folder
+    files = sorted(folder.rglob(POLICY)) if folder else []
+    # The base of a residual is the scripted policy that runs the same law and does nothing else.
+    law = candidate.policies[0].env_kwargs.get("controller")
+    bases = [name for name, each in SCRIPTED.items() if trained and law and each.env_kwargs.get("controller") == law]
     return {
         "policy": candidate.name,
         "description": candidate.description,
-        "training_seeds": [policy.training_seed for policy in candidate.trained],
-        "revision": ", ".join(revisions) or None,
-        "files": {path.relative_to(folder).as_posix(): file_hash(path) for path in paths if folder},
-        "base": _base(candidate),
+        "training_seeds": [policy.training_seed for policy in trained],
+        "revision": ", ".join(dict.fromkeys(policy.revision for policy in trained)) or None,
+        "files": {path.relative_to(folder).as_posix(): file_hash(path) for path in files if folder},
+        "base": next(iter(bases), None),
     }
-
-
-def _base(candidate: Candidate) -> str | None:
-    """The scripted policy that does nothing but what the law under a residual does."""
-    controller = candidate.policies[0].env_kwargs.get("controller")
-    if controller is None or candidate.folder is None:
-        return None
-    return next((name for name, each in SCRIPTED.items() if each.env_kwargs.get("controller") == controller), None)
 
 
 def evaluate_run(policy: Policy, sets: Sequence[EvaluationSet], horizon: float) -> dict[str, np.ndarray]:
-    """One training run on all sets: by the set's name the metrics of its episodes, shape (metrics, episodes)."""
-    episodes = {each.name: evaluate(policy, each, horizon=horizon) for each in sets}
-    return {
-        name: np.array([[each[column] for each in found] for column in COLUMNS]) for name, found in episodes.items()
-    }
+    """Evaluates one training run: by the set's name the metrics of its episodes, shape (metrics, episodes)."""
+    found = {}
+    for each in sets:
+        episodes = evaluate_policy(policy, each, horizon=horizon)
+        found[each.name] = np.array([[episode[column] for episode in episodes] for column in COLUMNS])
+    return found
+
+
+def with_noise(policy: Policy, seed: int) -> Policy:
+    """The policy with uniform noise of at most `NOISE` on its actions, different in every episode."""
+
+    def start(seeds: Sequence[int]) -> Act:
+        act, rng = policy.start(seeds), np.random.default_rng(seed)
+
+        def act_with_noise(observations: np.ndarray) -> np.ndarray:
+            actions = act(observations)
+            return (actions + NOISE * (2.0 * rng.random(actions.shape) - 1.0)).astype(np.float32)
+
+        return act_with_noise
+
+    return ScriptedPolicy(policy.name, "with noise", dict(policy.env_kwargs), start)
+
+
+def disturbed_range(candidate: Candidate, horizon: float = HORIZON) -> dict[str, float]:
+    """The sensitivity of a policy to perturbations: the range of its mean speed under small noise on its actions.
+
+    The check does not need it: the same code gives the same bits on every machine. Readers do. Trajectories of a
+    chaotic policy diverge from a difference in their tenth digit, and the mean speed of a single episode is a sample
+    from a wide distribution, on a robot as here.
+
+    Args:
+        candidate: a row of the leaderboard; the training seed with the widest range counts.
+        horizon: length of the episode in s.
+
+    Returns:
+        The lowest and the highest mean speed of many copies of one episode, `{"low": .., "high": ..}` in cm/s.
+    """
+    copies = EvaluationSet("copies", (NOMINAL_PLANT,) * COPIES)
+    ranges = []
+    for policy in candidate.policies:
+        episodes = evaluate_policy(with_noise(policy, NOISE_SEED), copies, horizon=horizon)
+        speeds = [episode["mean_speed"] for episode in episodes]
+        ranges.append((min(speeds), max(speeds)))
+    low, high = max(ranges, key=lambda ends: ends[1] - ends[0])
+    return {"low": low, "high": high}
 
 
 def make_row(
@@ -150,9 +194,9 @@ def make_row(
 
     Args:
         candidate: the policy.
-        sets: that it was evaluated on.
-        runs: what `evaluate_run` gave for each of its runs, in order.
-        disturbed: what `agents.leaderboard.chaos.measure` gave.
+        sets: the sets it was evaluated on.
+        runs: what `evaluate_run` returned for each of its policies, in order.
+        disturbed: what `disturbed_range` returned.
     """
     header = {
         **static_header(candidate),
@@ -164,21 +208,61 @@ def make_row(
     return Row(header, {each.name: np.stack([run[each.name] for run in runs], axis=1) for each in sets})
 
 
+@contextmanager
+def _process_map(jobs: int) -> Iterator[Any]:
+    """The `map` of a pool of processes."""
+    if jobs == 1:
+        yield map
+        return
+    # Spawned, not forked: Python warns about forking a process with threads.
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as executor:
+        try:
+            yield executor.map
+        except BaseException:
+            # Otherwise leaving the block waits for everything that has not started.
+            executor.shutdown(cancel_futures=True)
+            raise
+
+
+def _work(item: Policy | Candidate, sets: Sequence[EvaluationSet], horizon: float) -> Any:
+    """Evaluates one run on all sets, or the sensitivity of a candidate."""
+    return disturbed_range(item, horizon) if isinstance(item, Candidate) else evaluate_run(item, sets, horizon)
+
+
+def evaluate(
+    candidates: Sequence[Candidate], sets: Sequence[EvaluationSet], *, jobs: int = 1, horizon: float = HORIZON
+) -> Iterator[Row]:
+    """Evaluates policies, with a progress bar on a terminal; yields each row as soon as it is finished.
+
+    Args:
+        candidates: the rows.
+        sets: the sets to evaluate them on.
+        jobs: number of processes.
+        horizon: length of an episode in s.
+    """
+    work = [item for candidate in candidates for item in (*candidate.policies, candidate)]
+    with _process_map(jobs) as process_map:
+        found = process_map(_work, work, [sets] * len(work), [horizon] * len(work))
+        found = iter(tqdm(found, "evaluating", len(work), file=sys.stderr, disable=None))
+        for candidate in candidates:
+            runs = [next(found) for _ in candidate.policies]
+            yield make_row(candidate, sets, runs, next(found))
+
+
 def path_of(folder: Path, name: str) -> Path:
     """The file of a policy's results."""
     return folder / f"{name}.npz"
 
 
 def save_row(folder: Path, row: Row) -> bool:
-    """Writes a row's file, whole or not at all, unless it holds the same already; returns whether it wrote."""
+    """Writes a row's file atomically, unless it holds the same already; returns whether it wrote."""
     path = path_of(folder, row.name)
-    if path.is_file():
-        try:
-            if load_row(path).same_as(row):
-                return False
-        except ValueError:
-            # What cannot be read is written anew.
-            pass
+    try:
+        if load_row(path).same_as(row):
+            return False
+    except ValueError:
+        # A file that is missing or malformed is written.
+        pass
     folder.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = {HEADER: np.frombuffer(json.dumps(row.header).encode(), np.uint8), **row.scores}
     content = io.BytesIO()
@@ -196,15 +280,15 @@ def load_row(path: Path) -> Row:
     if not path.is_file():
         raise ValueError(f"{path.stem}: has no results, expected in {path.name}")
     try:
-        # Out of memory: numpy leaves a file open that it cannot read.
+        # From memory: numpy does not close a file that it cannot read.
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
             header = json.loads(archive[HEADER].tobytes().decode())
             scores = {name: archive[name] for name in header["sets"]}
         shape = (len(header["metrics"]), max(1, len(header["training_seeds"])))
         fits = all(values.dtype == np.float64 and values.shape[:2] == shape for values in scores.values())
-        missing = {"policy", "description", "revision", "files", "base", "versions", "disturbed"} - set(header)
-        if header["policy"] != path.stem or missing or not fits:
-            raise ValueError(f"its header does not fit its name or its arrays, or lacks {sorted(missing)}")
+        missing = sorted(set(FIELDS) - set(header))
+        if missing or header["policy"] != path.stem or not fits:
+            raise ValueError(f"its header does not fit its name or its arrays, or lacks {missing}")
     except (KeyError, TypeError, ValueError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
         raise ValueError(f"{path.stem}: {path.name} holds no results: {type(error).__name__}: {error}") from error
     return Row(header, scores)

@@ -12,8 +12,7 @@ from agents.evaluation import policies as evaluation_policies
 from agents.evaluation.policies import BASELINE, Candidate, all_candidates, find_candidate
 from agents.evaluation.statistics import estimate
 from agents.evidence.material import SPEED, Evidence, Learning, gather, read_evaluations, read_learning
-from agents.leaderboard.board import build
-from agents.leaderboard.page import RANKING_SET
+from agents.leaderboard.page import RANKING_SET, build
 from agents.leaderboard.rows import RESULTS, Row, evaluate_run, load_row, make_row, path_of
 from agents.training.presets import BEST, CONFIG, EVALUATIONS, MODEL
 from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, load_set

@@ -1,7 +1,7 @@
 import pytest
 
 from agents.evaluation import policies
-from agents.leaderboard import board, chaos, rows
+from agents.leaderboard import page, rows
 from agents.leaderboard.page import END, START
 from tests.agents.fakes import Sine, Twitch, write_run
 from tests.agents.leaderboard.world import write_all
@@ -17,9 +17,9 @@ def world(tmp_path, monkeypatch):
     known["twitch"] = Twitch()
     for module in (policies, rows):
         monkeypatch.setattr(module, "SCRIPTED", known)
-    for module in (policies, board):
+    for module in (policies, page):
         monkeypatch.setattr(module, "CHECKPOINTS", tmp_path / "checkpoints")
-    monkeypatch.setattr(chaos, "COPIES", 20)
+    monkeypatch.setattr(rows, "COPIES", 20)
     for seed in (0, 1):
         write_run(tmp_path / "checkpoints" / "learnt" / f"seed-{seed}", seed)
     (tmp_path / "checkpoints" / "README.md").write_text("| `learnt` | 0 to 1 | `python train.py --seed N` |\n")

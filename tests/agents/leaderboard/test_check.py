@@ -1,6 +1,7 @@
 import pytest
 
 from agents.evaluation import episodes, policies
+from agents.leaderboard import __main__ as leaderboard
 from agents.leaderboard import check as module
 from agents.leaderboard.page import END, START
 from agents.leaderboard.rows import RESULTS
@@ -9,7 +10,7 @@ from tests.agents.fakes import write_run
 from tests.agents.leaderboard.world import SETS, checked, edit, edit_row, make_set, row_of, table
 
 
-def test_what_is_written_passes_the_check(written):
+def test_written_results_pass_the_check(written):
     assert checked(written) == []
     assert not list(written.glob(".*")) and not list((written / RESULTS).glob(".*"))
     readme = (written / "README.md").read_text()
@@ -18,11 +19,7 @@ def test_what_is_written_passes_the_check(written):
     assert readme.endswith(f"|\n{END}\n\nAfter.\n")
 
 
-def test_check_says_when_there_is_none(world):
-    assert checked(world) == ["adaptive: has no results, expected in adaptive.npz"]
-
-
-def test_check_names_what_is_no_leaderboard(written):
+def test_check_names_malformed_files(written):
     for text in ("{", "[]", '{"sets": {}, "versions": {}, "rows": [{}]}'):
         (written / "leaderboard.json").write_text(text)
         stale, last = checked(written)
@@ -68,30 +65,28 @@ def test_check_names_stale_pages(written):
         file.write("mine is better\n")
     readme = written / "README.md"
     readme.write_text(readme.read_text().replace("| policy ", "| polity "))
-    assert checked(written)[:-1] == [
+    assert checked(written, evaluated=[]) == [
         "LEADERBOARD.md is not what the results give",
         "README.md: the leaderboard's head is not what the results give",
     ]
-    assert checked(written, evaluated=[])[-1] == "README.md: the leaderboard's head is not what the results give"
 
 
-@pytest.mark.parametrize("name", ["bold", "learnt", "twitch"])
+@pytest.mark.parametrize("name", ["learnt", "twitch"])
 def test_check_compares_the_last_bit_of_every_episode(written, name):
     def nudge(row):
         row.scores["paper"][0, -1, 1] *= 1.0 + 2.0**-51
 
     edit_row(written, name, nudge)
-    (stale,) = checked(written)
+    (stale,) = checked(written, evaluated=[policies.find_candidate(name)])
     assert stale.startswith(f"{name} on paper: mean_speed is ")
     seed = "training seed 1, " if name == "learnt" else ""
     assert stale.endswith(f" now ({seed}episode 1; 1 of {6 if name == 'learnt' else 3} differ)")
-    others = [each for each in policies.all_candidates() if each.name != name]
-    assert checked(written, evaluated=others) == []
+    assert checked(written, evaluated=[policies.find_candidate("bold")]) == []
 
 
-def test_check_compares_what_noise_does(written):
+def test_check_compares_the_range_under_noise(written):
     edit_row(written, "twitch", lambda row: row.header["disturbed"].update(high=9.0))
-    (stale,) = checked(written)
+    (stale,) = checked(written, evaluated=[policies.find_candidate("twitch")])
     assert stale.startswith("twitch disturbed: high is 9.0 in its results and ")
 
 
@@ -111,7 +106,6 @@ def test_check_compares_the_leaderboard_with_the_results(written):
         row["failures"] = 1
         row["stray"] = None
         row.pop("rms_torque")
-        row_of(board, "adaptive")["results"]["paper"]["mean_speed"]["low"] = None
         row_of(board, "twitch").pop("disturbed")
 
     edit(written, change)
@@ -121,18 +115,76 @@ def test_check_compares_the_leaderboard_with_the_results(written):
         "bold: results paper failures",
         "bold: results paper stray",
         *(f"bold: results paper rms_torque {end}" for end in ("iqm", "low", "high")),
-        "adaptive: results paper mean_speed low",
         *(f"twitch: disturbed {end}" for end in ("low", "high")),
     }
-
-
-def test_check_compares_the_leaderboards_sets(written):
     edit(written, lambda board: board.update(sets={}))
-    assert checked(written)[0] == "leaderboard.json is not what the results give"
+    assert len(checked(written, evaluated=[])) == len(starts)
 
 
-def test_another_plant_is_found_out(written, monkeypatch):
+def test_check_finds_another_plant(written, monkeypatch):
     monkeypatch.setitem(episodes.EPISODE_SETTINGS, "capsule", Capsule(l=0.3 * 1.02))
     stale = checked(written)
     for name in ("adaptive", "bold", "learnt"):
         assert any(line.startswith(f"{name} on paper: mean_speed is") for line in stale)
+
+
+@pytest.fixture
+def main(world, monkeypatch):
+    """The command on one small set."""
+    monkeypatch.setattr(leaderboard, "SET_NAMES", ("paper",))
+    monkeypatch.setattr(leaderboard, "load_set", lambda name: make_set("paper", (0.5, 0.01)))
+    evaluate = leaderboard.evaluate
+    monkeypatch.setattr(leaderboard, "evaluate", lambda *args, **kwargs: evaluate(*args, **kwargs, horizon=0.1))
+    monkeypatch.setattr(leaderboard, "check", lambda *args, **kwargs: module.check(*args, **kwargs, horizon=0.1))
+    return lambda *words: leaderboard.main([*words, "--jobs", "1"], root=world)
+
+
+def test_command_line(main, world, capsys):
+    assert main("--check") == 1
+    assert "The leaderboard is stale:\n- adaptive: has no results" in capsys.readouterr().out
+    assert main() == 0
+    assert main("--check") == 0
+    assert "up to date: 5 policies on 1 sets" in capsys.readouterr().out
+    (world / "LEADERBOARD.md").unlink()
+    assert main("--check", "--from-results") == 1
+    assert main("--from-results") == 0
+    assert main("--check", "bold") == 0
+    write_run(world / "checkpoints" / "learnt" / "seed-1", 1, clip=9.0)
+    write_run(world / "checkpoints" / "fresh" / "seed-0", 0)
+    times = {path.name: path.stat().st_mtime_ns for path in (world / RESULTS).iterdir()}
+    assert main("learnt", "fresh", "bold") == 0
+    # The results of a row that has not changed stay as they are.
+    new = {path.name: path.stat().st_mtime_ns for path in (world / RESULTS).iterdir()}
+    assert {name for name in new if times.get(name) != new[name]} == {"fresh.npz", "learnt.npz"}
+    assert "| fresh " in (world / "LEADERBOARD.md").read_text()
+
+
+def test_finished_rows_survive_an_interruption(main, world, monkeypatch, capsys):
+    evaluate = leaderboard.evaluate
+
+    def interrupted(*args, **kwargs):
+        yield next(evaluate(*args, **kwargs))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(leaderboard, "evaluate", interrupted)
+    assert main() == 130
+    assert [path.name for path in (world / RESULTS).iterdir()] == ["adaptive.npz"]
+    assert not (world / "LEADERBOARD.md").exists()
+    assert "Stopped. The rows that were finished are kept" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--jobs", "0"], "--jobs"),
+        (["--jobs", "two"], "--jobs"),
+        (["lernt"], "names must be out of adaptive, bold, wild, twitch, learnt, got lernt"),
+        (["bold", "--from-results"], "--from-results must stand without names, got bold"),
+        (["bold"], "adaptive: has no results, expected in adaptive.npz; `python -m agents.leaderboard NAME`"),
+    ],
+)
+def test_wrong_options_are_named(main, words, message, world, capsys):
+    with pytest.raises(SystemExit) as stop:
+        leaderboard.main(words if "--jobs" in words else [*words, "--jobs", "1"], root=world)
+    assert stop.value.code == 2
+    assert message in capsys.readouterr().err

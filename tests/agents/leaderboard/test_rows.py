@@ -1,10 +1,21 @@
 import numpy as np
 import pytest
 
-from agents.evaluation.episodes import evaluate as evaluate_policy
+from agents.evaluation import episodes
 from agents.evaluation.policies import find_candidate
-from agents.leaderboard.board import evaluate
-from agents.leaderboard.rows import COLUMNS, load_row, load_rows, path_of, save_row
+from agents.leaderboard.rows import (
+    COLUMNS,
+    NOISE,
+    disturbed_range,
+    evaluate,
+    load_row,
+    load_rows,
+    path_of,
+    save_row,
+    static_header,
+    with_noise,
+)
+from tests.agents.fakes import Sine
 from tests.agents.leaderboard.world import HORIZON, SETS, make_set
 
 
@@ -20,11 +31,13 @@ def test_a_row_holds_every_number_of_its_episodes(row, world):
     assert found.same_as(row) and found.trained
     assert set(found.header["versions"]) >= {"capsule_gym", "python", "numpy"}
     for each in SETS:
-        episodes = evaluate_policy("learnt", each, horizon=HORIZON)
-        again = found.episodes(each)
-        assert all(set(old) - set(new) == {"distance", "energy"} for old, new in zip(episodes, again, strict=True))
-        assert all(old[name] == value for old, new in zip(episodes, again, strict=True) for name, value in new.items())
-        assert found.score(each.name, "mean_speed").ravel().tolist() == [e["mean_speed"] for e in episodes]
+        expected = episodes.evaluate("learnt", each, horizon=HORIZON)
+        for episode in expected:
+            del episode["distance"], episode["energy"]
+        assert found.episodes(each) == expected
+        assert found.score(each.name, "mean_speed").ravel().tolist() == [e["mean_speed"] for e in expected]
+    with pytest.raises(ValueError, match=f"learnt: the hash of the set paper is {SETS[1].hash} in its results and "):
+        found.episodes(make_set("paper", (0.5, 0.02)))
 
 
 def test_the_same_row_gives_the_same_bytes_and_is_not_written_again(row, world):
@@ -33,18 +46,13 @@ def test_the_same_row_gives_the_same_bytes_and_is_not_written_again(row, world):
     path = path_of(folder, "learnt")
     before = path.read_bytes()
     assert not save_row(folder, row)
-    path.unlink()
-    assert save_row(folder, row) and path.read_bytes() == before
     path.write_bytes(b"broken")
     assert save_row(folder, row) and path.read_bytes() == before
+    row.scores["paper"][0, 0, 0] *= 1.0 + 2.0**-51
+    assert save_row(folder, row) and path.read_bytes() != before
 
 
-def test_another_set_of_the_same_name_is_refused(row):
-    with pytest.raises(ValueError, match=f"learnt: the hash of the set paper is {SETS[1].hash} in its results and "):
-        row.episodes(make_set("paper", (0.5, 0.02)))
-
-
-def test_what_holds_no_results_is_named(row, world):
+def test_malformed_files_raise_an_error(row, world):
     folder = world / "results"
     save_row(folder, row)
     path = path_of(folder, "learnt")
@@ -57,10 +65,13 @@ def test_what_holds_no_results_is_named(row, world):
         np.savez_compressed(path, **arrays)
         with pytest.raises(ValueError, match="holds no results"):
             load_row(path)
-    path.write_bytes(whole)
-    path.rename(folder / "other.npz")
-    with pytest.raises(ValueError, match="does not fit its name"):
-        load_row(folder / "other.npz")
+    for change in ({"policy": "other"}, {"metrics": ["mean_speed"]}, {"training_seeds": [0]}):
+        header = row.header | change
+        row.header.update(header, policy="learnt")
+        path.write_bytes(whole)
+        path.rename(folder / "other.npz")
+        with pytest.raises(ValueError, match="does not fit its name"):
+            load_row(folder / "other.npz")
     with pytest.raises(ValueError, match=r"^learnt: has no results, expected in learnt\.npz"):
         load_rows(folder, ["learnt"])
 
@@ -68,3 +79,47 @@ def test_what_holds_no_results_is_named(row, world):
 def test_columns_are_metrics_that_do_not_follow_from_others():
     assert {"mean_speed", "cost_of_transport", "failed"} <= set(COLUMNS)
     assert not {"distance", "energy"} & set(COLUMNS)
+
+
+def test_the_base_of_a_residual_is_the_policy_of_its_law():
+    names = ("adaptive", "residual-ppo", "residual-on-gait", "robust", "direct-ppo")
+    bases = {each.name: static_header(each)["base"] for each in map(find_candidate, names)}
+    assert bases == {
+        "adaptive": None,
+        "residual-ppo": "adaptive",
+        "residual-on-gait": "gait-guarded",
+        "robust": "gait-identifying",
+        "direct-ppo": None,
+    }
+
+
+def test_processes_give_the_same_bits():
+    # Spawned workers import everything anew.
+    real = [find_candidate(name) for name in ("zero", "direct-sac")]
+    alone, shared = (list(evaluate(real, SETS, jobs=jobs, horizon=0.1)) for jobs in (1, 2))
+    assert [row.name for row in alone] == ["zero", "direct-sac"]
+    assert all(one.same_as(other) for one, other in zip(alone, shared, strict=True))
+
+
+def test_noise_is_a_ten_millionth_of_full_action():
+    policy, seeds, observations = Sine(1.0), list(range(1000)), np.zeros((1000, 5), np.float32)
+    noisy = with_noise(policy, 3)
+    assert (noisy.name, noisy.env_kwargs) == (policy.name, policy.env_kwargs)
+    quiet, first, same, other = (p.start(seeds) for p in (policy, noisy, noisy, with_noise(policy, 4)))
+    for _ in range(9):
+        actions, found = quiet(observations), first(observations)
+        assert found.dtype == np.float32
+        assert found.tobytes() == same(observations).tobytes() != other(observations).tobytes()
+        # Rounding to float32 adds to it.
+        assert 0.5 * NOISE < np.abs(found - actions).max() < 2.0 * NOISE
+    noise = with_noise(Sine(0.0), 0).start(seeds)(observations)
+    assert 0.99 * NOISE < np.abs(noise).max() <= NOISE
+    assert noise.std() == pytest.approx(NOISE / np.sqrt(3.0), rel=0.05)
+
+
+@pytest.mark.usefixtures("world")
+def test_chaotic_policies_have_wide_ranges():
+    stable, chaotic = (disturbed_range(find_candidate(name), HORIZON) for name in ("bold", "twitch"))
+    assert disturbed_range(find_candidate("twitch"), HORIZON) == chaotic
+    assert 0.0 < stable["high"] - stable["low"] < 1e-5
+    assert chaotic["high"] - chaotic["low"] > 0.1

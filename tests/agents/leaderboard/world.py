@@ -1,12 +1,12 @@
-"""What the tests of the leaderboard share: sets of a few short episodes, and how to read and change what is written."""
+"""Shared by the tests of the leaderboard: sets of a few short episodes; how to read and change what is written."""
 
 import dataclasses
 import json
 
 from agents.evaluation.policies import all_candidates
-from agents.leaderboard.board import build, evaluate, write
 from agents.leaderboard.check import check
-from agents.leaderboard.rows import RESULTS, load_row, path_of, save_row
+from agents.leaderboard.page import build, write
+from agents.leaderboard.rows import RESULTS, evaluate, load_row, path_of, save_row
 from capsule_gym.evaluation_sets import parse_set
 
 HORIZON = 0.6
@@ -19,10 +19,6 @@ def make_set(name, *plants):
 SETS = [make_set("nominal", (0.5, 0.01)), make_set("paper", (0.5, 0.01), (0.55, 0.011), (0.45, 0.009))]
 
 
-def board_of(candidates, sets=SETS):
-    return build(list(evaluate(candidates, sets, horizon=HORIZON)), sets)
-
-
 def write_all(root):
     """What `python -m agents.leaderboard` writes."""
     rows = list(evaluate(all_candidates(), SETS, horizon=HORIZON))
@@ -31,8 +27,9 @@ def write_all(root):
     write(root, build(rows, SETS))
 
 
-def checked(root, sets=SETS, **more):
-    return check(root, all_candidates(), sets, horizon=HORIZON, **more)
+def checked(root, sets=SETS, evaluated=None):
+    candidates = all_candidates()
+    return check(root, candidates, sets, evaluated=candidates if evaluated is None else evaluated, horizon=HORIZON)
 
 
 def read(root):
@@ -60,7 +57,7 @@ def row_of(board, name):
 
 
 def table(page, title=""):
-    """The cells of the first Markdown table behind a title, header and rule included."""
+    """The cells of the first Markdown table below a title, header and rule included."""
     lines = page[page.index(title) :].splitlines()
     first = next(i for i, line in enumerate(lines) if line.startswith("|"))
     last = next((i for i in range(first, len(lines)) if not lines[i].startswith("|")), len(lines))
