@@ -1,34 +1,21 @@
-"""The scripted baselines: the paper's trajectories, its control laws and policies made of them.
+"""The scripted baselines: the paper's trajectories, control laws and policies made of them.
 
-The functions here are what the environment's argument `controller` takes, as in `controller="baselines:adaptive"`. Each
-is imported when it is first asked for, since numba, which takes most of a second, comes with it.
+The laws of `baselines.laws.LAWS` are the functions that the environment's argument `controller` takes, as in
+`controller="baselines:adaptive"`. Each is imported when it is first used: numba takes most of a second to import.
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from baselines.laws.adaptive import adaptive, adaptive_as_published, compliant
-    from baselines.laws.feedback_linearisation import epc, feedback_linearising
-    from baselines.laws.gait import gait, gait_identifying
+from baselines.laws import LAWS
 
-__all__ = ["adaptive", "adaptive_as_published", "compliant", "epc", "feedback_linearising", "gait", "gait_identifying"]
-
-_LAZY = {
-    "adaptive": ".laws.adaptive",
-    "adaptive_as_published": ".laws.adaptive",
-    "compliant": ".laws.adaptive",
-    "epc": ".laws.feedback_linearisation",
-    "feedback_linearising": ".laws.feedback_linearisation",
-    "gait": ".laws.gait",
-    "gait_identifying": ".laws.gait",
-}
+__all__ = sorted(LAWS)
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _LAZY:
+    if name not in LAWS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_LAZY[name], __name__), name)
+    return getattr(import_module(f"baselines.laws.{LAWS[name].module}"), name)
 
 
 def __dir__() -> list[str]:

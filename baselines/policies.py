@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from baselines.gaits import GAIT_DT
+from baselines.laws import LAWS as _LAWS
 
 Act = Callable[[np.ndarray], np.ndarray]
 Start = Callable[[Sequence[int]], Act]
-GAIT: dict[str, Any] = {"control_dt": GAIT_DT}
-PERFORMANCE, OPTIMUM = "baselines.gaits.policy", "baselines.dynamic_programming.policy"
 
 
 def _no_action(seeds: Sequence[int]) -> Act:
@@ -24,20 +23,20 @@ def _no_action(seeds: Sequence[int]) -> Act:
 
 
 def _random_actions(seeds: Sequence[int]) -> Act:
-    """Uniform actions; each environment has a generator of its own, so that its episode depends on its seed alone."""
+    """Uniform actions; each environment has its own generator, so that its episode depends on its seed alone."""
     generators = [np.random.default_rng([seed, 1]) for seed in seeds]
     return lambda observations: np.array([[rng.uniform(-1.0, 1.0)] for rng in generators], np.float32)
 
 
 @dataclass(frozen=True)
-class _Later:
-    """A `start` that is imported when it is first called: numba, which comes with it, takes most of a second.
+class _LazyStart:
+    """A `start` that is imported when it is first called: numba takes most of a second to import.
 
-    A class, because a policy goes to other processes.
+    A class, because policies are pickled.
 
     Attributes:
-        module: where it is.
-        function: its name there.
+        module: of the function.
+        function: its name.
     """
 
     module: str
@@ -50,7 +49,7 @@ class _Later:
 
 @dataclass(frozen=True)
 class ScriptedPolicy:
-    """A policy that was not learnt.
+    """A policy that was not learned.
 
     Attributes:
         name: for tables and the command line.
@@ -66,62 +65,38 @@ class ScriptedPolicy:
     start: Start = _no_action
 
 
-def _with_law(name: str, attribute: str, description: str) -> ScriptedPolicy:
-    """A law of this package with a zero residual."""
-    return ScriptedPolicy(name, description, {"controller": f"baselines:{attribute}"})
-
+# Laws as the environment's argument `controller` takes them, by their policies' names.
+LAWS = {law.policy: f"baselines:{name}" for name, law in _LAWS.items()}
 
 SCRIPTED = {
     policy.name: policy
     for policy in (
         ScriptedPolicy("zero", "no torque"),
         ScriptedPolicy("random", "uniform random torque, drawn every agent step", {}, _random_actions),
-        _with_law(
-            "feedback-linearising", "feedback_linearising", "the paper's profile (9), feedback linearisation (35)"
-        ),
-        _with_law("adaptive", "adaptive", "the paper's profile (9), adaptive law (39), regularised"),
-        _with_law(
-            "adaptive-as-published",
-            "adaptive_as_published",
-            "the paper's profile (9), adaptive law (39), corrected, unregularised",
-        ),
-        _with_law("compliant", "compliant", "the paper's profile (9), adaptive law (39) with low gains"),
-        _with_law("epc", "epc", "the EPC profile, feedback linearisation (35)"),
-        _with_law(
-            "gait-guarded", "gait", "a gait at 1 kHz that is told nothing of the plant, with a guard of the contact"
-        ),
-        _with_law(
-            "gait-identifying", "gait_identifying", "gait-guarded, whose guard identifies how light the platform is"
-        ),
+        *(ScriptedPolicy(law.policy, law.description, {"controller": LAWS[law.policy]}) for law in _LAWS.values()),
         ScriptedPolicy(
             "gait-nominal",
             "the tolerant gait of the nominal plant, whatever the plant; torque every 10 ms",
-            GAIT,
-            _Later(PERFORMANCE, "start_nominal"),
+            {"control_dt": GAIT_DT},
+            _LazyStart("baselines.gaits.policy", "start_nominal"),
         ),
         ScriptedPolicy(
             "gait-oracle",
-            "sees M and mu and takes the known gait that proved fastest around such a plant; torque every 10 ms",
-            {**GAIT, "observe_parameters": True},
-            _Later(PERFORMANCE, "start_oracle"),
+            "observes M and mu and takes the known gait that was fastest around such a plant; torque every 10 ms",
+            {"control_dt": GAIT_DT, "observe_parameters": True},
+            _LazyStart("baselines.gaits.policy", "start_oracle"),
         ),
         ScriptedPolicy(
             "optimum-nominal",
-            "the optimum of the nominal plant that spares some contact, whatever the plant; looks one hold ahead",
+            "dynamic programming for the nominal plant with a margin of normal force, whatever the plant",
             {},
-            _Later(OPTIMUM, "start_nominal"),
+            _LazyStart("baselines.dynamic_programming.policy", "start_nominal"),
         ),
         ScriptedPolicy(
             "optimum-oracle",
-            "sees M and mu and takes the torque of the optimum there; looks one hold ahead",
+            "observes M and mu; dynamic programming for that plant",
             {"observe_parameters": True},
-            _Later(OPTIMUM, "start_oracle"),
+            _LazyStart("baselines.dynamic_programming.policy", "start_oracle"),
         ),
     )
-}
-# Laws that act alone, as the environment's argument `controller` takes them, by their policies' names.
-LAWS: dict[str, str] = {
-    name: policy.env_kwargs["controller"]
-    for name, policy in SCRIPTED.items()
-    if policy.start is _no_action and "controller" in policy.env_kwargs
 }

@@ -1,1 +1,35 @@
-"""The paper's reference profiles and control laws."""
+"""The control laws; an entry of `LAWS` makes a law a controller and a scripted policy."""
+
+from typing import NamedTuple
+
+
+class Law(NamedTuple):
+    """Where a law is, and what it is called.
+
+    Attributes:
+        module: of this package that holds the function.
+        policy: the name of the scripted policy, the law with a zero residual.
+        description: one line.
+    """
+
+    module: str
+    policy: str
+    description: str
+
+
+# By the functions' names: the environment's argument `controller` takes "baselines:NAME".
+LAWS = {
+    "feedback_linearising": Law(
+        "feedback_linearisation", "feedback-linearising", "the paper's profile (9), feedback linearisation (35)"
+    ),
+    "adaptive": Law("adaptive", "adaptive", "the paper's profile (9), adaptive law (39), regularised"),
+    "adaptive_as_published": Law(
+        "adaptive", "adaptive-as-published", "the paper's profile (9), adaptive law (39), corrected, unregularised"
+    ),
+    "compliant": Law("adaptive", "compliant", "the paper's profile (9), adaptive law (39) with low gains"),
+    "epc": Law("feedback_linearisation", "epc", "the EPC profile, feedback linearisation (35)"),
+    "gait": Law("gait", "gait-guarded", "a gait at 1 kHz that does not observe the plant, with a guard of the contact"),
+    "gait_identifying": Law(
+        "gait", "gait-identifying", "gait-guarded, whose guard identifies how light the platform is"
+    ),
+}
