@@ -58,13 +58,13 @@ docs: $(STAMP)  ## Build the documentation into site/, with the live module in i
 web: $(STAMP)  ## Build the environment for browsers and node into site/live/ alone
 	$(BIN)/python -m web.build
 
-leaderboard: $(STAMP)  ## Evaluate all policies, and rewrite the leaderboard and the evidence
+leaderboard: $(STAMP)  ## Evaluate all policies, and rewrite the leaderboard and its analysis
 	$(BIN)/python -m agents.leaderboard
-	$(BIN)/python -m agents.evidence
+	$(BIN)/python -m agents.analysis statistics residual_limit
 
-leaderboard-check: $(STAMP)  ## Fail where the leaderboard or the evidence is stale
+leaderboard-check: $(STAMP)  ## Fail where the leaderboard or its analysis is stale
 	$(BIN)/python -m agents.leaderboard --check
-	$(BIN)/python -m agents.evidence --check
+	$(BIN)/python -m agents.analysis statistics residual_limit --check
 
 reproduce: $(STAMP)  ## Train one run of each row anew and compare it with the published ones (a quarter of an hour)
 	$(BIN)/python -m agents.reproduce

@@ -1,4 +1,4 @@
-"""What a finished run shows: the table, the figure and the moving picture beside the paper's controller."""
+"""Compares a finished run with the paper's controller: table, figure, animation and report."""
 
 from __future__ import annotations
 
@@ -46,10 +46,6 @@ def compare(run: Path, set_name: str = "paper") -> None:
     if moving.frames:
         write_gif(moving.frames, run / "animation.gif")
     write_report(run / "report.html", [str(run)], trust_controller=True)
-    names = {
-        "Episodes": "comparison.json",
-        "Figure": "comparison.png",
-        "Animation": "animation.gif",
-        "Report": "report.html",
-    }
+    names = {"Episodes": "comparison.json", "Figure": "comparison.png"}
+    names |= {"Animation": "animation.gif", "Report": "report.html"}
     print("\n".join(f"{what + ':':10} {run / name}" for what, name in names.items()))

@@ -1,4 +1,4 @@
-"""One episode seen from outside: the courses of its quantities, its figure and its moving picture."""
+"""Recordings of an episode: its time series, a figure that compares several, and an animation."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from capsule_gym.task import CONTROL_DT, HORIZON
 
 PROG = "python -m agents.recording"
 NOMINAL_TITLE = f"Nominal plant (M = {NOMINAL_PLANT.M:g} kg, μ = {NOMINAL_PLANT.mu:g})"
-# The part of an episode that a moving picture shows unless told otherwise, s.
+# The part of an episode that an animation shows by default, s.
 ANIMATION_START, ANIMATION_SECONDS = 10.0, 6.0
 
 
 @dataclass(frozen=True)
 class Recording:
-    """The course of one episode, sampled once per step of the agent.
+    """Time series of one episode, a sample per step of the agent.
 
     Attributes:
         name: of the policy.
@@ -38,7 +38,7 @@ class Recording:
         theta: rad.
         x: m.
         x_dot: m/s; exactly 0.0 where the platform sticks.
-        torque: the motor's, N m.
+        torque: the motor's in the step that ends at t, N m.
         frames: pictures, each (height, width, 3) uint8; empty unless asked for.
     """
 
@@ -63,14 +63,14 @@ def record(
     """Runs a policy once on one plant, to the given time or the episode's end.
 
     Args:
-        policy: what acts.
+        policy: acts.
         plant: the platform's mass and friction.
         seconds: length of the recording.
-        frames_from: the time in s of the first picture; None draws none.
-        frame_seconds: time between pictures. The axes of their charts stay the same.
-        name: of the recording; the policy's where none is given.
+        frames_from: time of the first picture, s; None draws none.
+        frame_seconds: time between pictures. The axes of their charts are the same.
+        name: of the recording; the policy's by default.
     """
-    # numba takes most of a second to import, which --help need not wait for.
+    # Imported here, since numba takes most of a second to import.
     from capsule_gym.env import shown_state
 
     name = name or policy.name
@@ -83,7 +83,11 @@ def record(
     if frames_from is not None:
         first_frame = round(frames_from / dt)
         renderer = Renderer(simulation.capsule, "rgb_array", 50, simulation.settings.torque_limit, name)
-        renderer.hold_axes(_axes(record(policy, plant, seconds=seconds), frames_from))
+        whole = record(policy, plant, seconds=seconds)
+        shown = 100.0 * whole.x[whole.t >= frames_from]
+        low, high = (float(shown.min()), float(shown.max())) if shown.size else (0.0, 0.0)
+        length = max(float(whole.t[-1]) - frames_from, FRAME_SECONDS)
+        renderer.hold_axes(ChartAxes(frames_from, length, low, max(high, low + 1.0)))
     act = policy.start([plant.seed])
     rows, frames, terminated = [], [], False
     start = [plant.theta, 0.0, 0.0, 0.0]
@@ -97,15 +101,8 @@ def record(
             break
         observation, _, terminated, _, info = env.step(act(observation[None])[0])
     env.close()
-    t, theta_course, x_course, rates, torque = np.array(rows).T
-    return Recording(name, t, theta_course, x_course, rates, torque, tuple(frames))
-
-
-def _axes(course: Recording, begin: float) -> ChartAxes:
-    """Axes of the chart that hold all of a course from a time on."""
-    shown = 100.0 * course.x[course.t >= begin]
-    low, high = (shown.min(), shown.max()) if shown.size else (0.0, 0.0)
-    return ChartAxes(begin, max(course.t[-1] - begin, FRAME_SECONDS), float(low), max(float(high), low + 1.0))
+    t, theta_series, x_series, x_dot_series, torque = np.array(rows).T
+    return Recording(name, t, theta_series, x_series, x_dot_series, torque, tuple(frames))
 
 
 def draw_comparison(recordings: Sequence[Recording], path: Path, title: str, seconds: float = 6.6) -> None:
@@ -113,7 +110,7 @@ def draw_comparison(recordings: Sequence[Recording], path: Path, title: str, sec
 
     Args:
         recordings: one to four, the baseline first.
-        path: the PNG; written whole or not at all.
+        path: the PNG; written atomically.
         title: of the figure.
         seconds: length of the windows of torque, angle and contact.
     """
@@ -128,9 +125,11 @@ def draw_comparison(recordings: Sequence[Recording], path: Path, title: str, sec
             label = f"{recording.name}: {speed:.2f} cm/s"
             displacement.plot(recording.t, 100.0 * recording.x, color=colour, label=label)
             angle.plot(recording.t[shown], np.degrees(recording.theta[shown]), color=colour)
-            # The torque on record at an agent step is the one of the step before it.
             torque.step(recording.t[shown], recording.torque[shown], color=colour, lw=1.0, where="pre")
-            _shade(contact, recording, shown, place, colour)
+            # A lane that is dark where the platform sticks and pale where it slips.
+            for where, alpha in ((shown, 0.2), (shown & (recording.x_dot == 0.0), 1.0)):
+                lane: dict[str, Any] = {"color": colour, "alpha": alpha, "linewidth": 0.0, "step": "post"}
+                contact.fill_between(recording.t, place - 0.35, place + 0.35, where=where, **lane)
         displacement.set(title=title, xlabel="time (s)", ylabel="displacement x (cm)", xlim=(0.0, window))
         displacement.legend(loc="upper left")
         angle.set(ylabel="angle θ (deg)", xlim=(first, window))
@@ -143,38 +142,30 @@ def draw_comparison(recordings: Sequence[Recording], path: Path, title: str, sec
             figure.savefig(temporary, dpi=DPI)
 
 
-def _shade(axes: Any, recording: Recording, shown: np.ndarray, place: int, colour: str) -> None:
-    """A lane that is dark where the platform sticks and pale where it slips."""
-    stuck = recording.x_dot == 0.0
-    for where, alpha in ((shown, 0.2), (shown & stuck, 1.0)):
-        ends = (place - 0.35, place + 0.35)
-        axes.fill_between(recording.t, *ends, where=where, step="post", color=colour, alpha=alpha, linewidth=0.0)
-
-
 @dataclass(frozen=True)
-class Options:
-    """Draws a policy on the nominal plant: as a moving picture, or beside the paper's controller.
+class Args:
+    """Draws a policy on the nominal plant: as an animation, or as a figure with the paper's controller.
 
     Examples:
-      python -m agents.recording residual-ppo --gif moving.gif
+      python -m agents.recording residual-ppo --gif animation.gif
       python -m agents.recording runs/my-run --png figure.png
     """
 
     policy: Annotated[Positional[str], arg(metavar="NAME_OR_PATH")]
     """As for python -m agents.evaluate; the first training seed."""
     gif: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Write the moving picture to this file."""
+    """Write the animation to this file, a GIF."""
     png: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Write the figure to this file."""
+    """Write the figure to this file, a PNG."""
     start: float = ANIMATION_START
-    """Start of the moving picture, s."""
+    """Start of the animation, s."""
     seconds: float = ANIMATION_SECONDS
-    """Length of the moving picture, s."""
+    """Length of the animation, s."""
     trust_controller: bool = False
     """Accept a policy with a control law from elsewhere: importing it runs its code."""
 
     def check(self) -> None:
-        """Refuses times outside an episode, and files that cannot be written."""
+        """Checks the times and the files."""
         for name, value in (("--start", self.start), ("--seconds", self.seconds)):
             check_number(name, value, f"between 0 and {HORIZON:g} s", 0.0, HORIZON)
         if self.gif is None and self.png is None:
@@ -184,18 +175,18 @@ class Options:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
-    options = parse(Options, PROG, arguments)
+    """Runs the command; returns the exit status."""
+    args = parse(Args, PROG, arguments)
     try:
-        policy = find_candidate(options.policy, trust_controller=options.trust_controller).policies[0]
+        policy = find_candidate(args.policy, trust_controller=args.trust_controller).policies[0]
     except ValueError as error:
         refuse(PROG, str(error))
-    if options.png is not None:
-        recordings = [record(SCRIPTED[BASELINE]), record(policy, name=options.policy)]
-        draw_comparison(recordings, options.png, NOMINAL_TITLE)
-    if options.gif is not None:
-        moving = record(policy, seconds=options.start + options.seconds, frames_from=options.start, name=options.policy)
-        write_gif(moving.frames, options.gif)
+    if args.png is not None:
+        recordings = [record(SCRIPTED[BASELINE]), record(policy, name=args.policy)]
+        draw_comparison(recordings, args.png, NOMINAL_TITLE)
+    if args.gif is not None:
+        moving = record(policy, seconds=args.start + args.seconds, frames_from=args.start, name=args.policy)
+        write_gif(moving.frames, args.gif)
     return 0
 
 

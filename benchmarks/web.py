@@ -24,7 +24,7 @@ import numpy as np
 from tqdm import tqdm
 
 import capsule_gym
-from agents.drivers import trained
+from agents.controllers import is_trained
 from baselines.tables import markdown_table, text_table
 from benchmarks.measurement import OutputArgs, Rate, describe, machine
 from capsule_gym.command_line import Count, parse, refuse
@@ -86,7 +86,7 @@ class Args(OutputArgs):
 def native_episode(name: str) -> float:
     """A nominal episode of Python's environment, as a user steps it; returns its seconds. No controller fails in it."""
     env = capsule_gym.CapsuleEnv(**env_kwargs(name))
-    policy = capsule_gym.load_policy(name) if trained(name) else None
+    policy = capsule_gym.load_policy(name) if is_trained(name) else None
     nothing, nominal = np.zeros(1, np.float32), {"M": env.simulation.capsule.M, "mu": env.simulation.capsule.mu}
     start = time.process_time()
     observation, _ = env.reset(options=nominal)

@@ -15,15 +15,17 @@ from typing import Any
 
 import numpy as np
 
-from agents.browser import (
+from agents.controllers import (
     LIGHTEST,
+    RECORDED,
     TASKS,
+    controller_names,
     describe_policy,
     describe_settings,
     find_law,
+    is_trained,
     task_of,
 )
-from agents.drivers import RECORDED, driver_names, trained
 from agents.training.presets import ROWS, PPOConfig
 from baselines.dynamic_programming.policy import TORQUES
 from baselines.gaits import families
@@ -100,7 +102,7 @@ def pack_data() -> str:
             "modules": {name: archive.add(content) for name, content in modules.items()},
             "layout": layout(),
             "tasks": {name: describe_task(name, archive) for name in TASKS},
-            "drivers": [describe_driver(name, archive) for name in driver_names()],
+            "drivers": [describe_driver(name, archive) for name in controller_names()],
             "sets": {name: describe_set(name) for name in SET_NAMES},
             "constants": constants(),
             "episodes": json.loads(FILE.read_text(encoding="utf-8")),
@@ -137,7 +139,7 @@ def describe_task(name: str, archive: Archive) -> dict[str, Any]:
 
 def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
     """What acts, for the page and for the step; of a trained policy the run with the lowest seed."""
-    if trained(name):
+    if is_trained(name):
         described, row = describe_policy(name, load_policy(name)), ROWS.get(name)
         weights = row.energy_weights if isinstance(row, PPOConfig) else None
         network = archive.add_array(described["network"])

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import capsule_gym
-from agents.drivers import driver_names, trained
+from agents.controllers import controller_names, is_trained
 from baselines.policies import SCRIPTED
 from capsule_gym.command_line import parse
 from capsule_gym.evaluation_sets import PlantSpec, load_set
@@ -36,12 +36,12 @@ Course = dict[str, Any]
 
 def env_kwargs(name: str) -> dict[str, Any]:
     """The arguments of the environment that a driver acts in."""
-    return capsule_gym.load_policy(name).env_kwargs if trained(name) else SCRIPTED[name].env_kwargs
+    return capsule_gym.load_policy(name).env_kwargs if is_trained(name) else SCRIPTED[name].env_kwargs
 
 
 def courses() -> Iterator[Course]:
     """What has a hash: which driver on which plant, and the random actions where there are any."""
-    for n, name in enumerate(driver_names()):
+    for n, name in enumerate(controller_names()):
         yield {"name": name, "driver": name, "set": "drift", "plant": n}
     for n, (name, scale) in enumerate(SCALES.items()):
         for i in (2 * n, 2 * n + 1):
@@ -61,7 +61,7 @@ def compute(course: Course) -> tuple[int, str]:
     kwargs = env_kwargs(name)
     env = capsule_gym.CapsuleEnv(**kwargs)
     observation, _ = env.reset(options=plant.reset_options())
-    act = (capsule_gym.load_policy(name) if trained(name) else SCRIPTED[name]).start([plant.seed])
+    act = (capsule_gym.load_policy(name) if is_trained(name) else SCRIPTED[name]).start([plant.seed])
     digest, terminated, step = hashlib.sha256(), False, 0
     while not terminated and step < round(HORIZON / kwargs.get("control_dt", CONTROL_DT)):
         if "actions" in course:

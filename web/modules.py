@@ -22,7 +22,7 @@ import numba
 from numba import types
 from numba.np.arrayobj import get_cfarray_intrinsic
 
-from agents.browser import find_law
+from agents.controllers import find_law
 from baselines.gaits import families
 from capsule_gym import kernels, layout, resets
 from capsule_gym.compilation import fingerprint, inner, rebound
@@ -109,7 +109,7 @@ def common_entries() -> list[Entry]:
 
 
 def find_entries(name: str) -> list[Entry]:
-    """What the module of that name exports: `COMMON`, or one of `agents.browser.TASKS`."""
+    """What the module of that name exports: `COMMON`, or one of `agents.controllers.TASKS`."""
     return common_entries() if name == COMMON else law_entries(find_law(name))
 
 
@@ -117,7 +117,7 @@ def build(names: Sequence[str], cache: Path | None = CACHE) -> dict[str, bytes]:
     """The modules of these names.
 
     Args:
-        names: `COMMON`, or of `agents.browser.TASKS`.
+        names: `COMMON`, or of `agents.controllers.TASKS`.
         cache: a folder of modules that were built before; None builds all.
 
     Raises:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.drivers import RECORDED
+from agents.controllers import RECORDED
 from baselines.policies import SCRIPTED, Act
 from capsule_gym.command_line import parse
 from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, PlantSpec, load_set

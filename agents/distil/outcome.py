@@ -13,7 +13,7 @@ from agents.distil.students import STUDENTS, Budget
 from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, Episode, difference, evaluate, failures, scores
 from agents.evaluation.policies import CHECKPOINTS, find_candidate
 from agents.evaluation.statistics import estimate
-from agents.study.publication import refuse_revision
+from agents.study.jobs import check_revision
 from agents.training.errors import RunError
 from agents.training.stopping import Stop
 from baselines.tables import text_table
@@ -78,7 +78,7 @@ def publish(name: str, folders: dict[int, Path], checkpoints: Path = CHECKPOINTS
     for folder in folders.values():
         result = read_result(folder)
         assert result is not None
-        refuse_revision(folder, result.revision)
+        check_revision(folder, result.revision)
     for seed, folder in folders.items():
         target = checkpoints / name / f"seed-{seed}"
         target.mkdir(parents=True, exist_ok=True)

@@ -1,3 +1,3 @@
-"""One page about a run, about some policies, or about the whole leaderboard: `python -m agents.report`."""
+"""One HTML page about runs, policies or the whole leaderboard: `python -m agents.report`."""
 
 COMMAND = "python -m agents.report"

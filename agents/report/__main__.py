@@ -1,4 +1,4 @@
-"""Writes a page about a run, about some policies, or about the whole leaderboard: `python -m agents.report`."""
+"""Writes an HTML page about runs, policies or the whole leaderboard: `python -m agents.report --help`."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from capsule_gym.command_line import Positional, check_output, parse, refuse
 
 
 @dataclass(frozen=True)
-class Options:
+class Args:
     """Writes one self-contained page: learning curve, measures on every set, speed against cost, profiles, plants.
 
-    Rows of the leaderboard are read from its results, runs of one's own are evaluated on every frozen set.
+    Rows of the leaderboard are read from its results; other runs are evaluated on every frozen set.
 
     Examples:
       python -m agents.report -o report.html
@@ -27,7 +27,7 @@ class Options:
     """
 
     policies: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME_OR_PATH")] = ()
-    """Rows of the leaderboard, or paths of runs; the whole leaderboard where there is none."""
+    """Rows of the leaderboard, or paths of runs; the whole leaderboard by default."""
     output: Annotated[Path, arg(metavar="FILE", aliases=["-o"])] = Path("report.html")
     """The page."""
     overwrite: bool = False
@@ -36,21 +36,21 @@ class Options:
     """Accept a policy with a control law from elsewhere: importing it runs its code."""
 
     def check(self) -> None:
-        """Refuses a file that cannot be written."""
+        """Checks that the file can be written."""
         check_output("--output", self.output, overwrite=self.overwrite)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
-    options = parse(Options, COMMAND, arguments)
-    # After the command line is known to be right: the help needs none of it.
+    """Runs the command; returns the exit status."""
+    args = parse(Args, COMMAND, arguments)
+    # Slow to import, and --help does not need it.
     from agents.report.page import write
 
     try:
-        write(options.output, options.policies, trust_controller=options.trust_controller)
+        write(args.output, args.policies, trust_controller=args.trust_controller)
     except ValueError as error:
         refuse(COMMAND, str(error))
-    print(f"Written: {options.output}")
+    print(f"Written: {args.output}")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""The page of a report: one HTML file that loads nothing, from elsewhere or from beside it."""
+"""The page of a report: one HTML file that loads no other file."""
 
 from __future__ import annotations
 
@@ -13,102 +13,100 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
-from agents.browser import describe_policy
-from agents.drivers import driver_names
+from agents.analysis.data import SPEED
+from agents.controllers import controller_names, describe_policy
 from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TableMetric
 from agents.evaluation.policies import BASELINE
-from agents.evidence.material import SPEED
 from agents.leaderboard.page import RANKING_SET
 from agents.leaderboard.rows import Row
 from agents.report import COMMAND, figures
-from agents.report.material import ROOT, Material, collect, fastest
+from agents.report.data import ROOT, Data, collect
 from capsule_gym.files import write_atomically
 from capsule_gym.policy import Policy
 
 # The live page, as `make web` builds it.
 LIVE = ROOT / "site" / "live" / "index.html"
-HERE = Path(__file__).parent
 
 
 def write(path: Path, names: Sequence[str] = (), *, trust_controller: bool = False) -> None:
-    """Writes the report of some policies, whole or not at all.
+    """Writes the report of some policies, atomically.
 
     Args:
         path: the page.
-        names: as for `agents.report.material.collect`.
+        names: as for `agents.report.data.collect`.
         trust_controller: as for `capsule_gym.load_policy`.
 
     Raises:
         OSError: if a file cannot be read or written.
-        ValueError: if there is no such policy, or a file is not what it should be.
+        ValueError: if there is no such policy, or a file is broken.
     """
-    material = collect(names, trust_controller=trust_controller)
-    title = ", ".join(row.name for row in material.subjects) if names else "Leaderboard of capsule_gym"
-    write_atomically(path, render(material, title, live_page()))
-
-
-def live_page() -> Path:
-    """The live page; where there is none yet, it is built, which takes a minute or two and says so on stderr."""
+    data = collect(names, trust_controller=trust_controller)
     if not LIVE.is_file():
-        # As a command: it is made of what lies above the agents. Without it, a report says what it lacks.
-        command = [sys.executable, "-m", "web.build", "--output", str(LIVE.parent)]
-        subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL, check=False)
-    return LIVE
+        # As a command, since web imports agents; takes a minute. If it fails, the report says what is missing.
+        build = [sys.executable, "-m", "web.build", "--output", str(LIVE.parent)]
+        subprocess.run(build, cwd=ROOT, stdout=subprocess.DEVNULL, check=False)
+    title = ", ".join(row.name for row in data.subjects) if names else "Leaderboard of capsule_gym"
+    write_atomically(path, render(data, title, LIVE))
 
 
-def render(material: Material, title: str, live: Path) -> str:
-    """The whole page.
+def render(data: Data, title: str, live: Path) -> str:
+    """The whole page as HTML.
 
     Args:
-        material: what it shows.
+        data: what it shows.
         title: of the page.
-        live: the live page; where there is none, it is left out.
+        live: the live page; left out if the file does not exist.
     """
-    evidence, subjects = material.evidence, material.subjects
-    still = ", ".join(row.name for row in evidence.rows if _cost(material, row) is None)
+    results = data.results
+    costs = {row.name: data.summaries[row.name]["nominal"]["cost_of_transport"]["iqm"] for row in results.rows}
+    absent = ", ".join(name for name, cost in costs.items() if cost is None or not math.isfinite(cost))
     parts = [
         f"<h1>{html.escape(title)}</h1>",
-        *(f"<p>{_sentence(material, row)}</p>" for row in subjects[:1]),
-        _live(live, material),
-        _learning(material),
-        "<h2>On every set</h2>",
-        _table(material),
+        f"<p>{_sentence(data, data.subjects[0])}</p>",
+        _motion(live, data),
+        _figure(
+            "learning",
+            "Learning curve",
+            "Evaluations on each run's validation plants, never on a frozen set. Grey: the training seeds; blue: their "
+            "interquartile mean; band: 95 %.",
+            figures.draw_learning,
+            results,
+        )
+        if results.learning
+        else "",
+        f"<h2>On every set</h2>\n{_table(data)}",
         '<div class="figures">',
         _figure(
             "transport",
             "Speed against cost of transport",
             "Interquartile means over the episodes on nominal; bars: 95 % over training seeds. The fronts are found, "
-            f"not proved: they hold one start.{f' Without progress, so without a cost: {still}.' if still else ''}",
-            figures.transport,
-            evidence.rows,
+            f"not proved: they hold one start.{f' Without progress, so without a cost: {absent}.' if absent else ''}",
+            figures.draw_transport,
+            results.rows,
         ),
         _figure(
             "profiles",
             "Performance profile",
             "The share of episodes that are faster, of all training seeds; bands: 95 %, whole seeds resampled, of a "
             "single seed its episodes.",
-            figures.profiles,
-            evidence.rows,
-            evidence.shown_sets,
+            figures.draw_profiles,
+            results,
         ),
         _figure(
             "plants",
             "On which plants",
-            "A point per episode of the sets whose plants do not change on the way: its mean speed, averaged over the "
-            "training seeds. A cross: an episode that failed with at least one of them.",
-            figures.plants,
-            evidence.rows,
-            evidence.sets,
+            "A point per episode of the sets with constant parameters: its mean speed, averaged over the training "
+            "seeds. A cross: an episode that failed with at least one of them.",
+            figures.draw_plants,
+            results.rows,
+            results.sets,
         ),
         "</div>",
-        *(_config(name, config) for name, config in material.configs.items()),
-        _footer(material),
+        *(_settings(name, config) for name, config in data.configs.items()),
+        _footer(data),
     ]
-    return _document(title, "\n".join(part for part in parts if part))
-
-
-def _document(title: str, body: str) -> str:
-    css, script = ((HERE / f"page.{kind}").read_text(encoding="utf-8") for kind in ("css", "js"))
+    body = "\n".join(part for part in parts if part)
+    css, script = (Path(__file__).with_name(f"page.{kind}").read_text(encoding="utf-8") for kind in ("css", "js"))
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -117,26 +115,20 @@ def _document(title: str, body: str) -> str:
     )
 
 
-def _cost(material: Material, row: Row) -> float | None:
-    cost: float | None = material.summaries[row.name]["nominal"]["cost_of_transport"]["iqm"]
-    return cost if cost is not None and math.isfinite(cost) else None
-
-
-def _sentence(material: Material, row: Row) -> str:
-    """What there is to say first: what a policy is, how fast, and whether it fails."""
-    summary, reference = (material.summaries[name][RANKING_SET] for name in (row.name, BASELINE))
-    speed = summary[SPEED]
-    ratio = speed["iqm"] / reference[SPEED]["iqm"]
+def _sentence(data: Data, row: Row) -> str:
+    """What a policy is, how fast it is, and how often it fails."""
+    summary, reference = (data.summaries[name][RANKING_SET] for name in (row.name, BASELINE))
+    ratio = summary[SPEED]["iqm"] / reference[SPEED]["iqm"]
     description = re.sub("`([^`]+)`", r"<code>\1</code>", html.escape(row.header["description"]))
     return (
         f"<strong>{html.escape(row.name)}</strong> ({description}): "
-        f"{TABLE_METRICS[SPEED].with_interval(speed)} cm/s on the set <code>{RANKING_SET}</code>, {ratio:.2f} times "
-        f"as fast as the paper's controller; {summary['failures']} of {summary['episodes']} episodes failed."
+        f"{TABLE_METRICS[SPEED].with_interval(summary[SPEED])} cm/s on the set <code>{RANKING_SET}</code>, {ratio:.2f} "
+        f"times as fast as the paper's controller; {summary['failures']} of {summary['episodes']} episodes failed."
     )
 
 
-def _figure(name: str, heading: str, caption: str, figure_of: Any, *arguments: Any) -> str:
-    svg = figures.draw(figure_of, name, *arguments)
+def _figure(name: str, heading: str, caption: str, draw: Any, *arguments: Any) -> str:
+    svg = figures.to_svg(draw, name, *arguments)
     svg = svg.replace("<svg", f'<svg role="img" aria-label="{html.escape(heading)}"', 1)
     return (
         f"<section>\n<h2>{html.escape(heading)}</h2>\n<figure>\n{svg}\n"
@@ -144,38 +136,20 @@ def _figure(name: str, heading: str, caption: str, figure_of: Any, *arguments: A
     )
 
 
-def _learning(material: Material) -> str:
-    if not material.evidence.learning:
-        return ""
-    return _figure(
-        "learning",
-        "Learning curve",
-        "Evaluations on each run's own draws, never on a frozen set. Grey: the training seeds; blue: their "
-        "interquartile mean; band: 95 %.",
-        figures.learning,
-        material.evidence,
-    )
-
-
-def _table(material: Material) -> str:
+def _table(data: Data) -> str:
     """All measures of all policies on all sets."""
-    evidence = material.evidence
-    heads = ["policy", "set", *(measure.label for measure in TABLE_METRICS.values()), SHARE_OF_OPTIMUM.label, "failed"]
-    rows = [
-        _line(row.name, each.name, material.summaries[row.name][each.name])
-        for row in evidence.rows
-        for each in evidence.sets
-    ]
-    chosen = {True: " selected", False: ""}
-    options = "".join(
-        f'<option value="{each.name}"{chosen[each.name == RANKING_SET]}>{each.name}</option>' for each in evidence.sets
-    )
+    sets = [each.name for each in data.results.sets]
+    heads = ["policy", "set", *(metric.label for metric in TABLE_METRICS.values()), SHARE_OF_OPTIMUM.label, "failed"]
+    options = [f'<option value="{name}"{" selected" * (name == RANKING_SET)}>{name}</option>' for name in sets]
+    lines = [_line(row.name, name, data.summaries[row.name][name]) for row in data.results.rows for name in sets]
     return (
-        f'<p><label for="set">Set</label> <select id="set"><option value="">all</option>{options}</select></p>\n'
-        '<div class="wide" tabindex="0" role="region" aria-label="Measures on every set">\n<table>\n<thead><tr>'
+        '<p><label for="set">Set</label> <select id="set"><option value="">all</option>'
+        + "".join(options)
+        + '</select></p>\n<div class="wide" tabindex="0" role="region" aria-label="Measures on every set">\n<table>\n'
+        + "<thead><tr>"
         + "".join(f'<th scope="col"><button>{html.escape(head)}</button></th>' for head in heads)
         + "</tr></thead>\n<tbody>\n"
-        + "\n".join(rows)
+        + "\n".join(lines)
         + "\n</tbody>\n</table>\n</div>"
     )
 
@@ -185,89 +159,86 @@ def _line(policy: str, set_name: str, summary: Mapping[str, Any]) -> str:
     cells = [
         f'<th scope="row">{html.escape(policy)}</th>',
         f"<td>{set_name}</td>",
-        *(_number(measure, summary[measure.name]) for measure in TABLE_METRICS.values()),
+        *(_number(metric, summary[metric.name]) for metric in TABLE_METRICS.values()),
         _number(SHARE_OF_OPTIMUM, summary.get(SHARE_OF_OPTIMUM.name, {"iqm": None, "low": None, "high": None})),
         f'<td data-value="{failed:.6g}">{summary["failures"]}/{summary["episodes"]}</td>',
     ]
     return f'<tr data-set="{set_name}">{"".join(cells)}</tr>'
 
 
-def _number(measure: TableMetric, summary: Mapping[str, Any]) -> str:
+def _number(metric: TableMetric, summary: Mapping[str, Any]) -> str:
     value = summary["iqm"]
-    number, _, interval = measure.with_interval(summary).partition(" ")
-    # As JavaScript reads it: what does not exist is NaN.
+    number, _, interval = metric.with_interval(summary).partition(" ")
+    # A missing value is NaN in JavaScript.
     key = f"{value:.6g}" if value is not None and math.isfinite(value) else "NaN"
     return f'<td data-value="{key}">{number} <span class="low">{interval}</span></td>'
 
 
-def _config(name: str, config: Mapping[str, Any]) -> str:
-    """What a run was told, folded."""
-    told = {key: config[key] for key in ("algo", "task", "seed", "revision") if key in config} | config.get(
-        "hyperparameters", {}
-    )
-    entries = "".join(f"<dt>{html.escape(key)}</dt><dd>{html.escape(str(value))}</dd>" for key, value in told.items())
+def _settings(name: str, config: Mapping[str, Any]) -> str:
+    """The settings of a run, folded."""
+    shown = {key: config[key] for key in ("algo", "task", "seed", "revision") if key in config}
+    shown |= config.get("hyperparameters", {})
+    entries = "".join(f"<dt>{html.escape(key)}</dt><dd>{html.escape(str(value))}</dd>" for key, value in shown.items())
     return (
         f"<h2>Settings of {html.escape(name)}</h2>\n<details><summary>All of them</summary><dl>{entries}</dl></details>"
     )
 
 
-def _footer(material: Material) -> str:
-    evidence = material.evidence
-    versions = ", ".join(f"{name} {number}" for name, number in evidence.rows[0].header["versions"].items())
-    hashes = ", ".join(f"{each.name} {each.hash[:12]}" for each in evidence.sets)
+def _footer(data: Data) -> str:
+    results = data.results
+    versions = ", ".join(f"{name} {number}" for name, number in results.rows[0].header["versions"].items())
+    hashes = ", ".join(f"{each.name} {each.hash[:12]}" for each in results.sets)
     return (
         "<footer><p>Numbers are interquartile means with 95 % intervals: over training seeds, resampled whole, or of "
-        "a single seed over its episodes. A failed episode's mean speed is the distance it had made over the whole "
+        "a single seed over its episodes. The mean speed of a failed episode is its distance over the whole "
         f"33 s. Written by <code>{COMMAND}</code> with {html.escape(versions)}. Sets: {hashes}.</p></footer>"
     )
 
 
-def _live(live: Path, material: Material) -> str:
-    """The fastest policy that the live page can show, beside the paper's controller."""
+def _motion(live: Path, data: Data) -> str:
+    """The live page with the fastest policy that it can run, compared with the paper's controller."""
     if not live.is_file():
         return "<p>After <code>make web</code> a report shows its policy in motion, in a page inside of this one.</p>"
-    own = own_drivers(material.policies)
-    shown = [
-        row for row in material.subjects if row.name in own or (row.header["disturbed"] and row.name in driver_names())
-    ]
+    own, known = own_controllers(data.policies), controller_names()
+    # The rows are sorted: the first is the fastest.
+    shown = [row.name for row in data.subjects if row.name in own or (row.header["disturbed"] and row.name in known)]
     if not shown:
         return ""
-    row = fastest(shown)
-    added = [own[row.name]] if row.name in own else []
-    driver = added[0]["name"] if added else row.name
+    name = shown[0]
+    added = [own[name]] if name in own else []
+    driver = added[0]["name"] if added else name
     scene = urlencode({"driver": driver, "rival": BASELINE, "set": RANKING_SET, "plant": 0})
-    page = embedded(live.read_text(encoding="utf-8"), scene, f"{row.name} beside {BASELINE}", added)
-    return f"<h2>In motion</h2>\n{page}"
+    return f"<h2>In motion</h2>\n{embed(live.read_text(encoding='utf-8'), scene, f'{name} and {BASELINE}', added)}"
 
 
-def own_drivers(policies: Mapping[str, Policy]) -> dict[str, dict[str, Any]]:
-    """Policies as the live page takes them, by name; without those whose law, capsule or numbers it lacks."""
+def own_controllers(policies: Mapping[str, Policy]) -> dict[str, dict[str, Any]]:
+    """Policies as the live page takes them, by name; without those whose law, capsule or numbers it does not know."""
     found: dict[str, dict[str, Any]] = {}
     for name, policy in policies.items():
         try:
-            # The page has committed policies under their names.
-            described = describe_policy(f"own-{name}" if name in driver_names() else name, policy)
-            driver = {**described, "network": described["network"].tolist()}
-            # JSON has no number that is not finite.
-            json.dumps(driver, allow_nan=False)
+            # The names of committed policies are in use.
+            described = describe_policy(f"own-{name}" if name in controller_names() else name, policy)
+            controller = {**described, "network": described["network"].tolist()}
+            # JSON has no infinite numbers.
+            json.dumps(controller, allow_nan=False)
         except ValueError:
             continue
-        found[name] = driver
+        found[name] = controller
     return found
 
 
-def embedded(page: str, scene: str, title: str, drivers: Sequence[Mapping[str, Any]] = ()) -> str:
-    """A self-contained page inside of another, at a scene of its own.
+def embed(page: str, scene: str, title: str, controllers: Sequence[Mapping[str, Any]] = ()) -> str:
+    """A self-contained page as an iframe.
 
     Args:
         page: its HTML.
-        scene: what stands behind the # of its address.
-        title: says what it shows, for those who do not see it.
-        drivers: what the live page is to have besides its own drivers, as `addDriver` of web/capsule.mjs takes them.
+        scene: fragment of its address.
+        title: for screen readers.
+        controllers: policies that are added to the live page, as `addDriver` of web/capsule.mjs takes them.
     """
     begin = f"<script>location.hash = {json.dumps(scene)}</script>"
-    if drivers:
-        data = json.dumps(drivers).replace("<", r"\u003c")
+    if controllers:
+        data = json.dumps(controllers).replace("<", r"\u003c")
         begin += f'<script type="application/json" id="own-drivers">{data}</script>'
     whole = html.escape(page.replace("<head>", f"<head>{begin}", 1))
     return f'<iframe title="{html.escape(title)}" loading="lazy" srcdoc="{whole}"></iframe>'

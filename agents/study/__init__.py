@@ -1,1 +1,1 @@
-"""Rows of the leaderboard trained over seeds, side by side: `python -m agents.study`; what is chosen by `.tune`."""
+"""Trains rows of the leaderboard over seeds (`python -m agents.study`) and tunes hyperparameters (`.tune`)."""

@@ -1,4 +1,4 @@
-"""Trains rows of the leaderboard over seeds, side by side: `python -m agents.study --help` says all."""
+"""Trains rows of the leaderboard over training seeds: `python -m agents.study --help`."""
 
 from __future__ import annotations
 
@@ -11,25 +11,21 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from agents.study.backends import Backend
-from agents.study.jobs import plan, seeds_of
-from agents.study.publication import publish
-from agents.study.study import check_jobs, leave, tell, train_all
+from agents.study.jobs import Backend, check_jobs, plan, publish, results_table, seeds_of, train_all
 from agents.training.errors import RunError
 from agents.training.presets import ROWS, row_settings
 from agents.training.stopping import INTERRUPTED
 from capsule_gym.command_line import Positional, parse, refuse
 
 PROG = "python -m agents.study"
-RUNS = Path("runs/study")
 
 
 @dataclass(frozen=True)
-class Options:
-    """Trains rows of the leaderboard over training seeds, side by side; called again, it goes on.
+class Args:
+    """Trains rows of the leaderboard over training seeds, several runs in parallel.
 
-    What is finished stays as it is, what is not goes on from its last checkpoint. Ctrl-C saves and stops. A run that
-    fails stops no other; the exit status is then 1.
+    The same command resumes: finished runs stay as they are, others continue from their last checkpoint. Ctrl-C stops.
+    A run that fails does not stop the others; the exit status is then 1.
 
     Examples:
       python -m agents.study direct-ppo --seeds 0-9
@@ -39,18 +35,18 @@ class Options:
 
     rows: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME", help=f"Which of {', '.join(ROWS)}.")]
     seeds: Annotated[tuple[str, ...], arg(metavar="N")] = ("0-9",)
-    """Training seeds, and ranges of them such as 0-9."""
+    """Training seeds, and ranges of seeds such as 0-9."""
     jobs: int | None = None
-    """Runs that are trained at a time; as many as there are cores."""
-    backend: Backend = "local"
-    """Processes of this machine, or the Ray cluster that RAY_ADDRESS names (needs the extra `cluster`)."""
-    runs: Path = RUNS
-    """Folder of the runs, each in NAME/seed-N; a cluster must share it."""
+    """Number of runs in parallel; one per core by default."""
+    backend: Backend = "loky"
+    """Backend of joblib: processes of this machine, or the Ray cluster that RAY_ADDRESS names (extra `cluster`)."""
+    runs: Path = Path("runs/study")
+    """Folder of the runs, each in NAME/seed-N with its output in NAME/seed-N.log; a cluster must share it."""
     publish: bool = False
     """Copy the policies of finished runs to agents/checkpoints, for the leaderboard."""
 
     def check(self) -> None:
-        """Refuses rows that do not exist, and numbers out of range."""
+        """Checks names and ranges."""
         if not self.rows:
             raise ValueError(f"NAME must be one or several of {', '.join(ROWS)}")
         for row in self.rows:
@@ -62,27 +58,27 @@ class Options:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
-    options = parse(Options, PROG, arguments)
+    """Runs the command; returns the exit status."""
+    args = parse(Args, PROG, arguments)
     try:
-        jobs = plan(options.rows, seeds_of(options.seeds), options.runs)
-        outcomes = train_all(jobs, options.runs, options.jobs, options.backend)
+        jobs = plan({row: row_settings(row) for row in args.rows}, seeds_of(args.seeds), args.runs)
+        failures = train_all(jobs, args.jobs, args.backend)
     except (RunError, OSError) as error:
         refuse(PROG, str(error))
-    tell(outcomes)
-    failed = any(outcome.state == "failed" for outcome in outcomes)
-    if options.publish:
-        for job in (outcome.job for outcome in outcomes if outcome.state == "finished"):
-            try:
-                print(f"Published: {publish(job)}")
-            except (RunError, OSError) as error:
-                print(f"Not published: {error}", file=sys.stderr)
-                failed = True
-    if any(outcome.state == "stopped" for outcome in outcomes):
-        print("Stopped; saved. The same command goes on.")
+    except KeyboardInterrupt:
+        print("\nStopped. The same command resumes.")
         return INTERRUPTED
-    return 1 if failed else 0
+    print(results_table(jobs))
+    print("Mean speed and failures of the best evaluation on the run's validation plants, never on a frozen set.")
+    problems = [f"{job.name} failed: {reason}" for job, reason in failures.items()]
+    for job in (job for job in jobs if args.publish and job.finished):
+        try:
+            print(f"Published: {publish(job)}")
+        except (RunError, OSError) as error:
+            problems.append(f"{job.name} is not published: {error}")
+    print(*problems, sep="\n", end="\n" if problems else "", file=sys.stderr)
+    return 1 if problems else 0
 
 
 if __name__ == "__main__":
-    leave(main)
+    sys.exit(main())

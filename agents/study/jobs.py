@@ -1,32 +1,33 @@
-"""What a study consists of: one run per row and training seed, and where each of them stands."""
+"""The runs of a study: one per row and training seed, each in a folder that resumes where it stopped."""
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import dataclasses
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+import traceback
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from agents.evaluation.policies import CHECKPOINTS
 from agents.training.errors import RunError
-from agents.training.presets import (
-    CONFIG,
-    EVALUATED,
-    EVALUATIONS,
-    LARGEST_SEED,
-    Config,
-    read_config,
-    row_settings,
-)
+from agents.training.presets import BEST, CONFIG, EVALUATIONS, LARGEST_SEED, Config, read_config
+from baselines.tables import text_table
 from capsule_gym.files import to_json, write_atomically
+from capsule_gym.policy import POLICY
 
-# Written into a run's folder once its training has come to its end.
+ROOT = Path(__file__).resolve().parents[2]
+# Written into a run's folder when its training is complete.
 FINISHED = "finished.json"
 
-State = Literal["finished", "stopped", "failed"]
+Backend = Literal["loky", "ray"]
+# A line of evaluations.csv by its columns: `steps`, `seconds` and `core_seconds` of training so far, `mean_speed_cm_s`,
+# the share of episodes that `failed`, `score_cm_s` (which selects the best policy) and the `stage` of the run.
+Evaluation = dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,8 @@ class Job:
     """One run of a study.
 
     Attributes:
-        row: its row of the leaderboard.
-        config: what it is trained with, its seed included.
+        row: name of what is trained, a row of the leaderboard in `python -m agents.study`.
+        config: its configuration, the training seed included.
         run: its folder.
     """
 
@@ -50,57 +51,19 @@ class Job:
 
     @property
     def finished(self) -> bool:
-        """Whether it has been trained to its end."""
+        """Whether its training is complete."""
         return (self.run / FINISHED).is_file()
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """How an attempt to train a run ended.
-
-    Attributes:
-        job: the run.
-        state: finished; stopped, with a checkpoint to go on from; or failed.
-        reason: why it failed.
-    """
-
-    job: Job
-    state: State
-    reason: str = ""
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """A line of a run's evaluations.csv: its deterministic policy on plants of its own draws.
-
-    Attributes:
-        steps: agent steps until then.
-        seconds: of training until then.
-        core_seconds: of processor time until then; None of runs that did not count it.
-        mean_speed: interquartile mean, cm/s.
-        failed: share of the episodes that failed.
-        score: what the run's best policy is chosen by, cm/s.
-        stage: of the run, from 0 on; what comes of a run is of its last.
-    """
-
-    steps: int
-    seconds: float
-    mean_speed: float
-    failed: float
-    score: float
-    stage: int
-    core_seconds: float | None = None
-
-
 def seeds_of(words: Sequence[str], option: str = "--seeds") -> list[int]:
-    """Training seeds out of the words of a command line, in order and each once.
+    """Parses training seeds from the words of a command line; sorted, each once.
 
     Args:
-        words: seeds, and ranges of them.
-        option: where they stand, for the error.
+        words: seeds, and ranges of seeds.
+        option: name of the option, for the error.
 
     Raises:
-        ValueError: if a word is neither a seed nor a range of them.
+        ValueError: if a word is neither a seed nor a range of seeds.
 
     >>> seeds_of(["0-2", "7"])
     [0, 1, 2, 7]
@@ -115,31 +78,26 @@ def seeds_of(words: Sequence[str], option: str = "--seeds") -> list[int]:
     return sorted(seeds)
 
 
-def plan(rows: Iterable[str], seeds: Sequence[int], folder: Path) -> list[Job]:
-    """The runs of a study, seed by seed, so that all rows have their first seeds first.
-
-    Args:
-        rows: names of `ROWS`.
-        seeds: training seeds.
-        folder: of all of them; a run is in NAME/seed-N.
+def check_jobs(jobs: int | None) -> None:
+    """Checks the number of runs that are trained in parallel.
 
     Raises:
-        RunError: if a folder is there and holds no run, or one of other settings.
-        ValueError: if there is no such row.
+        ValueError: if it is below one.
     """
-    return plan_of({row: row_settings(row) for row in rows}, seeds, folder)
+    if jobs is not None and jobs < 1:
+        raise ValueError(f"--jobs must be an integer >= 1, got {jobs}")
 
 
-def plan_of(settings: Mapping[str, Config], seeds: Sequence[int], folder: Path) -> list[Job]:
-    """As `plan`, of any settings.
+def plan(settings: Mapping[str, Config], seeds: Sequence[int], folder: Path) -> list[Job]:
+    """Lists the runs of a study: the first seed of every row, then the second seed of every row, and so on.
 
     Args:
-        settings: what is trained, by name.
+        settings: configurations by the name of their row.
         seeds: training seeds.
-        folder: of all runs.
+        folder: of all runs; a run is in NAME/seed-N.
 
     Raises:
-        RunError: as for `plan`.
+        RunError: if a run's folder exists and holds no run, or a run with other settings.
     """
     jobs = [
         Job(row, dataclasses.replace(config, seed=seed), folder / row / f"seed-{seed}")
@@ -148,21 +106,111 @@ def plan_of(settings: Mapping[str, Config], seeds: Sequence[int], folder: Path) 
     ]
     for job in jobs:
         if job.run.exists():
-            refuse_other_settings(job)
+            check_settings(job)
     return jobs
 
 
-def refuse_other_settings(job: Job) -> None:
-    """Refuses a run that was begun with other settings than its row has now.
+def check_settings(job: Job) -> None:
+    """Checks that a run was begun with the settings that its job has now.
 
     Raises:
-        RunError: if it was, or its folder is broken.
+        RunError: if the settings differ, or the run's folder is broken.
     """
-    # As JSON, which knows no tuples.
+    # Compared as JSON, which has no tuples.
     begun, now = (json.loads(to_json(config.to_dict())) for config in (read_config(job.run), job.config))
     changed = [f"{name} was {begun.get(name)!r} and is {now[name]!r}" for name in now if begun.get(name) != now[name]]
     if changed:
-        raise RunError(f"{job.run} holds a run of other settings ({', '.join(changed)}): move it elsewhere")
+        raise RunError(f"{job.run} holds a run with other settings ({', '.join(changed)}): move it elsewhere")
+
+
+def train_job(job: Job) -> str:
+    """Trains a run to its end, or resumes it; its output is written to the file seed-N.log next to its folder.
+
+    Returns:
+        The reason of a failure, or an empty string. It raises nothing, so that one run cannot stop a study.
+    """
+    # torch takes seconds to import, and only workers need it.
+    from agents.training.loop import begin, train
+
+    path = job.run.with_name(f"{job.run.name}.log")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a", encoding="utf-8", buffering=1) as log:
+        with contextlib.redirect_stdout(log), contextlib.redirect_stderr(log):
+            try:
+                if not job.run.exists():
+                    begin(job.run, job.config)
+                if not train(job.run, job.config):
+                    return "stopped by a signal"
+                last = evaluations(job.run)[-1]
+                write_atomically(job.run / FINISHED, to_json({name: last[name] for name in ("steps", "seconds")}))
+            except Exception as error:
+                traceback.print_exc()
+                return f"{error} (see {path})"
+    return ""
+
+
+def train_all(jobs: Sequence[Job], parallel: int | None = None, backend: Backend = "loky") -> dict[Job, str]:
+    """Trains the runs that are not finished, or resumes them, and prints joblib's progress to stderr.
+
+    Ctrl-C stops all runs; each resumes later from its last checkpoint.
+
+    Args:
+        jobs: the runs.
+        parallel: number of runs in parallel; None for one per core.
+        backend: joblib's; `ray` is the cluster that RAY_ADDRESS names, or a new one on this machine. The machines of a
+            cluster must have the checkout and the folder of the runs at the same paths.
+
+    Returns:
+        The reasons of the failures, by run.
+    """
+    from joblib import Parallel, delayed, parallel_config
+
+    waiting = [job for job in jobs if not job.finished]
+    if backend == "ray" and waiting:
+        import ray
+        from ray.util.joblib import register_ray
+
+        ray.init(runtime_env={"env_vars": {"PYTHONPATH": str(ROOT)}}, log_to_driver=False, logging_level="error")
+        register_ray()
+        waiting = [dataclasses.replace(job, run=job.run.resolve()) for job in waiting]
+    try:
+        # One run per task: joblib would otherwise send several short ones together.
+        with parallel_config(backend=backend, n_jobs=parallel or -1, verbose=10):
+            found = Parallel(batch_size=1, pre_dispatch="n_jobs")(delayed(train_job)(job) for job in waiting)
+    except Exception as error:
+        # `train_job` raises nothing: this is the backend, for example because a worker was killed.
+        reason = f"{type(error).__name__}: {str(error).partition(chr(10))[0]} The same command resumes."
+        found = ["" if job.finished else reason for job in waiting]
+    return {job: reason for job, reason in zip(waiting, found, strict=True) if reason}
+
+
+def evaluations(run: Path) -> list[Evaluation]:
+    """Reads the evaluations that a run has made so far; an empty list if it has not begun."""
+    try:
+        with (run / EVALUATIONS).open(encoding="utf-8", newline="") as file:
+            # The last line may be incomplete while the run is in training.
+            rows = [row for row in csv.DictReader(file) if None not in row.values()]
+    except FileNotFoundError:
+        return []
+    return [{name: float(value) for name, value in row.items()} for row in rows]
+
+
+def best(lines: Sequence[Evaluation], config: Config) -> Evaluation | None:
+    """The evaluation of a run's best policy; None if its last stage has no evaluation yet."""
+    last = len(config.stages()) - 1
+    return max((line for line in lines if line["stage"] == last), key=lambda line: line["score_cm_s"], default=None)
+
+
+def results_table(jobs: Sequence[Job]) -> str:
+    """The runs as a table, each with the evaluation of its best policy."""
+    rows = [["run", "steps", "best at", "cm/s", "failed"]]
+    for job in jobs:
+        lines = evaluations(job.run)
+        chosen = best(lines, job.config)
+        if chosen is not None:
+            steps = (f"{line['steps']:,.0f}" for line in (lines[-1], chosen))
+            rows.append([job.name, *steps, f"{chosen['mean_speed_cm_s']:.2f}", f"{chosen['failed']:.1%}"])
+    return text_table(rows, left=1)
 
 
 def revision_of(run: Path) -> str:
@@ -170,35 +218,38 @@ def revision_of(run: Path) -> str:
     return str(json.loads((run / CONFIG).read_text(encoding="utf-8")).get("revision"))
 
 
-def evaluations(run: Path) -> list[Evaluation]:
-    """What a run has evaluated so far; nothing where it has not begun."""
-    try:
-        with (run / EVALUATIONS).open(encoding="utf-8", newline="") as file:
-            # The last line may be under way.
-            rows = [row for row in csv.DictReader(file) if None not in row.values()]
-    except FileNotFoundError:
-        return []
-    return [
-        Evaluation(
-            steps=int(row[EVALUATED]),
-            seconds=float(row["seconds"]),
-            mean_speed=float(row["mean_speed_cm_s"]),
-            failed=float(row["failed"]),
-            score=float(row["score_cm_s"]),
-            stage=int(row["stage"]),
-            core_seconds=float(row["core_seconds"]) if "core_seconds" in row else None,
-        )
-        for row in rows
-    ]
+def check_revision(run: Path, revision: str) -> None:
+    """Checks that a run was begun at a revision that can be checked out.
+
+    Args:
+        run: its folder.
+        revision: as `agents.training.runs.git_revision` returns it.
+
+    Raises:
+        RunError: if it is not a commit, or had uncommitted changes.
+    """
+    if not re.fullmatch(r"[0-9a-f]+", revision):
+        raise RunError(f"{run} must be begun at a revision with nothing uncommitted, got {revision!r}: train it again")
 
 
-def best(lines: Sequence[Evaluation], config: Config) -> Evaluation | None:
-    """The evaluation whose policy a run has come to; None where its last stage has none yet."""
-    last = len(config.stages()) - 1
-    return max((line for line in lines if line.stage == last), key=lambda line: line.score, default=None)
+def publish(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
+    """Copies a run's best policy and its evaluations into the folder of its row and seed, and returns that folder.
 
+    Args:
+        job: the run.
+        checkpoints: the folder of all rows.
 
-def note_end(run: Path) -> None:
-    """Writes down that a run has been trained to its end."""
-    last = evaluations(run)[-1]
-    write_atomically(run / FINISHED, to_json({"steps": last.steps, "seconds": last.seconds}))
+    Raises:
+        RunError: if the run is not finished, has other settings than its row, or was begun at a revision that cannot
+            be checked out.
+    """
+    if not job.finished:
+        raise RunError(f"{job.run} is not finished")
+    check_settings(job)
+    check_revision(job.run, revision_of(job.run))
+    policy, evaluated = ((job.run / name).read_bytes() for name in (f"{BEST}/{POLICY}", EVALUATIONS))
+    folder = checkpoints / job.row / f"seed-{job.config.seed}"
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomically(folder / EVALUATIONS, evaluated)
+    write_atomically(folder / POLICY, policy)
+    return folder

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from agents.report import __main__ as report
-from agents.report import material, page
-from agents.report.figures import _broken
-from agents.report.page import embedded, own_drivers, render, write
+from agents.report import data, page
+from agents.report.figures import broken
+from agents.report.page import embed, own_controllers, render, write
 from tests.agents.fakes import make_policy, write_run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,7 +40,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def published():
-    return material.collect(["direct-ppo"])
+    return data.collect(["direct-ppo"])
 
 
 def test_a_report_shows_the_numbers_of_the_leaderboard(published):
@@ -87,7 +87,7 @@ def test_the_live_page_is_embedded_at_the_policy_where_it_is_built(published, li
     scene = "driver=direct-ppo&rival=adaptive&set=paper&plant=0"
     begin = f'<head><script>location.hash = "{scene}"</script>'
     assert html.unescape(source) == live.read_text().replace("<head>", begin)
-    assert 'title="x &lt;y&gt;"' in embedded(live.read_text(), scene, "x <y>")
+    assert 'title="x &lt;y&gt;"' in embed(live.read_text(), scene, "x <y>")
 
 
 def test_without_the_live_page_a_report_says_what_makes_it(published):
@@ -96,13 +96,13 @@ def test_without_the_live_page_a_report_says_what_makes_it(published):
 
 def test_a_policy_of_ones_own_is_told_to_the_live_page(run, live):
     policy = make_policy(3)
-    mine = material.collect([str(run)])
+    mine = data.collect([str(run)])
     assert mine.policies["mine"].training_seed == 3
     (source,) = re.findall(r'srcdoc="([^"]*)"', render(mine, "t", live=live))
     page = html.unescape(source)
     assert 'location.hash = "driver=mine&rival=adaptive&' in page
-    (data,) = re.findall(r'<script type="application/json" id="own-drivers">(.*?)</script>', page)
-    (driver,) = json.loads(data)
+    (found,) = re.findall(r'<script type="application/json" id="own-drivers">(.*?)</script>', page)
+    (driver,) = json.loads(found)
     assert (driver["name"], driver["task"], driver["seed"]) == ("mine", "direct", 3)
     assert driver["network"] == policy._network.tolist()
 
@@ -118,7 +118,7 @@ def test_what_the_live_page_cannot_run_is_left_out():
         "law": acting(10, controller="tests.agents.fakes:quiet"),
         "told": acting(7, observe_parameters=True),
     }
-    found = own_drivers(policies)
+    found = own_controllers(policies)
     # A name that the page has is not taken twice.
     assert {name: driver["name"] for name, driver in found.items()} == {
         "fine": "fine",
@@ -128,13 +128,13 @@ def test_what_the_live_page_cannot_run_is_left_out():
 
 
 def test_names_of_panels_are_broken_behind_hyphens():
-    assert _broken("optimum-distilled-wide") == "optimum-distilled-wide"
-    assert _broken("residual-ppo-seed0-20261122-160427") == "residual-ppo-seed0-\n20261122-160427"
-    assert _broken("x" * 60).replace("\n", "") == "x" * 60
+    assert broken("optimum-distilled-wide") == "optimum-distilled-wide"
+    assert broken("residual-ppo-seed0-20261122-160427") == "residual-ppo-seed0-\n20261122-160427"
+    assert broken("x" * 60).replace("\n", "") == "x" * 60
 
 
 def test_no_name_ends_the_script_that_holds_it():
-    text = html.unescape(embedded("<head></head>", "s", "t", [{"name": "</script><b>"}]))
+    text = html.unescape(embed("<head></head>", "s", "t", [{"name": "</script><b>"}]))
     assert text.count("</script>") == 2
     assert json.loads(re.findall('own-drivers">(.*?)</script>', text)[0]) == [{"name": "</script><b>"}]
 
@@ -142,7 +142,7 @@ def test_no_name_ends_the_script_that_holds_it():
 @pytest.fixture
 def run(tmp_path, monkeypatch):
     """A run's folder with what a report reads of it, short episodes, and a live page."""
-    monkeypatch.setattr(material, "HORIZON", 0.6)
+    monkeypatch.setattr(data, "HORIZON", 0.6)
     monkeypatch.setattr(page, "LIVE", tmp_path / "live.html")
     page.LIVE.write_text("<head></head>")
     folder = tmp_path / "mine"

@@ -13,8 +13,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 # Started by other commands, and by no user; and by tests.
-STARTED = {"agents.study.worker": "agents.study", "web.modules": "web.build"}
-INNER = {*STARTED, "tests.agents.study.small"}
+STARTED = {"web.modules": "web.build"}
+INNER = set(STARTED)
 HEAVY = {"torch", "stable_baselines3", "sb3_contrib", "matplotlib", "scipy", "numba", "joblib", "optuna", "mujoco"}
 
 

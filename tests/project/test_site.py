@@ -10,7 +10,7 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from agents.drivers import driver_names
+from agents.controllers import controller_names
 from agents.evaluation.policies import BASELINE
 from capsule_gym.evaluation_sets import SET_NAMES
 
@@ -79,7 +79,7 @@ def table(*rows: Sequence[str]) -> str:
 
 
 def test_the_live_page_has_the_drivers_that_are_linked(hooks: ModuleType) -> None:
-    assert hooks.drivers() == set(driver_names())
+    assert hooks.drivers() == set(controller_names())
     assert hooks.BASELINE == BASELINE
     assert set(hooks.set_names()) == set(SET_NAMES)
 

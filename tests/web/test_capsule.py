@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.browser import describe_policy
+from agents.controllers import describe_policy
 from agents.leaderboard.rows import RESULTS, load_row, path_of
 from capsule_gym import CapsuleEnv, load_policy
 from capsule_gym.layout import Row
@@ -33,7 +33,7 @@ def test_committed_episodes_are_pythons(name: str) -> None:
 
 
 def test_every_driver_has_an_episode_and_some_fail() -> None:
-    assert [course["driver"] for course in COMMITTED][: len(episodes.driver_names())] == episodes.driver_names()
+    assert [course["driver"] for course in COMMITTED][: len(episodes.controller_names())] == episodes.controller_names()
     assert {course["name"] for course in COMMITTED} == {course["name"] for course in episodes.courses()}
     assert any(course["steps"] < 1650 for course in COMMITTED)
 
@@ -159,7 +159,7 @@ def test_every_driver_has_the_leaderboards_numbers(node: Node, name: str, plant:
         show(found);
     """
     found = node(code, name, str(plant))
-    assert list(found) == episodes.driver_names()
+    assert list(found) == episodes.controller_names()
     for driver, numbers in found.items():
         row = load_row(path_of(ROOT / RESULTS, driver))
         # Of a policy the run with the lowest seed.
@@ -263,7 +263,7 @@ def test_an_episode_ends_as_pythons(node: Node) -> None:
 
 def test_drivers_and_sets_are_what_python_has(node: Node) -> None:
     drivers, sets, tasks = node("show([live.drivers, live.sets, live.tasks]);")
-    assert [driver["name"] for driver in drivers] == episodes.driver_names()
+    assert [driver["name"] for driver in drivers] == episodes.controller_names()
     assert {driver["task"] for driver in drivers} == set(tasks)
     assert all(driver["description"] for driver in drivers)
     assert {driver["name"] for driver in drivers if driver.get("recorded")} == set(recordings.RECORDED)

@@ -11,7 +11,7 @@ from urllib.parse import parse_qs
 
 import pytest
 
-from agents.report.page import embedded, own_drivers
+from agents.report.page import embed, own_controllers
 from benchmarks.web import BROWSERS, find_browser, started
 from capsule_gym import load_policy
 from web import build
@@ -542,10 +542,10 @@ def test_links_to_the_documentation_where_it_lies_beside(open_page: Open) -> Non
 
 
 def test_inside_of_a_report_the_page_shows_a_policy_of_ones_own(browser: Any, site: Path, tmp_path: Path) -> None:
-    (own,) = own_drivers({"mine": load_policy("direct-ppo")}).values()
+    (own,) = own_controllers({"mine": load_policy("direct-ppo")}).values()
     live = (site / "index.html").read_text("utf-8")
     report = tmp_path / "report.html"
-    report.write_text(f"<!doctype html>{embedded(live, 'driver=mine&rival=adaptive&t=2', 'x', [own])}", "utf-8")
+    report.write_text(f"<!doctype html>{embed(live, 'driver=mine&rival=adaptive&t=2', 'x', [own])}", "utf-8")
     assert report.stat().st_size < 3_000_000
     page = browser.new_page()
     said: list[str] = []

@@ -1,136 +1,158 @@
-"""Studies as their users meet them: runs that fail, die, are stopped, and are gone on with."""
+"""Studies: which runs there are, what stops them, and what may be published."""
 
-from __future__ import annotations
-
-import importlib.util
+import dataclasses
 import json
-import os
-import signal
-import subprocess
-import sys
-import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 
 from agents.study.__main__ import main
-from agents.study.jobs import FINISHED, Job
-from agents.study.study import tell, train_all
-from tests.agents.study.small import STEPS, job
+from agents.study.jobs import FINISHED, Job, best, evaluations, plan, publish, results_table, seeds_of, train_all
+from agents.training.errors import RunError
+from agents.training.presets import ROWS
+from tests.agents.fakes import write_run
+from tests.agents.training.small import small
 
-ROOT = Path(__file__).resolve().parents[3]
-needs_ray = pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="the extra `cluster` is not installed")
-
-
-def wait_for(condition: Callable[[], object], seconds: float = 120.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+STEPS = 2048
 
 
-def kill_once(run: Path, find: Callable[[int], int]) -> threading.Thread:
-    """Kills a process once the run has a checkpoint; `find` is given the one that trains."""
-
-    def kill() -> None:
-        wait_for(lambda: list(run.glob("checkpoint-*[0-9]")))
-        os.kill(find(int((run / "lock").read_text())), signal.SIGKILL)
-
-    thread = threading.Thread(target=kill)
-    thread.start()
-    return thread
+def job(folder, seed=0, **changes):
+    config = small("direct", "ppo", seed=seed, **{"total_steps": STEPS, "evaluate_every": 512, **changes})
+    return Job("tiny", config, folder / "tiny" / f"seed-{seed}")
 
 
-def parent_of(process: int) -> int:
-    return int(Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[1])
+def test_ranges_of_seeds_are_read_in_order_and_once():
+    assert seeds_of(["7", "0-2", "1-3"]) == [0, 1, 2, 3, 7]
 
 
-def resumed_at(made: Job) -> list[int]:
-    checkpoint = max(made.run.glob("checkpoint-*[0-9]"))
-    return json.loads((checkpoint / "progress.json").read_text())["resumed_at"]
+@pytest.mark.parametrize("word", ["", "x", "-1", "3-1", "0,1", "1.5", "4294967296"])
+def test_a_word_that_is_no_seed_is_named(word):
+    with pytest.raises(ValueError, match="--seeds must be") as error:
+        seeds_of([word])
+    assert repr(word) in str(error.value)
 
 
-def test_a_run_that_fails_or_dies_takes_no_other_with_it(tmp_path, capsys):
-    # The second dies in training, and goes on; the third cannot be begun.
-    jobs = [job(tmp_path, 0), job(tmp_path, 1, total_steps=15 * STEPS), job(tmp_path, 2, gamma=2.0)]
-    thread = kill_once(jobs[1].run, lambda process: process)
-    outcomes = train_all(jobs, tmp_path, 2)
-    thread.join()
-    assert [outcome.state for outcome in outcomes] == ["finished", "finished", "failed"]
-    assert [outcome.job for outcome in outcomes] == jobs
-    assert "gamma must be a number in [0, 1], got 2.0" in outcomes[2].reason
-    assert resumed_at(jobs[0]) == [] and len(resumed_at(jobs[1])) == 1
-    assert json.loads((jobs[0].run / FINISHED).read_text())["steps"] == STEPS
-    assert not list(tmp_path.glob(".stop-*"))
-    tell(outcomes)
-    out, err = capsys.readouterr()
-    assert "tiny/seed-1" in out and "tiny/seed-2 failed: gamma" in err
+def test_a_plan_holds_every_row_with_every_seed_first_seeds_first(tmp_path):
+    jobs = plan({name: ROWS[name] for name in ("direct-ppo", "direct-sac")}, [0, 4], tmp_path)
+    assert [each.name for each in jobs] == [
+        "direct-ppo/seed-0",
+        "direct-sac/seed-0",
+        "direct-ppo/seed-4",
+        "direct-sac/seed-4",
+    ]
+    assert jobs[3].config == dataclasses.replace(ROWS["direct-sac"], seed=4)
+    assert jobs[3].run == tmp_path / "direct-sac" / "seed-4"
 
-    # What is finished is not begun again.
+
+def test_a_run_with_other_settings_is_not_resumed(tmp_path):
+    run = tmp_path / "direct-ppo" / "seed-0"
+    run.mkdir(parents=True)
+    config = dataclasses.replace(ROWS["direct-ppo"], gamma=0.5)
+    content = {"task": "direct", "algo": "ppo", "hyperparameters": config.to_dict()}
+    (run / "config.json").write_text(json.dumps(content))
+    with pytest.raises(RunError, match=r"gamma was 0\.5 and is 0\.995"):
+        plan({"direct-ppo": ROWS["direct-ppo"]}, [0], tmp_path)
+    assert len(plan({"direct-ppo": ROWS["direct-ppo"]}, [1], tmp_path)) == 1
+
+
+def test_incomplete_lines_of_evaluations_are_left_out(tmp_path):
+    assert evaluations(tmp_path) == []
+    (tmp_path / "evaluations.csv").write_text("steps,score_cm_s,stage\n100,9.0,0\n200,1")
+    assert evaluations(tmp_path) == [{"steps": 100.0, "score_cm_s": 9.0, "stage": 0.0}]
+
+
+def test_the_best_evaluation_is_of_the_last_stage():
+    one = ROWS["direct-ppo"]
+    two = dataclasses.replace(one, direct_steps=1)
+    assert len(two.stages()) == 2
+    lines = [{"score_cm_s": score, "stage": stage} for score, stage in ((9, 0), (12, 0), (3, 1), (4, 1), (2, 1))]
+    assert best(lines[:2], one) == lines[1]
+    assert best(lines, two) == lines[3]
+    assert best(lines[:2], two) is None
+
+
+def test_a_run_that_fails_does_not_stop_the_others(tmp_path):
+    jobs = [job(tmp_path, 0, gamma=2.0), job(tmp_path, 1)]
+    failures = train_all(jobs, 1)
+    assert list(failures) == [jobs[0]]
+    assert "gamma must be a number in [0, 1], got 2.0" in failures[jobs[0]]
+    assert json.loads((jobs[1].run / FINISHED).read_text())["steps"] == STEPS
+    assert "tiny/seed-1" in results_table(jobs) and "2,048" in results_table(jobs)
+    assert "Traceback" in jobs[0].run.with_name("seed-0.log").read_text()
+    # A finished run is not touched again.
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
-    again = train_all(jobs[:2], tmp_path, 2)
-    assert [outcome.state for outcome in again] == ["finished", "finished"]
+    assert train_all(jobs[1:], 1) == {}
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
 
 
-@contextmanager
-def endless(folder: Path) -> Iterator[subprocess.Popen[str]]:
-    """A study that two runs of have begun; it ends with the block, whatever happens there."""
-    command = [sys.executable, "-m", "tests.agents.study.small", "endless", "--seeds", "0-2", "--jobs", "2"]
-    command += ["--runs", str(folder)]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        try:
-            begun = "endless/seed-*/checkpoint-*[0-9]"
-            wait_for(lambda: len({path.parent for path in folder.glob(begun)}) == 2 or process.poll() is not None)
-            assert process.poll() is None, process.communicate()
-            yield process
-        finally:
-            process.kill()
+def test_a_killed_worker_is_a_failure_of_the_unfinished_runs(tmp_path, monkeypatch):
+    jobs = [job(tmp_path, seed) for seed in range(2)]
+
+    def killed(self, tasks):
+        next(iter(tasks))
+        jobs[0].run.mkdir(parents=True)
+        (jobs[0].run / FINISHED).write_text("{}")
+        raise RuntimeError("a worker was killed\nand more")
+
+    monkeypatch.setattr("joblib.Parallel.__call__", killed)
+    failures = train_all(jobs, 1)
+    assert list(failures) == [jobs[1]] and failures[jobs[1]].startswith("RuntimeError: a worker was killed")
 
 
-def trains(run: Path) -> bool:
-    """Whether the process that trains a run is there; one that has ended may not be buried yet."""
-    stat = Path(f"/proc/{(run / 'lock').read_text().strip()}/stat")
-    return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z"
+@pytest.fixture
+def finished(tmp_path):
+    made = job(tmp_path / "runs", seed=3)
+    write_run(made.run / "best", 3)
+    content = {"task": "direct", "algo": "ppo", "hyperparameters": made.config.to_dict(), "revision": "0123456789ab"}
+    (made.run / "config.json").write_text(json.dumps(content))
+    (made.run / "evaluations.csv").write_text("steps,seconds\n")
+    (made.run / FINISHED).write_text("{}")
+    return made
 
 
-def newest(runs: list[Path]) -> list[str]:
-    """The names of the newest checkpoints, which are in the order of their steps."""
-    return [max(run.glob("checkpoint-*[0-9]")).name for run in runs]
+def test_the_best_policy_and_the_evaluations_are_published(finished, tmp_path):
+    checkpoints = tmp_path / "checkpoints"
+    folder = publish(finished, checkpoints)
+    assert folder == checkpoints / "tiny" / "seed-3"
+    assert sorted(path.name for path in folder.iterdir()) == ["evaluations.csv", "policy.safetensors"]
+    policy = (finished.run / "best" / "policy.safetensors").read_bytes()
+    # Existing files are replaced.
+    (folder / "policy.safetensors").write_bytes(b"")
+    publish(finished, checkpoints)
+    assert (folder / "policy.safetensors").read_bytes() == policy
 
 
-@pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
-def test_ctrl_c_saves_all_runs_and_a_killed_study_leaves_none_running(tmp_path):
-    with endless(tmp_path) as process:
-        runs = sorted(path for path in tmp_path.glob("endless/seed-*") if path.is_dir())
-        assert len(runs) == 2
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=120)
-    assert process.returncode == 130, err
-    assert "The same command goes on." in out
-    assert not any(trains(run) for run in runs)
-    # The third was not begun any more.
-    assert sorted(path for path in tmp_path.glob("endless/seed-*") if path.is_dir()) == runs
-    stopped = newest(runs)
-
-    with endless(tmp_path):
-        wait_for(lambda: all(map(trains, runs)) and newest(runs) > stopped)
-    wait_for(lambda: not any(trains(run) for run in runs))
+@pytest.mark.parametrize("revision", ["0123456789ab+", "unknown"])
+def test_a_revision_that_cannot_be_checked_out_is_not_published(finished, tmp_path, revision):
+    path = finished.run / "config.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "revision": revision}))
+    with pytest.raises(RunError, match="nothing uncommitted") as error:
+        publish(finished, tmp_path / "checkpoints")
+    assert repr(revision) in str(error.value)
+    assert not (tmp_path / "checkpoints").exists()
 
 
-@needs_ray
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
-def test_a_ray_worker_that_is_killed_costs_its_run_nothing_but_time(tmp_path):
-    jobs = [job(tmp_path, seed, total_steps=15 * STEPS) for seed in range(2)]
-    thread = kill_once(jobs[0].run, parent_of)
-    outcomes = train_all(jobs, tmp_path, 2, "ray")
-    thread.join()
-    assert [outcome.state for outcome in outcomes] == ["finished", "finished"]
-    assert len(resumed_at(jobs[0])) == 1 and resumed_at(jobs[1]) == []
+def test_unfinished_runs_and_other_settings_are_not_published(finished, tmp_path):
+    other = dataclasses.replace(finished, config=dataclasses.replace(finished.config, gamma=0.5))
+    with pytest.raises(RunError, match="gamma"):
+        publish(other, tmp_path / "checkpoints")
+    (finished.run / FINISHED).unlink()
+    with pytest.raises(RunError, match="not finished"):
+        publish(finished, tmp_path / "checkpoints")
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "message"), [(None, 1, "failed: lost"), (KeyboardInterrupt, 130, "resumes")]
+)
+def test_failures_and_ctrl_c_have_their_exit_status(tmp_path, monkeypatch, capsys, error, status, message):
+    def train(jobs, parallel, backend):
+        assert (len(jobs), parallel, backend) == (2, 3, "loky")
+        if error:
+            raise error
+        return {jobs[0]: "lost"}
+
+    monkeypatch.setattr("agents.study.__main__.train_all", train)
+    assert main(["direct-ppo", "--seeds", "0-1", "--jobs", "3", "--runs", str(tmp_path), "--publish"]) == status
+    assert message in "".join(capsys.readouterr())
 
 
 @pytest.mark.parametrize(

@@ -1,59 +1,81 @@
-"""The search: on own draws, gone on with where it was, with nothing counted twice."""
+"""Tuning: the spaces of the presets, and a search that resumes."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import multiprocessing
 
 import pytest
 
 from agents.study import tune
+from agents.study.jobs import FINISHED
 from agents.training.presets import PRESETS, ROWS
-from agents.training.stopping import Stop
-from tests.agents.study.small import small
+from tests.agents.training.small import small
 
 optuna = pytest.importorskip("optuna", reason="the extra `tune` is not installed", exc_type=ImportError)
 
 
-@pytest.fixture
-def tiny(monkeypatch):
-    """A row whose trials take a second, and a search in one direction."""
-    monkeypatch.setitem(ROWS, "tiny", small("direct", "ppo"))
-    monkeypatch.setitem(tune.SPACES, "ppo", lambda trial: {"gamma": trial.suggest_float("gamma", 0.9, 0.999)})
+def sample(seed):
+    return optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=seed)).ask()
 
 
 @pytest.mark.parametrize(("task", "algo"), PRESETS)
 def test_every_point_of_a_space_is_a_configuration(task, algo):
-    preset, space = PRESETS[task, algo], tune.SPACES[algo]
     for seed in range(20):
-        study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=seed))
-        config = dataclasses.replace(preset, **space(study.ask()))
+        config = dataclasses.replace(PRESETS[task, algo], **tune.suggest(sample(seed), algo))
         config.check()
         assert config.final_learning_rate <= config.learning_rate
 
 
-def test_a_search_goes_on_where_it_was_stopped(tmp_path, tiny, capsys):
-    options = tune.Options("tiny", trials=1, total_steps=1024, runs=tmp_path)
-    stop = Stop()
-    stop.requested = True
-    study = tune.Search(options, stop).run()
-    assert tune.ended(study) == []
+class Training:
+    """Stands for the process of a trial: it ends at once, with two evaluations."""
+
+    def __init__(self, target, args):
+        (self.job,) = args
+
+    def start(self):
+        self.job.run.mkdir(parents=True, exist_ok=True)
+        content = {"task": "direct", "algo": "ppo", "hyperparameters": self.job.config.to_dict()}
+        (self.job.run / "config.json").write_text(json.dumps(content))
+        lines = ["steps,core_seconds,score_cm_s,stage", "512,1.0,5.0,0", f"1024,2.0,{self.job.config.gamma},0", ""]
+        (self.job.run / "evaluations.csv").write_text("\n".join(lines))
+        (self.job.run / FINISHED).write_text("{}")
+        self.alive = True
+
+    def is_alive(self):
+        return getattr(self, "alive", False)
+
+    def join(self, seconds=None):
+        self.alive = False
+
+    def terminate(self):
+        """Nothing is left to end."""
+
+
+def test_a_search_resumes_where_it_was_stopped(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(ROWS, "tiny", small("direct", "ppo"))
+    monkeypatch.setitem(tune.SPACES, "ppo", {"learning_rate": (1e-4, 1e-3), "one_minus_gamma": (1e-3, 1e-1)})
+    monkeypatch.setattr(multiprocessing.get_context("spawn"), "Process", Training, raising=False)
     words = ["tiny", "--trials", "2", "--total-steps", "1024", "--runs", str(tmp_path)]
+    # Ctrl-C in the first trial, which is tried again with the same parameters.
+    with monkeypatch.context() as patch:
+        patch.setattr(Training, "join", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(Training, "terminate", lambda self: setattr(self, "join", lambda: None))
+        assert tune.main(words) == 130
     assert tune.main(words) == 0
     content = json.loads((tmp_path / "tiny" / "trials.json").read_text())
     assert [trial["state"] for trial in content["trials"]] == ["complete", "complete"]
-    first, second = content["trials"]
-    # The one that was stopped, and a new one.
-    assert first["parameters"] == study.trials[0].params != second["parameters"]
-    lines = [dict(zip(content["evaluations"], line, strict=True)) for line in first["evaluations"]]
-    assert first["score"] == max(line["score"] for line in lines)
-    assert lines[-1]["steps"] == 1024
-    # Enough of them: nothing is trained any more.
-    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "tiny").rglob("model.zip")}
+    assert [trial["score"] for trial in content["trials"]] == [5.0, 5.0]
+    first, second = (trial["parameters"] for trial in content["trials"])
+    assert first != second
+    runs = [path for path in (tmp_path / "tiny").glob("*") if path.is_dir()]
+    assert len(runs) == 2
+    assert content["evaluations"] == ["steps", "core_seconds", "score_cm_s", "stage"]
+    # The number of trials is reached.
     assert tune.main(words) == 0
-    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "tiny").rglob("model.zip")} == before
-    assert "gamma=" in capsys.readouterr().out
-    # Another length is another search.
+    assert json.loads((tmp_path / "tiny" / "trials.json").read_text())["trials"] == content["trials"]
+    assert "Best of 2 complete trials: 5.00 cm/s" in capsys.readouterr().out
     with pytest.raises(SystemExit):
         tune.main([*words[:-3], "2048", *words[-2:]])
     assert "other settings" in capsys.readouterr().err
@@ -64,7 +86,6 @@ def test_a_search_goes_on_where_it_was_stopped(tmp_path, tiny, capsys):
     [
         (["nope"], "got 'nope'"),
         (["direct-ppo", "--trials", "0"], "--trials must be an integer >= 1, got 0"),
-        (["direct-ppo", "--jobs", "-1"], "--jobs must be an integer >= 1, got -1"),
         (["direct-ppo", "--seed", "5e9"], "seed must be an integer"),
     ],
 )
@@ -75,26 +96,27 @@ def test_bad_options_are_named(words, message, capsys):
     assert message in capsys.readouterr().err
 
 
-def test_a_preset_is_searched_by_its_name_and_all_trials_make_as_many_updates(tmp_path):
-    search = tune.Search(tune.Options("direct-td3", total_steps=64_000, runs=tmp_path), Stop())
-    assert search.settings == dataclasses.replace(
-        PRESETS["direct", "td3"], seed=tune.FIRST_SEED, total_steps=64_000, evaluate_every=8_000
+def test_off_policy_trials_make_the_same_number_of_updates():
+    base = tune.Args("direct-sac", total_steps=64_000).settings()
+    assert base == dataclasses.replace(
+        PRESETS["direct", "sac"], seed=tune.FIRST_SEED, total_steps=64_000, evaluate_every=8_000
     )
     updates = set()
     for seed in range(8):
-        study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=seed))
-        config = search.config_of(study.ask())
+        config = tune.config_of(sample(seed), base)
         updates.add(config.total_steps // config.num_envs * config.gradient_steps)
         assert config.evaluate_every * 8 == config.total_steps
-    assert updates == {64_000 // search.settings.num_envs * search.settings.gradient_steps}
+    assert updates == {64_000 // base.num_envs * base.gradient_steps}
 
 
+# One search was made in a wider space.
+@pytest.mark.filterwarnings("ignore:The value .* is out of the range")
 @pytest.mark.parametrize("algo", ["sac", "td3", "tqc", "recurrent-ppo"])
 def test_a_preset_is_the_best_trial_of_its_committed_search(algo):
     content = json.loads((tune.DATA / f"direct-{algo}.json").read_text())
-    whole = [trial for trial in content["trials"] if trial["state"] == "complete"]
-    first = max(whole, key=lambda trial: trial["score"])
-    found = tune.SPACES[algo](optuna.trial.FixedTrial(first["parameters"]))
+    complete = [trial for trial in content["trials"] if trial["state"] == "complete"]
+    first = max(complete, key=lambda trial: trial["score"])
+    found = tune.suggest(optuna.trial.FixedTrial(first["parameters"]), algo)
     preset = PRESETS["direct", algo].to_dict()
     # Rounded to two or three digits.
     assert {name: preset[name] for name in found} == pytest.approx(found, rel=5e-3)

@@ -1,0 +1,1 @@
+"""Tables and figures of the documentation's result pages: `python -m agents.analysis`."""

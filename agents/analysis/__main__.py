@@ -1,0 +1,116 @@
+"""Writes the tables and figures of the documentation's result pages: `python -m agents.analysis --help`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
+
+from agents.analysis import gallery, limit_cycle, pareto, residual_limit, tables
+from agents.analysis.data import Document, gather
+from agents.analysis.figures import figures_of
+from agents.evaluation import policies as evaluation_policies
+from agents.leaderboard.rows import RESULTS, load_rows
+from capsule_gym.command_line import Positional, parse, refuse
+from capsule_gym.evaluation_sets import SET_NAMES, load_set
+from capsule_gym.files import write_atomically
+
+COMMAND = "python -m agents.analysis"
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def statistics(policies: Sequence[str] = ()) -> Document:
+    """Tables and figures of the leaderboard's results; nothing is evaluated.
+
+    Args:
+        policies: rows; all by default.
+
+    Raises:
+        ValueError: if a policy has no results, or results on other sets.
+    """
+    names = policies or [candidate.name for candidate in evaluation_policies.all_candidates()]
+    rows = load_rows(ROOT / RESULTS, names)
+    results = gather(rows, [load_set(name) for name in SET_NAMES], evaluation_policies.CHECKPOINTS)
+    sections = {
+        "failures": tables.failures(results),
+        "differences": tables.differences(results),
+        "improvement": tables.improvements(results),
+        "learning": tables.learning(results),
+    }
+    return Document(sections, figures_of(results))
+
+
+DOCUMENTS: dict[str, Callable[[Sequence[str]], Document]] = {
+    "statistics": statistics,
+    "limit_cycle": limit_cycle.document,
+    "pareto": pareto.document,
+    "residual_limit": residual_limit.document,
+    "gallery": gallery.document,
+}
+
+
+@dataclass(frozen=True)
+class Args:
+    """Writes docs/NAME_tables.md, docs/figures/NAME*.png and .svg, and the animations of the gallery in docs/media.
+
+    Examples:
+      python -m agents.analysis
+      python -m agents.analysis statistics --check
+      python -m agents.analysis limit_cycle --policies adaptive direct-ppo/seed-2 --output elsewhere
+    """
+
+    names: Annotated[
+        Positional[tuple[str, ...]], arg(metavar="NAME", help=f"Any of {', '.join(DOCUMENTS)}; all by default.")
+    ] = ()
+    check: bool = False
+    """Write nothing; fail if the tables in the folder are not up to date."""
+    policies: Annotated[tuple[str, ...], arg(metavar="NAME_OR_PATH")] = ()
+    """Policies that are shown, as for python -m agents.evaluate; those of the documentation by default."""
+    output: Annotated[Path, arg(metavar="DIR", aliases=["-o"])] = ROOT / "docs"
+    """Folder of the files, which are replaced."""
+
+    def check_names(self) -> None:
+        """Checks the names."""
+        for name in self.names:
+            if name not in DOCUMENTS:
+                raise ValueError(f"NAME must be one of {', '.join(DOCUMENTS)}, got {name!r}")
+
+
+def render(document: Document) -> str:
+    """A document's tables as Markdown, in sections that a page can include."""
+    parts = [f"<!-- Written by {COMMAND}: do not edit. -->"]
+    for name, text in document.sections.items():
+        parts.append(f"<!-- --8<-- [start:{name}] -->\n{text}\n<!-- --8<-- [end:{name}] -->")
+    return "\n\n".join(parts) + "\n"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit status."""
+    args = parse(Args, COMMAND, arguments)
+    stale = False
+    try:
+        args.check_names()
+        for name in args.names or DOCUMENTS:
+            document, path = DOCUMENTS[name](args.policies), args.output / f"{name}_tables.md"
+            if args.check:
+                if document.sections and (not path.is_file() or path.read_text(encoding="utf-8") != render(document)):
+                    print(f"{path} is not up to date: run `{COMMAND} {name}` and commit what it writes.")
+                    stale = True
+                continue
+            for place, write in document.figures.items():
+                (args.output / place).parent.mkdir(parents=True, exist_ok=True)
+                write(args.output / place)
+            if document.sections:
+                write_atomically(path, render(document))
+            print(f"Written: {name}", flush=True)
+    except ValueError as error:
+        refuse(COMMAND, str(error))
+    return 1 if stale else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

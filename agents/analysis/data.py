@@ -1,0 +1,165 @@
+"""Data of the leaderboard's analysis: the rows' episodes, the learning curves of their runs, and the known fronts."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.evaluation.policies import BASELINE
+from agents.evaluation.statistics import (
+    Curve,
+    Estimate,
+    estimate,
+    learning_curve,
+    paired_difference,
+    probability_of_improvement,
+)
+from agents.leaderboard.page import RANKING_SET
+from agents.leaderboard.rows import Row
+from agents.training.presets import EVALUATED, EVALUATIONS
+from capsule_gym.evaluation_sets import EvaluationSet
+
+SPEED = "mean_speed"
+# What a policy is compared with: a row by its name, or the law that its residual is added to.
+BASE = "its base"
+REFERENCES = (BASELINE, "direct-ppo", BASE)
+# The sets whose plants are drawn and constant: the paper's ranges and the wide ones.
+SHOWN_SETS = ("paper", "wide")
+
+
+@dataclass(frozen=True)
+class Document:
+    """What the analysis writes for a page of the documentation.
+
+    Attributes:
+        sections: Markdown by the name that the page includes it by.
+        figures: functions that write a file, by its path in docs/, which they are called with.
+    """
+
+    sections: dict[str, str] = field(default_factory=dict)
+    figures: dict[str, Callable[[Path], Any]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Learning:
+    """Evaluations of a row's runs during training, on validation plants.
+
+    Attributes:
+        seeds: steps and mean speeds (cm/s), by training seed.
+    """
+
+    seeds: dict[int, tuple[np.ndarray, np.ndarray]]
+
+    @cached_property
+    def curve(self) -> Curve:
+        """The interquartile mean over the seeds."""
+        return learning_curve(list(self.seeds.values()))
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """Rows of the leaderboard with what they are compared on.
+
+    Attributes:
+        rows: the fastest on the ranking set first.
+        sets: the sets that they were evaluated on.
+        learning: by the row's name; rows whose runs were committed without their evaluations are absent.
+    """
+
+    rows: tuple[Row, ...]
+    sets: tuple[EvaluationSet, ...]
+    learning: dict[str, Learning]
+
+    @property
+    def trained(self) -> list[Row]:
+        """The rows of trained policies."""
+        return [row for row in self.rows if row.trained]
+
+    @property
+    def shown_sets(self) -> list[str]:
+        """The sets of the comparisons."""
+        return [each.name for each in self.sets if each.name in SHOWN_SETS]
+
+    def reference(self, row: Row, reference: str) -> Row | None:
+        """The row that another is compared with; None if there is no such row, or it is the same.
+
+        Args:
+            row: of a trained policy.
+            reference: one of `REFERENCES`.
+        """
+        name = row.header["base"] if reference == BASE else reference
+        return next((each for each in self.rows if each.name == name != row.name), None)
+
+
+def gather(rows: Sequence[Row], sets: Sequence[EvaluationSet], checkpoints: Path) -> Results:
+    """Ranks rows and reads their learning curves.
+
+    Args:
+        rows: in any order.
+        sets: the sets that they were evaluated on, among them the ranking set.
+        checkpoints: the folder with NAME/seed-N/evaluations.csv.
+
+    Raises:
+        ValueError: if a row was evaluated on other sets, or a run's evaluations cannot be read.
+    """
+    for row in rows:
+        for each in sets:
+            row.check_set(each)
+    ranked = sorted(rows, key=lambda row: (-estimate(row.score(RANKING_SET, SPEED)).value, row.name))
+    learning = {row.name: read_learning(checkpoints / row.name) for row in ranked if row.trained}
+    return Results(tuple(ranked), tuple(sets), {name: each for name, each in learning.items() if each.seeds})
+
+
+def read_learning(folder: Path) -> Learning:
+    """Reads the committed evaluations of a checkpoint's runs.
+
+    Args:
+        folder: of the checkpoint, with seed-0, seed-1, .. inside.
+
+    Raises:
+        ValueError: if a file is not what a training run writes.
+    """
+    paths = {int(path.parent.name.removeprefix("seed-")): path for path in folder.glob(f"seed-*/{EVALUATIONS}")}
+    return Learning({seed: read_evaluations(paths[seed]) for seed in sorted(paths)})
+
+
+def read_evaluations(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Reads the steps and mean speeds (cm/s) of a run's evaluations.csv.
+
+    Raises:
+        ValueError: if the file is not what a training run writes.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            # A run may be evaluated twice where a stage ends: the last line counts.
+            lines = {int(line[EVALUATED]): float(line["mean_speed_cm_s"]) for line in csv.DictReader(file)}
+        steps, speeds = np.array(sorted(lines.items()), np.float64).T
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} must be what a training run writes, got {type(error).__name__}: {error}") from error
+    return steps, speeds
+
+
+def difference(row: Row, reference: Row, set_name: str) -> Estimate:
+    """The paired difference of the mean speed, cm/s."""
+    return paired_difference(row.score(set_name, SPEED), reference.score(set_name, SPEED))
+
+
+def improvement(row: Row, other: Row, set_name: str) -> Estimate:
+    """The probability that one row is faster than another on the same episode."""
+    return probability_of_improvement(row.score(set_name, SPEED), other.score(set_name, SPEED))
+
+
+def fronts() -> dict[str, list[tuple[float, float]]]:
+    """Known Pareto fronts of the nominal plant: pairs of cost of transport and mean speed (cm/s), slowest first."""
+    # Imported here, since numba takes most of a second to import.
+    from baselines.dynamic_programming.archive import optimal_front
+    from baselines.gaits.archive import pareto_front
+
+    gaits = [(gait.cost_of_transport, gait.mean_speed) for gait in pareto_front()]
+    return {"best-known gaits": gaits, "optimum": optimal_front()}

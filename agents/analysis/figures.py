@@ -1,0 +1,284 @@
+"""Figures of the leaderboard's analysis, for a dozen rows and more: a panel or a line per policy, no colour each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.analysis.data import BASE, REFERENCES, SPEED, Learning, Results, difference, fronts, improvement
+from agents.evaluation.statistics import Curve, estimate, performance_profile
+from agents.leaderboard.rows import Row
+from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, WIDTH, Pen, add_note, new_figure, save, style
+
+# By the order of the sets shown.
+PENS = (Pen(BLUE), Pen(VERMILION, (0.0, (5.0, 1.6))))
+FRONT_PENS = (Pen(MUTED), Pen(GREEN, (0.0, (5.0, 1.6))))
+FAINT = "#c5ccd6"
+# Between the labels next to a scatter plot, in parts of its height.
+LABEL_SPACING = 0.048
+
+
+def write_with(draw: Callable[..., Any], *arguments: Any) -> Callable[[Path], list[Path]]:
+    """The function that draws a figure and writes it as PNG and SVG, called with their path without suffix."""
+
+    def write(stem: Path) -> list[Path]:
+        with style():
+            return save(draw(*arguments), stem)
+
+    return write
+
+
+def figures_of(results: Results) -> dict[str, Callable[[Path], Any]]:
+    """The figures that there is data for, by their path in docs/."""
+    draw = {
+        "transport": draw_transport if results.rows else None,
+        "profiles": draw_profiles if results.trained else None,
+        "differences": draw_differences if results.trained else None,
+        "improvement": draw_improvement if len(results.trained) > 1 else None,
+        "learning": draw_learning if results.learning else None,
+    }
+    return {f"figures/statistics_{name}": write_with(each, results) for name, each in draw.items() if each}
+
+
+def panels(
+    names: Sequence[str], top: float, *, columns: int = 4, height: float = 1.3, width: float = WIDTH
+) -> tuple[Any, Iterator[Any]]:
+    """A figure with a panel per name, all with the same axes, and the panels in order.
+
+    Args:
+        names: the panels' titles.
+        top: height outside of the panels, in.
+        columns: the largest number of panels in a line.
+        height: of a line of panels, in.
+        width: of the figure, in.
+    """
+    columns = min(columns, len(names))
+    lines = math.ceil(len(names) / columns)
+    figure = new_figure(top + height * lines, width)
+    grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+    for axes, name in zip(grid.flat, names, strict=False):
+        axes.set_title(name)
+    for n in range(len(names), grid.size):
+        grid.flat[n].set_visible(False)
+        # The panel above an empty place has the numbers of the axis.
+        grid.flat[n - columns].tick_params(labelbottom=True)
+    return figure, iter(grid.flat)
+
+
+def plot_curve(axes: Any, curve: Curve, pen: Pen, **more: Any) -> None:
+    """A curve on its band."""
+    axes.fill_between(curve.x, curve.low, curve.high, color=pen.colour, alpha=0.18, linewidth=0.0)
+    axes.plot(curve.x, curve.value, **pen.line(**more))
+
+
+def plot_profiles(
+    places: Iterator[Any], rows: Sequence[Row], set_names: Sequence[str], points: int, **more: int
+) -> Any:
+    """The share of episodes faster than a speed (cm/s), a panel per row; returns the last panel."""
+    fastest = max(float(row.score(name, SPEED).max()) for row in rows for name in set_names)
+    for row, axes in zip(rows, places, strict=False):
+        for name, pen in zip(set_names, PENS, strict=False):
+            curve = performance_profile(row.score(name, SPEED), np.linspace(0.0, fastest, points), **more)
+            plot_curve(axes, curve, pen, label=f"on {name}")
+        axes.set(xlim=(0.0, fastest), ylim=(0.0, 1.02))
+    handles, labels = axes.get_legend_handles_labels()
+    axes.figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
+    return axes
+
+
+def draw_profiles(results: Results) -> Any:
+    """Performance profiles of the trained rows."""
+    figure, places = panels([row.name for row in results.trained], 0.9)
+    plot_profiles(places, results.trained, results.shown_sets, 101)
+    figure.supylabel("share of episodes that are faster", fontsize=8.0)
+    add_note(
+        figure,
+        "Horizontal: mean speed (cm/s). All episodes of all training seeds; bands: 95 %, whole seeds resampled. A step "
+        "is a policy with the same speed on all plants; the part missing at the left edge made no progress.",
+    )
+    return figure
+
+
+def plot_learning(places: Iterator[Any], learning: Sequence[Learning]) -> None:
+    """The speeds of all seeds over millions of steps, and their interquartile mean, a panel per row."""
+    for each, axes in zip(learning, places, strict=False):
+        for steps, speeds in each.seeds.values():
+            # A run that was evaluated once is a point.
+            axes.plot(steps / 1e6, speeds, "." if len(speeds) == 1 else "-", color=MUTED, linewidth=0.5, alpha=0.6)
+        plot_curve(axes, replace(each.curve, x=each.curve.x / 1e6), PENS[0])
+    axes.set(xlim=(0.0, None), ylim=(0.0, None))
+
+
+def draw_learning(results: Results) -> Any:
+    """Learning curves of the trained rows."""
+    figure, places = panels(list(results.learning), 0.75)
+    plot_learning(places, list(results.learning.values()))
+    figure.supylabel("mean speed (cm/s)", fontsize=8.0)
+    add_note(
+        figure,
+        "Horizontal: millions of agent steps. Evaluations on each run's validation plants, never on a frozen set; "
+        "grey: the training seeds; blue: their interquartile mean, band: 95 %.",
+    )
+    return figure
+
+
+def draw_differences(results: Results) -> Any:
+    """Paired differences of speed to the references, a line per trained row."""
+    rows = results.trained
+    shown = [name for name in REFERENCES if any(results.reference(row, name) for row in rows)]
+    figure = new_figure(1.0 + 0.3 * len(rows))
+    grid = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+    places = -np.arange(len(rows), dtype=np.float64)
+    for axes, name in zip(grid, shown, strict=True):
+        for k, (set_name, pen) in enumerate(zip(results.shown_sets, PENS, strict=False)):
+            for row, place in zip(rows, places, strict=True):
+                other = results.reference(row, name)
+                if other is None:
+                    continue
+                found = difference(row, other, set_name)
+                height = place + 0.14 - 0.28 * k
+                axes.plot([found.low, found.high], [height] * 2, color=pen.colour, linewidth=1.6)
+                axes.plot(found.value, height, "os"[k % 2], color=pen.colour, markersize=3.5)
+            axes.plot([], [], "os"[k % 2] + "-", color=pen.colour, markersize=3.5, label=f"on {set_name}")
+        axes.axvline(0.0, color=INK, linewidth=0.8)
+        axes.set_title("minus its base" if name == BASE else f"minus {name}")
+        axes.set_xlabel("mean speed (cm/s)")
+    grid[0].set_yticks(places, [row.name for row in rows])
+    grid[0].set_ylim(places[-1] - 0.6, 0.6)
+    handles, labels = grid[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
+    add_note(
+        figure,
+        "Interquartile means of the differences episode by episode, with 95 % intervals over training seeds. The base "
+        "of a residual is its law alone; a policy that commands the whole torque has none.",
+    )
+    return figure
+
+
+def draw_improvement(results: Results) -> Any:
+    """The probability that one policy is faster than another on the same episode: a triangle of a matrix per set."""
+    rows, count = results.trained, len(results.trained)
+    names = [row.name for row in rows]
+    above, below = results.shown_sets[0], results.shown_sets[-1]
+    figure = new_figure(2.2 + 0.27 * count)
+    axes = figure.subplots()
+    values = np.full((count, count), np.nan)
+    for i, j in np.argwhere(~np.eye(count, dtype=bool)).tolist():
+        # Each pair is computed once; below the diagonal it is the other way round.
+        found = improvement(rows[min(i, j)], rows[max(i, j)], above if j > i else below)
+        values[i, j] = found.value if j > i else 1.0 - found.value
+        text = f"({values[i, j]:.2f})" if found.low <= 0.5 <= found.high else f"{values[i, j]:.2f}"
+        axes.text(j, i, text, ha="center", va="center", fontsize=7.0, color=INK)
+    # Wider than the values: pale colours keep the numbers readable.
+    axes.imshow(values, vmin=-0.4, vmax=1.4, cmap="PuOr_r", aspect="auto")
+    axes.plot([-0.5, count - 0.5], [-0.5, count - 0.5], color=INK, linewidth=0.8)
+    axes.set_title(f"Probability of improvement: above the diagonal on {above}, below it on {below}")
+    axes.set_yticks(range(count), names)
+    axes.set_xticks(range(count), names, rotation=40.0, ha="right", rotation_mode="anchor")
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+    axes.tick_params(length=0.0)
+    add_note(
+        figure,
+        "Probability that the policy of the line is faster than that of the column on the same episode, over all pairs "
+        "of their training seeds. In brackets: the 95 % interval over seeds contains 0.5.",
+    )
+    return figure
+
+
+def plot_fronts(axes: Any) -> None:
+    """Known Pareto fronts of the nominal plant, cost of transport across and mean speed up."""
+    for (name, points), pen in zip(fronts().items(), FRONT_PENS, strict=True):
+        x, y = zip(*points, strict=True)
+        axes.plot(x, y, **pen.line(marker=".", markersize=4.0, linewidth=1.0, label=f"front of the {name}"))
+
+
+def plot_transport(figure: Any, rows: Sequence[Row], columns: int) -> tuple[Any, list[str]]:
+    """Speed against cost of transport on the nominal plant, with the known fronts and a legend above.
+
+    Args:
+        figure: an empty one.
+        rows: one or more.
+        columns: of the legend.
+
+    Returns:
+        The axes, and the names of the rows that make no progress and so have no cost.
+    """
+    axes = figure.subplots()
+    plot_fronts(axes)
+    marks, absent = [], []
+    for row in rows:
+        cost = estimate(row.score("nominal", "cost_of_transport"))
+        speed = estimate(row.score("nominal", SPEED))
+        if not math.isfinite(cost.value):
+            absent.append(row.name)
+            continue
+        colour = BLUE if row.trained else INK
+        if row.trained and all(math.isfinite(end) for end in (cost.low, cost.high, speed.low, speed.high)):
+            axes.plot([cost.low, cost.high], [speed.value] * 2, color=colour, linewidth=0.9)
+            axes.plot([cost.value] * 2, [speed.low, speed.high], color=colour, linewidth=0.9)
+        axes.plot(cost.value, speed.value, "o" if row.trained else "s", color=colour, markersize=4.0)
+        marks.append((cost.value, speed.value, row.name, colour))
+    axes.plot([], [], "o-", color=BLUE, markersize=4.0, linewidth=0.9, label="trained, 95 % over seeds")
+    axes.plot([], [], "s", color=INK, markersize=4.0, label="scripted")
+    axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)", xlim=(0.0, None), ylim=(-0.5, None))
+    _label_marks(axes, marks)
+    # Inside the axes every corner has a front, a policy or a label's line.
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=columns)
+    return axes, absent
+
+
+def draw_transport(results: Results) -> Any:
+    """Speed against cost of transport of all rows."""
+    figure = new_figure(max(4.4, 1.4 + 0.145 * len(results.rows)))
+    # Room for the labels on the right, whose width the layout underestimates.
+    figure.get_layout_engine().set(rect=(0.0, 0.0, 0.985, 1.0))
+    axes, absent = plot_transport(figure, results.rows, 4)
+    axes.set_title("Speed against cost of transport, the paper's plant from 100 starts")
+    no_progress = f" Without forward progress, and so without a cost: {', '.join(absent)}." if absent else ""
+    add_note(
+        figure,
+        "Interquartile means over all episodes on nominal. The fronts hold one start, from rest over 33 s: gaits that "
+        f"a search found, none both slower and costlier than another.{no_progress}",
+    )
+    return figure
+
+
+def _label_marks(axes: Any, marks: Sequence[tuple[float, float, str, str]]) -> None:
+    """Names next to the axes in the order of the marks' heights, without overlap, with a thin line to each mark."""
+    from matplotlib.patches import ConnectionPatch
+
+    low, high = axes.get_ylim()
+    heights = [(y - low) / (high - low) for _, y, _, _ in marks]
+    places = spread(heights, min(LABEL_SPACING, 1.0 / max(1, len(marks))))
+    for (x, y, name, colour), place in zip(marks, places.tolist(), strict=True):
+        text = {"xytext": (4.0, 0.0), "textcoords": "offset points", "va": "center", "fontsize": 7.5, "color": colour}
+        axes.annotate(name, (1.0, place), xycoords="axes fraction", **text)
+        line = ConnectionPatch((x, y), (1.0, place), "data", "axes fraction", axesA=axes, color=FAINT, linewidth=0.6)
+        line.set_in_layout(False)
+        axes.add_artist(line)
+
+
+def spread(heights: Sequence[float], spacing: float) -> np.ndarray:
+    """Places near the heights, in their order, at least the spacing apart and within 0 to 1 where there is room.
+
+    >>> spread([0.5, 0.5, 0.9], 0.25).tolist()
+    [0.375, 0.625, 0.9]
+    """
+    order = np.argsort(heights, kind="stable")
+    steps = spacing * np.arange(len(order))
+    # The nearest places, by pooling adjacent violators of the order once the spacing is subtracted.
+    pools: list[list[float]] = []
+    for height in (np.asarray(heights)[order] - steps).tolist():
+        pools.append([height])
+        while len(pools) > 1 and np.mean(pools[-2]) > np.mean(pools[-1]):
+            pools[-2:] = [pools[-2] + pools[-1]]
+    level = np.array([np.mean(pool) for pool in pools for _ in pool])
+    places = np.empty(len(order))
+    places[order] = np.clip(level, 0.0, max(0.0, 1.0 - spacing * (len(order) - 1))) + steps
+    return places

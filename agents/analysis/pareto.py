@@ -1,0 +1,110 @@
+"""One policy that observes its energy weight: speed and cost of transport over the weight, with the known fronts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import capsule_gym
+from agents.analysis.data import Document, fronts
+from agents.analysis.figures import plot_fronts, write_with
+from agents.evaluation.episodes import TABLE_METRICS, evaluate, failures, scores
+from agents.evaluation.policies import find_candidate
+from agents.evaluation.statistics import Estimate, estimate
+from baselines.drawing import BLUE, add_note, new_figure
+from baselines.tables import markdown_table
+from capsule_gym.evaluation_sets import EvaluationSet, load_set
+
+# cm/J; from the default of the reward to where creeping pays.
+WEIGHTS = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0, 20.0)
+SPEED, COST = TABLE_METRICS["mean_speed"], TABLE_METRICS["cost_of_transport"]
+
+
+class Point(NamedTuple):
+    """A policy at one energy weight.
+
+    Attributes:
+        weight: cm/J.
+        speed: cm/s.
+        cost: of transport.
+        failures: failed episodes over all episodes of all seeds.
+    """
+
+    weight: float
+    speed: Estimate
+    cost: Estimate
+    failures: str
+
+
+def document(policies: Sequence[str] = ()) -> Document:
+    """The table and the figure.
+
+    Args:
+        policies: name or path of the policy, the first counts; by default the row `pareto`.
+    """
+    points = measure((*policies, "pareto")[0], load_set("paper"))
+    return Document({"table": table(points)}, {"figures/pareto": write_with(draw, points)})
+
+
+def measure(name: str, evaluation_set: EvaluationSet, weights: Sequence[float] = WEIGHTS) -> list[Point]:
+    """Evaluates all runs of a policy at every weight.
+
+    Args:
+        name: of a policy that observes the energy weight.
+        evaluation_set: its episodes.
+        weights: cm/J.
+
+    Raises:
+        ValueError: if there is no such policy, or it does not observe the weight.
+    """
+    points = []
+    for weight in weights:
+        episodes = []
+        for policy in find_candidate(name).policies:
+            if not isinstance(policy, capsule_gym.Policy):
+                raise ValueError(f"policy must be a trained one that observes the energy weight, got {name!r}")
+            episodes += evaluate(policy.with_energy_weight(weight), evaluation_set)
+        speed, cost = (estimate(scores(episodes, each.name)) for each in (SPEED, COST))
+        points.append(Point(weight, speed, cost, f"{failures(episodes)}/{len(episodes)}"))
+    return points
+
+
+def table(points: Sequence[Point]) -> str:
+    """The points, with their cost over that of the best-known gaits at the same speed, linear between gaits."""
+    costs, speeds = zip(*fronts()["best-known gaits"], strict=True)
+    measured = (f"{each.label} [95 %]" for each in (SPEED, COST))
+    rows = [["energy weight (cm/J)", *measured, "over the gaits'", "failures"]]
+    for each in points:
+        ratio = each.cost.value / np.interp(each.speed.value, speeds, costs, left=np.nan, right=np.nan)
+        cells = SPEED.with_interval(each.speed.to_dict()), COST.with_interval(each.cost.to_dict())
+        rows.append([f"{each.weight:g}", *cells, f"{ratio:.2f}" if np.isfinite(ratio) else "-", each.failures])
+    return markdown_table(rows)
+
+
+def draw(points: Sequence[Point]) -> Any:
+    """Speed against cost of transport."""
+    figure = new_figure(4.2)
+    axes = figure.subplots()
+    plot_fronts(axes)
+    x, y = np.array([(each.cost.value, each.speed.value) for each in points]).T
+    axes.plot(x, y, "o-", color=BLUE, markersize=4.0, linewidth=1.2, label="one policy, which observes the weight")
+    axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)", xlim=(0.0, None), ylim=(0.0, None))
+    # Perpendicular to the policy's line on its upper side, where neither front is near, on a patch that hides the grid.
+    direction = np.gradient(axes.transData.transform(np.column_stack((x, y))), axis=0)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    for each, (right, up) in zip(points[::2], direction[::2], strict=True):
+        axes.annotate(
+            f"{each.weight:g}",
+            (each.cost.value, each.speed.value),
+            (-11.0 * abs(up), 9.0 * abs(right)),
+            textcoords="offset points",
+            ha="center",
+            va="center",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.3},
+        )
+    axes.set_title("One policy for every energy weight (cm/J next to the points)")
+    axes.legend(loc="lower right")
+    add_note(figure, "Interquartile means over all seeds and episodes of the set paper; fronts on the paper's plant.")
+    return figure

@@ -1,1 +1,0 @@
-"""How much authority over a law an agent should have: `python -m agents.authority`."""

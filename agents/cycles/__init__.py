@@ -1,1 +1,0 @@
-"""One steady cycle of a policy, and where its speed comes from: `python -m agents.cycles`."""
