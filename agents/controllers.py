@@ -12,13 +12,10 @@ import numpy as np
 
 import baselines
 from baselines.policies import SCRIPTED
-from capsule_gym import Policy, layout, task
+from capsule_gym import Policy, task
 from capsule_gym.controller import Controller, find_controller
-from capsule_gym.network import HEADER
-from capsule_gym.observation import MU_BOUND, observation_names
 from capsule_gym.parameters import NOMINAL, EnvConfig
 from capsule_gym.policy import policy_names
-from capsule_gym.simulation import check_step, make_settings
 
 # The task without a law; the other names are those of laws.
 DIRECT = "direct"
@@ -65,6 +62,11 @@ def describe_settings(options: EnvConfig) -> dict[str, Any]:
     Raises:
         ValueError: if it is not an environment of the paper's capsule, or its law is none of `baselines`.
     """
+    # Imported here, since numba takes most of a second to import.
+    from capsule_gym import layout
+    from capsule_gym.observation import MU_BOUND, observation_names
+    from capsule_gym.simulation import check_step, make_settings
+
     if options.capsule not in (None, NOMINAL):
         raise ValueError(f"options must be of the nominal capsule, got {options}")
     law = find_law(task_of(options))
@@ -89,6 +91,8 @@ def describe_policy(name: str, policy: Policy) -> dict[str, Any]:
     Raises:
         ValueError: as `describe_settings`, of the policy's environment.
     """
+    from capsule_gym.network import HEADER
+
     options = EnvConfig(**policy.env_kwargs)
     network = policy._network
     return {
