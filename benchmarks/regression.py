@@ -25,14 +25,16 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+import capsule_gym
 from baselines.tables import markdown_table, text_table
 from benchmarks.measurement import OutputArgs, describe, machine
 from benchmarks.throughput import ACTION_SCALE, DRAWS, LAW, SEED, SINGLE_PEER, step_batch
-from capsule_gym import ENV_ID, CapsuleVectorEnv, Policy, load_policy
+from capsule_gym import ENV_ID
 from capsule_gym.command_line import parse
 from capsule_gym.parameters import LAW_PHYSICS_DT, EnvConfig
 
 if TYPE_CHECKING:
+    from capsule_gym import Policy
     from capsule_gym.simulation import Simulation
 
 COMMAND = "python -m benchmarks.regression"
@@ -223,7 +225,7 @@ def torch_episodes(policy: Policy) -> Turn:
         modules += [nn.Linear(*weights.shape[::-1]), activation()]
         modules[-2].load_state_dict({"weight": torch.from_numpy(weights), "bias": torch.from_numpy(bias)})
     network = nn.Sequential(*modules[:-1])
-    env = CapsuleVectorEnv(EVALUATED, autoreset_mode=AutoresetMode.DISABLED, **policy.env_kwargs)
+    env = capsule_gym.CapsuleVectorEnv(EVALUATED, autoreset_mode=AutoresetMode.DISABLED, **policy.env_kwargs)
     scale = np.sqrt(policy.variance + policy.epsilon)
 
     def turn() -> tuple[float, int]:
@@ -243,7 +245,7 @@ def guards() -> list[Guard]:
     """Everything that is measured here."""
     direct, at_1_ms = kernel_steps(NUM_ENVS), kernel_steps(NUM_ENVS, physics_dt=LAW_PHYSICS_DT)
     law = difference(kernel_steps(NUM_ENVS, **LAW), at_1_ms)
-    policy = load_policy(EVALUATED_POLICY)
+    policy = capsule_gym.load_policy(EVALUATED_POLICY)
     name = f"episodes of {policy.name} in one call against a batch with torch"
     return [
         Guard("lanes against one environment at a time", 2.0, kernel_steps(NUM_ENVS, held=True), single_kernel_steps()),

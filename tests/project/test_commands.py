@@ -1,9 +1,9 @@
-"""What every command has in common: help at once, which runs nothing, shows examples and imports nothing heavy."""
+"""Properties of all commands: help at once with examples and without heavy imports, errors that name the argument."""
 
 from __future__ import annotations
 
 import ast
-import re
+import json
 import subprocess
 import sys
 from functools import cache
@@ -12,68 +12,71 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-# Started by other commands, and by no user; and by tests.
-STARTED = {"web.modules": "web.build"}
-INNER = set(STARTED)
+# Started by another command.
+INNER = {"web.modules"}
 HEAVY = {"torch", "stable_baselines3", "sb3_contrib", "matplotlib", "scipy", "numba", "joblib", "optuna", "mujoco"}
+# Shows the help of every command in a process of its own, forked after the imports that all need.
+HELP = """
+import contextlib, io, json, os, runpy, sys
+import numpy, tyro, gymnasium
+sys.path.insert(0, "")
+for name in sys.argv[1:]:
+    sys.stdout.flush()
+    if os.fork() == 0:
+        out, code = io.StringIO(), None
+        leave, os._exit, sys.argv = os._exit, sys.exit, [name, "--help"]
+        with contextlib.redirect_stdout(out):
+            try:
+                runpy.run_module(name, run_name="__main__", alter_sys=True)
+            except SystemExit as stop:
+                code = stop.code
+        print(json.dumps([name, code, out.getvalue(), sorted({each.partition(".")[0] for each in sys.modules})]))
+        sys.stdout.flush()
+        leave(0)
+    os.wait()
+"""
 
 
 def commands() -> list[str]:
     """Every module that can be run, as `python -m` takes it."""
-    found = []
+    found = {"train"}
     for package in ("capsule_gym", "baselines", "agents", "benchmarks", "tests", "web"):
         for path in (ROOT / package).rglob("*.py"):
-            text = path.read_text(encoding="utf-8")
-            guards = (node for node in ast.parse(text).body if isinstance(node, ast.If))
+            guards = (node for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.If))
             if any(ast.unparse(guard.test) == "__name__ == '__main__'" for guard in guards):
-                found.append(".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__main__"))
-    return sorted({*found, "train"} - INNER)
-
-
-COMMANDS = commands()
+                found.add(".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__main__"))
+    return sorted(found - INNER)
 
 
 @cache
-def help_of(name: str) -> tuple[set[str], str]:
-    """The packages that a command has imported when it has shown its help, and the help."""
-    words = ["train.py"] if name == "train" else ["-m", name]
-    command = [sys.executable, "-X", "importtime", *words, "--help"]
-    done = subprocess.run(command, cwd=ROOT, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    imported = re.findall(r"^import time:.*\|\s*([\w.]+)$", done.stderr, re.MULTILINE)
-    return {module.partition(".")[0] for module in imported}, done.stdout
+def helps() -> dict[str, tuple[int, str, list[str]]]:
+    """The exit status, the help and the imported packages of every command."""
+    command = [sys.executable, "-c", HELP, *commands()]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    return {name: rest for name, *rest in map(json.loads, done.stdout.splitlines())}
 
 
-def test_commands_are_found() -> None:
-    assert set(COMMANDS) >= {
-        "capsule_gym.play",
-        "agents.evaluate",
-        "baselines.paper",
-        "tests.bits",
-        "web.build",
-        "train",
-    }
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_help_shows_examples_of_the_command(name: str) -> None:
-    _, text = help_of(name)
-    assert "Examples:" in text
+@pytest.mark.parametrize("name", commands())
+def test_help_shows_examples_and_needs_nothing_heavy(name: str) -> None:
+    status, text, loaded = helps()[name]
+    assert status == 0 and "Examples:" in text
     shown = "python train.py" if name == "train" else f"python -m {name}"
     assert text.count(shown) >= 2 or f"{shown} " in text
+    assert not set(loaded) & HEAVY
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_help_needs_nothing_heavy(name: str) -> None:
-    loaded, _ = help_of(name)
-    assert "numpy" in loaded
-    assert not loaded & HEAVY
-
-
-@pytest.mark.parametrize("name", STARTED)
-def test_a_part_of_another_command_names_that_command(name: str) -> None:
-    for words in ([], ["--help"]):
-        command = [sys.executable, "-m", name, *words]
-        done = subprocess.run(command, cwd=ROOT, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
-        assert done.returncode == 2 and done.stderr.count("\n") == 1
-        assert f"python -m {STARTED[name]}," in done.stderr
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["train", "--task", "nope"],
+        ["agents.evaluate", "nobody"],
+        ["web.build", "--output", "/dev/null/site"],
+        ["tests.fuzz", "--jobs", "0"],
+        ["benchmarks.regression", "--json", "/dev/null/x.json"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_invalid_arguments_are_named_in_one_line(words: list[str]) -> None:
+    done = subprocess.run([sys.executable, "-m", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert words[-1] in done.stderr or words[-2] in done.stderr
