@@ -7,7 +7,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help train test examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression faults fuzz bits boundscheck check clean
+.PHONY: help train test examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression faults fuzz bits bits-check boundscheck check clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
@@ -20,6 +20,7 @@ test: $(STAMP)  ## Set everything up and run the tests (PYTEST_ARGS="-k kernels"
 	$(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST_ARGS)
 
 # Those whose library is missing are skipped: each has an extra of its own, and they do not all go together.
+examples: export EXAMPLES = 1
 examples: $(STAMP)  ## Run the short programs of the libraries that are installed (make examples EXTRA=torchrl installs one)
 	$(if $(EXTRA),$(BIN)/python -m pip install --disable-pip-version-check -e ".[$(EXTRA)]" -c examples/constraints.txt)
 	$(BIN)/python -m pytest tests/examples $(PYTEST_ARGS)
@@ -78,7 +79,10 @@ faults: $(STAMP)  ## Kill, stop and starve trainings, and damage caches; fail wh
 fuzz: $(STAMP)  ## Throw anything at the environments; fail where something breaks
 	$(BIN)/python -m tests.fuzz --short
 
-bits: $(STAMP)  ## Compare the bits of whole episodes with the committed ones, on every processor this one can stand for
+bits-check: $(STAMP)  ## Compare the bits of whole episodes with the committed ones
+	$(BIN)/python -m tests.bits
+
+bits: $(STAMP)  ## The same on every processor that this one can emulate, and the live page's episodes
 	$(BIN)/python -m tests.bits --variants
 	$(BIN)/python -m web.episodes
 	$(BIN)/python -m web.recordings

@@ -141,19 +141,19 @@ def subjects() -> Iterator[Subject]:
         yield Subject(name, made.env_kwargs, made.start, made)
 
 
-class Course(NamedTuple):
-    """What episodes show: the first axis are the steps, the second the environments."""
+class Trajectory(NamedTuple):
+    """Recorded episodes; the first axis are the steps, the second the environments."""
 
     observations: np.ndarray
     rewards: np.ndarray
     states: np.ndarray
 
-    def of(self, i: int, steps: int) -> bytes:
+    def bytes_of(self, i: int, steps: int) -> bytes:
         """The bytes of the first steps of one environment."""
         return b"".join(array[:steps, i].tobytes() for array in self)
 
 
-def together(subject: Subject) -> tuple[Course, dict[str, np.ndarray]]:
+def batched(subject: Subject) -> tuple[Trajectory, dict[str, np.ndarray]]:
     """The episodes of a batch, whose environments stand still where theirs have ended, and their metrics."""
     env = batch(subject)
     observations, _ = env.reset(seed=0)
@@ -164,7 +164,7 @@ def together(subject: Subject) -> tuple[Course, dict[str, np.ndarray]]:
         shown.append((observations, rewards, info["state"].copy()))
     metrics = env.episode_metrics()
     env.close()
-    return Course(*(np.array(column) for column in zip(*shown, strict=True))), metrics
+    return Trajectory(*(np.array(column) for column in zip(*shown, strict=True))), metrics
 
 
 def alone(subject: Subject, i: int) -> tuple[bytes, int]:
@@ -193,11 +193,11 @@ def compute(subject: Subject) -> tuple[str, list[str]]:
     # numba takes most of a second to import, which --help need not wait for.
     from capsule_gym.rollout import rollout
 
-    course, metrics = together(subject)
+    trajectory, metrics = batched(subject)
     wrong = []
     for i in ALONE:
         shown, steps = alone(subject, i)
-        if shown != course.of(i, steps):
+        if shown != trajectory.bytes_of(i, steps):
             wrong.append(f"{subject.name}: environment {i} differs alone and in the batch")
     if subject.policy:
         env = batch(subject, threads=2)
@@ -207,7 +207,7 @@ def compute(subject: Subject) -> tuple[str, list[str]]:
         if any(compiled[name].tobytes() != metrics[name].tobytes() for name in metrics):
             wrong.append(f"{subject.name}: the compiled rollout differs from the loop")
     digest = hashlib.sha256()
-    for array in (*course, *metrics.values()):
+    for array in (*trajectory, *metrics.values()):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest(), wrong
 
@@ -245,11 +245,6 @@ def libraries() -> dict[str, dict[str, str]]:
     }
 
 
-def both_libraries() -> dict[str, str]:
-    """The environment variables of all of them together."""
-    return {name: value for variables in libraries().values() for name, value in variables.items()}
-
-
 def run(variables: dict[str, str], *names: str) -> subprocess.CompletedProcess[str]:
     """Compares in a process of its own.
 
@@ -265,7 +260,7 @@ def run(variables: dict[str, str], *names: str) -> subprocess.CompletedProcess[s
 
 
 @dataclass(frozen=True)
-class Options:
+class Args:
     """Computes the bits of whole episodes; exit status 1 where they are not the committed ones.
 
     Examples:
@@ -287,7 +282,7 @@ def compare(names: Sequence[str]) -> list[str]:
     """What differs from the committed bits, one line each."""
     committed: dict[str, str] = json.loads(FILE.read_text(encoding="utf-8"))
     wanted = {subject.name: subject for subject in subjects() if not names or subject.name in names}
-    wrong = [f"{name}: is no subject" for name in names or committed if name not in wanted]
+    wrong = [f"{name}: unknown subject" for name in names or committed if name not in wanted]
     for name, subject in wanted.items():
         found, lines = compute(subject)
         wrong += lines
@@ -299,14 +294,14 @@ def compare(names: Sequence[str]) -> list[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    options = parse(Options, "python -m tests.bits", arguments)
-    if options.write:
+    args = parse(Args, "python -m tests.bits", arguments)
+    if args.write:
         found = {subject.name: compute(subject)[0] for subject in subjects()}
         write_atomically(FILE, json.dumps(found, indent=1) + "\n")
-    failed = bool(compare(options.only))
-    for name, variables in ({**processors(), **libraries()} if options.variants else {}).items():
+    failed = bool(compare(args.only))
+    for name, variables in ({**processors(), **libraries()} if args.variants else {}).items():
         begun = time.perf_counter()
-        done = run(variables, *options.only)
+        done = run(variables, *args.only)
         print(
             f"{name}, {time.perf_counter() - begun:.0f} s: {done.stdout}{done.stderr if done.returncode else ''}",
             end="",
