@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import pickle
 import struct
-import subprocess
-import sys
 import tracemalloc
 from dataclasses import fields, replace
 from pathlib import Path
@@ -18,11 +16,8 @@ from safetensors.numpy import load_file, save
 
 import capsule_gym
 from capsule_gym import Capsule, Policy, Randomization, load_policy, policy_names
-from capsule_gym.policy import IMITATION, POLICY
+from capsule_gym.policy import IMITATION, POLICY, pretrained
 from tests.capsule_gym.test_network import make_layers
-
-ROOT = Path(__file__).parents[2]
-COMMITTED = policy_names(seeds=True)
 
 
 def make_policy(**changes: object) -> Policy:
@@ -45,7 +40,7 @@ def make_policy(**changes: object) -> Policy:
 
 
 def make_remembering(**changes: object) -> Policy:
-    """A policy that identifies M and mu and is told the energy weight, and pumps by all of what it is given."""
+    """A policy that identifies M and mu and observes the energy weight, and pumps by all of what it is given."""
     weights = np.array([[-1.0, 0.07, 0.02, 0.0, 0.01, 0.4, 0.05, 0.3, -0.02, 0.03]], np.float32)
     values: dict[str, object] = {
         "layers": ((weights, np.full(1, 0.1, np.float32)),),
@@ -60,7 +55,7 @@ def make_remembering(**changes: object) -> Policy:
 
 # What a policy on top of a control law has.
 TEN_ENTRIES = {"layers": tuple(make_layers((10, 1))), "mean": np.zeros(10), "variance": np.ones(10)}
-# What one has that is told the energy weight and identifies nothing.
+# What one has that observes the energy weight and identifies nothing.
 ENTRIES_AND_WEIGHT = {
     "layers": ((np.array([[-0.1, 0.07, 0.02, 0.0, 0.01, 0.1]], np.float32), np.full(1, 0.1, np.float32)),),
     "mean": np.zeros(6),
@@ -72,7 +67,10 @@ OBSERVATIONS = np.random.default_rng(6).normal(size=(20, 5)).astype(np.float32)
 
 @pytest.mark.parametrize("remembers", [False, True])
 def test_a_file_gives_back_what_was_saved(remembers, tmp_path):
-    policy = make_remembering(output="torque") if remembers else make_policy()
+    ranges = Randomization(M=(0.4, 0.6), mu=(0.01, 0.1), log_mu=True)
+    policy = make_policy(env_kwargs={"capsule": Capsule(m=0.2), "randomization": ranges})
+    if remembers:
+        policy = make_remembering(output="torque")
     policy.save(tmp_path / POLICY)
     loaded = load_policy(tmp_path)
     for field in fields(Policy):
@@ -88,17 +86,9 @@ def test_a_file_gives_back_what_was_saved(remembers, tmp_path):
     for observations in (OBSERVATIONS, OBSERVATIONS[::-1]):
         assert act(observations).tobytes() == expected(observations).tobytes()
     assert loaded.name == tmp_path.name
-
-
-def test_the_same_policy_is_the_same_bytes_and_nothing_else_is_left(tmp_path):
-    script = f"""if True:
-        from tests.capsule_gym.test_policy import make_policy
-        make_policy().save({str(tmp_path / "other")!r})
-    """
-    make_policy().save(tmp_path / "one")
-    subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=True)
-    assert (tmp_path / "one").read_bytes() == (tmp_path / "other").read_bytes()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "other"]
+    again = pickle.loads(pickle.dumps(loaded))
+    again.save(tmp_path / "again")
+    assert (tmp_path / "again").read_bytes() == (tmp_path / POLICY).read_bytes()
 
 
 def test_a_file_is_what_the_format_says(tmp_path):
@@ -130,17 +120,6 @@ def test_a_file_is_what_the_format_says(tmp_path):
         "training_seed": "3",
         "revision": "0123456789ab",
     }
-
-
-def test_capsules_and_ranges_survive(tmp_path):
-    env_kwargs = {"capsule": Capsule(m=0.2), "randomization": Randomization(M=(0.4, 0.6), mu=(0.01, 0.1), log_mu=True)}
-    make_policy(env_kwargs=env_kwargs).save(tmp_path / POLICY)
-    loaded = load_policy(tmp_path)
-    assert loaded.env_kwargs == env_kwargs
-    env = gym.make(capsule_gym.ENV_ID, **loaded.env_kwargs)
-    observation, _ = env.reset(seed=0)
-    assert loaded(observation).shape == (1,)
-    env.close()
 
 
 def test_one_observation_or_many():
@@ -194,16 +173,10 @@ def test_it_fits_where_scripted_policies_do():
     )
 
 
-def test_a_policy_that_remembers_has_to_be_begun():
+def test_what_is_remembered_is_an_episodes_own():
     policy = make_remembering()
     with pytest.raises(TypeError, match=r"'made' identifies M and mu .*policy.start\(\[0\]\)"):
         policy(OBSERVATIONS[0])
-    act = policy.start([0])
-    assert act(OBSERVATIONS[0]).shape == (1,)
-
-
-def test_what_is_remembered_is_an_episodes_own():
-    policy = make_remembering()
     # A slip, in which the last of three environments sees something else than the others.
     course = [np.array([[0.1 * n, 2.0 - 0.3 * n, 0.3 - 0.02 * n, 0.0, 0.0]] * 3, np.float32) for n in range(6)]
     for observations in course:
@@ -256,21 +229,18 @@ def test_a_wanted_torque_takes_the_laws_off():
     env.close()
 
 
-def test_a_policy_pickles_to_other_processes():
-    policy = make_policy()
-    again = pickle.loads(pickle.dumps(policy))
-    assert again(OBSERVATIONS).tobytes() == policy(OBSERVATIONS).tobytes()
+# Pretrained policies.
 
 
-# Committed policies.
-
-
-@pytest.mark.parametrize("name", COMMITTED)
-def test_every_committed_policy_loads_and_drives_its_environment(name):
+@pytest.mark.parametrize("name", policy_names())
+def test_every_pretrained_policy_loads_and_drives_its_environment(name):
+    for run in (run for run in policy_names(seeds=True) if run.startswith(f"{name}/")):
+        policy = load_policy(run)
+        assert (policy.name, policy.training_seed) == (run, int(run.rpartition("-")[2]))
+        assert policy.algorithm == ("sac" if "sac" in name else IMITATION if "distilled" in name else "ppo")
+        assert policy.revision not in ("", "unknown")
     policy = load_policy(name)
-    assert (policy.name, policy.training_seed) == (name, int(name.rpartition("-")[2]))
-    assert policy.algorithm == ("sac" if "sac" in name else IMITATION if "distilled" in name else "ppo")
-    assert policy.revision not in ("", "unknown")
+    assert (policy.name, policy.training_seed) == (name, 0)
     env = gym.make(capsule_gym.ENV_ID, **policy.env_kwargs)
     observation, _ = env.reset(seed=0, options={"M": Capsule().M, "mu": Capsule().mu})
     act = policy.start([0])
@@ -282,31 +252,45 @@ def test_every_committed_policy_loads_and_drives_its_environment(name):
     env.close()
 
 
-def test_loading_needs_neither_torch_nor_the_training_code():
-    script = """if True:
-        import sys
-        import numpy as np
-        import capsule_gym
-        policy = capsule_gym.load_policy("direct-ppo")
-        assert policy(np.zeros(5, np.float32)).shape == (1,)
-        print(*{name.partition(".")[0] for name in sys.modules})
-    """
-    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert not {"torch", "stable_baselines3", "agents", "baselines"} & set(done.stdout.split())
+def test_names_are_sorted_and_the_files_take_little_room():
+    assert policy_names() == sorted(policy_names()) and {"direct-ppo", "residual-ppo"} < set(policy_names())
+    assert {name.partition("/")[0] for name in policy_names(seeds=True)} == set(policy_names())
+    assert 0 < sum(path.stat().st_size for path in set(pretrained().values())) < 2_000_000
 
 
-def test_an_unknown_name_is_answered_with_the_known_ones():
-    with pytest.raises(ValueError, match=r"direct-ppo, .*residual-ppo, .*did you mean 'residual-ppo'\?"):
-        load_policy("residual-pppo")
-    with pytest.raises(ValueError, match=r"did you mean 'direct-sac/seed-0'\?"):
-        load_policy("direct-sac/seed-9")
-    with pytest.raises(ValueError, match=r"got 'residual-ppo/\.\./direct-ppo'"):
-        load_policy("residual-ppo/../direct-ppo")
-    with pytest.raises(TypeError, match="name_or_path must be a policy's name or a path, got 3"):
-        load_policy(3)  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    ("name", "error", "message"),
+    [
+        ("residual-pppo", ValueError, r"direct-ppo, .*residual-ppo, .*did you mean 'residual-ppo'\?"),
+        ("direct-sac/seed-9", ValueError, r"did you mean 'direct-sac/seed-0'\?"),
+        ("residual-ppo/../direct-ppo", ValueError, r"got 'residual-ppo/\.\./direct-ppo'"),
+        ("residual-ppo/seed-00", ValueError, "got 'residual-ppo/seed-00'"),
+        (3, TypeError, "name_or_path must be a policy's name or a path, got 3"),
+    ],
+)
+def test_a_name_that_is_none_is_answered_with_the_known_ones(name, error, message):
+    with pytest.raises(error, match=message):
+        load_policy(name)
 
 
-def test_a_name_on_disk_does_not_hide_a_committed_policy(tmp_path, monkeypatch):
+def test_runs_are_sorted_by_number_and_other_folders_are_none(tmp_path, monkeypatch):
+    monkeypatch.setattr("capsule_gym.policy.FOLDERS", (tmp_path / "nowhere", tmp_path))
+    for place in ("b/seed-10", "b/seed-9", "a/seed-2", "a/best", "a/seed-x", "a/seed-1/best", "c/seed--1"):
+        (tmp_path / place).mkdir(parents=True)
+        (tmp_path / place / POLICY).touch()
+    (tmp_path / "d" / "seed-0").mkdir(parents=True)
+    # Around the cache, which keeps what the package holds.
+    found = {name: file.parent.relative_to(tmp_path).as_posix() for name, file in pretrained.__wrapped__().items()}
+    assert found == {
+        "a": "a/seed-2",
+        "a/seed-2": "a/seed-2",
+        "b": "b/seed-9",
+        "b/seed-9": "b/seed-9",
+        "b/seed-10": "b/seed-10",
+    }
+
+
+def test_a_name_on_disk_does_not_hide_a_pretrained_policy(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "direct-ppo").mkdir()
     make_policy().save(tmp_path / "direct-ppo" / POLICY)
@@ -346,14 +330,6 @@ def test_another_law_asks_for_consent(tmp_path):
     assert load_policy(tmp_path).env_kwargs["controller"] == "baselines:adaptive"
 
 
-def saved(tmp_path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """The tensors and the metadata of a good file."""
-    make_policy().save(tmp_path / "good")
-    content = (tmp_path / "good").read_bytes()
-    header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
-    return load_file(tmp_path / "good"), header["__metadata__"]
-
-
 def framed(header: bytes, data: bytes = b"") -> bytes:
     return struct.pack("<Q", len(header)) + header + data
 
@@ -382,31 +358,25 @@ def test_what_is_no_policy_file_is_refused_by_name_without_taking_memory(content
     path.write_bytes(content)
     tracemalloc.start()
     try:
-        with pytest.raises(ValueError, match="is no policy: ") as caught:
+        with pytest.raises(ValueError, match=r"policy\.safetensors is no policy: "):
             load_policy(path)
-        peak = tracemalloc.get_traced_memory()[1]
+        assert tracemalloc.get_traced_memory()[1] < 1_000_000
     finally:
         tracemalloc.stop()
-    assert str(path) in str(caught.value)
-    assert peak < 1_000_000
 
 
-@pytest.mark.parametrize("kept", [0.0, 0.05, 0.5, 0.99])
-def test_a_truncated_file_is_refused(kept, tmp_path):
-    make_policy().save(tmp_path / POLICY)
-    content = (tmp_path / POLICY).read_bytes()
-    (tmp_path / POLICY).write_bytes(content[: int(kept * len(content))])
-    with pytest.raises(ValueError, match="is no policy: "):
-        load_policy(tmp_path)
-
-
-def test_what_is_too_large_is_not_read(tmp_path):
+def test_a_truncated_file_and_one_too_large_are_refused(tmp_path):
     path = tmp_path / POLICY
     make_policy().save(path)
+    content = path.read_bytes()
     with path.open("ab") as file:
         file.truncate(10**12)  # sparse: it takes no room
     with pytest.raises(ValueError, match=r"must have at most 33554432 bytes, got 1000000000000"):
         load_policy(path)
+    for kept in (0.0, 0.05, 0.5, 0.99):
+        path.write_bytes(content[: int(kept * len(content))])
+        with pytest.raises(ValueError, match="is no policy: "):
+            load_policy(path)
 
 
 def float32(*shape: int, value: float = 0.1) -> np.ndarray:
@@ -428,10 +398,7 @@ HOSTILE_TENSORS = {
     "a variance below zero": ({"inputs.variance": np.full(5, -1.0)}, "inputs.variance must be >= 0"),
     "weights in float64": ({"layers.0.weight": np.ones((8, 5))}, "layers.0.weight must be F32, got F64"),
     "a mean in float32": ({"inputs.mean": float32(5)}, "inputs.mean must be F64, got F32"),
-    "weights in integers": ({"layers.0.weight": np.ones((8, 5), np.int32)}, "layers.0.weight must be F32, got I32"),
-    "weights in halves": ({"layers.0.weight": np.ones((8, 5), np.float16)}, "layers.0.weight must be F32, got F16"),
     "layers that do not fit": ({"layers.1.weight": float32(1, 9)}, "layers.1.bias must have shapes"),
-    "a bias that does not fit": ({"layers.0.bias": float32(7)}, "layers.0.bias must have shapes"),
     "a flat matrix": ({"layers.0.weight": float32(40)}, "layers.0.bias must have shapes"),
     "two outputs": ({"layers.1.weight": float32(2, 8), "layers.1.bias": float32(2)}, "the last one unit"),
     "no units": (
@@ -446,33 +413,16 @@ HOSTILE_TENSORS = {
     "a mean too long": ({"inputs.mean": np.zeros(6)}, "inputs.mean must be float64 of shape (5,)"),
     "a tensor too many": ({"../../secret": float32(1)}, "it must hold the tensors"),
     "a tensor missing": ({"layers.0.bias": None}, "it must hold the tensors"),
-    "a layer missing": ({"layers.0.bias": None, "layers.0.weight": None}, "it must hold the tensors"),
     "no statistics": ({"inputs.mean": None}, "it must hold the tensors"),
     "seven layers": (more_layers(7), "1 to 6 layers, got 7"),
-    "nine layers": (more_layers(9), "it must hold the tensors"),
 }
-
-
-@pytest.mark.parametrize(("changes", "message"), HOSTILE_TENSORS.values(), ids=HOSTILE_TENSORS)
-def test_a_file_with_other_tensors_is_refused_by_name(changes, message, tmp_path):
-    tensors, metadata = saved(tmp_path)
-    tensors = {name: array for name, array in {**tensors, **changes}.items() if array is not None}
-    (tmp_path / POLICY).write_bytes(save(tensors, metadata))
-    with pytest.raises(ValueError, match="is no policy: ") as caught:
-        load_policy(tmp_path / POLICY)
-    assert message in str(caught.value)
-    assert str(tmp_path / POLICY) in str(caught.value)
 
 
 HOSTILE_METADATA = {
     "another format": ({"format": "pt"}, "must say format 'capsule_gym policy', got 'pt'"),
-    "no format": ({"format": None}, "must say format 'capsule_gym policy', got None"),
     "an earlier version": ({"format_version": "1"}, "format_version must be '2'"),
-    "a later version": ({"format_version": "3"}, "format_version must be '2'"),
     "another output": ({"output": "velocity"}, "output must be one of ('action', 'torque'), got 'velocity'"),
     "no output": ({"output": None}, "its metadata must hold 'output'"),
-    "no identification": ({"identifies": None}, "its metadata must hold 'identifies'"),
-    "half an identification": ({"identifies": "0.5"}, "identifies must be 'true' or 'false', got '0.5'"),
     "identification without inputs": ({"identifies": "true"}, "observes_energy_weight, 9, got 5"),
     "Python's truth": ({"told_energy_weight": "True"}, "told_energy_weight must be 'true' or 'false', got 'True'"),
     "a weight without inputs": ({"told_energy_weight": "true"}, "observes_energy_weight, 6, got 5"),
@@ -484,23 +434,11 @@ HOSTILE_METADATA = {
         {"told_energy_weight": "true", "env_kwargs": '{"energy_weight": 0.0}'},
         "env_kwargs['energy_weight'] must be a number of cm/J from 1e-12",
     ),
-    "a weight too small to be a normal number": (
-        {"told_energy_weight": "true", "env_kwargs": '{"energy_weight": 5e-324}'},
-        "env_kwargs['energy_weight'] must be a number of cm/J from 1e-12",
-    ),
-    "no version": ({"format_version": None}, "format_version must be '2'"),
-    "no algorithm": ({"algorithm": None}, "its metadata must hold 'algorithm'"),
-    "no environment": ({"env_kwargs": None}, "its metadata must hold 'env_kwargs'"),
     "another activation": ({"activation": "gelu"}, "activation must be one of"),
-    "another squashing": ({"squashing": "none"}, "squashing must be one of"),
-    "no clip": ({"clip": None}, "its metadata must hold 'clip'"),
-    "a clip that is NaN": ({"clip": "nan"}, "clip must be a number in (0, 1e+06]"),
     "a clip beyond bounds": ({"clip": "1e300"}, "clip must be a number in (0, 1e+06]"),
     "a clip in words": ({"clip": "ten"}, "clip must be a number, got 'ten'"),
     "an epsilon below zero": ({"epsilon": "-1"}, "epsilon must be a finite number >= 0"),
     "a seed below zero": ({"training_seed": "-1"}, "training_seed must be an integer >= 0"),
-    "a seed of a million digits": ({"training_seed": "9" * 60_000}, "training_seed must be an integer >= 0"),
-    "no JSON": ({"env_kwargs": "{"}, "is no policy: "),
     "a list": ({"env_kwargs": "[]"}, "env_kwargs must be a dict"),
     "deep JSON": ({"env_kwargs": '{"capsule":' + "[" * 60_000}, "is no policy: "),
     "NaN in JSON": ({"env_kwargs": '{"torque_limit": NaN}'}, "torque_limit must be a finite number > 0"),
@@ -511,31 +449,38 @@ HOSTILE_METADATA = {
         {"env_kwargs": '{"controller": "baselines:adaptive"}'},
         "observes_energy_weight, 10, got 5",
     ),
-    "parameters without entries": ({"env_kwargs": '{"observe_parameters": true}'}, "observes_energy_weight, 7, got 5"),
     "a word for a switch": ({"env_kwargs": '{"observe_parameters": "no"}'}, "must be True or False"),
     "a torque below zero": ({"env_kwargs": '{"torque_limit": -1}'}, "torque_limit must be a finite number > 0"),
-    "an unknown range": ({"env_kwargs": '{"randomization": "wild"}'}, "randomization must be"),
     "an impossible capsule": ({"env_kwargs": '{"capsule": {"M": -1.0}}'}, "Capsule.M must be"),
     "a capsule with wheels": ({"env_kwargs": '{"capsule": {"wheels": 4}}'}, "is no policy: "),
     "a megabyte": ({"comment": "a" * 10**6}, "its metadata must have at most 65536 characters"),
 }
 
 
+def refused(tmp_path: Path, tensors: dict[str, np.ndarray | None], metadata: dict[str, str | None]) -> str:
+    """The error of a good file after some changes; None takes an entry away."""
+    make_policy().save(tmp_path / POLICY)
+    content = (tmp_path / POLICY).read_bytes()
+    described = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])["__metadata__"] | metadata
+    arrays = load_file(tmp_path / POLICY) | tensors
+    changed = save(
+        {name: array for name, array in arrays.items() if array is not None},
+        {key: value for key, value in described.items() if value is not None},
+    )
+    (tmp_path / POLICY).write_bytes(changed)
+    with pytest.raises(ValueError, match=r"policy\.safetensors is no policy: ") as caught:
+        load_policy(tmp_path / POLICY)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(("changes", "message"), HOSTILE_TENSORS.values(), ids=HOSTILE_TENSORS)
+def test_a_file_with_other_tensors_is_refused_by_name(changes, message, tmp_path):
+    assert message in refused(tmp_path, changes, {})
+
+
 @pytest.mark.parametrize(("changes", "message"), HOSTILE_METADATA.values(), ids=HOSTILE_METADATA)
 def test_a_file_with_other_metadata_is_refused_by_name(changes, message, tmp_path):
-    tensors, metadata = saved(tmp_path)
-    metadata = {key: value for key, value in {**metadata, **changes}.items() if value is not None}
-    (tmp_path / POLICY).write_bytes(save(tensors, metadata))
-    with pytest.raises(ValueError, match="is no policy: ") as caught:
-        load_policy(tmp_path / POLICY)
-    assert message in str(caught.value)
-    assert str(tmp_path / POLICY) in str(caught.value)
-
-
-def test_the_good_file_that_the_hostile_ones_are_made_of_loads(tmp_path):
-    tensors, metadata = saved(tmp_path)
-    (tmp_path / POLICY).write_bytes(save(tensors, metadata))
-    assert load_policy(tmp_path / POLICY)(OBSERVATIONS).tobytes() == make_policy()(OBSERVATIONS).tobytes()
+    assert message in refused(tmp_path, {}, changes)
 
 
 def test_the_largest_weights_still_give_a_number(tmp_path):
