@@ -38,22 +38,22 @@ def states(M: float, mu: float, seconds: float = 4.0, changes: Any = (), capsule
     """The states of a capsule under a torque that drives its pendulum to and fro, in float64: theta, theta', x'."""
     env = CapsuleEnv(capsule=capsule)
     _, info = env.reset(seed=0, options={"M": M, "mu": mu, "changes": list(changes)})
-    course = [info["state"]]
+    rows = [info["state"]]
     for step in range(round(seconds / CONTROL_DT)):
-        theta, theta_dot = course[-1][:2]
+        theta, theta_dot = rows[-1][:2]
         push = np.cos(2.0 * np.pi * CONTROL_DT * step / 0.74)
         action = np.clip(0.8 * push - 0.3 * theta - 0.02 * theta_dot, -1.0, 1.0)
         _, _, terminated, _, info = env.step(np.array([action], np.float32))
         assert not terminated
-        course.append(info["state"])
-    return np.array(course)[:, [0, 1, 3]]
+        rows.append(info["state"])
+    return np.array(rows)[:, [0, 1, 3]]
 
 
 def is_slip(one: np.ndarray, next_one: np.ndarray) -> bool:
     return bool(one[2] * next_one[2] > 0.0 and min(abs(one[2]), abs(next_one[2])) > SLOWEST)
 
 
-def course_of(rows: np.ndarray, memory: Memory = EMPTY) -> list[Memory]:
+def memories_of(rows: np.ndarray, memory: Memory = EMPTY) -> list[Memory]:
     """The memories after each of some observations."""
     found = []
     for row in rows.tolist():
@@ -95,7 +95,12 @@ def test_the_slopes_are_those_of_the_balance(s):
 
 @pytest.mark.parametrize(("M", "mu"), PLANTS)
 def test_both_are_found_in_slip(M, mu):
-    *_, last = course_of(states(M, mu))
+    rows = states(M, mu)
+    first, *_, last = memories_of(rows)
+    assert first[0] == 1.0
+    assert estimates(first) == (identification.PRIOR_M, identification.PRIOR_LOG_MU, DEVIATION_M, DEVIATION_LOG_MU)
+    # The observations' float32 is enough.
+    assert estimates(memories_of(rows.astype(np.float32).astype(np.float64))[-1])[0] == pytest.approx(M, rel=4e-3)
     found_M, found_log_mu, deviation_M, deviation_log_mu = estimates(last)
     # The pairs are exact, the noise that the filter reckons with is not: what the prior weighs fades with every pair.
     assert found_M == pytest.approx(M, rel=1e-3)
@@ -105,16 +110,10 @@ def test_both_are_found_in_slip(M, mu):
     assert abs(found_log_mu - math.log(mu)) < 3.0 * deviation_log_mu < 2.0
 
 
-def test_the_observations_float32_are_enough():
-    M, mu = PLANTS[1]
-    *_, last = course_of(states(M, mu).astype(np.float32).astype(np.float64))
-    assert estimates(last)[0] == pytest.approx(M, rel=2e-3)
-
-
 def test_a_jump_brings_doubt_and_is_found():
     jump = 2.0
     rows = states(0.4, 0.02, 4.0, changes=[{"t": jump, "M": 0.7, "mu": 0.2}])
-    memories = course_of(rows)
+    memories = memories_of(rows)
     before = memories[round(jump / CONTROL_DT)]
     assert estimates(before)[0] == pytest.approx(0.4, rel=0.01)
     deviations = np.array([estimates(memory)[2] for memory in memories[round(jump / CONTROL_DT) :]])
@@ -132,18 +131,12 @@ def test_a_jump_brings_doubt_and_is_found():
     ids=["stick", "stops", "starts", "turns", "slow before", "slow after"],
 )
 def test_nothing_is_learnt_in_stick_and_where_it_turns(x_dot, next_x_dot):
-    known = course_of(states(0.5, 0.05, 1.0))[-1]
+    known = memories_of(states(0.5, 0.05, 1.0))[-1]
     one = identify(known, 0.1, 2.0, x_dot, **PLANT)
     # The first pair may be a slip that began before.
     next_one = identify(one, 0.4, -3.0, next_x_dot, **PLANT)
     assert next_one[1:6] == one[1:6]
     assert next_one[6:] == pytest.approx((-3.0 * math.cos(0.4), -3.0 * math.sin(0.4), next_x_dot))
-
-
-def test_an_episode_begins_with_the_prior():
-    memory = identify(EMPTY, -0.8, 0.0, 0.3, **PLANT)
-    assert memory[0] == 1.0
-    assert estimates(memory) == (identification.PRIOR_M, identification.PRIOR_LOG_MU, DEVIATION_M, DEVIATION_LOG_MU)
 
 
 @pytest.mark.parametrize("scale", [1.0, 30.0, 1e4])
@@ -152,7 +145,7 @@ def test_whatever_is_observed_the_estimates_stay_within_their_range(scale):
     rng = np.random.default_rng(0)
     rows = rng.normal(0.0, 1.0, (4000, 3)) * (1.0, scale, scale) + (0.0, 0.0, scale)
     prior = np.array([DEVIATION_M**2, DEVIATION_LOG_MU**2])
-    for memory in course_of(rows):
+    for memory in memories_of(rows):
         _, M, log_mu, *_ = memory
         assert LOW_M <= M <= HIGH_M
         assert LOW_LOG_MU <= log_mu <= HIGH_LOG_MU
@@ -163,25 +156,15 @@ def test_whatever_is_observed_the_estimates_stay_within_their_range(scale):
         assert np.isfinite(estimates(memory)).all()
 
 
-def test_certainty_fades_only_towards_the_prior():
-    # The same pair again and again says nothing new: what it says nothing of becomes as unknown as it was.
-    memory = course_of(states(0.5, 0.05, 2.0))[-1]
-    rows = np.tile([[0.3, 2.0, 0.3], [0.3, 2.0, 0.3 - 0.05 * PLANT["g"] * CONTROL_DT]], (300, 1))
-    for later in course_of(rows, memory):
-        P = covariance(later)
-        assert P[0, 0] <= DEVIATION_M**2 * (1.0 + 1e-12)
-    assert P[0, 0] > 0.25 * DEVIATION_M**2
-
-
-@pytest.mark.parametrize("n", [1, 5, 70])
+@pytest.mark.parametrize("n", [1, 70])
 def test_compiled_and_in_python_it_is_the_same_bits(n):
     rng = np.random.default_rng(n)
     layers = make_layers((9, 1))
     network = make_network(layers, observed=5, identifies=True)
     memory, given, actions = np.zeros(n * CELLS), np.empty((n, 9), np.float32), np.empty((n, 1), np.float32)
     by_hand = [EMPTY] * n
-    course = states(0.5, 0.05, 1.5).astype(np.float32)
-    for row in course:
+    rows = states(0.5, 0.05, 1.5).astype(np.float32)
+    for row in rows:
         observations = np.zeros((n, 5), np.float32)
         observations[:, :3] = row * rng.uniform(0.9, 1.1, (n, 1))
         compiled_act_batch()(network, observations, memory, given, actions)
