@@ -1,7 +1,7 @@
 """capsule_gym: friction-driven locomotion of a capsule robot as a Gymnasium environment.
 
 Importing the package registers `CapsuleStickSlip-v0`. What needs numba, which takes most of a second to import, is
-imported when it is first asked for.
+imported at its first use.
 """
 
 from importlib import import_module

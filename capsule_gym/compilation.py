@@ -33,7 +33,7 @@ from capsule_gym.files import write_atomically
 # A division by zero gives infinity. Python's exception would be a branch in every division, which no loop over
 # environments survives; strict floating point otherwise, so that all loops give the same bits.
 OPTIONS: dict[str, Any] = {"error_model": "numpy"}
-# Nobody calls the compiled form of a helper from Python or C: half of the time to compile it.
+# Wrappers that let Python or C call a compiled helper take half of the time to compile it, and are never used.
 _NO_WRAPPERS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 DIGEST_SIZE = hashlib.sha256().digest_size
@@ -164,7 +164,7 @@ def kernel(function: Callable[..., Any], digest: str, bindings: dict[str, Any]) 
 
 
 class Cache(FunctionCache):
-    """numba's disk cache, for files that nobody else may have left as they were.
+    """numba's disk cache, for files that other processes may damage.
 
     numba believes what it finds: an index that was cut off ends the program with an unpickling error, and machine code
     in which a bit has changed is run. It also names the file of the code in the index only, so that two processes for
@@ -192,7 +192,7 @@ class Cache(FunctionCache):
 
     def _file(self, sig: Any, codegen: Any) -> Path:
         """Where the code of a signature lies for this processor and this version of numba and of the sources."""
-        # Without the last, code that was compiled without checks would be run where they are asked for.
+        # Without BOUNDSCHECK, code compiled without bounds checks would be used where they are switched on.
         stamp = self._impl.locator.get_source_stamp()
         key = (self._index_key(sig, codegen), stamp, numba.__version__, numba.config.BOUNDSCHECK)
         digest = hashlib.sha256(repr(key).encode()).hexdigest()[:16]

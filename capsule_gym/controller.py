@@ -123,7 +123,7 @@ def _check_memory(memory: Any) -> tuple[float, ...]:
 
 
 def is_own(controller: str | None) -> bool:
-    """Whether an import string names a law that comes with this package: resolving it runs no stranger's code."""
+    """Whether an import string names a law that comes with this package: resolving it runs no other code."""
     return controller is None or _OWN.fullmatch(controller) is not None
 
 

@@ -269,17 +269,7 @@ def smooth_step(
 
 
 class Phase(NamedTuple):
-    """A state in a phase of contact, and what acts on it.
-
-    Attributes:
-        theta: angle, rad.
-        theta_dot: rad/s.
-        x: m.
-        x_dot: m/s.
-        slip: +1.0, -1.0 or 0.0 (stick).
-        u: motor torque, N m.
-        p: the plant.
-    """
+    """A state in a phase of contact (slip +1.0, -1.0, or 0.0 for stick), the motor torque and the plant."""
 
     theta: float
     theta_dot: float
@@ -291,20 +281,9 @@ class Phase(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """A part of a step that stays in one phase.
+    """A part of a step that stays in one phase: its length tau in s, and the state at its end.
 
-    Attributes:
-        tau: its length, s.
-        theta: angle at its end, rad.
-        theta_dot: rad/s.
-        x: m.
-        x_dot: m/s.
-        boundary: what must be positive at its end for the phase to last, and the next its rate.
-        boundary_rate: per second.
-        theta_ddot: at its end, rad/s^2.
-        x_ddot: at its end, m/s^2.
-        first_x_ddot: at its start, m/s^2.
-        normal_force: at its start, N.
+    `boundary` must be positive for the phase to last. x'' and N are also kept as they are at the start.
     """
 
     tau: float
@@ -375,14 +354,7 @@ def _first_guess(g_low: float, rate_low: float, g_high: float, rate_high: float,
 
 @jitable
 def _beyond(start: Phase, before: float, rate: float, whole: Piece) -> Piece:
-    """A piece at whose end the boundary has been crossed, or `whole` where none shows one.
-
-    Args:
-        start: the phase at the start of the step.
-        before: the boundary there.
-        rate: its time derivative there.
-        whole: the step as if the phase lasted.
-    """
+    """A piece that ends beyond the boundary, or `whole` where there is none; `before` and `rate` are at the start."""
     if whole.boundary < 0.0:
         return whole
     dip = _dip(before, rate, whole.boundary, whole.tau)
@@ -430,14 +402,7 @@ def _root(start: Phase, low: float, before: float, rate: float, beyond: Piece) -
     """The piece that ends on the boundary: Newton's method on re-taken steps, kept inside a bracket.
 
     The cubic through the bracket's ends lets it start close to the root. The last correction is so small that the state
-    follows it in a straight line.
-
-    Args:
-        start: the phase at the start of the step.
-        low: where the bracket begins, s.
-        before: the boundary there, positive.
-        rate: its time derivative there.
-        beyond: the piece at whose end the bracket ends.
+    follows it in a straight line. The bracket begins at `low`, with the boundary `before` > 0 and its rate there.
     """
     width, end = beyond.tau - low, beyond.tau
     tau = low + _first_guess(before, rate, beyond.boundary, beyond.boundary_rate, width)
@@ -460,14 +425,7 @@ def _root(start: Phase, low: float, before: float, rate: float, beyond: Piece) -
 
 @jitable
 def _until_event(start: Phase, before: float, rate: float, whole: Piece) -> Piece:
-    """The piece up to the first event of a step that may have crossed the phase's boundary.
-
-    Args:
-        start: the phase at the start of the step.
-        before: the boundary there.
-        rate: its time derivative there.
-        whole: the step as if the phase lasted; returned if it does.
-    """
+    """The piece up to the first event of a step that may have crossed the phase's boundary; `whole` where none has."""
     beyond = _beyond(start, before, rate, whole)
     if beyond.boundary >= 0.0:
         return whole

@@ -59,7 +59,7 @@ def sincos(angle: float) -> tuple[float, float]:
     """Sine and cosine of an angle in rad: within 3.4e-16 of the exact values up to +-pi / 2, within 1.2e-15 beyond.
 
     The angle is brought to +-pi by whole turns and halved; in sin(2 y) = 2 sin(y) cos(y) and cos(2 y) = 1 - 2 sin(y)^2
-    the half turns that this leaves open cancel, so that no quadrant is to be told apart.
+    the remaining half turns cancel, so that no quadrant has to be determined.
     """
     turns = fma(angle, TURNS_PER_RADIAN, ROUNDING) - ROUNDING
     y = fma(-turns, 0.5 * TURN_REST, fma(-turns, 0.5 * TURN, 0.5 * angle))

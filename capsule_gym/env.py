@@ -67,7 +67,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     | 6 | theta_d_dot: its rate (rad/s) | -20 | 20 | with a controller |
     | 7 | sine of the cycle's phase | -1 | 1 | with a controller |
     | 8 | cosine of the cycle's phase | -1 | 1 | with a controller |
-    | 9 | the torque that the law asks for at this instant (N m) | -torque_limit | torque_limit | with a controller |
+    | 9 | the torque that the law returns at this instant (N m) | -torque_limit | torque_limit | with a controller |
     | last two | M (kg), mu | 0 | 4 Capsule.M, 1; or what `randomization` and `capsule` reach, where that is more | `observe_parameters=True` |
 
     Where M and mu are observed, `reset(options=..)` refuses larger ones than these: a `Randomization` with wider ranges
@@ -110,7 +110,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     ## Info
 
     The same keys and dtypes at every reset and step, as numbers and arrays of numpy: `state` (theta, theta_dot, x,
-    x_dot), `stick`, `M`, `mu`, `torque` (the last torque applied, N m), `law_torque` (what the law asks for next, N m),
+    x_dot), `stick`, `M`, `mu`, `torque` (the last torque applied, N m), `law_torque` (what the law returns for the next interval, N m),
     `normal_force` (the smallest in the step, N; after a reset the weight), `energy` (of the step, J), the reward terms,
     and `termination` (`capsule_gym.task.Termination`: 0 while the episode goes on, 1 "pendulum", 2 "contact",
     3 "diverged").
@@ -278,7 +278,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         return self._renderer.draw(**shown_state(self.simulation, 0))
 
     def get_keys_to_action(self) -> dict[tuple[str, ...], np.ndarray]:
-        """What gymnasium's own `play` asks for: the key a swings the ball to the left, d to the right, at full torque.
+        """The keys of gymnasium's own `play`: the key a swings the ball to the left, d to the right, at full torque.
 
         `gymnasium.utils.play.play(env, noop=np.zeros(1, np.float32))` plays; without a `noop` its own is no action here.
         """
@@ -346,7 +346,7 @@ def as_actions(actions: Any) -> np.ndarray | None:
 
 
 def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> dict[str, Any]:
-    """Refuses reset options that nobody would read."""
+    """Refuses unknown reset options."""
     if options is None:
         return {}
     if not isinstance(options, dict):
@@ -358,7 +358,7 @@ def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> 
 
 
 def shown_state(simulation: Simulation, i: int) -> dict[str, Any]:
-    """What `Renderer.draw` is told of environment i; no reference where the table is all zeros."""
+    """The arguments of `Renderer.draw` for environment i; no reference where the table is all zeros."""
     row = simulation.columns(np.array([i]))[:, 0]
     # Laws that follow none, the gaits and no law at all, carry a table of zeros.
     reference = float(simulation.reference[int(row[Row.clock]), 0]) if simulation.reference.any() else None

@@ -88,7 +88,7 @@ def begin_step(block: np.ndarray, n: int, plant: Plant, begin: bool) -> int:
         block[AT.mass_ratio + j] = plant.m / (block[AT.M + j] + plant.m)
         block[AT.before_x + j] = block[AT.x + j]
         block[AT.energy + j] = 0.0 if active else block[AT.energy + j]
-        # The smallest of the step is to come; an episode begins with what it is given.
+        # The minimum over the step; at the start of an episode the weight, which `resets.renew` has written.
         block[AT.normal_force + j] = math.inf if active and not begin else block[AT.normal_force + j]
         count += active
     return count
@@ -209,7 +209,7 @@ def step_with_events(block: np.ndarray, j: int, plant: Plant, h: float, elapsed:
 def call_controller(
     block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, settings: StepSettings, tick: float
 ) -> None:
-    """Asks the law for its torque at the present state, `tick` rows further in its reference of `cycle` rows."""
+    """Calls the law with the present state, `tick` rows further in its reference of `cycle` rows."""
     use_widest_vectors()
     for j in range(n):
         clock = block[AT.clock + j] + (tick if block[AT.halt + j] != HALTED else 0.0)
@@ -234,13 +234,12 @@ def call_controller(
             block[AT.theta + j], block[AT.theta_dot + j], block[AT.x + j], block[AT.x_dot + j], memory, row
         )
         halt = block[AT.halt + j]
-        asked = halt != HALTED
-        # Infinity must not pass for a torque that was clipped: infinity minus itself is NaN. The state stays what the
-        # law was asked about.
+        called = halt != HALTED
+        # Infinity must not pass for a clipped torque: infinity minus itself is NaN. The state stays as the law saw it.
         clipped = clip(torque, settings.torque_limit) + (torque - torque)
-        block[AT.law_torque + j] = clipped if asked else block[AT.law_torque + j]
-        store(block, MEMORY + j, LANES, renewed if asked else memory)
-        elapsed = block[AT.elapsed + j] if asked else 0.0
+        block[AT.law_torque + j] = clipped if called else block[AT.law_torque + j]
+        store(block, MEMORY + j, LANES, renewed if called else memory)
+        elapsed = block[AT.elapsed + j] if called else 0.0
         torque = block[AT.torque + j]
         block[AT.duration + j] += tick * elapsed
         block[AT.torque_squared + j] += tick * elapsed * torque * torque

@@ -62,7 +62,7 @@ class Quantities(NamedTuple):
     largest_theta_dot: int
     # Row of the reference table that the law has seen last.
     clock: int
-    # What the caller wants: the action, and 1.0 where the environment takes part in the step.
+    # Input of the step: the action, and 1.0 where the environment takes part.
     action: int
     active: int
     # Of the running step: m / (M + m), x at its start, the phase of the contact, whether something happens in the
@@ -90,12 +90,12 @@ AT = Quantities(*(LANES * row for row in Row))
 ROWS = len(Row)
 # Where the law's memory begins; its line of the reference follows.
 MEMORY = ROWS * LANES
-# The values of `Row.halt`: under way; stopped in the present substep, its law to be asked once more; and at rest.
+# The values of `Row.halt`: under way; stopped in the present substep, with one call of the law left; and halted.
 UNDER_WAY, ENDING, HALTED = 0.0, 1.0, 2.0
 
 
 class StepSettings(NamedTuple):
-    """What the kernels need to know of the environment besides the plant; SI units."""
+    """The settings of the compiled step; SI units. `simulation.make_settings` derives them from an `EnvConfig`."""
 
     torque_limit: float
     residual_limit: float

@@ -55,8 +55,8 @@ def observation_bounds(
     Args:
         with_reference: whether a control law runs inside the step.
         with_parameters: whether M and mu are observed.
-        capsule: the capsule, and the next where M and mu come from, for the bounds of these.
-        randomization: likewise.
+        capsule: the capsule of the environment, for the bounds of M and mu.
+        randomization: where M and mu of an episode come from, for the same bounds.
         torque_limit: N m.
     """
     largest_M, largest_mu = parameter_bounds(capsule, randomization)
@@ -96,7 +96,7 @@ def write_observation(
         state: theta (rad), theta_dot (rad/s), x_dot (m/s).
         last_action: in [-1, 1].
         reference: theta_d (rad), theta_d_dot (rad/s), phase of the cycle in [0, 1).
-        law_torque: what the law asks for at this instant, clipped to the torque limit, N m.
+        law_torque: the torque that the law returns at this instant, clipped to the torque limit, N m.
         parameters: M (kg) and mu.
         with_reference: whether the entries of the law are there.
         with_parameters: whether M and mu are.

@@ -1,4 +1,4 @@
-"""The native batch as Stable-Baselines3 wants it. Nothing else in this package needs that library (extra `sb3`)."""
+"""The native batch as a `VecEnv` of Stable-Baselines3, the only module that needs that library (extra `sb3`)."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ class CapsuleSB3VecEnv(VecEnv):
         return self.batch.render() or [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """The attribute of the batch, once per environment asked for."""
+        """The attribute of the batch, once per requested environment."""
         holder = self if attr_name == "render_mode" else self.batch
         return [getattr(holder, attr_name)] * len(list(self._get_indices(indices)))
 

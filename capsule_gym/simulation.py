@@ -1,4 +1,4 @@
-"""N capsules side by side: what the single environment and the batch share, which is everything but their interface."""
+"""The simulation of N environments, which `CapsuleEnv` and `CapsuleVectorEnv` share."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def check_step(capsule: Capsule, M: float, mu: float, settings: layout.StepSetti
 
 
 def make_settings(options: EnvConfig, controller: Controller | None) -> layout.StepSettings:
-    """What the kernels need to know of the options, with what is None worked out.
+    """The settings of the compiled step, with the values that follow from other options.
 
     Args:
         options: the environment's.
@@ -150,7 +150,7 @@ def count_rows(controller: Controller | None) -> int:
 
 
 def episode_metrics(world: np.ndarray, horizon: float | None) -> dict[str, np.ndarray]:
-    """The numbers that episodes are judged by.
+    """The metrics of episodes.
 
     Args:
         world: shape (rows, n), one column per episode, the rows those of `Row`.
@@ -193,7 +193,7 @@ class Simulation:
 
     Args:
         num_envs: number of environments.
-        options: what they are told.
+        options: of the environments.
 
     Attributes:
         capsule: the plant's constants.
@@ -254,12 +254,13 @@ class Simulation:
         return {name: getattr(self, name) for name in names}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        Simulation.__init__(self, state["num_envs"], state["options"])
-        if state["world"].shape != self.world.shape:
+        controller = state["options"].controller
+        if count_rows(find_controller(controller)) != state["world"].shape[1]:
             raise ValueError(
-                f"controller={self.options.controller!r} must be as it was when the simulation was pickled, with as "
+                f"controller={controller!r} must be as it was when the simulation was pickled, with as "
                 f"much memory and as many columns of the reference"
             )
+        Simulation.__init__(self, state["num_envs"], state["options"])
         self._take_over(state)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
@@ -382,7 +383,7 @@ class Simulation:
 
         Args:
             actions: shape (num_envs,), finite; clipped to [-1, 1].
-            active: shape (num_envs,), bool: who takes part, the others stand still. None is everyone.
+            active: shape (num_envs,), bool: the environments that take part; the others do not change. None means all.
 
         Raises:
             ValueError: if a user's control law returned a torque that is not finite.
@@ -449,7 +450,7 @@ class Simulation:
         )
 
     def metrics(self, rows: np.ndarray, horizon: int | None = None) -> dict[str, np.ndarray]:
-        """The numbers that an episode is judged by, so far.
+        """The metrics of running episodes.
 
         Args:
             rows: indices of the environments, int64, shape (n,).
@@ -507,10 +508,7 @@ class Simulation:
             if not isinstance(change, dict):
                 raise TypeError(f"{name} must be a dict with the keys {CHANGE}, got {written(change)}")
             if set(change) != set(CHANGE):
-                missing = [key for key in CHANGE if key not in change]
-                unknown = [key for key in change if key not in CHANGE]
-                wrong = f"which lacks {missing}" if missing else f"where nobody reads {unknown}"
-                raise ValueError(f"{name} must have the keys {CHANGE}, got {written(change)}, {wrong}")
+                raise ValueError(f"{name} must have the keys {CHANGE} and no others, got {written(change)}")
             t = check_number(f"{name}['t']", change["t"], "a finite number >= 0 (s)", 0.0)
             if schedule and t <= schedule[-1][0]:
                 raise ValueError(f"{name}['t'] must be later than the one before, {schedule[-1][0]:g} s, got {t:g} s")

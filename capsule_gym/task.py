@@ -37,7 +37,7 @@ class Termination(IntEnum):
 
 
 class Metrics(NamedTuple):
-    """The numbers that an episode is judged by, each of shape (environments,), float64.
+    """The metrics of an episode, each of shape (environments,), float64.
 
     Attributes:
         mean_speed: cm/s.

@@ -88,8 +88,6 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._ended = np.zeros(self.num_envs, np.bool_)
-        self._everywhere = np.ones(self.num_envs, np.bool_)
-        self._everywhere.setflags(write=False)
         self._started = False
         self._renderers: list[Renderer] = []
         self._spec: EnvSpec | None = None
@@ -97,10 +95,6 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def __getstate__(self) -> dict[str, Any]:
         """The episodes, which a copy goes on with, without the frames."""
         return {**vars(self), "_renderers": []}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self._everywhere.setflags(write=False)
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -163,14 +157,9 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if not self._started:
             raise gym.error.ResetNeeded("call reset() before step(): some environment has no running episode")
         array = as_actions(actions)
-        if array is None:
+        if array is None or array.shape != (self.num_envs, 1) or not np.isfinite(array).all():
             raise ValueError(
                 f"actions must be finite, in [-1, 1] and of shape ({self.num_envs}, 1), got {written(actions)}"
-            )
-        if array.shape != (self.num_envs, 1) or not np.isfinite(array).all():
-            raise ValueError(
-                f"actions must be finite, in [-1, 1] and of shape ({self.num_envs}, 1), got shape {array.shape} "
-                f"with {np.count_nonzero(~np.isfinite(array))} values that are not finite"
             )
         simulation = self.simulation
         resting = self._ended.any()
@@ -187,7 +176,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             terminated &= active
             truncated &= active
         ended = terminated | truncated
-        info = _masked(describe(shown, shown[Row.termination].astype(np.int64)), self._everywhere)
+        info = _masked(describe(shown, shown[Row.termination].astype(np.int64)), np.ones(self.num_envs, np.bool_))
         if active is not None and self.autoreset_mode is AutoresetMode.DISABLED:
             info |= {f"_{name}": active for name in REWARD_TERMS}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
@@ -202,7 +191,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return simulation.observations.copy(), rewards, terminated, truncated, info
 
     def episode_metrics(self) -> dict[str, np.ndarray]:
-        """The metrics of the running episodes, each of shape (num_envs,); `capsule_gym.task.Metrics` says what they are."""
+        """The metrics of the running episodes, each of shape (num_envs,); `capsule_gym.task.Metrics` defines them."""
         return self.simulation.metrics(np.arange(self.num_envs), self.max_episode_steps)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
@@ -272,7 +261,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def _check_mask(self, mask: Any) -> np.ndarray:
         """The environments that a reset means."""
         if mask is None:
-            return self._everywhere
+            return np.ones(self.num_envs, np.bool_)
         accepted = f"a bool array of shape ({self.num_envs},) with at least one True"
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
             raise TypeError(f"options['reset_mask'] must be {accepted}, got {written(mask)}")
@@ -314,7 +303,7 @@ def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:
-    """Gymnasium's form of batched infos: beside every key the mask of the environments that it holds for."""
+    """Gymnasium's form of batched infos: with every key the mask of the environments that it holds for."""
     info: dict[str, Any] = {}
     for key, value in values.items():
         if key.startswith("_"):

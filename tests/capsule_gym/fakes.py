@@ -5,6 +5,7 @@ from __future__ import annotations
 import gymnasium as gym
 import numpy as np
 
+from capsule_gym import Controller
 from capsule_gym.layout import Row
 
 # Orders, and scratch that every step begins anew; all other rows are the episode's.
@@ -29,6 +30,23 @@ def make_law(gain, function=helper):
         return gain * function(theta), memory
 
     return law
+
+
+def picky(theta, theta_dot, x, x_dot, memory, reference):
+    """A law that counts its calls, and whose torque is nothing to compute with in some places."""
+    (count,) = memory
+    torque = 0.1
+    if x > 50.0:
+        torque = 1e308
+    elif x > 5.0:
+        torque = np.inf if count >= 30.0 else 0.1
+    if x < -5.0:
+        torque = np.nan
+    return torque, (count + 1.0,)
+
+
+def picky_controller() -> Controller:
+    return Controller("picky", picky, np.zeros((1, 2)))
 
 
 def rollout(env: gym.Env, seed: int, steps: int, scale: float = 0.4) -> list[np.ndarray]:

@@ -1,15 +1,12 @@
-"""How plain functions become compiled ones: fingerprints, and the disk cache across processes."""
+"""Compiled code: fingerprints, the disk cache, how a law enters the kernel, and what compiled code may be given."""
 
 from __future__ import annotations
 
-import json
 import os
-import re
-import shutil
+import random
 import subprocess
 import sys
 from pathlib import Path
-from types import FunctionType, ModuleType
 from typing import NamedTuple
 
 import numba
@@ -17,13 +14,14 @@ import numpy as np
 import pytest
 
 from capsule_gym import Capsule, dynamics, elementary, kernels, layout, observation, task
-from capsule_gym.compilation import fingerprint
+from capsule_gym.compilation import OPTIONS, compile_cached, compile_now, fingerprint
+from capsule_gym.layout import LANES, Row, StepSettings, pack, unpack
 from tests.capsule_gym.fakes import helper, make_law, other_helper
 
 PLANT = Capsule().plant()
 
 
-def test_fingerprint_sees_gains_helpers_and_code():
+def test_fingerprint_sees_gains_helpers_and_options():
     same = fingerprint(make_law(1.0))
     assert fingerprint(make_law(1.0)) == same
     assert fingerprint(make_law(1.5)) != same
@@ -31,7 +29,6 @@ def test_fingerprint_sees_gains_helpers_and_code():
     jitted = fingerprint(make_law(1.0, numba.njit(helper)))
     assert fingerprint(make_law(1.0, numba.njit(helper))) == jitted
     assert fingerprint(make_law(1.0, numba.njit(fastmath=True)(helper))) != jitted
-    assert fingerprint(make_law(np.array([1.0, 2.0]))) != fingerprint(make_law(np.array([1.0, 2.5])))
     # Far inside an array inside a tuple, where a repr shows dots.
     tables = [np.zeros(2000) for _ in range(2)]
     tables[1][1000] = 1.0
@@ -46,193 +43,218 @@ def test_fingerprint_follows_globals_and_modules(monkeypatch):
     monkeypatch.setitem(globals(), "helper", other_helper)
     assert fingerprint(law) != before
     monkeypatch.undo()
-    assert fingerprint(law) == before
     monkeypatch.setattr(dynamics, "stick_acceleration", other_helper)
     assert fingerprint(law) != before
 
 
-def functions_of(module: ModuleType) -> dict[str, FunctionType]:
-    """The plain functions that a module defines, also those below numba's decorators."""
-    found = {}
-    for name, value in vars(module).items():
-        function = getattr(value, "_defn", None) or getattr(value, "py_func", value)
-        if isinstance(function, FunctionType) and function.__module__ == module.__name__:
-            found[name] = function
-    return found
-
-
-# What runs in Python alone, and the physics' own way through a whole step, of which the kernel takes the parts.
-NOT_COMPILED = {
-    "pack", "build", "bind", "_own_fingerprint", "observation_names", "observation_bounds", "parameter_bounds",
-    "check_arrays", "step", "arccos", "sines_and_cosines", "_evaluate", "_compiled",
-    "_exponential", "exp", "tanh", "logarithm", "log", "interpolate", "power_of_two", "_llvm_power_of_two",
-}  # fmt: skip
-
-
-COMPILED = [
-    pytest.param(function, id=f"{module.__name__.rpartition('.')[2]}.{name}")
-    for module in (elementary, dynamics, observation, task, kernels)
-    for name, function in functions_of(module).items()
-    if name not in NOT_COMPILED
-]
-
-
-@pytest.mark.parametrize("function", COMPILED)
-def test_an_edit_of_any_compiled_function_changes_the_kernels_fingerprint(function, monkeypatch):
-    before = fingerprint(kernels.advance)
-    code = function.__code__
-    monkeypatch.setattr(function, "__code__", code.replace(co_consts=(*code.co_consts, "edited")))
-    assert fingerprint(kernels.advance) != before
-
-
 @pytest.mark.parametrize(
-    ("module", "names"),
+    ("module", "name"),
     [
-        (elementary, [name for name in vars(elementary) if re.fullmatch(r"TURN.*|ROUNDING|[SC]_\d", name)]),
-        (dynamics, [name for name, value in vars(dynamics).items() if isinstance(value, (int, float))]),
-        (task, ["THETA_LIMIT", "RATE_LIMIT"]),
-        (
-            kernels,
-            [
-                "LANES",
-                "MEMORY",
-                "CONSTANTS",
-                "SETTINGS",
-                "HALTED",
-                "DIVERGED",
-                "MEMORY_SIZE",
-                "PIVOT_TORQUE_ON_CONTACT",
-            ],
-        ),
+        *((elementary, name) for name in ("TURN", "S_3", "C_7")),
+        *((dynamics, name) for name in ("EVENT_TOLERANCE", "EVENT_LIMIT")),
+        *((task, name) for name in ("THETA_LIMIT", "RATE_LIMIT")),
+        *((observation, name) for name in ("THETA_DOT_BOUND", "X_DOT_BOUND")),
+        *((kernels, name) for name in ("LANES", "MEMORY", "HALTED", "MEMORY_SIZE", "PIVOT_TORQUE_ON_CONTACT")),
     ],
-    ids=["elementary", "dynamics", "task", "kernels"],
 )
-def test_an_edit_of_any_compiled_constant_changes_the_kernels_fingerprint(module, names, monkeypatch):
+def test_an_edit_of_a_constant_changes_the_fingerprint_of_the_kernel(module, name, monkeypatch):
     before = fingerprint(kernels.advance)
-    assert len(names) >= 2
-    for name in names:
-        with monkeypatch.context() as patch:
-            patch.setattr(module, name, getattr(module, name) * 1.0000001 + 1e-300)
-            assert fingerprint(kernels.advance) != before, name
-    assert fingerprint(kernels.advance) == before
-
-
-@pytest.mark.parametrize("field", layout.AT._fields)
-def test_an_edit_of_where_a_row_begins_changes_the_kernels_fingerprint(field, monkeypatch):
-    before = fingerprint(kernels.advance)
-    monkeypatch.setattr(kernels, "AT", layout.AT._replace(**{field: 1 + getattr(layout.AT, field)}))
+    monkeypatch.setattr(module, name, getattr(module, name) * 1.0000001 + 1e-300)
     assert fingerprint(kernels.advance) != before
 
 
-@pytest.mark.parametrize(
-    ("function", "name", "module"),
-    [(kernels.advance, "AT", kernels), (dynamics.step, "Plant", dynamics), (kernels.advance, "StepSettings", kernels)],
-)
-def test_another_order_of_the_fields_of_a_named_tuple_changes_the_fingerprint(function, name, module, monkeypatch):
-    # The code says the fields' names alone, and the values may stand where they stood: so do those of `AT`.
-    before, found = fingerprint(function), getattr(module, name)
-    kind = found if isinstance(found, type) else type(found)
-    hints = list(kind.__annotations__.items())
-    for fields in ([hints[1], hints[0], *hints[2:]], [(hints[0][0], complex), *hints[1:]]):
-        other = NamedTuple(kind.__name__, fields)
-        monkeypatch.setattr(module, name, other if isinstance(found, type) else other(*found))
-        same = not isinstance(found, type) and fields[0][0] == hints[0][0]
-        assert (fingerprint(function) == before) == same
-    monkeypatch.undo()
-    assert fingerprint(function) == before
+def test_an_edit_of_the_layout_changes_the_fingerprint_of_the_kernel(monkeypatch):
+    before = fingerprint(kernels.advance)
+    with monkeypatch.context() as patch:
+        patch.setattr(kernels, "AT", layout.AT._replace(mu=1 + layout.AT.mu))
+        assert fingerprint(kernels.advance) != before
+    # The code holds the names of the fields; numba learns their order and types from the class.
+    first, second, *rest = StepSettings.__annotations__.items()
+    for fields in ([second, first, *rest], [(first[0], complex), second, *rest]):
+        monkeypatch.setattr(kernels, "StepSettings", NamedTuple("StepSettings", fields))
+        assert fingerprint(kernels.advance) != before
 
 
+# The values of functions out of one factory, and how many came from the disk.
 SCRIPT = """
-import json, sys, numpy as np
-import laws
-from capsule_gym import CapsuleEnv, Controller
-torques, hits = [], 0
-for gain in map(float, sys.argv[1:]):
-    env = CapsuleEnv(controller=Controller("own", laws.make_law(gain), np.zeros((1, 2))))
-    env.reset(seed=0, options={"state": [0.5, 0.0, 0.0, 0.0]})
-    torques.append(env.step(np.zeros(1, np.float32))[4]["torque"])
-    hits += sum(env.simulation._kernel.stats.cache_hits.values())
-print(json.dumps([torques, hits]))
-"""
-
-
-LAW = """
+import sys
 import numba
+from capsule_gym.compilation import compile_now, distinct, fingerprint, inner, kernel
 
-def make_law(gain):
+def make(gain):
     @numba.njit
     def helper(value):
         return FACTOR * gain * value
 
-    def law(theta, theta_dot, x, x_dot, memory, reference):
-        return -helper(0.5), memory
+    def law(value):
+        return helper(value)
 
-    return law
+    digest = fingerprint(law)[:16]
+    return kernel(entry, digest, {"bound": inner(distinct(law, digest))})
+
+def entry(value):
+    return bound(value)
+
+values, hits = [], 0
+for gain in map(float, sys.argv[1:]):
+    function = make(gain)
+    compile_now(function, (numba.float64,), "")
+    values.append(function(0.5))
+    hits += sum(function.stats.cache_hits.values())
+print(values, hits)
 """
 
 
-def test_disk_cache_hits_in_a_new_process_and_never_serves_another_law(tmp_path: Path):
+def test_the_disk_cache_serves_other_processes_and_never_another_law(tmp_path):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
-    environment["PYTHONPATH"] = os.pathsep.join([str(tmp_path), str(Path(__file__).parents[2])])
+    environment["PYTHONPATH"] = str(Path(__file__).parents[2])
+    script = tmp_path / "script.py"
 
-    def run(*gains: float, factor: float = 1.0) -> list:
-        (tmp_path / "laws.py").write_text(LAW.replace("FACTOR", str(factor)))
-        command = [sys.executable, "-c", SCRIPT, *map(str, gains)]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-        torques, hits = json.loads(done.stdout)
-        return [[round(torque, 3) for torque in torques], hits]
+    def run(*gains: float, factor: float = 1.0) -> str:
+        # The same size and the same date: nothing of the file but its content tells of an edit.
+        script.write_text(SCRIPT.replace("FACTOR", str(factor)))
+        os.utime(script, (1e9, 1e9))
+        command = [sys.executable, str(script), *map(str, gains)]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
 
-    assert run(0.5) == [[-0.25], 0]
-    # Compiled in a process like the one before: whatever numba counts stands at the same number.
-    assert run(0.8) == [[-0.4], 0]
-    assert run(0.5, 0.8) == [[-0.25, -0.4], 2]
-    # A helper is edited, not the law itself.
-    assert run(0.5, factor=1.2) == [[-0.3], 0]
-
-
-# Prints the bits of a batch after a second of torques under which everything happens.
-BATCH_SCRIPT = """
-import hashlib
-import numpy as np
-from capsule_gym.simulation import Simulation
-
-simulation = Simulation(70)
-simulation.reset(np.arange(70), M=[0.5] * 70, mu=[0.05] * 70)
-rng = np.random.default_rng(0)
-for _ in range(50):
-    simulation.step(rng.uniform(-1.0, 1.0, 70))
-print(hashlib.sha256(simulation.world.tobytes()).hexdigest())
-"""
+    assert run(0.5) == "[0.25] 0"
+    # numba's counter stands at the same number as in the process before.
+    assert run(0.25) == "[0.125] 0"
+    assert run(0.5, 0.25) == "[0.25, 0.125] 2"
+    assert run(0.5, factor=3.0) == "[0.75] 0"
+    assert run(0.5) == "[0.25] 1"
 
 
-def test_a_loaded_kernel_gives_the_bits_of_a_compiled_one_and_is_never_stale(tmp_path: Path):
-    copied = tmp_path / "capsule_gym"
-    shutil.copytree(Path(__file__).parents[2] / "capsule_gym", copied, ignore=shutil.ignore_patterns("__pycache__"))
-    # Neither may Python's own cache serve the source of before the edit.
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
-    environment["PYTHONPATH"] = str(tmp_path)
+def shifted(x: float) -> float:
+    return x + 0.125
 
-    def run() -> tuple[str, int]:
-        command = [sys.executable, "-c", BATCH_SCRIPT]
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
-        lines = done.stderr.splitlines()
-        assert all(line.startswith("capsule_gym: compiling the physics with no control law") for line in lines)
-        return done.stdout.strip(), len(lines)
 
-    compiled, announced = run()
-    assert announced == 1
-    assert run() == (compiled, 0)
+def compiled() -> tuple[float, bool]:
+    """The function's value at 1, and whether it came from the disk."""
+    function = compile_cached(shifted)
+    compile_now(function, (numba.float64,), "a function")
+    return function(1.0), bool(function.stats.cache_hits)
 
-    # The same size and the same date: nothing of the file but its content tells of the edit.
-    source = copied / "dynamics.py"
-    original, times = source.read_text(encoding="utf-8"), source.stat()
-    edited = original.replace("fma(p.g / p.l, sincos(theta)[0], free)", "fma(p.g / p.l, sincos(theta)[1], free)")
-    assert edited != original
-    source.write_text(edited, encoding="utf-8")
-    os.utime(source, ns=(times.st_atime_ns, times.st_mtime_ns))
-    assert (source.stat().st_size, source.stat().st_mtime_ns) == (times.st_size, times.st_mtime_ns)
-    different, announced = run()
-    assert (different != compiled, announced) == (True, 1)
-    # Both are kept.
-    source.write_text(original, encoding="utf-8")
-    assert run() == (compiled, 0)
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def flip(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[-100] ^= 1
+    path.write_bytes(content)
+
+
+def garble(path: Path) -> None:
+    path.write_bytes(random.Random(0).randbytes(path.stat().st_size))
+
+
+def occupy(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+@pytest.mark.parametrize("damage", [truncate, flip, garble, Path.unlink, occupy])
+def test_a_damaged_cache_is_compiled_again(tmp_path, monkeypatch, capsys, damage):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    assert compiled() == (1.125, False)
+    assert compiled() == (1.125, True)
+    (entry,) = tmp_path.rglob("*.nbc")
+    damage(entry)
+    assert compiled() == (1.125, False)
+    # Repaired, where it can be.
+    assert compiled() == (1.125, damage is not occupy)
+    assert capsys.readouterr().err.count("compiling a function") == (3 if damage is occupy else 2)
+
+
+def test_where_no_cache_can_be_written_to_everything_is_compiled(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "file"))
+    monkeypatch.setattr(numba.core.caching.CacheImpl, "_locator_classes", [])
+    assert compiled() == compiled() == (1.125, False)
+
+
+def test_the_kernel_of_a_law_is_compiled_once_and_no_two_laws_share_a_symbol(monkeypatch):
+    monkeypatch.setattr(kernels, "compile_now", lambda *arguments: None)
+
+    def build(gain, memory_size=1, pivot=0.0):
+        return kernels.build(make_law(gain, numba.njit(helper)), memory_size, 2, pivot)
+
+    one = build(0.71)
+    others = build(0.72), build(0.71, memory_size=2), build(0.71, pivot=1.0)
+    assert build(0.71) is one
+    assert len({id(kernel) for kernel in (one, *others)}) == 4
+
+    # Symbols hold the name and a counter of the process: of two equal ones the linker would use the first.
+    def names(kernel):
+        law = kernel.py_func.__globals__["call_controller"].__globals__["law"].py_func
+        inner = next(c.cell_contents for c in law.__closure__ if hasattr(c.cell_contents, "py_func")).py_func
+        return {kernel.py_func.__name__, law.__name__, law.__qualname__, inner.__name__, inner.__qualname__}
+
+    assert not names(one) & names(others[0])
+
+
+def three_from(array: np.ndarray, start: int) -> tuple[float, ...]:
+    return layout.load(array, start, 2, 3)
+
+
+def two_to(array: np.ndarray, start: int) -> None:
+    layout.store(array, start, 1, (1.0, 2.0))
+
+
+def settings_at(array: np.ndarray, start: int) -> StepSettings:
+    return layout.record(array, start, StepSettings)
+
+
+@pytest.mark.parametrize(
+    ("function", "last"), [(three_from, 7), (two_to, 10), (settings_at, 12 - len(StepSettings._fields))]
+)
+def test_numbas_boundscheck_reaches_what_is_read_and_written_by_offset(function, last, monkeypatch):
+    monkeypatch.setattr(numba.config, "BOUNDSCHECK", 1)
+    compiled = numba.njit(function, **OPTIONS)
+    compiled(np.zeros(12), last)
+    for start in (last + 1, -1):
+        with pytest.raises(IndexError):
+            compiled(np.zeros(12), start)
+
+
+def test_checked_code_has_its_own_place_in_the_cache(monkeypatch, tmp_path):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    for boundscheck in (None, 1, None):
+        monkeypatch.setattr(numba.config, "BOUNDSCHECK", boundscheck)
+        assert compile_cached(three_from)(np.arange(12.0), 1) == (1.0, 3.0, 5.0)
+    assert len(list(tmp_path.rglob("*.nbc"))) == 2
+
+
+def test_plant_and_settings_survive_packing():
+    settings = StepSettings(1.5, 3.0, 1e-3, 7, 20, 0.1, 10.0, True, False)
+    fixed = pack(PLANT, settings, np.zeros((3, 2)))
+    assert numba.njit(unpack)(fixed, PLANT.pivot_torque_on_contact) == (PLANT, settings)
+    # numpy makes objects of integers that fit none of its types: to the kernel these would be addresses.
+    fixed = pack(PLANT, settings._replace(physics_steps=10**300), np.zeros((3, 2), np.float32))
+    assert fixed.dtype == np.float64 and fixed.shape == (layout.CONSTANTS + 6,)
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.zeros((4, 3), object),
+        np.zeros((4, 3), np.float32),
+        np.zeros((4, 3), np.dtype(np.float64).newbyteorder()),
+        np.zeros((4, 2)),
+        np.zeros(12),
+        np.zeros((3, 4)).T,
+        np.zeros(97, np.uint8)[1:].view(np.float64).reshape(4, 3),
+        [[0.0] * 3] * 4,
+    ],
+)
+def test_arrays_that_compiled_code_would_misread_are_refused(array):
+    layout.check_arrays(world=(np.zeros((4, 3)), np.float64, (None, 3)))
+    with pytest.raises(TypeError, match=r"^world must be a contiguous array of float64 of shape \(None, 3\), got "):
+        layout.check_arrays(world=(array, np.float64, (None, 3)))
+
+
+def test_rows_lie_in_order():
+    assert list(Row) == list(range(layout.ROWS))
+    assert {name: row * LANES for name, row in Row._asdict().items()} == layout.AT._asdict()

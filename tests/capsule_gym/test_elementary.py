@@ -10,7 +10,6 @@ import pytest
 from numba import njit
 
 from capsule_gym import elementary
-from capsule_gym.compilation import fingerprint
 from capsule_gym.elementary import ROUNDING, arccos, clip, exp, fma, log, power_of_two, sincos, sines_and_cosines, tanh
 
 mpmath = pytest.importorskip("mpmath", exc_type=ImportError)
@@ -50,9 +49,9 @@ def largest_error(points: list[float]) -> float:
 
 
 def test_errors_stay_within_an_ulp_or_two():
-    near = [*angles(0, HALF_TURN, 4000), HALF_TURN, -HALF_TURN, NEAR_WORST]
+    near = [*angles(0, HALF_TURN, 1500), HALF_TURN, -HALF_TURN, NEAR_WORST]
     assert 0.95 * NEAR_ERROR < largest_error(near) <= NEAR_ERROR
-    far = [*angles(1, 10.0, 2000), *angles(2, 1e4, 4000), *quarters(20), -1e4, 1e4, FAR_WORST]
+    far = [*angles(1, 10.0, 2000), *angles(2, 1e4, 1500), *quarters(20), -1e4, 1e4, FAR_WORST]
     assert 0.95 * FAR_ERROR < largest_error(far) <= FAR_ERROR
 
 
@@ -68,12 +67,6 @@ def test_zero_is_exact_and_the_functions_are_odd_and_even():
     for angle in [*angles(3, HALF_TURN, 1000), *angles(4, 1e4, 1000), *quarters(3)]:
         sine, cosine = sincos(angle)
         assert sincos(-angle) == (-sine, cosine)
-
-
-def test_sine_and_cosine_lie_on_the_unit_circle():
-    for angle in [*angles(5, HALF_TURN, 2000), *angles(6, 1e4, 2000)]:
-        sine, cosine = sincos(angle)
-        assert abs(sine * sine + cosine * cosine - 1.0) <= 2.0 * FAR_ERROR
 
 
 @pytest.mark.parametrize("angle", [math.nan, math.inf, -math.inf])
@@ -130,16 +123,10 @@ def test_the_coefficients_are_the_interpolation_that_the_module_names():
     assert cosine == [getattr(elementary, f"C_{degree}") for degree in range(8)]
 
 
-def test_a_turn_is_known_to_twice_the_precision_of_a_double():
-    with mpmath.workdps(50):
-        assert abs(mpmath.mpf(elementary.TURN) + mpmath.mpf(elementary.TURN_REST) - 2 * mpmath.pi) < 1e-31
-    assert elementary.TURNS_PER_RADIAN == 1.0 / elementary.TURN
-
-
 def test_fma_rounds_the_exact_result_once():
     rng = np.random.default_rng(9)
     twice_rounded = 0
-    for n in range(4000):
+    for n in range(1000):
         a, b = (rng.uniform(-1.0, 1.0, 2) * 2.0 ** rng.integers(-30, 30, 2)).tolist()
         # Every second one cancels: what is left is the rounding error of the product, give or take some ulps.
         c = -a * b * (1.0 + int(rng.integers(-2, 3)) * 2.0**-52) if n % 2 else float(rng.normal())
@@ -147,7 +134,7 @@ def test_fma_rounds_the_exact_result_once():
         exact = float(Fraction(a) * Fraction(b) + Fraction(c))
         assert fma(a, b, c) == compiled_fma(a, b, c) == exact
         twice_rounded += a * b + c != exact
-    assert twice_rounded > 1500
+    assert twice_rounded > 350
 
 
 @pytest.mark.parametrize(
@@ -204,11 +191,6 @@ def test_tanh_is_odd_and_stays_within_one():
     assert math.isnan(compiled_tanh(math.nan))
 
 
-def test_tanh_grows():
-    values = np.array([tanh(x) for x in np.linspace(-3.0, 3.0, 20001).tolist()])
-    assert (np.diff(values) > 0.0).all()
-
-
 def test_log_inverts_exp():
     points = [*numbers(5, 0.5, 2.0, 1000), *(10.0 ** np.random.default_rng(6).uniform(-300, 300, 1000)).tolist(), 60.0]
     with mpmath.workdps(40):
@@ -248,14 +230,7 @@ def test_the_coefficients_of_exp_are_the_interpolation_that_the_module_names():
             assert abs(polynomial / mpmath.expm1(r) - 1) < 4.2e-17
 
 
-def test_the_logarithm_of_two_is_known_to_twice_the_precision_of_a_double():
+def test_constants_are_known_to_twice_the_precision_of_a_double():
     with mpmath.workdps(50):
+        assert abs(mpmath.mpf(elementary.TURN) + mpmath.mpf(elementary.TURN_REST) - 2 * mpmath.pi) < 1e-31
         assert abs(mpmath.mpf(elementary.LN_2) + mpmath.mpf(elementary.LN_2_REST) - mpmath.log(2)) < 1e-32
-        assert elementary.LOG2_E == float(1 / mpmath.log(2))
-
-
-@pytest.mark.parametrize("name", ["LN_2", "LN_2_REST", "LOG2_E", "ROUNDING", "FLAT", *(f"E_{n}" for n in range(10))])
-def test_an_edit_of_any_constant_changes_the_fingerprint(name, monkeypatch):
-    before = fingerprint(tanh)
-    monkeypatch.setattr(elementary, name, getattr(elementary, name) * 1.0000001)
-    assert fingerprint(tanh) != before

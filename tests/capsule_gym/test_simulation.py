@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization
+from capsule_gym import Capsule, Controller, Randomization
 from capsule_gym.layout import ROWS, Row
 from capsule_gym.parameters import EnvConfig
 from capsule_gym.simulation import STABLE, Simulation, divide
 from capsule_gym.task import METRICS, Termination
-from tests.capsule_gym.fakes import EPISODE_ROWS
+from tests.capsule_gym.fakes import EPISODE_ROWS, picky_controller
 
 VARIANTS = [
     {},
@@ -95,8 +95,7 @@ def test_the_lanes_meet_everything_that_can_happen(alone):
     assert count_off_grid(columns[-1, Row.duration, failed], simulation.options.control_dt) > 0
 
 
-@pytest.mark.parametrize("threads", [1, 2, 3])
-@pytest.mark.parametrize("n", [1, 63, 64, 65, LARGEST_BATCH])
+@pytest.mark.parametrize(("n", "threads"), [(1, 1), (63, 1), (65, 2), (LARGEST_BATCH, 3)])
 def test_every_quantity_is_that_of_the_environment_alone(alone, n, threads):
     simulation = Simulation(n, EnvConfig(threads=threads, **alone.kwargs))
     for i in range(n):
@@ -195,12 +194,6 @@ def test_every_plant_of_an_episode_must_fit_the_step():
     simulation.reset(np.array([0]), M=[0.4], mu=[0.3])
 
 
-@pytest.mark.parametrize("num_envs", [2**24 + 1, 10**12, 10**400])
-def test_a_batch_that_fits_no_memory_is_refused_before_it_takes_any(num_envs):
-    with pytest.raises(ValueError, match=f"^num_envs must be an integer <= 16777216, got {num_envs}"):
-        Simulation(num_envs)
-
-
 def test_a_batch_for_which_there_is_no_memory_says_so(monkeypatch):
     def zeros(*arguments):
         raise MemoryError("Unable to allocate 7 GiB")
@@ -223,11 +216,9 @@ def test_rows_are_read_and_written_by_environments():
 
 
 @pytest.mark.parametrize("make_copy", [copy.deepcopy, lambda whole: pickle.loads(pickle.dumps(whole))])
-@pytest.mark.parametrize("kwargs", VARIANTS, ids=["direct", "adaptive"])
-@pytest.mark.parametrize("threads", [1, 2])
-def test_a_copy_goes_on_bit_for_bit(threads, kwargs, make_copy):
+def test_a_copy_goes_on_bit_for_bit(make_copy):
     n = 150
-    simulation = Simulation(n, EnvConfig(threads=threads, randomization="wide", **kwargs))
+    simulation = Simulation(n, EnvConfig(threads=2, randomization="wide", **VARIANTS[1]))
     rng = np.random.default_rng(0)
     simulation.reset(np.arange(n), changes=[[{"t": 0.1, "M": 0.6, "mu": 0.02}]] * n)
     simulation.step(rng.uniform(-1.0, 1.0, n), np.arange(n) % 3 > 0)
@@ -249,8 +240,7 @@ def test_a_copy_goes_on_bit_for_bit(threads, kwargs, make_copy):
         each.close()
 
 
-def short() -> Controller:
-    return Controller("short", lambda *arguments: (0.0, arguments[4]), np.zeros((1, 2)))
+short = picky_controller
 
 
 def longer() -> Controller:
@@ -260,12 +250,24 @@ def longer() -> Controller:
 def test_a_pickle_whose_law_has_another_memory_now_is_refused(monkeypatch):
     # Compiled code would write beyond the rows of its environments.
     packed = pickle.dumps(Simulation(1, EnvConfig(controller=f"{__name__}:short")))
-    pickle.loads(packed)
     monkeypatch.setitem(globals(), "short", longer)
     with pytest.raises(ValueError, match=r"controller='.*:short' must be as it was"):
         pickle.loads(packed)
 
 
-def test_a_given_plant_may_be_of_narrow_numbers():
-    env = CapsuleEnv(capsule=Capsule(m=0.00126), controller="baselines:adaptive")
-    assert env.reset(options={"mu": np.float16(0.1)})[1]["mu"] == float(np.float16(0.1))
+def test_a_jump_that_a_reset_cancels_never_comes():
+    simulation = Simulation(2)
+    simulation.reset(np.arange(2), changes=[[{"t": t, "M": 0.6, "mu": 0.02}] for t in (0.2, 0.1)])
+    simulation.reset(np.array([1]))
+    M = simulation.row(Row.M)[1]
+    for _ in range(12):
+        simulation.step(np.zeros(2))
+    assert simulation.row(Row.M).tolist() == [0.6, M]
+
+
+def test_what_a_law_has_spoilt_is_not_observed():
+    simulation = Simulation(2, EnvConfig(controller=picky_controller))
+    with pytest.raises(ValueError, match="in environment 1"):
+        simulation.reset(np.arange(2), state=np.array([[0.1, 0.0, 0.0, 0.0], [0.1, 0.0, -6.0, 0.0]]))
+    assert np.isfinite(simulation.observations).all()
+    assert np.isfinite(simulation.world[0, : Row.steps, :2]).all()

@@ -8,16 +8,15 @@ import tracemalloc
 from collections import Counter
 from collections.abc import Callable
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
-from capsule_gym import ENV_ID, CapsuleVectorEnv
+from capsule_gym import CapsuleEnv, CapsuleVectorEnv
 from capsule_gym.simulation import Simulation
 
 NEVER = sys.maxsize
 BATCH = 130
-STEPS = 2000
+STEPS = 500
 
 
 def growth(step: Callable[[], object]) -> int:
@@ -37,22 +36,13 @@ def growth(step: Callable[[], object]) -> int:
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_stepping_a_batch_does_not_grow_memory(threads):
-    env = CapsuleVectorEnv(BATCH, max_episode_steps=NEVER, threads=threads)
+@pytest.mark.parametrize("num_envs", [None, BATCH])
+def test_stepping_does_not_grow_memory(num_envs):
+    env = CapsuleVectorEnv(BATCH, max_episode_steps=NEVER, threads=2) if num_envs else CapsuleEnv()
     env.reset(seed=0)
-    actions = np.zeros((BATCH, 1), np.float32)
-    # A reference kept per step would be 16 kB already.
-    assert growth(lambda: env.step(actions)) < 8_000
-    assert not env._ended.any()
-    env.close()
-
-
-def test_stepping_one_environment_does_not_grow_memory():
-    env = gym.make(ENV_ID, max_episode_steps=NEVER)
-    env.reset(seed=0)
-    action = np.zeros(1, np.float32)
-    assert growth(lambda: env.step(action)) < 8_000
+    actions = np.zeros((BATCH, 1) if num_envs else 1, np.float32)
+    # A reference kept per step would be 4 kB already.
+    assert growth(lambda: env.step(actions)) < 4_000
     env.close()
 
 
@@ -74,51 +64,27 @@ def calls_of(function: Callable[[], object]) -> Counter[str]:
     return found
 
 
-def calls_in_a_step(n: int, **kwargs: object) -> Counter[str]:
-    """The calls of one step of n environments in which no episode ends."""
-    env = CapsuleVectorEnv(n, max_episode_steps=NEVER, **kwargs)
+def calls(n: int, *, reset: bool) -> Counter[str]:
+    """The calls of a reset, or of a step in which no episode ends, of n environments whose seeds are given."""
+    env = CapsuleVectorEnv(n, max_episode_steps=NEVER, initial_noise=0.1)
     env.reset(seed=0)
     actions = np.zeros((n, 1), np.float32)
     env.step(actions)
-    found = calls_of(lambda: env.step(actions))
-    assert not env._ended.any()
+    found = calls_of(env.reset if reset else lambda: env.step(actions))
     env.close()
     return found
 
 
-def calls_in_a_reset(n: int, **kwargs: object) -> Counter[str]:
-    """The calls of one reset of n environments, whose seeds are given."""
-    env = CapsuleVectorEnv(n, **kwargs)
-    env.reset(seed=0)
-    found = calls_of(env.reset)
-    env.close()
-    return found
-
-
-@pytest.mark.parametrize("kwargs", [{}, {"controller": "baselines:adaptive"}], ids=["direct", "adaptive"])
-def test_a_step_in_which_nothing_ends_does_no_work_per_environment_in_python(kwargs):
-    few, many = calls_in_a_step(64, **kwargs), calls_in_a_step(4096, **kwargs)
+@pytest.mark.parametrize("reset", [False, True])
+def test_a_step_and_a_reset_do_no_work_per_environment_in_python(reset):
+    few, many = calls(64, reset=reset), calls(4096, reset=reset)
     assert few == many
-    assert 20 < few.total() < 150
-
-
-@pytest.mark.parametrize("kwargs", [{}, {"controller": "baselines:adaptive"}], ids=["direct", "adaptive"])
-def test_a_reset_does_no_work_per_environment_in_python(kwargs):
-    few, many = (calls_in_a_reset(n, initial_noise=0.1, **kwargs) for n in (64, 4096))
-    assert few == many
-    assert 10 < few.total() < 100
-
-
-def test_a_reset_of_one_environment_calls_little():
-    env = gym.make(ENV_ID)
-    env.reset(seed=0)
-    env.reset()
-    assert calls_of(env.reset).total() < 30
+    assert 10 < few.total() < 150
 
 
 def test_an_environment_of_a_large_batch_takes_half_a_kilobyte():
     n = 262_144
-    small = Simulation(1)  # whatever is imported or compiled on the way
+    Simulation(1)  # whatever is imported or compiled on the way
     tracemalloc.start()
     try:
         simulation = Simulation(n)
@@ -126,4 +92,3 @@ def test_an_environment_of_a_large_batch_takes_half_a_kilobyte():
     finally:
         tracemalloc.stop()
     assert simulation.world.nbytes + simulation.observations.nbytes <= held < 512 * n
-    assert simulation.world.shape[1:] == small.world.shape[1:]

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from capsule_gym import Capsule, Randomization, task
-from capsule_gym.observation import parameter_bounds
+from capsule_gym import task
 
 
 def test_reward_terms_are_centimetres_forward_minus_the_price_of_energy_and_failure():
@@ -58,11 +57,3 @@ def test_what_is_no_number_does_not_continue(theta, normal_force):
 )
 def test_rates_that_no_step_resolves_are_not_bounded(theta_dot, x_dot, resolved):
     assert task.bounded(theta_dot, x_dot) is resolved
-
-
-def test_the_bounds_of_the_parameters_are_those_of_the_capsule_unless_ranges_go_further():
-    paper, wide = Randomization.named("paper"), Randomization(M=(0.1, 9.0), mu=(0.0, 2.0))
-    assert parameter_bounds(Capsule(), paper) == (2.0, 1.0)
-    assert parameter_bounds(Capsule(), wide) == pytest.approx((9.0, 2.0), rel=1e-5)
-    assert parameter_bounds(Capsule(M=0.1), paper) == pytest.approx((0.55, 1.0), rel=1e-5)
-    assert parameter_bounds(Capsule(mu=1.5), Randomization(M=(0.1, 0.2))) == pytest.approx((2.0, 1.5), rel=1e-5)

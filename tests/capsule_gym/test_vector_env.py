@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import copy
+import hashlib
+import os
 import pickle
+import signal
+import time
+import warnings
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from capsule_gym import Capsule, CapsuleVectorEnv, Controller
+from capsule_gym import Capsule, CapsuleVectorEnv
 from capsule_gym.layout import ROWS, Row
 from capsule_gym.task import ENV_ID, METRICS, Termination
-from tests.capsule_gym.fakes import EPISODE_ROWS, layout
+from tests.capsule_gym.fakes import EPISODE_ROWS, layout, picky_controller
 
 VARIANTS = [
     {"initial_noise": 0.05, "randomization": "wide"},
@@ -67,7 +72,7 @@ def assert_same_metrics(ours, theirs, i):
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 @pytest.mark.parametrize("kwargs", VARIANTS)
-@pytest.mark.parametrize(("n", "threads"), [(1, 1), (7, 1), (130, 2)])
+@pytest.mark.parametrize(("n", "threads"), [(1, 1), (66, 2)])
 def test_batch_equals_single_environments_across_resets(mode, kwargs, n, threads):
     horizon = 40
     batch = CapsuleVectorEnv(n, max_episode_steps=horizon, autoreset_mode=mode, threads=threads, **kwargs)
@@ -106,19 +111,6 @@ def test_batch_equals_single_environments_across_resets(mode, kwargs, n, threads
     assert resets.min() >= 3
     reference.close()
     batch.close()
-
-
-def test_results_do_not_depend_on_threads_or_batch_size():
-    small, large, threaded = (CapsuleVectorEnv(n, threads=t) for n, t in ((3, 1), (300, 1), (300, 3)))
-    for env in (small, large, threaded):
-        env.reset(seed=2)
-    rng = np.random.default_rng(0)
-    for _ in range(120):
-        actions = rng.uniform(-0.5, 0.5, (300, 1)).astype(np.float32)
-        a, b, c = small.step(actions[:3]), large.step(actions), threaded.step(actions)
-        assert b[0].tobytes() == c[0].tobytes()
-        assert a[4]["state"].tobytes() == b[4]["state"][:3].tobytes() == c[4]["state"][:3].tobytes()
-    threaded.close()
 
 
 @pytest.mark.parametrize("kwargs", VARIANTS)
@@ -219,11 +211,10 @@ def flat(value) -> list:
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)
-@pytest.mark.parametrize("kwargs", VARIANTS)
-@pytest.mark.parametrize(("n", "threads"), [(1, 1), (130, 2)])
 @pytest.mark.parametrize("make_copy", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_a_copy_goes_on_with_the_episodes_bit_for_bit_and_on_its_own(make_copy, n, threads, kwargs, mode):
-    made = {"max_episode_steps": 30, "autoreset_mode": mode, "threads": threads, **kwargs}
+def test_a_copy_goes_on_with_the_episodes_bit_for_bit_and_on_its_own(make_copy, mode):
+    n = 66
+    made = {"max_episode_steps": 30, "autoreset_mode": mode, "threads": 2, **VARIANTS[1]}
     env = gym.make_vec(ENV_ID, num_envs=n, **made)
     with pytest.raises(gym.error.ResetNeeded):
         make_copy(env).step(np.zeros((n, 1), np.float32))
@@ -243,8 +234,6 @@ def test_a_copy_goes_on_with_the_episodes_bit_for_bit_and_on_its_own(make_copy, 
         for each in twins:
             assert play(each, 1, 70) == expected
             assert flat(each.episode_metrics()) == flat(env.episode_metrics())
-            # Masks are handed out, and must not be written to.
-            assert not each.reset()[1]["_state"].flags.writeable
             each.close()
         env.reset(seed=5)
     env.close()
@@ -254,6 +243,7 @@ def test_options_per_environment():
     env = CapsuleVectorEnv(3)
     changes = [[], [{"t": 0.02, "M": 0.8, "mu": 0.3}], []]
     _, info = env.reset(seed=0, options={"M": [0.5, 0.6, 0.7], "mu": 0.05, "changes": changes})
+    assert np.array_equal(info["normal_force"], (info["M"] + Capsule().m) * Capsule().g)
     assert info["M"].tolist() == [0.5, 0.6, 0.7]
     assert info["mu"].tolist() == [0.05] * 3
     env.step(np.zeros((3, 1), np.float32))
@@ -271,42 +261,14 @@ def test_no_step_before_every_environment_has_begun():
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)
-@pytest.mark.parametrize("controller", [None, "baselines:adaptive"])
-def test_infos_are_finite_at_every_reset_also_of_some(mode, controller):
-    env = CapsuleVectorEnv(70, max_episode_steps=3, autoreset_mode=mode, controller=controller)
-    _, info = env.reset(seed=0)
-    resets = 0
-    for step in range(9):
-        numbers = [value for name, value in info.items() if name[0] != "_" and not name.startswith("final")]
-        assert all(np.isfinite(value).all() for value in numbers), step
-        fresh = env.simulation.row(Row.steps) == 0.0
-        weight = (info["M"] + Capsule().m) * Capsule().g
-        assert np.array_equal(info["normal_force"] == weight, fresh), step
-        resets += np.count_nonzero(fresh)
-        info = env.step(np.full((70, 1), 0.3, np.float32))[4]
-        if mode is AutoresetMode.DISABLED and step % 3 == 2:
-            _, info = env.reset(options={"reset_mask": np.arange(70) % 2 == 0})
-    assert resets >= 140
-    env.close()
-
-
-def violent(theta, theta_dot, x, x_dot, memory, reference):
-    return (1e308 if x > 5.0 else 0.3 * theta), memory
-
-
-@pytest.mark.parametrize("mode", AutoresetMode)
 def test_one_environment_that_diverges_ends_alone(mode):
     n, lost = 130, [3, 64, 129]
     # A million N m, which a law may ask for where it is allowed, no step resolves.
-    kwargs = {
-        "controller": Controller("violent", violent, np.zeros((1, 2))),
-        "torque_limit": 1e6,
-        "residual_limit": 0.5,
-    }
+    kwargs = {"controller": picky_controller, "torque_limit": 1e6, "residual_limit": 0.5}
     envs = [CapsuleVectorEnv(n, autoreset_mode=mode, threads=2, **kwargs) for _ in range(2)]
     states = np.tile([-1.0, 0.0, 0.0, 0.0], (n, 1))
     envs[0].reset(seed=0, options={"state": states})
-    states[lost, 2] = 5.5
+    states[lost, 2] = 55.0
     envs[1].reset(seed=0, options={"state": states})
     others = ~np.isin(np.arange(n), lost)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (30, n, 1)).astype(np.float32)
@@ -329,6 +291,41 @@ def test_one_environment_that_diverges_ends_alone(mode):
         env.close()
 
 
+ACTIONS = np.full((130, 1), 0.5, np.float32)
+
+
+def digest(env: CapsuleVectorEnv) -> str:
+    return hashlib.sha256(b"".join(env.step(ACTIONS)[0].tobytes() for _ in range(20))).hexdigest()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_forked_process_steps_on():
+    env = CapsuleVectorEnv(130, threads=2)
+    env.reset(seed=0)
+    env.step(ACTIONS)
+    read, write = os.pipe()
+    with warnings.catch_warnings():
+        # Python 3.12 on: other threads may hold locks; ours are idle.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        child = os.fork()
+    if child == 0:
+        os.write(write, digest(env).encode())
+        env.close()
+        os.write(write, b" closed")
+        os._exit(0)
+    deadline = time.monotonic() + 60.0
+    while os.waitpid(child, os.WNOHANG) == (0, 0):
+        if time.monotonic() > deadline:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+            pytest.fail("the forked process hangs")
+        time.sleep(0.01)
+    assert os.read(read, 100).decode() == f"{digest(env)} closed"
+    os.close(read)
+    os.close(write)
+    env.close()
+
+
 def test_seeds_as_a_sequence():
     env, other = CapsuleVectorEnv(3), CapsuleVectorEnv(3)
     masses = env.reset(seed=[5, 9, 2])[1]["M"]
@@ -337,19 +334,6 @@ def test_seeds_as_a_sequence():
     # None goes on with the stream that is there.
     again = env.reset(seed=[5, None, 2])[1]["M"]
     assert again[0] == masses[0] and again[1] != masses[1] and again[2] == masses[2]
-
-
-def test_nothing_handed_out_changes_later():
-    env = CapsuleVectorEnv(2)
-    first, info = env.reset(seed=0)
-    kept = first.copy(), info["state"].copy(), info["M"].copy()
-    second = env.step(np.ones((2, 1), np.float32))
-    rewards = second[1].copy()
-    env.step(-np.ones((2, 1), np.float32))
-    assert np.array_equal(first, kept[0])
-    assert np.array_equal(info["state"], kept[1])
-    assert np.array_equal(info["M"], kept[2])
-    assert np.array_equal(second[1], rewards)
 
 
 @pytest.mark.parametrize(
@@ -406,12 +390,6 @@ def test_bad_resets_are_named(seed, options, error, message):
         CapsuleVectorEnv(2).reset(seed=seed, options=options)
 
 
-@pytest.mark.parametrize("seed", [range(3, 5), (3, 4), [3, 4], np.array([3, 4]), 3, np.int64(3)])
-def test_seeds_come_in_every_form(seed):
-    masses = [CapsuleVectorEnv(2).reset(seed=given)[1]["M"].tolist() for given in (seed, 3)]
-    assert masses[0] == masses[1]
-
-
 def test_bad_actions_are_named():
     env = CapsuleVectorEnv(2)
     with pytest.raises(gym.error.ResetNeeded):
@@ -427,12 +405,3 @@ def test_bad_actions_are_named():
     ):
         with pytest.raises(ValueError, match="actions must be"):
             env.step(actions)
-
-
-def test_render_gives_one_frame_per_environment():
-    env = CapsuleVectorEnv(2, render_mode="rgb_array")
-    env.reset(seed=0, options={"state": np.array([[0.5, 0, 0, 0], [-0.5, 0, 0, 0]])})
-    frames = env.render()
-    assert len(frames) == 2
-    assert not np.array_equal(frames[0], frames[1])
-    env.close()
