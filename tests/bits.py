@@ -245,6 +245,11 @@ def libraries() -> dict[str, dict[str, str]]:
     }
 
 
+def both_libraries() -> dict[str, str]:
+    """The environment variables of all of them together."""
+    return {name: value for variables in libraries().values() for name, value in variables.items()}
+
+
 def run(variables: dict[str, str], *names: str) -> subprocess.CompletedProcess[str]:
     """Compares in a process of its own.
 

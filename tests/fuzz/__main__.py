@@ -1,26 +1,39 @@
-"""The command line: `python -m tests.fuzz`."""
+"""The command line: `python -m tests.fuzz`. Cases run in processes of their own; one that ends or hangs is replaced."""
 
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
+import threading
 import time
-import traceback
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from tqdm import tqdm
-
-from agents.training.stopping import INTERRUPTED
 from capsule_gym.command_line import Count, parse
-from tests.fuzz.workers import CONTEXT, Tally, fuzz
 
 SHORT_STEPS = 500_000
+# Far above the duration of any case, compilation on a busy machine included.
+HANG_SECONDS = 180.0
+# Failures of a process after which it stops.
+MOST_FAILURES = 20
+# Prints number, steps and failure of each case; its arguments are the first case, the stride and the number of steps.
+CHILD = """
+import faulthandler, sys
+from {module} import run
+faulthandler.enable()
+case, stride, steps = map(int, sys.argv[1:])
+while steps > 0:
+    done, failure = run(case)
+    print(case, done, (failure or "").replace("\\n", " "), flush=True)
+    case, steps = case + stride, steps - max(1, done)
+"""
 
 
 @dataclass(frozen=True)
-class Options:
-    """Throws arguments, options, states and actions at the environments until something breaks.
+class Args:
+    """Calls environments with random and invalid arguments, options, states and actions, and reports what breaks.
 
     Examples:
       python -m tests.fuzz --short
@@ -31,67 +44,82 @@ class Options:
     """Agent steps, over all environments."""
 
     short: bool = False
-    """What CI runs: half of that."""
+    """Half of the steps, which is what CI runs."""
 
     first: Count = 0
     """Number of the first case: other numbers, other cases."""
 
     jobs: Count = os.cpu_count() or 1
-    """Processes."""
+    """Number of processes."""
 
     replay: int | None = None
-    """Run this case alone, in this process, and show its calls."""
+    """Run this case alone, in this process, with the traceback of an exception."""
 
     def check(self) -> None:
-        """Refuses to run nothing."""
+        """Raises an error where nothing would run."""
         for name in ("steps", "jobs"):
             if getattr(self, name) < 1:
                 raise ValueError(f"--{name} must be >= 1, got {getattr(self, name)}")
 
 
-def replay(number: int) -> int:
-    """Runs one case; returns the exit status."""
-    from tests.fuzz.cases import Case
+def fuzz(
+    first: int, stride: int, steps: int, *, module: str = "tests.fuzz.cases", hang_seconds: float = HANG_SECONDS
+) -> tuple[int, int, dict[int, str]]:
+    """Runs the cases first, first + stride, .. in a process until so many agent steps are done.
 
-    case = Case(number)
-    try:
-        case.run()
-    except Exception:
-        traceback.print_exc()
-        print(f"\n{case.told(10)}", file=sys.stderr)
-        return 1
-    print(f"Case {number}: {case.steps} steps, nothing broke.")
-    return 0
+    Args:
+        first: number of the first case.
+        stride: between cases.
+        steps: agent steps.
+        module: whose `run` runs a case.
+        hang_seconds: duration after which a case counts as hanging.
+
+    Returns:
+        The number of cases, that of their agent steps, and the failures by case.
+    """
+    cases, done, failures = 0, 0, {}
+    while done < steps and len(failures) < MOST_FAILURES:
+        command = [sys.executable, "-c", CHILD.format(module=module), str(first), str(stride), str(steps - done)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            watch = threading.Timer(hang_seconds, process.kill)
+            watch.start()
+            for line in process.stdout:
+                watch.cancel()
+                number, count, failure = line.rstrip("\n").split(" ", 2)
+                cases, done, first = cases + 1, done + max(1, int(count)), int(number) + stride
+                if failure:
+                    failures[int(number)] = failure
+                watch = threading.Timer(hang_seconds, process.kill)
+                watch.start()
+            hangs = not watch.is_alive()
+            watch.cancel()
+        if process.returncode:
+            failures[first] = "hangs" if hangs else f"ends the interpreter (exit status {process.returncode})"
+            cases, done, first = cases + 1, done + 1, first + stride
+    return cases, done, failures
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status, 1 where something broke."""
-    options = parse(Options, "python -m tests.fuzz", arguments)
-    # After the command line is known to be right: the help needs none of it.
-    from tests.fuzz.cases import run
+    args = parse(Args, "python -m tests.fuzz", arguments)
+    if args.replay is not None:
+        # The help needs none of it.
+        from tests.fuzz.cases import Case
 
-    if options.replay is not None:
-        return replay(options.replay)
-    CONTEXT.set_forkserver_preload(["tests.fuzz.cases"])
-    began = time.monotonic()
-    steps = min(options.steps, SHORT_STEPS) if options.short else options.steps
-    with tqdm(total=steps, unit=" steps", unit_scale=True) as bar:
-
-        def tell(tally: Tally) -> None:
-            bar.set_postfix_str(f"{tally.cases} cases, {len(tally.failures)} failures", refresh=False)
-            bar.update(min(tally.steps, steps) - bar.n)
-
-        tally = fuzz(run, steps, options.jobs, options.first, tell=tell)
-    for number, failure in sorted(tally.failures.items()):
+        Case(args.replay).run()
+        print(f"Case {args.replay}: nothing broke.")
+        return 0
+    began, steps = time.monotonic(), min(args.steps, SHORT_STEPS) if args.short else args.steps
+    with ThreadPoolExecutor(args.jobs) as pool:
+        shares = [(args.first + n, args.jobs, -(-steps // args.jobs)) for n in range(args.jobs)]
+        found = list(pool.map(lambda share: fuzz(*share), shares))
+    failures = {number: failure for _, _, each in found for number, failure in each.items()}
+    for number, failure in sorted(failures.items()):
         print(f"case {number}: {failure}")
-    print(
-        f"\n{tally.steps:,} steps in {tally.cases:,} cases, {len(tally.failures)} failures; "
-        f"{time.monotonic() - began:.0f} s"
-    )
-    if tally.stopped:
-        print("Stopped: this is what was tried until then.")
-        return INTERRUPTED
-    return 1 if tally.failures else 0
+    cases, done = (sum(each[n] for each in found) for n in (0, 1))
+    print(f"{done:,} steps in {cases:,} cases, {len(failures)} failures; {time.monotonic() - began:.0f} s")
+    return int(bool(failures))
 
 
 if __name__ == "__main__":

@@ -29,7 +29,7 @@ class BrokenError(AssertionError):
 
 
 def check_finite(where: str, value: Any) -> None:
-    """Refuses numbers that are not finite, also inside dictionaries and arrays of objects."""
+    """Raises an error for numbers that are not finite, also inside dictionaries and arrays of objects."""
     if isinstance(value, dict):
         for name, entry in value.items():
             if name in INFINITE:
@@ -44,7 +44,7 @@ def check_finite(where: str, value: Any) -> None:
 
 
 def check_inside(space: gym.Space[Any], observation: Any) -> None:
-    """Refuses an observation outside its space."""
+    """Raises an error for an observation outside its space."""
     if not space.contains(observation):
         raise BrokenError(f"the observation {observation!r} lies outside {space}")
 
@@ -74,13 +74,13 @@ class Case:
 
     Attributes:
         steps: agent steps so far, over all environments.
-        log: what was called, with which arguments.
+        last: the last call with its arguments.
     """
 
     def __init__(self, number: int) -> None:
         self.rng = np.random.default_rng([SEED, number])
         self.steps = 0
-        self.log: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
+        self.last = ""
         self._batch = self.chance(0.4)
         self._layouts: dict[bool, dict[str, Any]] = {}
         self._env: Any = None
@@ -109,13 +109,14 @@ class Case:
 
         Args:
             names: of which the message of a refusal must hold one.
-            what: for the log.
+            what: name of the function.
             function: what is called, with the arguments behind it.
 
         Raises:
             BrokenError: if it is refused in a way that a user could not make sense of.
         """
-        self.log.append((what, args, kwargs))
+        said = [*map(written, args), *(f"{name}={written(value)}" for name, value in kwargs.items())]
+        self.last = f"{what}({', '.join(said)})"
         try:
             return function(*args, **kwargs)
         except gym.error.ResetNeeded:
@@ -125,14 +126,6 @@ class Case:
             if words.isdisjoint(str(name).lower() for name in names):
                 raise BrokenError(f"{type(error).__name__} that names none of {list(names)}: {error}") from error
             return None
-
-    def told(self, last: int = 1) -> str:
-        """The last calls, as they would be written."""
-        lines = []
-        for what, args, kwargs in self.log[-last:]:
-            said = [*map(written, args), *(f"{name}={written(value)}" for name, value in kwargs.items())]
-            lines.append(f"{what}({', '.join(said)})")
-        return "\n".join(lines)
 
     def _make(self) -> bool:
         """Makes the environment; returns whether it may be made."""
@@ -204,7 +197,7 @@ class Case:
                 continue
             self.steps += n
             if twin is not None and not same(result, twin.step(actions)):
-                raise BrokenError("a copy goes another way than its original")
+                raise BrokenError("a copy gives other results than its original")
             observation, reward, terminated, _, info = result
             self._check(observation, info)
             check_finite("the reward", reward)
@@ -224,7 +217,6 @@ class Case:
 
     def _copied(self) -> Any:
         """The environment as `deepcopy` or pickle makes it."""
-        self.log.append(("copy", (), {}))
         return copy.deepcopy(self._env) if self.chance(0.5) else pickle.loads(pickle.dumps(self._env))
 
     def _check(self, observation: Any, info: dict[str, Any]) -> None:
@@ -248,5 +240,5 @@ def run(number: int) -> tuple[int, str | None]:
     try:
         case.run()
     except Exception as error:
-        return case.steps, f"{type(error).__name__}: {error}; {case.told()[:300]}"
+        return case.steps, f"{type(error).__name__}: {error}; {case.last[:300]}"
     return case.steps, None

@@ -25,8 +25,7 @@ def test_bits_do_not_depend_on_the_processor() -> None:
 
 
 def test_bits_do_not_depend_on_the_libraries_of_elementary_functions() -> None:
-    variables = {name: value for each in bits.libraries().values() for name, value in each.items()}
-    done = bits.run(variables, *SUBJECTS)
+    done = bits.run(bits.both_libraries(), *SUBJECTS)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
