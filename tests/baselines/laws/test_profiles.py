@@ -1,0 +1,112 @@
+"""The profiles, the reference along them, and feedback linearisation."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from baselines.laws.feedback_linearisation import feedback_linearising
+from baselines.laws.profiles import EPC, PROPOSED, seven_phases, six_phases
+from baselines.laws.reference import COLUMNS, reference_table
+from capsule_gym import dynamics
+from capsule_gym.parameters import NOMINAL
+
+
+@pytest.mark.parametrize("profile", [PROPOSED, EPC])
+def test_a_profile_is_closed_and_continuous_with_consistent_derivatives(profile):
+    angle, velocity, _ = profile.evaluate(np.array([0.0, profile.period - 1e-12, 3 * profile.period]))
+    np.testing.assert_allclose(angle, -math.pi / 3, atol=1e-9)
+    np.testing.assert_allclose(velocity, 0.0, atol=1e-9)
+    before, after = profile.evaluate(profile.times - 1e-9), profile.evaluate(profile.times + 1e-9)
+    np.testing.assert_allclose(before[0], after[0], atol=1e-7)
+    np.testing.assert_allclose(before[1], after[1], atol=1e-6)
+    t, h = np.linspace(0.0, profile.period, 997), 1e-5
+    t = t[np.abs(t[:, None] - np.array([0.0, *profile.times])).min(axis=1) > 1e-3]
+    angle, velocity, acceleration = profile.evaluate(t)
+    ahead, behind = profile.evaluate(t + h), profile.evaluate(t - h)
+    np.testing.assert_allclose((ahead[0] - behind[0]) / (2 * h), velocity, atol=2e-6)
+    np.testing.assert_allclose((ahead[1] - behind[1]) / (2 * h), acceleration, atol=2e-5)
+    assert angle[0] + quad(lambda s: profile.evaluate(np.array([s]))[1][0], t[0], t[20])[0] == pytest.approx(angle[20])
+
+
+def test_profiles_have_the_published_swing_and_peak():
+    # Calibrated to three or four digits, so the last published one may be off by one.
+    assert math.degrees(PROPOSED.peak_to_peak) - 60.0 == pytest.approx(68.75, abs=0.01)
+    assert math.degrees(EPC.peak_to_peak) - 60.0 == pytest.approx(85.85, abs=0.01)
+    assert PROPOSED.evaluate(np.array([0.15]))[1][0] == 7.8
+    assert EPC.evaluate(np.array([0.1]))[1][0] == pytest.approx(11.0)
+    assert PROPOSED.restoring_speed == pytest.approx(0.459, abs=5e-4)
+    assert EPC.restoring_speed == pytest.approx(0.504, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: seven_phases((0.1, 0.2), 7.8, 2.1), "t1 to t7"),
+        (lambda: seven_phases((0.2, 0.1, 0.3, 0.9, 1.7, 5.8, 6.6), 7.8, 2.1), "must grow"),
+        (lambda: seven_phases((0.1, 0.2, 0.3, 0.9, 1.7, 5.8, 6.6), 2.0, 2.1), "P2 must lie"),
+        (lambda: six_phases((0.1, 0.33, 0.9, 1.4, 5.8, 6.6), 1.0, 1.4), "P2 must lie"),
+        (lambda: six_phases((0.1, 0.33, 0.9, 1.4, 5.8, math.nan), 11.0, 1.4), "times must be"),
+        (lambda: feedback_linearising(K_p=math.nan), "K_p must be"),
+        (lambda: feedback_linearising(K_v=-1.0), "K_v must be"),
+        (lambda: feedback_linearising(seven_phases((0.1, 0.2, 0.3, 0.9, 1.7, 5.8, 6.60005), 7.8, 2.1)), "multiple"),
+    ],
+)
+def test_invalid_profiles_and_gains_raise_an_error(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_reference_platform_obeys_the_second_row():
+    p, rows = NOMINAL.plant(), reference_table(PROPOSED, NOMINAL.plant())
+    table = dict(zip(COLUMNS, rows.T, strict=True))
+    moving = np.flatnonzero(table["x_d_dot"] != 0.0)
+    assert 0 < len(moving) < 0.5 * len(rows)
+    for n in moving[2:-2:7]:
+        state = (table["theta_d"][n], table["theta_d_dot"][n], table["theta_d_ddot"][n])
+        friction = math.copysign(p.mu * dynamics.normal_force(*state, p), table["x_d_dot"][n])
+        residual = (p.M + p.m) * table["x_d_ddot"][n] - dynamics.driving_force(*state, p) + friction
+        # The columns are taken half a fine step apart.
+        assert abs(residual) < 0.02
+    # Within a phase the integrated columns are consistent, to the second order of the fine step.
+    np.testing.assert_allclose(np.gradient(table["x_d"], 1e-3)[300:850], table["x_d_dot"][300:850], atol=1e-4)
+    assert table["cycle_start"].tolist() == [1.0] + [0.0] * (len(rows) - 1)
+    # The same motion at a higher rate; theta_d'' jumps at the edges of the phases, where rounding of the time decides.
+    columns = [i for i, name in enumerate(COLUMNS) if not name.endswith("ddot")]
+    fine = reference_table(PROPOSED, p, 2e-4)[::5]
+    np.testing.assert_allclose(rows[:, columns], fine[:, columns], atol=1e-9)
+
+
+@pytest.mark.parametrize(("theta", "theta_dot", "x_dot"), [(0.3, 1.0, 0.2), (-0.9, 3.0, -0.1), (0.5, 0.01, 0.0)])
+def test_feedback_linearisation_gives_the_commanded_acceleration(theta, theta_dot, x_dot):
+    K_p, K_v, p = 90.0, 17.0, NOMINAL.plant()
+    controller = feedback_linearising(K_p=K_p, K_v=K_v)
+    row = tuple(controller.reference[200].tolist())
+    torque, _ = controller.law(theta, theta_dot, 0.0, x_dot, controller.memory, row)
+    commanded = row[2] - K_v * (theta_dot - row[1]) - K_p * (theta - row[0])
+    slip = dynamics.contact_phase(theta, theta_dot, x_dot, torque, p)
+    assert dynamics.accelerations(theta, theta_dot, slip, torque, p)[0] == pytest.approx(commanded, rel=1e-12)
+
+
+def test_error_dynamics_follow_their_closed_form():
+    # Eq. (36): a double pole at -20 rad/s, e(t) = (e0 + 20 e0 t) exp(-20 t) from rest. The law acts every 1 ms, so the
+    # acceleration lags by half of that: an offset of jerk / 2 ms / K_p, with the jerk of phase I.
+    offset = 7.8 * (math.pi / (2 * 0.133)) ** 2 * 0.5e-3 / 400.0
+    p, controller, e0, h = NOMINAL.plant(), feedback_linearising(), 0.05, 1e-4
+    theta, theta_dot, x_dot = -math.pi / 3 + e0, 0.0, 0.0
+    for n in range(250):
+        row = tuple(controller.reference[n].tolist())
+        torque, _ = controller.law(theta, theta_dot, 0.0, x_dot, controller.memory, row)
+        for _ in range(10):
+            slip = dynamics.contact_phase(theta, theta_dot, x_dot, torque, p)
+            theta_ddot, x_ddot, _ = dynamics.accelerations(theta, theta_dot, slip, torque, p)
+            theta += h * theta_dot + 0.5 * h * h * theta_ddot
+            theta_dot += h * theta_ddot
+            # A platform that would reverse sticks first.
+            x_dot = 0.0 if x_dot * (x_dot + h * x_ddot) < 0.0 else x_dot + h * x_ddot
+        t = (n + 1) * 1e-3
+        error = theta - controller.reference[n + 1, 0]
+        assert error == pytest.approx(e0 * (1 + 20 * t) * math.exp(-20 * t), abs=1.5 * offset)
