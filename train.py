@@ -1,4 +1,4 @@
-"""Trains an agent and compares it with the paper's controller: `python train.py --help` says all."""
+"""Trains an agent and compares it with the paper's controller: `python train.py --help` lists the options."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from agents.training.stopping import INTERRUPTED, Leaving
+from agents.training.signals import INTERRUPTED, QuietExit
 
-LEAVING = Leaving()
+QUIET_EXIT = QuietExit()
 if __name__ == "__main__":
-    # Before what takes seconds to import.
-    LEAVING.install()
+    # Before imports that take seconds.
+    QUIET_EXIT.install()
 
 import tyro  # noqa: E402
 
-from agents.training.errors import RunError  # noqa: E402
 from agents.training.presets import (  # noqa: E402
     BEST,
     CONFIG,
@@ -29,6 +28,7 @@ from agents.training.presets import (  # noqa: E402
     Config,
     PPOConfig,
     RecurrentPPOConfig,
+    RunError,
     Task,
     read_config,
     row_settings,
@@ -44,7 +44,7 @@ Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 
 @dataclass(frozen=True)
 class Choice:
-    """What decides the defaults of all other options."""
+    """The options that decide the defaults of all others."""
 
     task: Task = "residual"
     """Residual torque on a control law, or direct torque."""
@@ -52,135 +52,125 @@ class Choice:
     """Algorithm of Stable-Baselines3."""
     row: Annotated[str | None, tyro.conf.arg(metavar="NAME", help=f"Row of the leaderboard: {', '.join(ROWS)}.")] = None
     resume: Folder = None
-    """Go on with the run in this folder, from its last checkpoint; only --total-steps may be changed."""
+    """Resume the run in this folder from its last checkpoint; only --total-steps may change."""
 
 
 @dataclass(frozen=True)
-class Options(Choice):
+class Args(Choice):
     """Trains an agent and compares it with the paper's adaptive controller on the set 'paper'.
 
-    The hyperparameters below are those of the chosen --task and --algo, with the preset as their defaults; --row begins
-    from what a row of the leaderboard is trained with. Ctrl-C saves and stops; --resume DIR goes on, also after a
-    crash. Checkpoints contain pickles: resume only runs of your own.
+    The hyperparameters below are those of the chosen --task and --algo, with the preset as their defaults; --row starts
+    from the settings of a row of the leaderboard. Ctrl-C saves and stops; --resume DIR continues, also after a crash.
+    Checkpoints contain pickles: resume only runs of your own.
 
     Examples:
       python train.py --task direct --randomization wide --seed 1
       python train.py --row direct-ppo-wide --seed 1
       python train.py --algo sac --total-steps 8e5 --run runs/mine
       python train.py --resume runs/mine --total-steps 2e6
+      python train.py --task direct --wrapper my_module:MyReward
     """
 
     run: Folder = None
-    """Folder of the run; a new one in runs/ where none is given."""
+    """Folder of the run; by default a new one in runs/."""
     no_comparison: bool = False
     """Skip evaluation, figure and animation at the end."""
     wandb: bool = False
     """Also log to Weights & Biases: pip install "capsule-gym[wandb]"."""
     trust_controller: bool = False
-    """Go on with a run whose config.json names a control law from elsewhere: importing it runs its code."""
+    """Resume a run whose config.json names a control law or wrapper of your own: importing it runs its code."""
     hyperparameters: tyro.conf.OmitArgPrefixes[Config] = field(default_factory=PPOConfig)
 
 
-def read_options(arguments: Sequence[str] | None = None) -> Options:
+def read_args(arguments: Sequence[str] | None = None) -> Args:
     """Reads the command line.
 
     Returns:
-        The options; `hyperparameters` are the new run's or, with --resume, those of the run that goes on.
+        The arguments; `hyperparameters` are those of the new run or, with --resume, of the run that is resumed.
     """
     choice = parse_some(Choice, PROG, arguments)
     if choice.resume is not None:
         return _read_resumed(choice.resume, arguments)
     if choice.row is None:
         preset = PRESETS[choice.task, choice.algo]
-        return parse(Options, PROG, arguments, default=Options(choice.task, choice.algo, hyperparameters=preset))
+        return parse(Args, PROG, arguments, default=Args(choice.task, choice.algo, hyperparameters=preset))
     try:
         settings = row_settings(choice.row)
     except ValueError as error:
         refuse(PROG, f"--row: {error}")
-    default = Options(settings.task, settings.algo, choice.row, hyperparameters=settings)
-    options = parse(Options, PROG, arguments, default=default)
-    _refuse_another_kind(default, options, f"--row {choice.row}")
-    return options
+    default = Args(settings.task, settings.algo, choice.row, hyperparameters=settings)
+    args = parse(Args, PROG, arguments, default=default)
+    _check_same_kind(default, args, f"--row {choice.row}")
+    return args
 
 
-def _read_resumed(run: Path, arguments: Sequence[str] | None) -> Options:
-    """The options of a run that goes on."""
+def _read_resumed(run: Path, arguments: Sequence[str] | None) -> Args:
+    """The arguments of a run that is resumed."""
     try:
         before = read_config(run)
     except RunError as error:
         refuse(PROG, str(error))
-    default = Options(before.task, before.algo, None, run, hyperparameters=before)
-    options = parse(Options, PROG, arguments, default=default)
-    for option, given in (("--run", options.run), ("--row", options.row)):
+    default = Args(before.task, before.algo, None, run, hyperparameters=before)
+    args = parse(Args, PROG, arguments, default=default)
+    for option, given in (("--run", args.run), ("--row", args.row)):
         if given is not None:
             refuse(PROG, f"{option} must not be given with --resume, got {str(given)!r}")
-    _refuse_another_kind(default, options, "--resume")
-    old, new = before.to_dict(), options.hyperparameters.to_dict()
+    _check_same_kind(default, args, "--resume")
+    old, new = before.to_dict(), args.hyperparameters.to_dict()
     for name in (name for name in old if name != "total_steps" and old[name] != new[name]):
         option = "--" + name.replace("_", "-")
         must = f"{option} must stay {old[name]} with --resume"
         refuse(PROG, f"{must}, got {new[name]}; only --total-steps may be changed")
-    if not (options.trust_controller or is_own(before.controller)):
-        path = run / CONFIG
-        refuse(PROG, f"{path} names the control law {before.controller!r}: --trust-controller if its code may run")
-    return options
+    if not (args.trust_controller or (is_own(before.controller) and not before.wrapper)):
+        code = before.wrapper or before.controller
+        refuse(PROG, f"{run / CONFIG} names code to import, {code!r}: --trust-controller if it may run")
+    return args
 
 
-def _refuse_another_kind(before: Options, options: Options, chosen_by: str) -> None:
-    """Ends the command where it names another task or algorithm than the run or the row that decides them."""
+def _check_same_kind(before: Args, args: Args, chosen_by: str) -> None:
+    """Ends the command if it names another task or algorithm than the run or the row that decides them."""
     for name in ("task", "algo"):
-        was, given = getattr(before, name), getattr(options, name)
+        was, given = getattr(before, name), getattr(args, name)
         if was != given:
             refuse(PROG, f"--{name} must stay {was} with {chosen_by}, got {given}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    options = read_options(arguments)
-    config = options.hyperparameters
+    args = read_args(arguments)
     # After the command line is known to be right: importing torch takes seconds.
     from agents import comparison
-    from agents.training import loop as training
+    from agents.training import algorithms, loop
 
+    config, run = args.hyperparameters, args.resume
     try:
-        if options.resume is not None:
-            run = options.resume
-            print(f"Going on with {run} (seed {config.seed}) towards {config.total_steps:,} steps.")
+        if run is not None:
+            print(f"Resuming {run} (seed {config.seed}) until {config.total_steps:,} steps.")
         else:
-            stamp = time.strftime("%Y%m%d-%H%M%S")
-            kind = options.row or f"{config.task}-{config.algo}"
-            run = options.run or RUNS / f"{kind}-seed{config.seed}-{stamp}"
-            begin(run, config)
+            kind = args.row or f"{config.task}-{config.algo}"
+            run = args.run or RUNS / f"{kind}-seed{config.seed}-{time.strftime('%Y%m%d-%H%M%S')}"
+            config = algorithms.usable(config)
+            try:
+                loop.begin(run, config)
+            except FileExistsError:
+                raise RunError(f"--run must name a new folder, got {str(run)!r}; --resume {run} resumes it") from None
+            except (TypeError, ValueError) as error:
+                raise RunError(str(error)) from error
             print(f"Training {config.algo.upper()} on the {config.task} task, seed {config.seed}, in {run}.")
-        LEAVING.message = f"Stopped. To go on: python train.py --resume {run}"
-        finished = training.train(run, config, wandb=options.wandb)
+        QUIET_EXIT.message = f"Stopped. To resume: python train.py --resume {run}"
+        finished = loop.train(run, config, wandb=args.wandb)
     except (RunError, OSError) as error:
         print(f"{PROG}: error: {error}", file=sys.stderr)
         return 2
     if not finished:
-        print(f"\nStopped; saved. To go on: python train.py --resume {run}")
+        print(f"\nStopped; saved. To resume: python train.py --resume {run}")
         return INTERRUPTED
-    if isinstance(config, RecurrentPPOConfig):
-        best, why = MODEL, ", which Stable-Baselines3 loads: a policy with a memory has no policy file"
-    else:
-        best, why = POLICY, ""
-    print(f"Trained; what was best on plants of the run's own is {run / BEST / best}{why}.")
-    if not options.no_comparison:
-        LEAVING.message = "Stopped. The run is complete; its comparison is not."
+    has_file = not (isinstance(config, RecurrentPPOConfig) or config.wrapper)
+    print(f"Trained; the best policy on validation plants is {run / BEST / (POLICY if has_file else MODEL)}.")
+    if not (args.no_comparison or config.wrapper):
+        QUIET_EXIT.message = "Stopped. The run is complete; its comparison is not."
         comparison.compare(run)
     return 0
-
-
-def begin(run: Path, config: Config) -> None:
-    """Makes the folder of a new run; whatever it refuses is an error of the command line."""
-    from agents.training import loop as training
-
-    try:
-        training.begin(run, config)
-    except FileExistsError:
-        raise RunError(f"--run must name a new folder, got {str(run)!r}; --resume {run} goes on with it") from None
-    except (TypeError, ValueError) as error:
-        raise RunError(str(error)) from error
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from agents.evaluation.policies import BASELINE
 from agents.evaluation.statistics import interquartile_mean
 from agents.recording import ANIMATION_SECONDS, ANIMATION_START, NOMINAL_TITLE, draw_comparison, record
 from agents.report.page import write as write_report
-from agents.training.recurrent import load_best
+from agents.training.export import load_best
 from baselines.policies import SCRIPTED
 from capsule_gym.evaluation_sets import load_set
 from capsule_gym.files import to_json, write_atomically

@@ -18,9 +18,8 @@ from agents.evaluation.episodes import evaluate, failures, scores
 from agents.evaluation.policies import checkpoint_names
 from agents.evaluation.statistics import interquartile_mean
 from agents.study.jobs import check_jobs, evaluations, plan, train_all
-from agents.training.errors import RunError
-from agents.training.presets import LARGEST_SEED, ROWS, row_settings
-from agents.training.stopping import INTERRUPTED
+from agents.training.presets import LARGEST_SEED, ROWS, RunError, row_settings
+from agents.training.signals import INTERRUPTED
 from baselines.tables import text_table
 from capsule_gym.command_line import Count, Positional, parse, refuse
 from capsule_gym.evaluation_sets import load_set

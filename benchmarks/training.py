@@ -142,7 +142,7 @@ def training(entry: Trainer) -> Iterator[PPO]:
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
-    from agents.training.loop import Falling, make_env, make_model
+    from agents.training.algorithms import LinearSchedule, make_env, make_model
     from capsule_gym import ENV_ID
     from capsule_gym.sb3 import CapsuleSB3VecEnv
 
@@ -157,7 +157,7 @@ def training(entry: Trainer) -> Iterator[PPO]:
         model = PPO(
             "MlpPolicy",
             VecNormalize(batch, norm_reward=False, gamma=config.gamma),
-            learning_rate=Falling(config.learning_rate, config.final_learning_rate, 1.0),
+            learning_rate=LinearSchedule(config.learning_rate, config.final_learning_rate),
             n_steps=config.n_steps,
             batch_size=config.batch_size,
             n_epochs=config.n_epochs,
@@ -212,11 +212,11 @@ def learn(entry: Trainer) -> Run:
 
     from agents.evaluation.episodes import evaluate, scores
     from agents.evaluation.statistics import interquartile_mean
+    from agents.training.callbacks import validation_plants
     from agents.training.export import export
-    from agents.training.loop import own_draws
 
     config, run = entry.config, Run(entry.name, entry.config.seed)
-    plants = own_draws(dataclasses.replace(config, seed=PLANTS_SEED))
+    plants = validation_plants(dataclasses.replace(config, seed=PLANTS_SEED))
     every = max(1, config.total_steps // EVALUATIONS)
 
     class Evaluation(BaseCallback):

@@ -24,9 +24,8 @@ from agents.evaluation.episodes import TABLE_METRICS, Episode, evaluate, version
 from agents.evaluation.sets import validation_set
 from agents.evaluation.statistics import estimate, learning_curve, paired_difference
 from agents.study.jobs import Job, check_jobs, evaluations, plan, revision_of, seeds_of, train_all
-from agents.training.errors import RunError
-from agents.training.presets import ROWS, Config
-from agents.training.stopping import INTERRUPTED
+from agents.training.presets import ROWS, Config, RunError
+from agents.training.signals import INTERRUPTED
 from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, Pen, add_note, new_figure
 from baselines.policies import SCRIPTED
 from baselines.tables import markdown_table

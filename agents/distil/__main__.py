@@ -12,8 +12,8 @@ from tyro.conf import arg
 
 from agents.distil.students import STUDENTS, Budget
 from agents.study.jobs import seeds_of
-from agents.training.errors import RunError
-from agents.training.stopping import INTERRUPTED
+from agents.training.presets import RunError
+from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Positional, parse, refuse
 
 PROG = "python -m agents.distil"

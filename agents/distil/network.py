@@ -11,8 +11,8 @@ from torch import nn
 
 from agents.distil.lessons import Lesson
 from agents.distil.students import Student
-from agents.training.ppo import FastTanh
-from agents.training.runs import Normalisation
+from agents.training.algorithms import FastTanh
+from agents.training.export import Normalisation
 from baselines.dynamic_programming.policy import NUM_TORQUES
 from capsule_gym import Policy
 from capsule_gym.policy import IMITATION

@@ -14,8 +14,8 @@ from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, Episode,
 from agents.evaluation.policies import CHECKPOINTS, find_candidate
 from agents.evaluation.statistics import estimate
 from agents.study.jobs import check_revision
-from agents.training.errors import RunError
-from agents.training.stopping import Stop
+from agents.training.presets import RunError
+from agents.training.signals import Stop
 from baselines.tables import text_table
 from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY

@@ -23,9 +23,9 @@ from agents.distil.students import Budget, Student
 from agents.evaluation.episodes import evaluate, scores
 from agents.evaluation.sets import validation_set
 from agents.study.jobs import FINISHED
-from agents.training.loop import FAILURE_COST
-from agents.training.runs import git_revision
-from agents.training.stopping import Stop
+from agents.training.callbacks import FAILURE_COST
+from agents.training.checkpoint import git_revision
+from agents.training.signals import Stop
 from capsule_gym import Policy
 from capsule_gym.evaluation_sets import EvaluationSet
 from capsule_gym.files import to_json, write_atomically

@@ -94,7 +94,7 @@ def _candidate(name: str, trust_controller: bool) -> Candidate:
     path = Path(name)
     if (path / BEST / MODEL).is_file() and not (path / BEST / POLICY).is_file():
         # Imports torch, which takes seconds.
-        from agents.training.recurrent import load_best
+        from agents.training.export import load_best
 
         return Candidate(path.name, (load_best(path),), "a recurrent agent")
     return replace(find_candidate(name, trust_controller=trust_controller), name=path.resolve().name)

@@ -12,9 +12,8 @@ from typing import Annotated
 from tyro.conf import arg
 
 from agents.study.jobs import Backend, check_jobs, plan, publish, results_table, seeds_of, train_all
-from agents.training.errors import RunError
-from agents.training.presets import ROWS, row_settings
-from agents.training.stopping import INTERRUPTED
+from agents.training.presets import ROWS, RunError, row_settings
+from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Positional, parse, refuse
 
 PROG = "python -m agents.study"

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Literal
 
 from agents.evaluation.policies import CHECKPOINTS
-from agents.training.errors import RunError
-from agents.training.presets import BEST, CONFIG, EVALUATIONS, LARGEST_SEED, Config, read_config
+from agents.training.presets import BEST, CONFIG, EVALUATIONS, LARGEST_SEED, Config, RunError, read_config
 from baselines.tables import text_table
 from capsule_gym.files import to_json, write_atomically
 from capsule_gym.policy import POLICY
@@ -26,7 +25,7 @@ FINISHED = "finished.json"
 
 Backend = Literal["loky", "ray"]
 # A line of evaluations.csv by its columns: `steps`, `seconds` and `core_seconds` of training so far, `mean_speed_cm_s`,
-# the share of episodes that `failed`, `score_cm_s` (which selects the best policy) and the `stage` of the run.
+# the share of episodes that `failed` and `score_cm_s` (which selects the best policy).
 Evaluation = dict[str, float]
 
 
@@ -195,10 +194,9 @@ def evaluations(run: Path) -> list[Evaluation]:
     return [{name: float(value) for name, value in row.items()} for row in rows]
 
 
-def best(lines: Sequence[Evaluation], config: Config) -> Evaluation | None:
-    """The evaluation of a run's best policy; None if its last stage has no evaluation yet."""
-    last = len(config.stages()) - 1
-    return max((line for line in lines if line["stage"] == last), key=lambda line: line["score_cm_s"], default=None)
+def best(lines: Sequence[Evaluation]) -> Evaluation | None:
+    """The evaluation of a run's best policy; None if it has none yet."""
+    return max(lines, key=lambda line: line["score_cm_s"], default=None)
 
 
 def results_table(jobs: Sequence[Job]) -> str:
@@ -206,7 +204,7 @@ def results_table(jobs: Sequence[Job]) -> str:
     rows = [["run", "steps", "best at", "cm/s", "failed"]]
     for job in jobs:
         lines = evaluations(job.run)
-        chosen = best(lines, job.config)
+        chosen = best(lines)
         if chosen is not None:
             steps = (f"{line['steps']:,.0f}" for line in (lines[-1], chosen))
             rows.append([job.name, *steps, f"{chosen['mean_speed_cm_s']:.2f}", f"{chosen['failed']:.1%}"])
@@ -223,7 +221,7 @@ def check_revision(run: Path, revision: str) -> None:
 
     Args:
         run: its folder.
-        revision: as `agents.training.runs.git_revision` returns it.
+        revision: as `agents.training.checkpoint.git_revision` returns it.
 
     Raises:
         RunError: if it is not a commit, or had uncommitted changes.

@@ -20,9 +20,8 @@ from tyro.conf import arg
 
 from agents.evaluation.episodes import versions
 from agents.study.jobs import Job, best, check_settings, evaluations, train_job
-from agents.training.errors import RunError
-from agents.training.presets import Algorithm, Config, OffPolicyConfig, PPOConfig, named_settings
-from agents.training.stopping import INTERRUPTED
+from agents.training.presets import Algorithm, Config, OffPolicyConfig, RunError, named_settings
+from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Count, Positional, parse, refuse
 from capsule_gym.files import canonical_hash, to_json, write_atomically
 
@@ -128,10 +127,8 @@ class Args:
         """The configuration that all trials share, apart from what is tuned."""
         row = named_settings(self.row)
         steps = self.total_steps or row.total_steps
-        changes: dict[str, Any] = {"total_steps": steps, "evaluate_every": max(1, steps // EVALUATIONS_PER_TRIAL)}
-        if isinstance(row, PPOConfig):
-            changes["direct_steps"] = row.direct_steps * steps // row.total_steps
-        return dataclasses.replace(row, seed=self.seed, **changes)
+        evaluate_every = max(1, steps // EVALUATIONS_PER_TRIAL)
+        return dataclasses.replace(row, seed=self.seed, total_steps=steps, evaluate_every=evaluate_every)
 
 
 def config_of(trial: Trial, base: Config) -> Config:
@@ -158,7 +155,7 @@ def objective(trial: Trial, base: Config, folder: Path) -> float:
     job = Job(folder.name, config, folder / canonical_hash(config.to_dict())[:12])
     if job.run.exists():
         check_settings(job)
-    last, lines = len(config.stages()) - 1, evaluations(job.run)
+    lines = evaluations(job.run)
     process = multiprocessing.get_context("spawn").Process(target=train_job, args=(job,))
     if not job.finished:
         process.start()
@@ -169,10 +166,9 @@ def objective(trial: Trial, base: Config, folder: Path) -> float:
             lines = evaluations(job.run)
             for line in lines[reported:]:
                 reported += 1
-                if line["stage"] == last:
-                    trial.report(line["score_cm_s"], reported)
-                    if process.is_alive() and trial.should_prune():
-                        raise optuna.TrialPruned
+                trial.report(line["score_cm_s"], reported)
+                if process.is_alive() and trial.should_prune():
+                    raise optuna.TrialPruned
     except KeyboardInterrupt:
         trial.study.enqueue_trial(trial.params)
         raise
@@ -181,7 +177,7 @@ def objective(trial: Trial, base: Config, folder: Path) -> float:
             process.terminate()
             process.join()
         trial.set_user_attr("evaluations", lines)
-    chosen = best(lines, config)
+    chosen = best(lines)
     if chosen is None or not job.finished:
         raise RunError(f"trial {trial.number} failed, see {job.run}.log")
     return chosen["score_cm_s"]

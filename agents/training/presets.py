@@ -1,7 +1,7 @@
-"""What a run is begun with. Hyperparameters: a small dataclass per algorithm, a tuned instance per algorithm and task.
+"""The hyperparameters of a run: a dataclass per algorithm, and a tuned instance per algorithm and task.
 
-`ROWS` holds what the trained rows of the leaderboard are trained with, and is the one place that says so. The fields
-of a class are the command line of train.py, the text under each is its help. Nothing here imports torch.
+`ROWS` holds the settings of the trained rows of the leaderboard. The fields of a class are the options of train.py, the
+text under each is its help. Nothing here imports torch.
 """
 
 from __future__ import annotations
@@ -15,19 +15,18 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import tyro
-from tyro.conf import Fixed, Suppress, arg
+from tyro.conf import Fixed, Suppress
 
-from agents.training.errors import RunError
 from capsule_gym.command_line import Count
 from capsule_gym.parameters import DOCS, ENERGY_WEIGHT_TEXT, ENERGY_WEIGHTS, EnvConfig, check_number, nearest
 from capsule_gym.task import HORIZON
 
-# Of numpy's generators, which SB3 seeds.
+# The largest seed of numpy's generators, which SB3 seeds.
 LARGEST_SEED = 2**32 - 1
-# The files of a run that decide its policy, and the folder of the best evaluation.
+# Files of a run; agents.training.checkpoint describes its folder.
 CONFIG, MODEL, BEST = "config.json", "model.zip", "best"
-# What it writes while it trains, and the columns there that count agent steps.
 LOGS, LOG, EVALUATIONS = "logs", "progress.csv", "evaluations.csv"
+# The columns of the last two that count agent steps.
 LOGGED, EVALUATED = "time/total_timesteps", "steps"
 
 Task = Literal["residual", "direct"]
@@ -36,12 +35,37 @@ Algorithm = Literal["ppo", "sac", "td3", "tqc", "recurrent-ppo"]
 
 def _option(name: str, more: str = "") -> Any:
     """The help of an option of the environment."""
-    return arg(help=f"{DOCS[name][0].upper()}{DOCS[name][1:]}{more}.")
+    return tyro.conf.arg(help=f"{DOCS[name][0].upper()}{DOCS[name][1:]}{more}.")
+
+
+# Smallest values of the counts that may be other than 1.
+LEAST = {"seed": 0, "batch_size": 2, "learning_starts": 0, "dropped_quantiles": 0, "critic_steps": 0}
+# Ranges of the other numbers: what is accepted in words, the ends, and whether the lower one is excluded.
+RANGES: dict[str, tuple[str, float, float, bool]] = {
+    "learning_rate": ("a finite number > 0", 0.0, math.inf, True),
+    "final_learning_rate": ("a finite number >= 0", 0.0, math.inf, False),
+    "gamma": ("a number in [0, 1]", 0.0, 1.0, False),
+    "gae_lambda": ("a number in [0, 1]", 0.0, 1.0, False),
+    "ent_coef": ("a finite number >= 0", 0.0, math.inf, False),
+    "log_std_init": ("a number in [-20, 2]", -20.0, 2.0, False),
+    "least_log_std": ("a number in [-20, 2]", -20.0, 2.0, False),
+    "episode_seconds": ("a finite number > 0 (s)", 0.0, math.inf, True),
+    "jump_rate": ("a finite number >= 0 (1/s)", 0.0, math.inf, False),
+    "tau": ("a number in (0, 1]", 0.0, 1.0, True),
+    "action_noise": ("a finite number >= 0", 0.0, math.inf, False),
+    "noise_time": ("a finite number >= 0", 0.0, math.inf, False),
+    "target_policy_noise": ("a finite number >= 0", 0.0, math.inf, False),
+    "target_noise_clip": ("a finite number >= 0", 0.0, math.inf, False),
+}
+
+
+class RunError(ValueError):
+    """A run that cannot be started or resumed: the message names the option or the file, and the reason."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """What every training run has."""
+    """Hyperparameters of every algorithm."""
 
     algo: ClassVar[Algorithm]
 
@@ -55,7 +79,7 @@ class Config:
     """Environments that are stepped together."""
     controller: str | None = "baselines:adaptive"
     """Control law under a residual torque, as module:attribute."""
-    residual_limit: Annotated[float, _option("residual_limit", "; twice the torque limit is full authority")] = (
+    residual_limit: Annotated[float, _option("residual_limit", "; twice the torque limit can cancel any law")] = (
         2.0 * EnvConfig.torque_limit
     )
     torque_limit: Annotated[float, _option("torque_limit")] = EnvConfig.torque_limit
@@ -77,65 +101,53 @@ class Config:
     evaluate_every: Count = 500_000
     """Environment steps between evaluations and checkpoints."""
     evaluation_episodes: Count = 128
-    """Episodes in each of them, with draws of their own."""
+    """Episodes in an evaluation, on validation plants."""
     torch_threads: Count = 1
     """Threads of torch."""
     env_threads: Count = EnvConfig.threads
     """Threads of the environment."""
+    stock: bool = False
+    """Train with the unmodified classes of Stable-Baselines3, without this project's compiled PPO and fast SAC."""
+    wrapper: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="MODULE:ATTRIBUTE")] = ()
+    """A gymnasium.Wrapper around each environment, the first one innermost; repeatable. It implies --stock."""
 
     def env_kwargs(self) -> dict[str, Any]:
         """The arguments of the environment that this run trains in."""
         kwargs = {name: getattr(self, name) for name in DOCS if hasattr(self, name)}
         return kwargs | {"controller": None, "residual_limit": self.torque_limit} if self.task == "direct" else kwargs
 
-    def stages(self) -> list[Config]:
-        """What is trained, one after the other; the last is the configuration itself."""
-        return [self]
-
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""
         return dataclasses.asdict(self)
 
     def check(self) -> None:
-        """Refuses hyperparameters that no run can have; what the environment takes is the environment's to check.
+        """Checks the hyperparameters; the environment checks its own arguments.
 
         Raises:
             TypeError: if a field is of the wrong type.
             ValueError: if a field is out of range.
         """
-        self._check_counts(
-            "total_steps",
-            "num_envs",
-            "hidden",
-            "evaluate_every",
-            "evaluation_episodes",
-            "torch_threads",
-            "env_threads",
-        )
-        self._check_counts("batch_size", least=2)
-        self._check_counts("seed", least=0, most=LARGEST_SEED)
-        self._check_range("learning_rate", "a finite number > 0", 0.0, open_low=True)
-        self._check_range("final_learning_rate", "a finite number >= 0", 0.0)
-        self._check_range("gamma", "a number in [0, 1]", 0.0, 1.0)
+        for field in dataclasses.fields(self):
+            name, value = field.name, getattr(self, field.name)
+            if field.type == "Count":
+                least, most = LEAST.get(name, 1), LARGEST_SEED if name == "seed" else sys.maxsize
+                accepted = f"an integer >= {least}" + (f" and <= {most}" if name == "seed" else "")
+                if isinstance(value, bool) or not isinstance(value, int):
+                    raise TypeError(f"{name} must be {accepted}, got {value!r}")
+                if not least <= value <= most:
+                    raise ValueError(f"{name} must be {accepted}, got {value!r}")
+            elif name in RANGES:
+                accepted, low, high, open_low = RANGES[name]
+                check_number(name, value, accepted, low, high, open_low=open_low)
 
-    def _check_counts(self, *names: str, least: int = 1, most: int = sys.maxsize) -> None:
-        """Refuses fields that are no integers in that range."""
-        for name in names:
-            value = getattr(self, name)
-            accepted = f"an integer >= {least}" + (f" and <= {most}" if most < sys.maxsize else "")
-            if isinstance(value, bool) or not isinstance(value, int):
-                raise TypeError(f"{name} must be {accepted}, got {value!r}")
-            if not least <= value <= most:
-                raise ValueError(f"{name} must be {accepted}, got {value!r}")
-
-    def _check_range(self, name: str, accepted: str, low: float, high: float = math.inf, **open_end: bool) -> None:
-        """Refuses a field that is no finite number in that range."""
-        check_number(name, getattr(self, name), accepted, low, high, **open_end)
+    def stock_config(self) -> tuple[Config, list[str]]:
+        """The same run with Stable-Baselines3's unmodified classes, and the options that it loses."""
+        return dataclasses.replace(self, stock=True), []
 
 
 @dataclass(frozen=True, kw_only=True)
 class OnPolicyConfig(Config):
-    """What learns from the steps that its present policy has just made."""
+    """Algorithms that learn from the last rollout of their present policy."""
 
     n_steps: Count = 256
     """Steps of each environment between updates."""
@@ -149,14 +161,10 @@ class OnPolicyConfig(Config):
     """Logarithm of the initial standard deviation of the action."""
 
     def check(self) -> None:
-        """As for all; and a rollout must hold the two samples that advantages are normalised over."""
+        """Also checks that a rollout holds the two samples that advantages are normalised over."""
         super().check()
-        self._check_counts("n_steps", "n_epochs")
         if self.n_steps * self.num_envs < 2:
             raise ValueError(f"n_steps must be >= 2 where num_envs is 1, got {self.n_steps!r}")
-        self._check_range("gae_lambda", "a number in [0, 1]", 0.0, 1.0)
-        self._check_range("ent_coef", "a finite number >= 0", 0.0)
-        self._check_range("log_std_init", "a number in [-20, 2]", -20.0, 2.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,71 +178,52 @@ class PPOConfig(OnPolicyConfig):
     tanh_mean: bool = False
     """Whether tanh brings the mean of the action to [-1, 1]; else it is clipped."""
     activation: Literal["tanh", "relu"] = "tanh"
-    """After the hidden layers."""
+    """Activation of the hidden layers."""
     control_dt: Annotated[float, _option("control_dt")] = EnvConfig.control_dt
     episode_seconds: float = HORIZON
     """Length of an episode of training, s."""
     jump_rate: float = 0.0
-    """How often M and mu are drawn anew within an episode of training, 1/s."""
+    """Rate at which M and mu are drawn anew within an episode of training, 1/s."""
     identifies: bool = False
-    """Whether the policy identifies M and mu on line."""
+    """Whether the policy observes online estimates of M and mu."""
     privileged_critic: bool = False
-    """Whether the critic is told M and mu."""
+    """Whether the critic observes M and mu."""
     energy_weights: tuple[float, float] | None = None
-    """Range of energy weights (cm/J), of which every episode of training draws one that the policy is told."""
+    """Range of energy weights (cm/J); every episode of training draws one, which the policy observes."""
     output: Literal["action", "torque"] = "action"
-    """What the network puts out: the action, or the wanted torque, whatever the law asks for."""
-    critic_steps: Annotated[int, tyro.conf.arg(metavar="INT")] = 0
-    """Environment steps at the start in which the critic alone learns: a law under the policy is not unlearnt then."""
-    direct_steps: Annotated[int, tyro.conf.arg(metavar="INT")] = 0
-    """Environment steps in the direct task before, from whose network the run then goes on."""
-
-    def stages(self) -> list[Config]:
-        """As for all; before it the direct task, where the run begins there."""
-        if not self.direct_steps:
-            return [self]
-        direct = PRESETS["direct", "ppo"]
-        assert isinstance(direct, PPOConfig)
-        # What makes the network the same, the plant, and how the run is looked after.
-        shared = {
-            name: getattr(self, name)
-            for name in (
-                *("activation", "hidden", "tanh_mean", "output", "seed", "randomization", "torque_limit"),
-                *("evaluate_every", "evaluation_episodes", "torch_threads", "env_threads"),
-            )
-        }
-        return [dataclasses.replace(direct, **shared, total_steps=self.direct_steps), self]
+    """Output of the network: the action, or the total torque, of which the action is what the law does not apply."""
+    critic_steps: Count = 0
+    """Environment steps at the start in which only the critic learns, so that it does not spoil a good base."""
 
     def check(self) -> None:
-        """As for what learns from its own steps; and lengths, rates and weights must be in their ranges."""
+        """Also checks the energy weights."""
         super().check()
-        self._check_counts("direct_steps", "critic_steps", least=0)
-        if self.direct_steps >= self.total_steps:
-            raise ValueError(
-                f"direct_steps must be less than total_steps={self.total_steps!r}, which count them, got "
-                f"{self.direct_steps!r}"
-            )
-        self._check_range("episode_seconds", "a finite number > 0 (s)", 0.0, open_low=True)
-        self._check_range("jump_rate", "a finite number >= 0 (1/s)", 0.0)
-        self._check_range("least_log_std", "a number in [-20, 2]", -20.0, 2.0)
         if self.energy_weights is not None:
             if not isinstance(self.energy_weights, tuple) or len(self.energy_weights) != 2:
                 raise TypeError(f"energy_weights must be None or two numbers (cm/J), got {self.energy_weights!r}")
             low, high = self.energy_weights
             check_number("energy_weights[0]", low, ENERGY_WEIGHT_TEXT, *ENERGY_WEIGHTS)
             check_number("energy_weights[1]", high, f"{ENERGY_WEIGHT_TEXT} and >= {low!r}", low, ENERGY_WEIGHTS[1])
-            # What is evaluated on the way is told the environment's.
+            # The policy observes it in evaluations.
             check_number(
-                "energy_weight",
-                self.energy_weight,
-                f"{ENERGY_WEIGHT_TEXT} where it is observed",
-                *ENERGY_WEIGHTS,
+                "energy_weight", self.energy_weight, f"{ENERGY_WEIGHT_TEXT} where it is observed", *ENERGY_WEIGHTS
             )
+
+    def stock_config(self) -> tuple[Config, list[str]]:
+        """Also without what only the compiled PPO has: options whose values are then those of `PPOConfig`."""
+        names = ("least_log_std", "tanh_mean", "jump_rate", "identifies", "privileged_critic")
+        changes = {
+            name: getattr(PPOConfig, name)
+            for name in (*names, "energy_weights", "output", "critic_steps")
+            if getattr(self, name) != getattr(PPOConfig, name)
+        }
+        lost = [f"--{name.replace('_', '-')} {getattr(self, name)}" for name in changes]
+        return dataclasses.replace(self, stock=True, **changes), lost
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecurrentPPOConfig(OnPolicyConfig):
-    """Proximal policy optimisation of a policy with a memory."""
+    """Proximal policy optimisation of a policy with an LSTM."""
 
     algo: ClassVar[Algorithm] = "recurrent-ppo"
 
@@ -243,16 +232,16 @@ class RecurrentPPOConfig(OnPolicyConfig):
     hidden: Count = 64
     """Units of the LSTM, and of each of the two hidden layers after it."""
     n_steps: Count = 128
-    """Steps of each environment between updates: the longest that an update looks back."""
+    """Steps of each environment between updates: the longest sequence of an update."""
     evaluate_every: Count = 100_000
     """Environment steps between evaluations and checkpoints."""
     recurrent_critic: bool = False
-    """Whether the critic has an LSTM of its own; else it sees the present observation alone."""
+    """Whether the critic has an LSTM of its own; else it is a function of the present observation."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class OffPolicyConfig(Config):
-    """What learns from a replay buffer."""
+    """Algorithms that learn from a replay buffer."""
 
     total_steps: Count = 400_000
     """Environment steps."""
@@ -271,15 +260,13 @@ class OffPolicyConfig(Config):
     gradient_steps: Count = 8
     """Updates after each step of all environments."""
     tau: float = 0.01
-    """Rate at which the target networks follow."""
+    """Rate of the moving average that the target networks are."""
 
     def check(self) -> None:
-        """As for all; and the replay buffer must hold a step of all environments."""
+        """Also checks that the replay buffer holds a step of all environments."""
         super().check()
-        self._check_counts("gradient_steps")
-        self._check_counts("learning_starts", least=0)
-        self._check_counts("buffer_size", least=self.num_envs)
-        self._check_range("tau", "a number in (0, 1]", 0.0, 1.0, open_low=True)
+        if self.buffer_size < self.num_envs:
+            raise ValueError(f"buffer_size must be an integer >= {self.num_envs}, got {self.buffer_size!r}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -306,13 +293,6 @@ class TD3Config(OffPolicyConfig):
     target_noise_clip: float = 0.5
     """Largest such noise."""
 
-    def check(self) -> None:
-        """As for all; and noises must be finite and not negative."""
-        super().check()
-        self._check_counts("policy_delay")
-        for name in ("action_noise", "noise_time", "target_policy_noise", "target_noise_clip"):
-            self._check_range(name, "a finite number >= 0", 0.0)
-
 
 @dataclass(frozen=True, kw_only=True)
 class TQCConfig(OffPolicyConfig):
@@ -326,17 +306,17 @@ class TQCConfig(OffPolicyConfig):
     """Largest quantiles per critic that the target leaves out."""
 
     def check(self) -> None:
-        """As for all; and the target must keep a quantile."""
+        """Also checks that the target keeps a quantile."""
         super().check()
-        self._check_counts("quantiles")
-        self._check_counts("dropped_quantiles", least=0, most=self.quantiles - 1)
+        if self.dropped_quantiles >= self.quantiles:
+            raise ValueError(f"dropped_quantiles must be an integer < {self.quantiles}, got {self.dropped_quantiles!r}")
 
 
 PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("residual", "ppo"): PPOConfig(
         total_steps=10_000_000,
         output="torque",
-        # The law's torque may flip within a hold.
+        # The law's torque may change its sign within a control interval of 20 ms.
         control_dt=0.005,
         gamma=0.99875,
         gae_lambda=0.995,
@@ -348,7 +328,7 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ),
     ("direct", "ppo"): PPOConfig(task="direct", controller=None),
     ("residual", "sac"): SACConfig(),
-    # Of agents/study/data/direct-sac.json.
+    # From agents/study/data/direct-sac.json.
     ("direct", "sac"): SACConfig(
         task="direct",
         controller=None,
@@ -377,7 +357,7 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
         evaluate_every=10_000,
     ),
     ("residual", "tqc"): TQCConfig(),
-    # Of agents/study/data/direct-tqc.json.
+    # From agents/study/data/direct-tqc.json.
     ("direct", "tqc"): TQCConfig(
         task="direct",
         controller=None,
@@ -393,7 +373,7 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
         evaluate_every=5_000,
     ),
     ("residual", "recurrent-ppo"): RecurrentPPOConfig(),
-    # Of agents/study/data/direct-recurrent-ppo.json.
+    # From agents/study/data/direct-recurrent-ppo.json.
     ("direct", "recurrent-ppo"): RecurrentPPOConfig(
         task="direct",
         controller=None,
@@ -407,7 +387,7 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ),
 }
 
-# A base that moves by itself: small residuals, from a critic that knows what the base returns.
+# A gait under the policy: small residuals, and a critic that knows the gait's return before the policy learns.
 ON_GAIT = PPOConfig(
     controller="baselines:gait",
     residual_limit=0.75,
@@ -423,7 +403,7 @@ ON_GAIT = PPOConfig(
     episode_seconds=10.0,
     evaluate_every=100_000,
 )
-# Where energy is dear a policy that has learnt nothing yet stands still.
+# With a high energy weight a policy soon learns to stand still: a floor keeps its exploration up.
 FRUGAL = PPOConfig(
     task="direct",
     controller=None,
@@ -437,7 +417,7 @@ ROWS: dict[str, Config] = {
     "residual-ppo": PRESETS["residual", "ppo"],
     "direct-ppo": PRESETS["direct", "ppo"],
     "direct-ppo-wide": PPOConfig(task="direct", controller=None, randomization="wide"),
-    # Not the preset, which was searched for afterwards.
+    # The settings before the search that found the preset.
     "direct-sac": SACConfig(task="direct", controller=None),
     "residual-on-gait": ON_GAIT,
     "residual-on-gait-wide": dataclasses.replace(ON_GAIT, randomization="wide"),
@@ -463,7 +443,7 @@ ROWS: dict[str, Config] = {
 
 
 def row_settings(name: str) -> Config:
-    """What a row of the leaderboard is trained with; its seed is 0.
+    """The settings of a row of the leaderboard, with seed 0.
 
     Args:
         name: a key of `ROWS`.
@@ -477,7 +457,7 @@ def row_settings(name: str) -> Config:
 
 
 def named_settings(name: str) -> Config:
-    """The preset of that name, such as "direct-sac", or else what the row of that name is trained with.
+    """The preset of that name, such as "direct-sac", or else the settings of the row of that name.
 
     Args:
         name: TASK-ALGO, or a key of `ROWS`.

@@ -16,8 +16,8 @@ from agents.distil import outcome, run
 from agents.distil.lessons import Classroom, regrets_of
 from agents.distil.network import Fit, Network, interpolated
 from agents.distil.students import STUDENTS, Budget
-from agents.training.errors import RunError
-from agents.training.stopping import INTERRUPTED
+from agents.training.presets import RunError
+from agents.training.signals import INTERRUPTED
 from baselines.dynamic_programming.policy import FAILURE_SCORE, NUM_TORQUES, TORQUES
 from capsule_gym import load_policy
 from capsule_gym.task import CONTROL_DT

@@ -14,7 +14,7 @@ from typing import Literal
 
 from tqdm import tqdm
 
-from agents.training.stopping import INTERRUPTED
+from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Count, parse
 
 Fault = Literal["kill", "stop", "disk", "readonly", "processes", "cache", "fork"]

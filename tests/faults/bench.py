@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from baselines.tables import text_table
-from tests.agents.training.sameness import differences
+from tests.agents.training.small import differences
 from tests.faults.processes import Child, rollout, train
 
 # Trainings of seconds with many checkpoints. An update is 128 steps (PPO) or 8 (SAC).

@@ -115,7 +115,7 @@ def train(arguments: Sequence[str], cache: str, limit: int) -> None:
     """
     import train as command
 
-    command.LEAVING.install()
+    command.QUIET_EXIT.install()
     if cache:
         numba.config.CACHE_DIR = cache
     if limit:

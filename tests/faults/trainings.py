@@ -12,8 +12,8 @@ from pathlib import Path
 
 from agents.training import checkpoint
 from agents.training.presets import LOGGED
-from agents.training.stopping import INTERRUPTED
-from tests.agents.training.sameness import rows
+from agents.training.signals import INTERRUPTED
+from tests.agents.training.small import rows
 from tests.faults.bench import INTERVAL, Bench, Outcome
 from tests.faults.processes import Child
 

@@ -14,8 +14,9 @@ import torch
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.logger import configure
 
-from agents.training import collection, loop
-from agents.training.collection import PRIVILEGED, Rollout, RolloutVecEnv
+from agents.fast_ppo import collection
+from agents.fast_ppo.collection import PRIVILEGED, Rollout, RolloutVecEnv
+from agents.training import algorithms as loop
 from capsule_gym import Capsule, CapsuleVectorEnv, Controller, Policy, Randomization
 from capsule_gym.elementary import exp
 from capsule_gym.identification import CELLS, estimates, identify

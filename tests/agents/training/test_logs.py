@@ -11,9 +11,9 @@ from types import SimpleNamespace
 import pytest
 
 from agents.training import checkpoint
-from agents.training.errors import RunError
-from agents.training.logs import make_logger, told_once
+from agents.training.callbacks import make_logger, quiet_tensorboard
 from agents.training.loop import begin, train
+from agents.training.presets import RunError
 from tests.agents.training.small import small
 
 
@@ -26,8 +26,8 @@ def full(*_):
 def test_a_full_disk_under_tensorboard_is_said_once_by_who_writes_next(tmp_path, monkeypatch):
     hooked = []
     monkeypatch.setattr(threading, "excepthook", hooked.append)
-    with told_once():
-        logger = make_logger(tmp_path, 0)
+    with quiet_tensorboard():
+        logger = make_logger(tmp_path, small("direct", "ppo"), 0, wandb=False)
         events = logger.output_formats[1]
         writer = events.writer.file_writer.event_writer._async_writer
         monkeypatch.setattr(writer._writer, "write", full)

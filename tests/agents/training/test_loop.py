@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 import signal
 import subprocess
 import sys
@@ -17,11 +16,12 @@ import torch
 from stable_baselines3 import PPO
 
 import train as command_line
-from agents.training import loop
+from agents.training import callbacks
+from agents.training.algorithms import algorithm, make_env, make_model
+from agents.training.callbacks import validation_plants
 from agents.training.checkpoint import newest
-from agents.training.loop import _exploration, begin, make_env, make_model, own_draws, train
-from agents.training.presets import PRESETS, TD3Config
-from agents.training.runs import ALGORITHMS
+from agents.training.loop import begin, train
+from agents.training.presets import PRESETS
 from capsule_gym import load_policy
 from capsule_gym.network import LAW_TORQUE, to_action
 from capsule_gym.parameters import RANDOMIZATIONS
@@ -55,7 +55,7 @@ def test_same_seed_same_model_another_seed_another(tmp_path, task, algo):
         config = small(task, algo, total_steps=512, seed=seed)
         begin(run, config)
         assert train(run, config)
-        models.append(weights(ALGORITHMS[algo].load(run / "model.zip", device="cpu")))
+        models.append(weights(algorithm(config).load(run / "model.zip", device="cpu")))
     assert np.array_equal(models[0], models[1])
     assert not np.array_equal(models[0], models[2])
 
@@ -100,12 +100,12 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
 
 
 def test_model_selection_uses_draws_of_its_own():
-    draws = own_draws(small("residual", "ppo"))
+    draws = validation_plants(small("residual", "ppo"))
     assert min(plant.seed for plant in draws.plants) >= 1_000_000
     low, high = RANDOMIZATIONS["paper"].M
     assert all(low <= plant.M <= high for plant in draws.plants)
     assert len({plant.M for plant in draws.plants}) == len(draws.plants)
-    assert own_draws(small("residual", "ppo", seed=1)).plants[0].seed not in {p.seed for p in draws.plants}
+    assert validation_plants(small("residual", "ppo", seed=1)).plants[0].seed not in {p.seed for p in draws.plants}
 
 
 def _train_process(*arguments: str) -> subprocess.Popen:
@@ -155,7 +155,7 @@ def test_kill_and_interrupt_lose_nothing_that_resume_cannot_find(tmp_path):
 
 @pytest.mark.parametrize("algo", ["sac", "td3", "tqc"])
 def test_what_updates_after_every_step_logs_long_before_an_episode_ends(tmp_path, monkeypatch, algo):
-    monkeypatch.setattr(loop, "LOG_EVERY", 100)
+    monkeypatch.setattr(callbacks, "LOG_EVERY", 100)
     run = tmp_path / "run"
     config = small("direct", algo, total_steps=800, learning_starts=200, gradient_steps=1)
     begin(run, config)
@@ -163,14 +163,3 @@ def test_what_updates_after_every_step_logs_long_before_an_episode_ends(tmp_path
     with (run / "logs" / "progress.csv").open() as file:
         steps = [int(row["time/total_timesteps"]) for row in csv.DictReader(file)]
     assert steps == [104, 200, 304, 400, 504, 600, 704, 800]
-
-
-@pytest.mark.parametrize("noise_time", [0.0, 0.1])
-def test_exploration_has_the_deviation_and_the_memory_that_it_is_given(noise_time):
-    np.random.seed(0)
-    noise = _exploration(TD3Config(action_noise=0.5, noise_time=noise_time))
-    values = np.array([noise()[0] for _ in range(40_000)])[1000:]
-    assert values.std() == pytest.approx(0.5, rel=0.1)
-    later = np.corrcoef(values[:-5], values[5:])[0, 1]
-    # Five steps of 20 ms are a correlation time.
-    assert later == pytest.approx(math.exp(-1.0) if noise_time else 0.0, abs=0.08)

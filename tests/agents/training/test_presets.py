@@ -81,4 +81,4 @@ def test_the_table_of_commands_names_every_row_and_its_seeds():
             continue
         program, *words = command.replace(" N", " 7").split()
         assert program == "train.py"
-        assert train.read_options(words).hyperparameters == dataclasses.replace(ROWS[name], seed=7)
+        assert train.read_args(words).hyperparameters == dataclasses.replace(ROWS[name], seed=7)

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from agents.training.update import Numbers, Settings, exponential, make_steps, pack, tanh, unpack
+from agents.fast_ppo.update import Numbers, Settings, exponential, make_steps, pack, tanh, unpack
 
 ACTOR, CRITIC = (5, 9, 6, 1), (7, 3, 1)
 SAMPLES = 70
@@ -57,7 +57,7 @@ def test_what_fills_up_a_width_stays_zero(relu, monkeypatch):
         np.testing.assert_array_equal(pack(numbers), packed)
         compared.append(np.count_nonzero(packed))
 
-    monkeypatch.setattr("agents.training.update.unpack", compare)
+    monkeypatch.setattr("agents.fast_ppo.update.unpack", compare)
     _, losses = updated(relu)
     assert np.isfinite(losses).all()
     assert len(compared) == 3 and min(compared) > 10
@@ -91,7 +91,7 @@ def test_other_arrays_are_refused(name, wrong):
 
 def test_the_compiled_code_is_found_again_by_any_process():
     # What has no representation of its own, or a set, would give every process another name, and all would compile.
-    code = "from agents.training.update import fingerprint, update; print(fingerprint(update))"
+    code = "from agents.fast_ppo.update import fingerprint, update; print(fingerprint(update))"
     names = {
         subprocess.run(
             [sys.executable, "-c", code],

@@ -21,6 +21,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from agents.training.algorithms import HALF_LOG_2_PI
 from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, jitable, kernel, use_widest_vectors
 from capsule_gym.layout import check_arrays, record
 from capsule_gym.network import Layer
@@ -37,8 +38,6 @@ LINE = 16
 
 F32 = np.float32
 ZERO, HALF, ONE, TWO = F32(0.0), F32(0.5), F32(1.0), F32(2.0)
-# Of the normal density; as the update takes it, and as torch does.
-HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 NORMAL = F32(HALF_LOG_2_PI)
 LOG2_E = F32(1.0 / math.log(2.0))
 # The logarithm of 2, of which a first part so short that its multiples are exact.

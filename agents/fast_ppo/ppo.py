@@ -1,4 +1,4 @@
-"""Proximal policy optimisation of Stable-Baselines3, collecting and updating in compiled code."""
+"""Stable-Baselines3's PPO with a compiled rollout and a compiled update."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from stable_baselines3 import PPO
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.distributions import Distribution
@@ -20,36 +19,14 @@ from stable_baselines3.common.utils import explained_variance
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from torch import nn
 
-from agents.training.collection import Rollout, RolloutVecEnv
-from agents.training.update import HALF_LOG_2_PI, LOSSES, Numbers, Settings, make_steps
+from agents.fast_ppo.collection import Rollout, RolloutVecEnv
+from agents.fast_ppo.update import LOSSES, Numbers, Settings, make_steps
+from agents.training.algorithms import HALF_LOG_2_PI, FastTanh
+from agents.training.presets import PPOConfig
 from capsule_gym.network import Layer, pack
-from capsule_gym.observation import BASE_OBSERVATION
 
 
-class _Tanh(torch.autograd.Function):
-    """tanh(x) = 2 / (1 + exp(-2 x)) - 1, to float32's rounding."""
-
-    @staticmethod
-    def forward(ctx: Any, x: torch.Tensor) -> torch.Tensor:
-        y = torch.mul(x, 2.0).sigmoid_().mul_(2.0).sub_(1.0)
-        ctx.save_for_backward(y)
-        return y
-
-    @staticmethod
-    def backward(ctx: Any, slope: torch.Tensor) -> torch.Tensor:
-        (y,) = ctx.saved_tensors
-        return torch.ops.aten.tanh_backward(slope, y)
-
-
-class FastTanh(nn.Tanh):
-    """The hyperbolic tangent by way of the logistic function: torch's own takes several times as long."""
-
-    def forward(self, input: torch.Tensor) -> torch.Tensor:
-        """The tangent of every entry."""
-        return _Tanh.apply(input)
-
-
-class ActorCritic(ActorCriticPolicy):
+class FastPolicy(ActorCriticPolicy):
     """A policy and a critic of their own networks, of which the critic may see more.
 
     Args:
@@ -113,28 +90,38 @@ class Extractor(MlpExtractor):
         return self.policy_net(features[..., : self.policy_inputs])
 
 
-class CapsulePPO(PPO):
-    """PPO that collects a whole rollout in one compiled call, and makes an update in another.
+class FastPPO(PPO):
+    """Stable-Baselines3's PPO with the rollout and the update each in one compiled call.
 
-    The algorithm is SB3's, with one difference: the statistics that normalise observations are those of the rollouts
-    before, the same for a whole rollout and its update. Those of the first come from a rollout that nothing is learnt
-    of.
+    The loss, its gradients, Adam, the advantages, the time limits' bootstrapping and the random minibatches are SB3's,
+    to float32's rounding. What differs:
 
-    Only what this project uses is there: `RolloutVecEnv` in a `VecNormalize`, `ActorCritic`, one action, no gSDE, no
-    clipping of the value function, no limit of the divergence.
+    Always:
+        - Observations are normalised with statistics that are frozen during a rollout and its update: those of the
+          rollouts before. `VecNormalize` updates them at every step.
+        - The first rollout only measures these statistics; nothing is learned from it.
+        - Episodes of training begin staggered in time, so that a rollout holds every part of an episode.
+        - Minibatches are drawn from one permutation per epoch of torch's generator, SB3's from numpy's.
+        - tanh is computed as 2 / (1 + exp(-2 x)) - 1, in float32.
+        - Only one action, `RolloutVecEnv` in a `VecNormalize` and `FastPolicy` are supported; gSDE, clipping of the
+          value function, a target divergence and squashed actions are not.
+
+    Where an option asks for it:
+        - `least_log_std`: floor of the standard deviation of the actions; below it its gradient is 0.
+        - `tanh_mean`: tanh brings the mean of the action to [-1, 1].
+        - `critic_steps`: in the first steps only the critic learns (the advantages are 0).
+        - `privileged_critic`: the critic observes M and log(mu) in addition to the policy's inputs.
+        - `output="torque"`: the network's output is the total torque; the action is what the law does not apply of it.
+        - `identifies`: online estimates of M and mu are inputs of the policy.
+        - `energy_weights`: every episode draws an energy weight, whose logarithm is an input of the policy.
+        - `jump_rate`: M and mu are drawn anew within episodes.
     """
 
-    policy: ActorCritic
+    policy: FastPolicy
     critic_steps = 0
-    """Environment steps since the run's start until which the critic alone learns."""
-    unseen: np.ndarray | None
-    """Which inputs have no statistics yet; None where all have."""
-
-    def _setup_model(self) -> None:
-        super()._setup_model()
-        # An archive's are those that it was saved with.
-        if "unseen" not in vars(self):
-            self.unseen = np.ones(self.policy.observation_space.shape or (), np.bool_)
+    """Environment steps at the start in which only the critic learns."""
+    has_statistics = False
+    """Whether the observations have statistics."""
 
     def _excluded_save_params(self) -> list[str]:
         return [*super()._excluded_save_params(), "_samples"]
@@ -146,22 +133,19 @@ class CapsulePPO(PPO):
         assert isinstance(env, VecNormalize) and isinstance(env.venv, RolloutVecEnv)
         self.policy.set_training_mode(False)
         callback.on_rollout_start()
-        if self.unseen is not None:
+        rms: Any = env.obs_rms
+        if not self.has_statistics:
             rollout = self._collect(env, n_rollout_steps)
-            found = RunningMeanStd(shape=self.unseen.shape)
+            found = RunningMeanStd(shape=rms.mean.shape)
             found.update(rollout.inputs.reshape(-1, env.venv.columns))
-            rms: Any = env.obs_rms
-            rms.mean, rms.var = (
-                np.where(self.unseen, new, old) for new, old in ((found.mean, rms.mean), (found.var, rms.var))
-            )
-            rms.count = max(rms.count, found.count)
-            self.unseen = None
+            rms.mean, rms.var, rms.count = found.mean, found.var, found.count
+            self.has_statistics = True
             if not self._count(rollout, callback):
                 return False
         rollout = self._collect(env, n_rollout_steps)
         going_on = self._count(rollout, callback)
         self._fill(env, rollout, rollout_buffer)
-        env.obs_rms.update(rollout.inputs.reshape(-1, env.venv.columns))
+        rms.update(rollout.inputs.reshape(-1, env.venv.columns))
         callback.on_rollout_end()
         return going_on
 
@@ -294,51 +278,13 @@ class CapsulePPO(PPO):
         return Numbers(actor, critic, of[policy.log_std].numpy())
 
 
-def transfer(before: BaseAlgorithm, model: BaseAlgorithm) -> None:
-    """Gives a fresh agent what another has learnt in the direct task, as far as they observe the same.
-
-    The last action is not the same: there it is a torque, here a residual one. What the one has not observed begins
-    with weights of zero.
-
-    Args:
-        before: what has learnt.
-        model: what goes on; its count of steps becomes the other's.
-    """
-    assert isinstance(before, CapsulePPO) and isinstance(model, CapsulePPO)
-    # SB3 knows no more of environments than that they are some.
-    old: Any = before.get_vec_normalize_env()
-    new: Any = model.get_vec_normalize_env()
-    pairs = [(i, new.venv.names.index(name)) for i, name in enumerate(old.venv.names) if name in new.venv.names]
-    last = BASE_OBSERVATION.index("last_action")
-    kept = [(i, j) for i, j in pairs if i != last]
-    state = before.policy.state_dict()
-    for name, value in model.policy.state_dict().items():
-        if name.endswith("_net.0.weight"):
-            first = torch.zeros_like(value)
-            learnt = state[name]
-            for i, j in kept:
-                # The critic may observe more than the policy.
-                if i < learnt.shape[1] and j < first.shape[1]:
-                    first[:, j] = learnt[:, i]
-            state[name] = first
-        elif name == "log_std":
-            state[name] = value
-    model.policy.load_state_dict(state)
-    unseen = np.ones(len(new.venv.names), np.bool_)
-    for i, j in kept:
-        new.obs_rms.mean[j], new.obs_rms.var[j], unseen[j] = old.obs_rms.mean[i], old.obs_rms.var[i], False
-    new.obs_rms.count = old.obs_rms.count
-    model.unseen, model.num_timesteps = unseen, before.num_timesteps
-    model.critic_steps += before.num_timesteps
-
-
-def acting_layers(policy: ActorCritic) -> list[Any]:
+def acting_layers(policy: FastPolicy) -> list[Any]:
     """The linear layers that a policy acts by."""
     hidden: Any = policy.mlp_extractor.policy_net
     return [*hidden[::2], policy.action_net]
 
 
-def linear_layers(policy: ActorCritic) -> list[Layer]:
+def linear_layers(policy: FastPolicy) -> list[Layer]:
     """Weights and biases of the layers that a policy acts by, copied, float32."""
     return [
         (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in acting_layers(policy)
@@ -348,3 +294,40 @@ def linear_layers(policy: ActorCritic) -> list[Layer]:
 def log_density(actions: torch.Tensor, mean: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:
     """The logarithm of a normal density."""
     return -0.5 * ((actions - mean) * (-log_std).exp()).square() - log_std - HALF_LOG_2_PI
+
+
+def make_env(config: PPOConfig, seed: int, episode_steps: int) -> RolloutVecEnv:
+    """The environments of a run; the arguments are checked as `CapsuleVectorEnv` checks them."""
+    return RolloutVecEnv(
+        config.num_envs,
+        seed,
+        episode_steps=episode_steps,
+        identifies=config.identifies,
+        privileged=config.privileged_critic,
+        energy_weights=config.energy_weights,
+        jump=config.jump_rate * config.control_dt,
+        outputs_torque=config.output == "torque",
+        threads=config.env_threads,
+        **config.env_kwargs(),
+    )
+
+
+def make_model(config: PPOConfig, env: VecNormalize, network: dict[str, Any], kwargs: dict[str, Any]) -> FastPPO:
+    """A fresh agent.
+
+    Args:
+        config: its hyperparameters.
+        env: the environments, `make_env`'s.
+        network: the arguments that SB3's policy has as well.
+        kwargs: the arguments that SB3's PPO has as well.
+    """
+    venv: Any = env.venv
+    own = {
+        "policy_inputs": venv.header.inputs,
+        "least_log_std": config.least_log_std,
+        "tanh_mean": config.tanh_mean,
+        "activation_fn": {"tanh": FastTanh, "relu": nn.ReLU}[config.activation],
+    }
+    model = FastPPO(FastPolicy, env, policy_kwargs={**network, **own}, **kwargs)
+    model.critic_steps = config.critic_steps
+    return model

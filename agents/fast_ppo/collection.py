@@ -258,7 +258,7 @@ class Rollout(NamedTuple):
 
 
 class RolloutVecEnv(CapsuleSB3VecEnv):
-    """The native batch as something that collects whole rollouts, for `agents.training.ppo.CapsulePPO`.
+    """The native batch as something that collects whole rollouts, for `agents.fast_ppo.FastPPO`.
 
     An observation is here what the policy and its critic are given: the environment's own, then what the policy adds to
     it (`capsule_gym.network.input_names`), then what the critic alone may know. Where nothing is added it also steps as

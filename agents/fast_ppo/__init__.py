@@ -1,0 +1,9 @@
+"""Proximal policy optimisation in compiled code; training works without this package, more slowly.
+
+`collection` collects a rollout in one compiled call, `update` makes an update in another, and `ppo.FastPPO` is the
+algorithm, whose docstring names every difference to Stable-Baselines3's PPO.
+"""
+
+from agents.fast_ppo.ppo import FastPPO, make_env, make_model
+
+__all__ = ["FastPPO", "make_env", "make_model"]

@@ -1,0 +1,35 @@
+"""Wrappers of a user for the tests of train.py."""
+
+import gymnasium as gym
+import numpy as np
+
+
+class Swing(gym.Wrapper):
+    """Rewards the speed of the pendulum, and observes the angle and its speed alone."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        space = env.observation_space
+        self.observation_space = gym.spaces.Box(space.low[:2], space.high[:2], dtype=np.float32)
+
+    def reset(self, **kwargs):
+        observation, info = self.env.reset(**kwargs)
+        return observation[:2], info
+
+    def step(self, action):
+        observation, _, terminated, truncated, info = self.env.step(action)
+        return observation[:2], abs(float(observation[1])), terminated, truncated, info
+
+
+class Unpicklable(gym.Wrapper):
+    def __init__(self, env):
+        super().__init__(env)
+        self.scale = lambda reward: reward
+
+
+class TwoArguments(gym.Wrapper):
+    def __init__(self, env, weight):
+        super().__init__(env)
+
+
+not_a_wrapper = 3
