@@ -2,7 +2,7 @@
 
 Symbols are the paper's; where its print is wrong the corrected equation stands, and the comment says so. The functions
 are arithmetic on scalars and tuples: compiled into the environment's step they are the law (`baselines.laws.adaptive`),
-and compiled over a recorded run they are what went on inside it (`baselines.paper.adaptation`).
+and compiled over a recorded run they are what went on inside it (`baselines.paper.adaptive`).
 """
 
 from __future__ import annotations

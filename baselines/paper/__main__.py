@@ -1,8 +1,4 @@
-"""The paper's numbers beside ours: `python -m baselines.paper [--figures DIR] [--json FILE]`.
-
-Every published number with what is found, whether it was calibrated or predicted, and for each that differs the reason,
-proved where it can be.
-"""
+"""The paper's numbers compared with ours: `python -m baselines.paper [--figures DIR] [--json FILE]`."""
 
 from __future__ import annotations
 
@@ -20,11 +16,11 @@ PROG = "python -m baselines.paper"
 
 
 @dataclass(frozen=True)
-class Options:
-    """Prints the paper's numbers beside ours, with the reason where they differ; draws its figures.
+class Args:
+    """Prints the paper's numbers next to ours, with the reason where they differ; draws its figures.
 
-    Half a minute: Section 5, two proofs on the published torques, what Table 1 follows from, Principles and Lemmas, the
-    optimum of the paper's profiles, the adaptive law over its ranges, and what the speeds depend on.
+    About a minute: Section 5, two proofs on the published torques, the origin of Table 1, Principles and Lemmas, the
+    optimum of the paper's profiles, the adaptive law over its ranges, and the sensitivity of the speeds.
 
     Examples:
       python -m baselines.paper                           all tables
@@ -40,7 +36,7 @@ class Options:
     """Let --json replace an existing file."""
 
     def check(self) -> None:
-        """Refuses what could not be written, before the work and not after it."""
+        """Raises an error for paths that cannot be written, before the computation."""
         check_output("--json", self.json, overwrite=self.overwrite)
         if self.figures is not None:
             if self.figures.exists() and not self.figures.is_dir():
@@ -49,35 +45,35 @@ class Options:
                 raise ValueError("--figures needs matplotlib: pip install 'capsule-gym[paper]'")
 
 
-def _tell(name: str) -> None:
+def _progress(name: str) -> None:
     """Shows on a terminal what begins."""
     if sys.stderr.isatty():
         print(f"\r\033[K{name} ..." if name else "\r\033[K", end="", file=sys.stderr, flush=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
-    options = parse(Options, PROG, arguments)
-    # After the command line is known to be right: the help needs none of it.
+    """Runs the command; returns the exit status."""
+    args = parse(Args, PROG, arguments)
+    # Imported after parsing: `--help` needs no compiler.
     from baselines.paper.report import make_report
 
     begin = perf_counter()
-    report = make_report(_tell)
-    # Written before anything is printed: a closed pipe must not cost the result.
-    if options.json is not None:
-        write_atomically(options.json, to_json(report.to_dict()))
+    report = make_report(_progress)
+    # Written before anything is printed, so that a closed pipe does not cost the result.
+    if args.json is not None:
+        write_atomically(args.json, to_json(report.to_dict()))
     figures = []
-    if options.figures is not None:
-        from baselines.paper.figures.gallery import draw_all
+    if args.figures is not None:
+        from baselines.paper.figures import draw_all
 
-        figures = draw_all(options.figures, _tell)
-    _tell("")
+        figures = draw_all(args.figures, _progress)
+    _progress("")
     print(report.text())
     print(f"\nComputed in {perf_counter() - begin:.0f} s.")
-    if options.json is not None:
-        print(f"Written to {options.json}")
+    if args.json is not None:
+        print(f"Written to {args.json}")
     if figures:
-        print(f"{len(figures)} files drawn to {options.figures}")
+        print(f"{len(figures)} files drawn to {args.figures}")
     return 0
 
 

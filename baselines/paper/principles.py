@@ -1,36 +1,40 @@
-"""Principles 1 to 4 of the paper, Eqs. (5) to (8), and Lemmas 1 and 2, as margins over a cycle of a profile.
+"""Property 3, Principles 1 to 4 (Eqs. 5 to 8) and Lemmas 1 and 2 of the paper.
 
-A margin is the limit minus the load: positive where the demand is met. The cycle is sampled phase by phase, both ends
-included, so that the acceleration's jumps at the edges count from either side. Every function takes a profile, or
-samples of any motion.
+A principle or lemma is evaluated as load and limit over a cycle of a profile, or over samples of any motion: it is met
+where the load does not exceed the limit. Cycles are sampled phase by phase with both ends, so that the acceleration's
+jumps count from either side.
 
-The contact comes in two forms. "newton" is the floor's true normal force and the true force of the pendulum on the
-platform. "paper" is (7) and (8) as printed: they add the torque of spring and damper, k theta + c theta', to forces.
-That torque acts between pendulum and platform and never on the floor, and its dimension is N m.
+The contact has two forms. "newton" is the true normal force and the true force of the pendulum on the platform. "paper"
+is (7) and (8) as printed: they add the torque of spring and damper, k theta + c theta', to forces. That torque acts
+between pendulum and platform, never on the floor, and its dimension is N m.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 
-from baselines.laws.profiles import Profile
-from capsule_gym.parameters import NormalForce, Plant, check_number
-
-LemmaForm = Literal["printed", "sufficient"]
+from baselines.laws.profiles import EPC, PROPOSED, Profile
+from baselines.paper import published
+from capsule_gym import dynamics
+from capsule_gym.parameters import NOMINAL, NormalForce, Plant
 
 SAMPLES_PER_PHASE = 2001
-
+THETA_0 = math.pi / 3.0  # the boundary condition of Sect. 3.2, rad
 # Definition 4: the restoring stage. In the profile (9) these are phases IV to VII, in EPC's its last four.
 RESTORING_PHASES = 4
+AS_PRINTED, NEWTON, CORRECTED = "as printed", "Newton's forces", "corrected, Newton's forces"
+# Largest |theta'| (rad/s) and |theta''| (rad/s^2) of the random states: beyond the profiles for Lemma 1, which is about
+# loss of contact, and around rest for Lemma 2, whose limit is 1.5 rad/s^2.
+FAST, SLOW = (20.0, 400.0), (1.3, 20.0)
 
 
 @dataclass(frozen=True)
 class Cycle:
-    """A motion in samples, in a profile's case phase by phase.
+    """A motion in samples; a profile's are phase by phase.
 
     Attributes:
         t: s; the end of a phase and the start of the next are two samples at one time.
@@ -48,200 +52,279 @@ class Cycle:
 
 
 @dataclass(frozen=True)
-class Margin:
-    """How far a profile stays inside one demand.
+class Demand:
+    """A principle or lemma over a motion.
 
     Attributes:
-        name: the demand and its equation.
-        unit: of load and limit.
-        cycle: the samples that it was evaluated at.
+        cycle: the samples.
         load: what is bounded.
         limit: its bound at the same samples.
     """
 
-    name: str
-    unit: str
     cycle: Cycle
     load: np.ndarray
-    limit: np.ndarray
+    limit: np.ndarray | float
 
     @property
-    def margin(self) -> np.ndarray:
-        """Limit minus load at every sample: positive where the demand is met."""
-        return self.limit - self.load
+    def ratio(self) -> np.ndarray:
+        """Load over limit; infinite where the limit is not positive and so nothing meets it."""
+        limit = np.broadcast_to(self.limit, self.load.shape)
+        return np.divide(self.load, limit, out=np.full_like(self.load, math.inf), where=limit > 0.0)
 
     @property
-    def factor_by_phase(self) -> np.ndarray:
+    def by_phase(self) -> np.ndarray:
         """The largest load over limit in each phase: above 1 the demand is violated by that factor."""
-        phase, ratio = self.cycle.phase, self.load / self.limit
-        return np.array([ratio[phase == n].max() for n in range(int(phase[-1]) + 1)])
+        return np.array([self.ratio[self.cycle.phase == n].max() for n in range(int(self.cycle.phase.max()) + 1)])
 
 
 def sample(profile: Profile, samples: int = SAMPLES_PER_PHASE) -> Cycle:
-    """A cycle of the profile with the given number of samples in each phase, both of its ends included.
-
-    Args:
-        profile: the profile.
-        samples: per phase, at least 2.
-    """
-    columns: list[list[np.ndarray]] = [[], [], [], [], []]
-    begin, reached = 0.0, profile.start
+    """A cycle of the profile with the given number of samples in each phase, both of its ends included."""
+    phases, begin, reached = [], 0.0, profile.start
     for n, segment in enumerate(profile.segments):
         s = np.linspace(0.0, segment.duration, samples)
-        rows = (begin + s, np.full(samples, n), reached + segment.turned(s), segment.velocity(s))
-        for column, row in zip(columns, (*rows, segment.acceleration(s)), strict=True):
-            column.append(row)
-        begin += segment.duration
-        reached += float(segment.turned(np.float64(segment.duration)))
-    return Cycle(*(np.concatenate(column) for column in columns))
+        angle, velocity, acceleration = segment.turned(s), segment.velocity(s), segment.acceleration(s)
+        phases.append((begin + s, np.full(samples, n), reached + angle, velocity, acceleration))
+        begin, reached = begin + segment.duration, reached + float(angle[-1])
+    return Cycle(*(np.concatenate(columns) for columns in zip(*phases, strict=True)))
 
 
-def principle_1(motion: Profile | Cycle, theta_0: float) -> Margin:
-    """Eq. (5): the angle stays within theta_0.
+def principle_1(cycle: Cycle, theta_0: float) -> Demand:
+    """Eq. (5): the angle stays within theta_0 (rad)."""
+    return Demand(cycle, np.abs(cycle.theta), theta_0)
 
-    Args:
-        motion: the profile, or its samples.
-        theta_0: the prescribed angle, rad.
+
+def principle_2(cycle: Cycle, v_theta: float, a_theta: float) -> tuple[Demand, Demand]:
+    """Eq. (6): velocity and acceleration of the pendulum stay within v_theta (rad/s) and a_theta (rad/s^2)."""
+    return Demand(cycle, np.abs(cycle.theta_dot), v_theta), Demand(cycle, np.abs(cycle.theta_ddot), a_theta)
+
+
+def principle_3(cycle: Cycle, p: Plant, form: NormalForce = "newton") -> Demand:
+    """Eq. (7): the platform keeps contact with the floor. Load: the pendulum's lift, N; limit: the weight, N."""
+    tangential, centripetal = _forces(cycle, p, form)
+    return Demand(cycle, centripetal * np.cos(cycle.theta) + tangential * np.sin(cycle.theta), (p.M + p.m) * p.g)
+
+
+def principle_4(cycle: Cycle, p: Plant, form: NormalForce = "newton") -> Demand:
+    """Eq. (8): a platform at rest stays at rest. Load: the pendulum's force, N; limit: the static friction, N.
+
+    The principle applies to the restoring stage, the last `RESTORING_PHASES`. In the phases before, a violation is what
+    moves the capsule.
     """
-    theta_0 = check_number("theta_0", theta_0, "a finite number > 0 (rad)", 0.0, open_low=True)
-    cycle = _cycle(motion)
-    return _bounded("Principle 1 (5)", "rad", cycle, np.abs(cycle.theta), theta_0)
-
-
-def principle_2(motion: Profile | Cycle, v_theta: float, a_theta: float) -> tuple[Margin, Margin]:
-    """Eq. (6): velocity and acceleration of the pendulum stay within their bounds.
-
-    Args:
-        motion: the profile, or its samples.
-        v_theta: rad/s.
-        a_theta: rad/s^2.
-
-    Returns:
-        The margins of velocity and acceleration.
-    """
-    v_theta = check_number("v_theta", v_theta, "a finite number > 0 (rad/s)", 0.0, open_low=True)
-    a_theta = check_number("a_theta", a_theta, "a finite number > 0 (rad/s^2)", 0.0, open_low=True)
-    cycle = _cycle(motion)
-    return (
-        _bounded("Principle 2 (6), velocity", "rad/s", cycle, np.abs(cycle.theta_dot), v_theta),
-        _bounded("Principle 2 (6), acceleration", "rad/s^2", cycle, np.abs(cycle.theta_ddot), a_theta),
-    )
-
-
-def principle_3(motion: Profile | Cycle, p: Plant, normal_force: NormalForce = "newton") -> Margin:
-    """Eq. (7): the floor carries the platform throughout. Load: the pendulum's lift; limit: the weight.
-
-    Args:
-        motion: the profile, or its samples.
-        p: the plant.
-        normal_force: Newton's, or (7) as printed, with the pivot's torque.
-    """
-    cycle = _cycle(motion)
-    bracket, centripetal = _parts(cycle, p, normal_force)
-    load = centripetal * np.cos(cycle.theta) + bracket * np.sin(cycle.theta)
-    return _bounded(f"Principle 3 (7), {normal_force}", "N", cycle, load, (p.M + p.m) * p.g)
-
-
-def principle_4(motion: Profile | Cycle, p: Plant, normal_force: NormalForce = "newton") -> Margin:
-    """Eq. (8): a platform at rest stays at rest. Load: the pendulum's force; limit: static friction.
-
-    The margin covers the whole cycle. The principle asks for it after the progressive motion, that is in the last
-    `RESTORING_PHASES`; in the phases before, a violation is what moves the capsule.
-
-    Args:
-        motion: the profile, or its samples.
-        p: the plant.
-        normal_force: Newton's with the true driving force, or both sides of (8) as printed, with the pivot's torque.
-    """
-    cycle = _cycle(motion)
-    bracket, centripetal = _parts(cycle, p, normal_force)
+    tangential, centripetal = _forces(cycle, p, form)
     sin, cos = np.sin(cycle.theta), np.cos(cycle.theta)
-    force = bracket * cos - centripetal * sin
-    rough = p.mu * p.static_ratio * np.where(force < 0.0, p.backward_ratio, 1.0)
-    limit = rough * ((p.M + p.m) * p.g - centripetal * cos - bracket * sin)
-    return Margin(f"Principle 4 (8), {normal_force}", "N", cycle, np.abs(force), limit)
+    force = tangential * cos - centripetal * sin
+    mu = p.mu * p.static_ratio * np.where(force < 0.0, p.backward_ratio, 1.0)
+    return Demand(cycle, np.abs(force), mu * ((p.M + p.m) * p.g - centripetal * cos - tangential * sin))
 
 
-def lemma_1(
-    motion: Profile | Cycle, p: Plant, normal_force: NormalForce = "newton", form: LemmaForm = "printed"
-) -> Margin:
-    """Lemma 1, Eq. (10), offered by the paper as sufficient for Principle 3. It is not.
+def lemma_1(cycle: Cycle, p: Plant, form: NormalForce = "newton", *, sufficient: bool = False) -> Demand:
+    """Lemma 1, Eq. (10), which the paper presents as sufficient for Principle 3. It is not.
 
-    With a = m l theta'' + k theta + c theta' and b = m l theta'^2, (12) asks for sqrt(a^2 + b^2) < (M + m) g. That is
+    With a = m l theta'' + k theta + c theta' and b = m l theta'^2, (12) requires sqrt(a^2 + b^2) < (M + m) g. That is
     sufficient for (7), by Cauchy and Schwarz. The step to (13), sqrt(2 a b) < (M + m) g, uses a^2 + b^2 >= 2 a b, so
     (12) implies (13) and never the other way round: (10), which is (13) squared, is necessary for (12) and sufficient
     for nothing. At theta = 0 with a = 0 it holds at every speed, and the capsule takes off beyond b = (M + m) g. Nor is
     it necessary for (7) itself: at theta = 0, where a drops out of (7), a large a violates (10) alone.
 
     Args:
-        motion: the profile, or its samples.
+        cycle: the motion.
         p: the plant.
-        normal_force: whether a holds the pivot's torque ("paper", as printed) or not.
-        form: "printed" for (10), "sufficient" for (12).
+        form: whether a includes the torque of spring and damper ("paper", as printed).
+        sufficient: (12) instead of (10).
     """
-    _check_form(form)
-    cycle = _cycle(motion)
-    bracket, centripetal = _parts(cycle, p, normal_force)
+    a, b = _forces(cycle, p, form)
     weight = (p.M + p.m) * p.g
-    if form == "sufficient":
-        return _bounded("Lemma 1 (12)", "N", cycle, np.hypot(bracket, centripetal), weight)  # Eq. (12)
-    load = cycle.theta_dot**2 * np.abs(bracket)
-    return _bounded("Lemma 1 (10)", "N rad/s^2", cycle, load, weight**2 / (2.0 * p.m * p.l))  # Eq. (10)
+    if sufficient:
+        return Demand(cycle, np.hypot(a, b), weight)  # Eq. (12)
+    return Demand(cycle, cycle.theta_dot**2 * np.abs(a), weight**2 / (2.0 * p.m * p.l))  # Eq. (10)
 
 
-def lemma_2(
-    motion: Profile | Cycle, p: Plant, normal_force: NormalForce = "newton", form: LemmaForm = "printed"
-) -> Margin:
-    """Lemma 2, Eq. (15), offered by the paper as sufficient for Principle 4.
+def lemma_2(cycle: Cycle, p: Plant, form: NormalForce = "newton", *, sufficient: bool = False) -> Demand:
+    """Lemma 2, Eq. (15), which the paper presents as sufficient for Principle 4.
 
-    As printed it bounds a sum without absolute values, so a strong deceleration passes it while the platform is pushed
-    backwards, and the step to (18) drops 1 / (m l) from the terms of spring and damper, which leaves a torque beside
-    an acceleration. Both mended, |theta'' + (k theta + c theta') / (m l)| + theta'^2 <= (M + m) g / (m l) mu /
+    As printed it bounds a sum without absolute values, so a strong deceleration meets it while the platform is pushed
+    backwards, and the step to (18) drops 1 / (m l) from the terms of spring and damper, which adds a torque to an
+    acceleration. Corrected, |theta'' + (k theta + c theta') / (m l)| + theta'^2 <= (M + m) g / (m l) mu /
     sqrt(mu^2 + 1) is sufficient for (8), by Cauchy and Schwarz, on either side.
 
     Args:
-        motion: the profile, or its samples.
+        cycle: the motion.
         p: the plant; its static friction is taken as isotropic, at the smaller of the two coefficients.
-        normal_force: whether the torque of spring and damper enters ("paper", as printed) or not.
-        form: "printed" for (15), "sufficient" for the mended one.
+        form: whether the torque of spring and damper enters ("paper", as printed).
+        sufficient: the corrected inequality instead of (15).
     """
-    _check_form(form)
-    cycle = _cycle(motion)
-    pivot = _pivot(cycle, p, normal_force)
     mu = p.mu * p.static_ratio * min(1.0, p.backward_ratio)
-    limit = (p.M + p.m) * p.g / (p.m * p.l) * mu / math.sqrt(mu * mu + 1.0)
-    if form == "sufficient":
-        load = np.abs(cycle.theta_ddot + pivot / (p.m * p.l)) + cycle.theta_dot**2
-        return _bounded("Lemma 2 (15), sufficient", "rad/s^2", cycle, load, limit)
-    load = cycle.theta_ddot + cycle.theta_dot**2 + pivot  # Eq. (15)
-    return _bounded("Lemma 2 (15)", "rad/s^2", cycle, load, limit)
+    limit = friction_bound(p._replace(mu=mu))
+    if sufficient:
+        return Demand(cycle, np.abs(_forces(cycle, p, form)[0]) / (p.m * p.l) + cycle.theta_dot**2, limit)
+    return Demand(cycle, cycle.theta_ddot + cycle.theta_dot**2 + _pivot_torque(cycle, p, form), limit)  # Eq. (15)
 
 
-def _cycle(motion: Profile | Cycle) -> Cycle:
-    """The samples of a motion."""
-    return motion if isinstance(motion, Cycle) else sample(motion)
+def friction_bound(p: Plant) -> float:
+    """The right side of Lemma 2 (15), (M + m) g / (m l) mu / sqrt(mu^2 + 1), rad/s^2."""
+    return (p.M + p.m) * p.g / (p.m * p.l) * p.mu / math.sqrt(p.mu * p.mu + 1.0)
 
 
-def _bounded(name: str, unit: str, cycle: Cycle, load: np.ndarray, limit: float) -> Margin:
-    """A demand whose limit is a constant."""
-    return Margin(name, unit, cycle, load, np.full_like(load, limit))
+def _pivot_torque(cycle: Cycle, p: Plant, form: NormalForce) -> np.ndarray:
+    """k theta + c theta' where the print counts it as a force, otherwise zero."""
+    return (1.0 if form == "paper" else 0.0) * (p.k * cycle.theta + p.c * cycle.theta_dot)
 
 
-def _pivot(cycle: Cycle, p: Plant, normal_force: NormalForce) -> np.ndarray:
-    """k theta + c theta' where the print counts it as a force, else zero."""
-    if normal_force not in get_args(NormalForce):
-        raise ValueError(f"normal_force must be 'newton' or 'paper', got {normal_force!r}")
-    counted = 1.0 if normal_force == "paper" else 0.0
-    return counted * (p.k * cycle.theta + p.c * cycle.theta_dot)
-
-
-def _parts(cycle: Cycle, p: Plant, normal_force: NormalForce) -> tuple[np.ndarray, np.ndarray]:
-    """The two forces that (7), (8) and (10) are made of: m l theta'' (with the pivot's torque) and m l theta'^2."""
+def _forces(cycle: Cycle, p: Plant, form: NormalForce) -> tuple[np.ndarray, np.ndarray]:
+    """The two forces in (7), (8) and (10), N: m l theta'' (with the pivot's torque as printed) and m l theta'^2."""
     ml = p.m * p.l
-    return ml * cycle.theta_ddot + _pivot(cycle, p, normal_force), ml * cycle.theta_dot**2
+    return ml * cycle.theta_ddot + _pivot_torque(cycle, p, form), ml * cycle.theta_dot**2
 
 
-def _check_form(form: str) -> None:
-    """Refuses what is no form of a lemma."""
-    if form not in get_args(LemmaForm):
-        raise ValueError(f"form must be 'printed' or 'sufficient', got {form!r}")
+@dataclass(frozen=True)
+class DemandRow:
+    """One demand on one profile: the largest load over limit, above 1 where it is violated.
+
+    Attributes:
+        profile: its name.
+        demand: the demand and its equation.
+        form: which forces, or whose bounds.
+        progressive: over the phases before the restoring stage.
+        restoring: in each of the four phases of the restoring stage.
+        whole_cycle: whether the demand applies to the whole cycle, not to the restoring stage alone.
+    """
+
+    profile: str
+    demand: str
+    form: str
+    progressive: float
+    restoring: tuple[float, ...]
+    whole_cycle: bool
+
+    @property
+    def met(self) -> bool:
+        """Whether the profile meets the demand wherever it applies."""
+        return max(*self.restoring, self.progressive if self.whole_cycle else 0.0) <= 1.0
+
+
+def evaluate_demands() -> list[DemandRow]:
+    """Every demand on both profiles, nominal plant.
+
+    Principle 1 takes the theta_0 = 60 degrees of Sect. 3.2. The bounds of Principle 2 are not published: the largest
+    velocity and acceleration of the proposed profile are used.
+    """
+    p, rows = NOMINAL.plant(), []
+    own = sample(PROPOSED)
+    v_theta, a_theta = (float(np.abs(values).max()) for values in (own.theta_dot, own.theta_ddot))
+    bounds = "bounds: the proposed profile's"
+    for profile in (PROPOSED, EPC):
+        cycle = sample(profile)
+        velocity, acceleration = principle_2(cycle, v_theta, a_theta)
+        table = [
+            ("Principle 1 (5)", "theta_0 = 60 deg", principle_1(cycle, THETA_0)),
+            ("Principle 2 (6), theta'", bounds, velocity),
+            ("Principle 2 (6), theta''", bounds, acceleration),
+            ("Principle 3 (7)", NEWTON, principle_3(cycle, p)),
+            ("Principle 3 (7)", AS_PRINTED, principle_3(cycle, p, "paper")),
+            ("Lemma 1 (10)", AS_PRINTED, lemma_1(cycle, p, "paper")),
+            ("Lemma 1 (12)", NEWTON, lemma_1(cycle, p, sufficient=True)),
+            ("Principle 4 (8)", NEWTON, principle_4(cycle, p)),
+            ("Principle 4 (8)", AS_PRINTED, principle_4(cycle, p, "paper")),
+            ("Lemma 2 (15)", AS_PRINTED, lemma_2(cycle, p, "paper")),
+            ("Lemma 2 (15)", CORRECTED, lemma_2(cycle, p, sufficient=True)),
+        ]
+        for name, form, demand in table:
+            factors = demand.by_phase.tolist()
+            progressive, restoring = max(factors[:-RESTORING_PHASES]), tuple(factors[-RESTORING_PHASES:])
+            whole = not name.startswith(("Principle 4", "Lemma 2"))
+            rows.append(DemandRow(profile.name, name, form, progressive, restoring, whole))
+    return rows
+
+
+@dataclass(frozen=True)
+class Implication:
+    """A lemma compared with the principle for which it should be sufficient, on random states of the pendulum.
+
+    Attributes:
+        lemma: its equation.
+        form: which forces.
+        principle: its equation.
+        states: number of random states that meet the lemma.
+        violations: number of these that violate the principle.
+        worst: the largest load over limit of the principle among them.
+    """
+
+    lemma: str
+    form: str
+    principle: str
+    states: int
+    violations: int
+    worst: float
+
+
+def check_lemmas(states: int = 200_000, seed: int = 0) -> list[Implication]:
+    """Both lemmas, as printed and corrected, on random states with |theta| < pi/2.
+
+    Args:
+        states: number of states for each lemma.
+        seed: of the random states.
+    """
+    rng, p, rows = np.random.default_rng(seed), NOMINAL.plant(), []
+    cases: tuple[
+        tuple[Callable[..., Demand], Callable[..., Demand], str, tuple[str, str], tuple[float, float]], ...
+    ] = (
+        (lemma_1, principle_3, "Principle 3 (7)", ("(10), as printed", "(12), its own premise"), FAST),
+        (lemma_2, principle_4, "Principle 4 (8)", ("(15), as printed", "(15), corrected"), SLOW),
+    )
+    drawn = [np.array([0.5 * math.pi, *limits]) * rng.uniform(-1.0, 1.0, (states, 3)) for *_, limits in cases]
+    forms: tuple[tuple[int, str, NormalForce], ...] = (
+        (0, AS_PRINTED, "paper"),
+        (1, "forces as printed", "paper"),
+        (1, NEWTON, "newton"),
+    )
+    for (lemma, principle, equation, names, _), values in zip(cases, drawn, strict=True):
+        random = Cycle(np.zeros(states), np.zeros(states, np.int64), *values.T)
+        for sufficient, label, form in forms:
+            met = lemma(random, p, form, sufficient=bool(sufficient)).ratio <= 1.0
+            ratio = principle(random, p, form).ratio[met]
+            row = (int(met.sum()), int((ratio > 1.0).sum()), float(ratio.max()))
+            rows.append(Implication(names[sufficient], label, equation, *row))
+    return rows
+
+
+@dataclass(frozen=True)
+class Linearity:
+    """Property 3, Eq. (4), on random motions.
+
+    Attributes:
+        residual: largest |M q'' + C q' + G - Y alpha| over the largest term, alpha = [m l^2, m l, M + m, m g l].
+        products: the same for the friction mu N as a linear function of [mu (M + m), mu m l].
+        defect: relative difference between the friction at the middle of the paper's ranges of M and mu and the mean of
+            two opposite corners: it is not linear in M and mu.
+    """
+
+    residual: float
+    products: float
+    defect: float
+
+
+def check_linearity(samples: int = 1000, seed: int = 0) -> Linearity:
+    """Evaluates Property 3 on random motions, each on a random plant."""
+    rng = np.random.default_rng(seed)
+    scales = np.array([1.5, 10.0, 100.0, 5.0])  # rad, rad/s, rad/s^2, m/s^2
+    residual = products = 0.0
+    for _ in range(samples):
+        theta, theta_dot, theta_ddot, x_ddot = scales * rng.uniform(-1.0, 1.0, 4)
+        p = NOMINAL.plant(*np.array([NOMINAL.M, NOMINAL.mu]) * rng.uniform(0.5, 2.0, 2))
+        p = p._replace(m=NOMINAL.m * rng.uniform(0.5, 2.0))
+        ml, sin, cos = p.m * p.l, math.sin(theta), math.cos(theta)
+        # Rows of Y alpha, term by term, compared with the matrices under Eq. (1).
+        rows = [[ml * p.l * theta_ddot, -ml * cos * x_ddot, -ml * p.g * sin]]
+        rows += [[ml * (sin * theta_dot**2 - cos * theta_ddot), (p.M + p.m) * x_ddot]]
+        inertia = np.array([[ml * p.l, -ml * cos], [-ml * cos, p.M + p.m]])
+        left = inertia @ [theta_ddot, x_ddot] + [-ml * p.g * sin, ml * sin * theta_dot * theta_dot]
+        largest = max(abs(term) for row in rows for term in row)
+        residual = max(residual, *(abs(float(a) - sum(row)) / largest for a, row in zip(left, rows, strict=True)))
+        lift = theta_ddot * sin + theta_dot**2 * cos
+        terms = (p.mu * (p.M + p.m) * p.g, -p.mu * ml * lift)
+        friction = p.mu * dynamics.normal_force(theta, theta_dot, theta_ddot, p)
+        products = max(products, abs(friction - sum(terms)) / max(map(abs, terms)))
+    corners = zip(published.M_RANGE, published.MU_RANGE, strict=True)
+    light, heavy = (mu * (M + NOMINAL.m) for M, mu in corners)
+    middle = sum(published.MU_RANGE) / 2.0 * (sum(published.M_RANGE) / 2.0 + NOMINAL.m)
+    return Linearity(float(residual), float(products), 0.5 * (light + heavy) / middle - 1.0)

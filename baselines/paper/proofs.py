@@ -9,7 +9,6 @@ they leave open.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import get_args
 
@@ -17,6 +16,7 @@ import numpy as np
 
 from baselines.envelope import Envelope, upper_envelope
 from baselines.paper import published
+from baselines.paper.selection import bisect
 from capsule_gym import dynamics
 from capsule_gym.parameters import Capsule, NormalForce, Plant
 from capsule_gym.task import START_THETA
@@ -69,7 +69,6 @@ class LargestRate:
         published: the published peak velocity, rad/s.
         bound: certified upper bound on theta' under that torque, from rest anywhere in +-swing, rad/s.
         from_start: the same from rest at -60 degrees, rad/s.
-        estimate: the peak of that envelope itself, without the margin of certification, rad/s.
         torque_needed: certified lower bound on the torque that reaches the published velocity from -60 degrees, N m.
         torque_enough: a constant torque that reaches it from there, by simulation, N m.
         undamped: what `from_start` would be for c = 0, rad/s.
@@ -80,7 +79,6 @@ class LargestRate:
     published: float
     bound: float
     from_start: float
-    estimate: float
     torque_needed: float
     torque_enough: float
     undamped: float
@@ -121,11 +119,7 @@ def _slope_of_torque(largest_theta: float, theta_dot: float, p: Plant) -> float:
 
 
 def torque_at_peak(
-    velocity: float,
-    low: float,
-    high: float,
-    capsule: Capsule | None = None,
-    slips: tuple[float, ...] = (0.0, 1.0, -1.0),
+    velocity: float, low: float, high: float, slips: tuple[float, ...] = (0.0, 1.0, -1.0)
 ) -> tuple[float, float, str]:
     """Proof 1: a lower bound on the largest torque of every motion whose theta' peaks at a given value.
 
@@ -144,7 +138,6 @@ def torque_at_peak(
         velocity: V, rad/s.
         low: smallest angle of the swing, rad.
         high: largest, rad.
-        capsule: the plant; its option for the normal force does not matter.
         slips: the contact modes to search.
 
     Returns:
@@ -153,7 +146,7 @@ def torque_at_peak(
     theta = np.linspace(low, high, SAMPLES)
     margin = 0.5 * (theta[1] - theta[0])
     best = (math.inf, 0.0, "")
-    for option, p in zip(get_args(NormalForce), _either_contact(capsule or Capsule()), strict=True):
+    for option, p in zip(get_args(NormalForce), _both_contacts(Capsule()), strict=True):
         slope = _slope_of_torque(max(abs(low), abs(high)), velocity, p)
         for slip in slips:
             torque = torque_without_acceleration(theta, velocity, slip, p) - slope * margin
@@ -175,56 +168,44 @@ def swing_envelope(
         low: smallest angle of the swing, rad.
         high: largest, rad.
         capsule: the plant; its option for the normal force does not matter.
-        certified: whether it is to be a bound; without it, it approximates the envelope itself.
+        certified: whether to return a certified bound; otherwise an approximation of the envelope itself.
     """
-    return upper_envelope(limit, low, high, *_either_contact(capsule or Capsule()), certified=certified)
+    return upper_envelope(limit, low, high, *_both_contacts(capsule or Capsule()), certified=certified)
 
 
-def _either_contact(capsule: Capsule) -> list[Plant]:
-    """A capsule with either option for the normal force."""
+def _both_contacts(capsule: Capsule) -> list[Plant]:
+    """A capsule with each option for the normal force."""
     return [replace(capsule, normal_force=option).plant() for option in get_args(NormalForce)]
 
 
-def torque_needed(velocity: float, low: float, high: float, capsule: Capsule | None = None) -> float:
+def torque_needed(velocity: float, low: float, high: float) -> float:
     """A torque in N m with which no motion from rest at `low` reaches a velocity (rad/s) before `high`, nor with less.
 
     The largest that bisection finds whose certified envelope stays below the velocity: a motion with less torque keeps
     within this limit as well.
     """
-    weak, _ = _threshold(lambda torque: swing_envelope(torque, low, high, capsule).fastest >= velocity)
-    return weak
+    return bisect(lambda torque: swing_envelope(torque, low, high).fastest < velocity, 0.0, STRONGEST, BISECTIONS)[0]
 
 
-def torque_enough(velocity: float, low: float, high: float, capsule: Capsule | None = None) -> float:
+def torque_enough(velocity: float, low: float, high: float) -> float:
     """A constant torque in N m that takes the capsule from rest at `low` to a velocity (rad/s) before `high`."""
-    p = (capsule or Capsule()).plant()
+    p = Capsule().plant()
 
-    def reaches(torque: float) -> bool:
+    def fails(torque: float) -> bool:
         theta, theta_dot, x, x_dot = low, 0.0, 0.0, 0.0
         for _ in range(LONGEST_SWING):
-            motion = dynamics.step(theta, theta_dot, x, x_dot, torque, p, 1e-3)
-            theta, theta_dot, x, x_dot = motion[:4]
+            theta, theta_dot, x, x_dot = dynamics.step(theta, theta_dot, x, x_dot, torque, p, 1e-3)[:4]
             if theta_dot >= velocity or theta_dot <= 0.0 or theta >= high:
                 break
-        return theta_dot >= velocity
+        return theta_dot < velocity
 
-    _, strong = _threshold(reaches)
-    return strong
-
-
-def _threshold(reaches: Callable[[float], bool]) -> tuple[float, float]:
-    """The torques in N m, by bisection, between which a velocity comes into reach: the first fails, the second does."""
-    weak, strong = 0.0, STRONGEST
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (weak + strong)
-        weak, strong = (weak, middle) if reaches(middle) else (middle, strong)
-    return weak, strong
+    return bisect(fails, 0.0, STRONGEST, BISECTIONS)[1]
 
 
-def peak_torques() -> list[PeakTorque]:
+def check_proof_1() -> list[PeakTorque]:
     """Proof 1 for the proposed profile and for EPC."""
     found = []
-    for name, numbers in (("proposed", published.PROPOSED), ("EPC", published.EPC)):
+    for name, numbers in published.RUNS.items():
         velocity, high = numbers["peak_velocity"].value, math.radians(numbers["swing"].value)
         bound, angle, mode = torque_at_peak(velocity, START_THETA, high)
         sticking, _, _ = torque_at_peak(velocity, START_THETA, high, slips=(0.0,))
@@ -233,10 +214,10 @@ def peak_torques() -> list[PeakTorque]:
     return found
 
 
-def largest_rates() -> list[LargestRate]:
+def check_proof_2() -> list[LargestRate]:
     """Proof 2 for the proposed profile and for EPC."""
     found = []
-    for name, numbers in (("proposed", published.PROPOSED), ("EPC", published.EPC)):
+    for name, numbers in published.RUNS.items():
         velocity, limit = numbers["peak_velocity"].value, numbers["peak_torque"].value
         largest = math.radians(numbers["swing"].value)
         swing = (START_THETA, largest)
@@ -247,7 +228,6 @@ def largest_rates() -> list[LargestRate]:
                 velocity,
                 bound=swing_envelope(limit, -largest, largest).fastest,
                 from_start=swing_envelope(limit, *swing).fastest,
-                estimate=swing_envelope(limit, *swing, certified=False).fastest,
                 torque_needed=torque_needed(velocity, *swing),
                 torque_enough=torque_enough(velocity, *swing),
                 undamped=swing_envelope(limit, *swing, Capsule(c=0.0)).fastest,

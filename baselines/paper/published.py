@@ -64,19 +64,20 @@ EPC = {
     "mean_speed": Number("mean speed, five cycles", "cm/s", 0.629, 3, f"{_COMPARISON}, Fig. 4"),
     "peak_torque": Number("largest torque", "N m", 0.6246, 4, f"{_COMPARISON}, Fig. 5"),
 }
+RUNS = {"proposed": PROPOSED, "EPC": EPC}
 ADAPTIVE_PEAK_VELOCITY = Number("largest theta'", "rad/s", 7.9, 1, f"{_ADAPTIVE}, Fig. 6")
 NATURAL_FREQUENCY = Number("omega_n", "rad/s", 5.7184, 4, "Sect. 5, first paragraph")
-BASE_PARAMETERS = {
-    "alpha_theta_1": Number("alpha_theta: m l^2", "kg m^2", 0.01424, 5, _ADAPTIVE),
-    "alpha_theta_2": Number("alpha_theta: m l", "kg m", 0.0414, 4, _ADAPTIVE),
-    "alpha_theta_3": Number("alpha_theta: k", "N m/rad", 0.36, 2, _ADAPTIVE),
-    "alpha_theta_4": Number("alpha_theta: c", "N m s/rad", 0.0923, 4, _ADAPTIVE),
-    "alpha_theta_5": Number("alpha_theta: m g l", "N m", 0.40527, 5, _ADAPTIVE),
-    "alpha_x_1": Number("alpha_x: m l", "kg m", 0.0414, 4, _ADAPTIVE),
-    "alpha_x_2": Number("alpha_x: M + m", "kg", 0.638, 3, _ADAPTIVE),
-    "alpha_x_3": Number("alpha_x: mu", "", 0.01, 2, _ADAPTIVE),
-    "alpha_x_4": Number("alpha_x: m l", "kg m", 0.0414, 4, _ADAPTIVE),
-}
+BASE_PARAMETERS = (
+    Number("alpha_theta: m l^2", "kg m^2", 0.01424, 5, _ADAPTIVE),
+    Number("alpha_theta: m l", "kg m", 0.0414, 4, _ADAPTIVE),
+    Number("alpha_theta: k", "N m/rad", 0.36, 2, _ADAPTIVE),
+    Number("alpha_theta: c", "N m s/rad", 0.0923, 4, _ADAPTIVE),
+    Number("alpha_theta: m g l", "N m", 0.40527, 5, _ADAPTIVE),
+    Number("alpha_x: m l", "kg m", 0.0414, 4, _ADAPTIVE),
+    Number("alpha_x: M + m", "kg", 0.638, 3, _ADAPTIVE),
+    Number("alpha_x: mu", "", 0.01, 2, _ADAPTIVE),
+    Number("alpha_x: m l", "kg m", 0.0414, 4, _ADAPTIVE),
+)
 
 CLAIMS = {
     "faster": Claim("the proposed profile is faster than EPC", _COMPARISON),

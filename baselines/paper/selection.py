@@ -1,8 +1,8 @@
-"""The paper's selection of the profile's parameters, Eqs. (20) to (31), evaluated as printed with its own constants.
+"""Sect. 3 of the paper: the profile (9) as printed, and the selection of its parameters, Eqs. (20) to (31).
 
-Sect. 3.2 presents the times of Table 1 as the outcome of these equations. `what_follows` puts what each one gives
-beside what Table 1 says. They are kept as printed, errors included, because that is the point: several
-add an angle to a velocity times a time, or a radian to a second. Symbols: V1 = P1 omega; theta_0 = pi/3; N = 1.
+Sect. 3.2 presents the times of Table 1 as the outcome of these equations. `evaluate_selection` compares what each one
+gives with Table 1. The equations are kept as printed, errors included: several add an angle to a velocity times a time,
+or a radian to a second. Symbols: V1 = P1 omega; theta_0 = pi/3; N = 1. Times t are t1 to t7 in s.
 """
 
 from __future__ import annotations
@@ -15,50 +15,87 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.laws.profiles import P2, PROPOSED, TABLE_1, V1, seven_phases
+from baselines.paper.principles import THETA_0, friction_bound
 from baselines.paper.published import NATURAL_FREQUENCY
-from capsule_gym.parameters import Capsule, Plant
+from capsule_gym.parameters import NOMINAL, Plant
 
-NOMINAL = Capsule().plant()
-THETA_0 = math.pi / 3.0
+PLANT = NOMINAL.plant()
 OMEGA_N = NATURAL_FREQUENCY.value
-
 # Half a unit of the last digit of each time in Table 1, s.
 ROUNDING = (0.0005, 0.0005, 0.005, 0.05, 0.05, 0.05, 0.05)
-
 # (30) and (31) together are (23) and t6 - t4 = t7 - t5; with P3 from (23), only the latter is tested.
 CIRCULAR = "P3 of (23), so only t6 - t4 = t7 - t5 is tested"
+ROMAN = ("I", "II", "III", "IV", "V", "VI", "VII")
+
+Times = tuple[float, ...]
 
 
-def friction_bound(p: Plant = NOMINAL) -> float:
-    """The right side of Lemma 2 (15), (M + m) g / (m l) mu / sqrt(mu^2 + 1), rad/s^2."""
-    return (p.M + p.m) * p.g / (p.m * p.l) * p.mu / math.sqrt(p.mu * p.mu + 1.0)
+@dataclass(frozen=True)
+class PrintedPhase:
+    """One phase of (9), as printed and as built.
+
+    Attributes:
+        name: Roman numeral.
+        formula: as printed.
+        printed: velocity at its start and end (rad/s) and its angle (rad).
+        built: the same of the built profile.
+    """
+
+    name: str
+    formula: str
+    printed: tuple[float, float, float]
+    built: tuple[float, float, float]
+
+    @property
+    def deviates(self) -> bool:
+        """Whether the velocities differ by more than a thousandth of the peak."""
+        return max(abs(a - b) for a, b in zip(self.printed[:2], self.built[:2], strict=True)) > 1e-3 * V1
 
 
-def eq_21_p2(times: tuple[float, ...] = TABLE_1, V1: float = V1, P2: float = P2, p: Plant = NOMINAL) -> float:
-    """Eq. (21): P2 in rad/s, its integrals taken along the profile (9) from -theta_0.
+def printed_profile() -> list[PrintedPhase]:
+    """Every phase of (9) as printed, with the times of Table 1 and the built profile's V1, P2 and P3.
+
+    omega is pi / (2 t1), with which phase I ends at P1 omega. Phase VI is printed for "[0, t5, t6)"; t5 to t6 is taken.
+    """
+    _, t2, t3, t4, t5, t6, _ = TABLE_1
+    omega, P3 = _quarter(TABLE_1), PROPOSED.restoring_speed
+    formulas: list[tuple[str, Callable[[np.ndarray], np.ndarray]]] = [
+        ("P1 omega sin(omega t)", lambda t: V1 * np.sin(omega * t)),
+        ("P1 omega", lambda t: np.full_like(t, V1)),
+        ("P1 omega sin(omega t - t2)", lambda t: V1 * np.sin(omega * t - t2)),
+        ("(t3 - t) / (t3 - t2) P2", lambda t: (t3 - t) / (t3 - t2) * P2),
+        ("(t3 - t) / (t4 - t3) P3", lambda t: (t3 - t) / (t4 - t3) * P3),
+        ("-P3", lambda t: np.full_like(t, -P3)),
+        ("(t6 - t) / (t5 - t6) P3", lambda t: (t6 - t) / (t5 - t6) * P3),
+    ]
+    phases, edges = [], (0.0, *TABLE_1)
+    for n, (text, formula) in enumerate(formulas):
+        t, segment = np.linspace(edges[n], edges[n + 1], 10_001), PROPOSED.segments[n]
+        velocity, built = formula(t), segment.velocity(np.array([0.0, segment.duration]))
+        printed = (float(velocity[0]), float(velocity[-1]), _integral(velocity, t))
+        angle = float(segment.turned(np.float64(segment.duration)))
+        phases.append(PrintedPhase(ROMAN[n], text, printed, (float(built[0]), float(built[1]), angle)))
+    return phases
+
+
+def eq_21_p2(t: Times = TABLE_1, V1: float = V1, P2: float = P2, p: Plant = PLANT) -> float:
+    """Eq. (21): P2 in rad/s, its integrals taken along the profile (9) from -theta_0 with V1 and P2.
 
     It is the momentum balance (20) between two instants at rest. In print (20) multiplies x' by g, and its integrals
     of k and c appear once over the angle and once over the velocity; (21) keeps the former.
     The bracket of c is the antiderivative between 0 and t3. Derived without its slip, int theta' sin(theta) dt =
     cos(theta(0)) - cos(theta(t3)), it would vanish under the boundary conditions, where theta(t3) = +theta_0.
-
-    Args:
-        times: t1 to t7, s.
-        V1: of the profile that the integrals are taken along, rad/s.
-        P2: likewise, rad/s.
-        p: the plant.
     """
-    t3 = times[2]
-    t = np.linspace(0.0, t3, 3001)
-    theta, _, _ = seven_phases(times, V1, P2).evaluate(t)
+    s = np.linspace(0.0, t[2], 3001)
+    theta, _, _ = seven_phases(t, V1, P2).evaluate(s)
     ml = p.m * p.l
-    int_sin, int_cos = _integral(theta * np.sin(theta), t), _integral(theta * np.cos(theta), t)
+    int_sin, int_cos = _integral(theta * np.sin(theta), s), _integral(theta * np.cos(theta), s)
     edge = float(theta[-1] * math.sin(theta[-1]) - theta[0] * math.sin(theta[0]))
-    pushed = p.mu * (p.M + p.m) * p.g * t3 - p.mu * p.k * int_sin + p.mu * p.c * (edge - int_cos)
+    pushed = p.mu * (p.M + p.m) * p.g * t[2] - p.mu * p.k * int_sin + p.mu * p.c * (edge - int_cos)
     return pushed / (ml * math.cos(THETA_0) + p.mu * ml * math.sin(THETA_0))
 
 
-def eq_22_swing(omega: float, times: tuple[float, ...] = TABLE_1, V1: float = V1, P2: float = P2, N: int = 1) -> float:
+def eq_22_swing(omega: float, t: Times = TABLE_1, V1: float = V1, P2: float = P2, N: int = 1) -> float:
     """Eq. (22), left side: the angle swept until t3, rad; the paper equates it with 2 theta_0.
 
     The third integral keeps the printed argument omega t - t2, and the last term is not needed: the three integrals
@@ -66,160 +103,99 @@ def eq_22_swing(omega: float, times: tuple[float, ...] = TABLE_1, V1: float = V1
 
     Args:
         omega: frequency of the excitation, rad/s.
-        times: t1 to t7, s.
+        t: t1 to t7, s.
         V1: rad/s.
         P2: rad/s.
         N: half periods of the excitation.
     """
-    t1, t2, t3 = times[:3]
+    t1, t2, t3 = t[:3]
     rise = V1 / omega * (1.0 - math.cos(omega * t1))
     fall = V1 / omega * (math.cos(omega * t2 - t2) - math.cos(omega * t3 - t2))
     return rise + V1 * (t2 - t1) + fall - 0.5 * P2 * (N * math.pi / omega + t2 - t3)
 
 
-def eq_22_v1(omega: float, times: tuple[float, ...] = TABLE_1, P2: float = P2, N: int = 1) -> float:
-    """Eq. (22) solved for V1, rad/s, in which it is linear. Arguments as in `eq_22_swing`."""
-    at_rest = eq_22_swing(omega, times, 0.0, P2, N)
-    return (2.0 * THETA_0 - at_rest) / (eq_22_swing(omega, times, 1.0, P2, N) - at_rest)
+def eq_22_v1(omega: float, t: Times = TABLE_1) -> float:
+    """Eq. (22) solved for V1, rad/s, in which it is linear."""
+    offset = eq_22_swing(omega, t, 0.0)
+    return (2.0 * THETA_0 - offset) / (eq_22_swing(omega, t, 1.0) - offset)
 
 
-def eq_23_p3(P2: float, times: tuple[float, ...] = TABLE_1) -> float:
+def eq_23_p3(P2: float, t: Times = TABLE_1) -> float:
     """Eq. (23): the P3, rad/s, whose return covers phase IV and 2 theta_0.
 
     It needs theta(t3) = +theta_0, as the boundary conditions say. The sign before P3 belongs to the direction.
-
-    Args:
-        P2: rad/s.
-        times: t1 to t7, s.
     """
-    _, _, t3, t4, t5, t6, t7 = times
+    _, _, t3, t4, t5, t6, t7 = t
     return (0.5 * P2 * (t4 - t3) + 2.0 * THETA_0) / (0.5 * ((t7 - t4) + (t6 - t5)))
 
 
-def eq_24_t1(V1: float = V1, p: Plant = NOMINAL) -> float:
-    """Eq. (24): t1 in s, from Lemma 1 at t1 with theta(t1) = V1 t1, which leaves out the start at -theta_0.
-
-    Args:
-        V1: rad/s.
-        p: the plant.
-    """
+def eq_24_t1(V1: float = V1, p: Plant = PLANT) -> float:
+    """Eq. (24): t1 in s, from Lemma 1 at t1 with theta(t1) = V1 t1, which leaves out the start at -theta_0."""
     return (_lemma_1_bound(p) / V1**3 - p.c) / p.k
 
 
-def eq_24_v1(t1: float, p: Plant = NOMINAL) -> float:
-    """Eq. (24) solved for V1, rad/s.
-
-    Args:
-        t1: s.
-        p: the plant.
-    """
+def eq_24_v1(t1: float, p: Plant = PLANT) -> float:
+    """Eq. (24) solved for V1, rad/s."""
     return float((_lemma_1_bound(p) / (p.k * t1 + p.c)) ** (1.0 / 3.0))
 
 
 def eq_25_t2(omega: float, t3: float = TABLE_1[2], V1: float = V1, P2: float = P2, *, falling: bool = False) -> float:
     """Eq. (25): t2, a number of radians that the paper reads as seconds.
 
-    Args:
-        omega: rad/s.
-        t3: s.
-        V1: rad/s.
-        P2: rad/s.
-        falling: take the branch of arcsin on which the sine falls from V1 to P2, as phase III does; printed is the
-            rising one.
+    With `falling` the arcsin takes the branch on which the sine falls from V1 to P2, as phase III does; printed is the
+    rising one.
     """
     angle = math.asin(P2 / V1)
     return omega * t3 - (math.pi - angle if falling else angle)
 
 
 def eq_26_omega(t3: float = TABLE_1[2], N: int = 1) -> float:
-    """Eq. (26) solved for omega, rad/s: the excitation has gone through N half periods at t3.
-
-    Args:
-        t3: s.
-        N: half periods of the excitation.
-    """
+    """Eq. (26) solved for omega, rad/s: the excitation has gone through N half periods at t3."""
     return N * math.pi / t3
 
 
-def eq_27_t4(P2: float = P2, t3: float = TABLE_1[2], p: Plant = NOMINAL) -> float:
-    """Eq. (27): t4 in s, from the printed Lemma 2 at t3 with theta(t3) = P2 t3.
-
-    Args:
-        P2: rad/s.
-        t3: s.
-        p: the plant.
-    """
+def eq_27_t4(P2: float = P2, t3: float = TABLE_1[2], p: Plant = PLANT) -> float:
+    """Eq. (27): t4 in s, from the printed Lemma 2 at t3 with theta(t3) = P2 t3."""
     return -P2 / (friction_bound(p) - P2 * P2 - p.k * P2 * t3 - p.c * P2) + t3
 
 
-def eq_27_p2(times: tuple[float, ...] = TABLE_1, p: Plant = NOMINAL) -> float:
-    """Eq. (27) solved for P2, rad/s: the positive root of a quadratic.
-
-    Args:
-        times: t1 to t7, s.
-        p: the plant.
-    """
-    t3, t4 = times[2], times[3]
-    half = 0.5 * (p.k * t3 + p.c - 1.0 / (t4 - t3))
+def eq_27_p2(t: Times = TABLE_1, p: Plant = PLANT) -> float:
+    """Eq. (27) solved for P2, rad/s: the positive root of a quadratic."""
+    half = 0.5 * (p.k * t[2] + p.c - 1.0 / (t[3] - t[2]))
     return math.sqrt(half * half + friction_bound(p)) - half
 
 
-def eq_28_t5(P3: float, p: Plant = NOMINAL) -> float:
-    """Eq. (28): t5 in s, from the printed Lemma 2 at t5 with theta(t5) = P3 t5 and theta'(t5) = +P3; it is -P3.
-
-    Args:
-        P3: rad/s.
-        p: the plant.
-    """
+def eq_28_t5(P3: float, p: Plant = PLANT) -> float:
+    """Eq. (28): t5 in s, from the printed Lemma 2 at t5 with theta(t5) = P3 t5 and theta'(t5) = +P3; it is -P3."""
     return (friction_bound(p) - P3 * P3 - p.c * P3) / (p.k * P3)
 
 
-def eq_29_p3(P2: float, times: tuple[float, ...] = TABLE_1) -> float:
-    """Eq. (29) solved for P3, rad/s. Equal areas of phases IV and V would read P2 (t4 - t3) = P3 (t5 - t4).
-
-    Args:
-        P2: rad/s.
-        times: t1 to t7, s.
-    """
-    _, _, t3, t4, t5, _, _ = times
-    return P2 * (t5 - t4) / (t4 - t3)
+def eq_29_p3(P2: float, t: Times = TABLE_1) -> float:
+    """Eq. (29) solved for P3, rad/s. Equal areas of phases IV and V would read P2 (t4 - t3) = P3 (t5 - t4)."""
+    return P2 * (t[4] - t[3]) / (t[3] - t[2])
 
 
-def eq_30_t6(P2: float, P3: float, times: tuple[float, ...] = TABLE_1) -> float:
-    """Eq. (30): t6 in s.
-
-    Args:
-        P2: rad/s.
-        P3: rad/s.
-        times: t1 to t7, s.
-    """
-    t3, t4 = times[2], times[3]
-    return (4.0 * THETA_0 + t4 * (P2 + 2.0 * P3) - P2 * t3) / (2.0 * P3)
+def eq_30_t6(P2: float, P3: float, t: Times = TABLE_1) -> float:
+    """Eq. (30): t6 in s."""
+    return (4.0 * THETA_0 + t[3] * (P2 + 2.0 * P3) - P2 * t[2]) / (2.0 * P3)
 
 
-def eq_31_t7(P2: float, P3: float, times: tuple[float, ...] = TABLE_1) -> float:
-    """Eq. (31): t7 in s.
-
-    Args:
-        P2: rad/s.
-        P3: rad/s.
-        times: t1 to t7, s.
-    """
-    _, _, t3, t4, t5, _, _ = times
-    return (4.0 * THETA_0 - P2 * t3 + P2 * t4 + 2.0 * P3 * t5) / (2.0 * P3)
+def eq_31_t7(P2: float, P3: float, t: Times = TABLE_1) -> float:
+    """Eq. (31): t7 in s."""
+    return (4.0 * THETA_0 - P2 * t[2] + P2 * t[3] + 2.0 * P3 * t[4]) / (2.0 * P3)
 
 
 @dataclass(frozen=True)
-class Consequence:
-    """One equation beside Table 1.
+class Selected:
+    """One equation compared with Table 1.
 
     Attributes:
         equation: its number.
         quantity: what it determines.
         unit: SI.
-        gives: what it gives.
-        implied: what Table 1 states or implies.
-        rounding: how far the rounding of Table 1 can move the difference of the two.
+        gives: the value that it gives.
+        implied: the value that Table 1 states or implies.
+        rounding: the most by which the rounding of Table 1 can change the difference of the two.
         remark: how to read the row.
     """
 
@@ -237,9 +213,9 @@ class Consequence:
         return abs(self.gives - self.implied) <= self.rounding
 
 
-def what_follows() -> tuple[Consequence, ...]:
+def evaluate_selection() -> list[Selected]:
     """What each equation gives, what Table 1 implies, and whether the one follows from the other."""
-    rows: list[tuple[str, str, str, Callable[[tuple[float, ...]], tuple[float, float]], str]] = [
+    rows: list[tuple[str, str, str, Callable[[Times], tuple[float, float]], str]] = [
         ("(21)", "P2", "rad/s", lambda t: (eq_21_p2(t), eq_27_p2(t)), "implied by (27) and t4"),
         ("(22)", "swing", "rad", lambda t: (eq_22_swing(OMEGA_N, t), 2 * THETA_0), "omega = omega_n"),
         ("(22)", "swing", "rad", lambda t: (eq_22_swing(eq_26_omega(t[2]), t), 2 * THETA_0), "omega of (26)"),
@@ -258,10 +234,10 @@ def what_follows() -> tuple[Consequence, ...]:
         ("(30)", "t6", "s", lambda t: (eq_30_t6(eq_27_p2(t), _implied_p3(t), t), t[5]), CIRCULAR),
         ("(31)", "t7", "s", lambda t: (eq_31_t7(eq_27_p2(t), _implied_p3(t), t), t[6]), CIRCULAR),
     ]
-    return tuple(
-        Consequence(equation, quantity, unit, *pair(TABLE_1), _rounding(pair), remark)
+    return [
+        Selected(equation, quantity, unit, *pair(TABLE_1), _rounding(pair), remark)
         for equation, quantity, unit, pair, remark in rows
-    )
+    ]
 
 
 @dataclass(frozen=True)
@@ -282,34 +258,35 @@ class BoundaryCondition:
 
 
 def boundary_condition() -> BoundaryCondition:
-    """The boundary condition theta(t3) = +theta_0 against the published peak velocity."""
-    low, high = V1, 4.0 * V1
-    for _ in range(60):
+    """The boundary condition theta(t3) = +theta_0 compared with the published peak velocity."""
+
+    def reached(velocity: float) -> float:
+        return float(seven_phases(TABLE_1, velocity, P2).evaluate(np.array([TABLE_1[2]]))[0][0])
+
+    needed, _ = bisect(lambda velocity: reached(velocity) < THETA_0, V1, 4.0 * V1)
+    # Phase IV; the angle peaks at its end.
+    rest = 0.5 * P2 * (TABLE_1[3] - TABLE_1[2])
+    forth = reached(V1) + THETA_0 + rest
+    drift = forth * _implied_p3(TABLE_1) / PROPOSED.restoring_speed - forth
+    return BoundaryCondition(needed, THETA_0 + rest, reached(V1), drift)
+
+
+def bisect(below: Callable[[float], bool], low: float, high: float, steps: int = 60) -> tuple[float, float]:
+    """Two values between which a monotonic condition changes: it holds at the first and not at the second."""
+    for _ in range(steps):
         middle = 0.5 * (low + high)
-        if _angle_at_t3(middle) < THETA_0:
-            low = middle
-        else:
-            high = middle
-    # The angle peaks at t4, where the pendulum turns back.
-    largest = THETA_0 + 0.5 * P2 * (TABLE_1[3] - TABLE_1[2])
-    returned = PROPOSED.restoring_speed / _implied_p3(TABLE_1)
-    forth = _angle_at_t3(V1) + THETA_0 + 0.5 * P2 * (TABLE_1[3] - TABLE_1[2])
-    return BoundaryCondition(low, largest, _angle_at_t3(V1), forth / returned - forth)
+        low, high = (middle, high) if below(middle) else (low, middle)
+    return low, high
 
 
-def _angle_at_t3(V1: float) -> float:
-    """theta(t3) in rad of the profile (9) with the times of Table 1."""
-    return float(seven_phases(TABLE_1, V1, P2).evaluate(np.array([TABLE_1[2]]))[0][0])
-
-
-def _quarter(times: tuple[float, ...]) -> float:
+def _quarter(t: Times) -> float:
     """The frequency in rad/s whose quarter period is phase I."""
-    return math.pi / (2.0 * times[0])
+    return math.pi / (2.0 * t[0])
 
 
-def _implied_p3(times: tuple[float, ...]) -> float:
+def _implied_p3(t: Times) -> float:
     """P3 in rad/s as Table 1 implies it: (23) with the P2 of (27)."""
-    return eq_23_p3(eq_27_p2(times), times)
+    return eq_23_p3(eq_27_p2(t), t)
 
 
 def _lemma_1_bound(p: Plant) -> float:
@@ -322,9 +299,8 @@ def _integral(values: np.ndarray, t: np.ndarray) -> float:
     return float((values.sum() - 0.5 * (values[0] + values[-1])) * (t[1] - t[0]))
 
 
-def _rounding(pair: Callable[[tuple[float, ...]], tuple[float, float]]) -> float:
-    """The most by which times within the digits of Table 1 move the difference of the pair, at the range's corners."""
+def _rounding(pair: Callable[[Times], tuple[float, float]]) -> float:
+    """The most by which times within the digits of Table 1 change the difference of the pair, at the corners."""
     gives, implied = pair(TABLE_1)
     corners = itertools.product(*((t - half, t + half) for t, half in zip(TABLE_1, ROUNDING, strict=True)))
-    moved = (pair(corner) for corner in corners)
-    return max(abs((a - b) - (gives - implied)) for a, b in moved)
+    return max(abs((a - b) - (gives - implied)) for a, b in map(pair, corners))

@@ -1,4 +1,4 @@
-"""The upper envelope: known in closed form where that exists, and never crossed on any kind of plant."""
+"""The upper envelope: compared with a closed form where one exists, and never crossed on any kind of plant."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ def test_envelope_of_a_free_pendulum_is_known():
     np.testing.assert_allclose(envelope.theta_dot, exact, rtol=2e-3, atol=1e-9)
     assert (envelope.theta_dot >= exact * (1.0 - 1e-9)).all()
     assert envelope.fastest == envelope.theta_dot[-1]
+    assert (np.diff(envelope.theta_dot) >= 0.0).all()
 
 
 def test_certainty_costs_little_and_the_bound_lies_above():
-    for limit, mu in ((0.3, 0.01), (1.5, 0.5), (100.0, 0.1)):
+    for limit, mu in ((0.3, 0.01), (100.0, 0.1)):
         p = Capsule(mu=mu).plant()
         certified, estimate = (upper_envelope(limit, -QUARTER, QUARTER, p, certified=c) for c in (True, False))
         assert (certified.theta_dot >= estimate.theta_dot).all()

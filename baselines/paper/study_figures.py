@@ -1,8 +1,9 @@
-"""Figures of what the paper does not show: proof, principles, sensitivity to plant, contact and integration step."""
+"""Figures beyond the paper's own: proof 2, principles, and sensitivity to plant, normal force and integration step."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -19,31 +20,28 @@ from baselines.drawing import (
     mark_published,
     new_figure,
 )
-from baselines.laws.profiles import EPC, PROPOSED, Profile
 from baselines.paper import published
-from baselines.paper.principles import RESTORING_PHASES, Margin, principle_3, principle_4
-from baselines.paper.printed_profile import ROMAN
+from baselines.paper.principles import RESTORING_PHASES, Demand, principle_3, principle_4, sample
 from baselines.paper.proofs import swing_envelope
-from baselines.paper.variations import (
-    ALL_BUT_AT_REST,
+from baselines.paper.selection import ROMAN
+from baselines.paper.tracking import (
+    AT_REST,
+    MU_RANGE,
+    NORMAL_FORCES,
+    PROFILES,
     STEPS,
     SpeedMap,
-    contact_effect,
-    friction_for,
     grid,
-    least_mass_in_contact,
     speed_map,
+    speed_ratio,
     step_study,
-    turning_points,
 )
 from baselines.tables import printed_above
-from capsule_gym.parameters import NOMINAL, NormalForce
+from capsule_gym.parameters import NOMINAL
 
-STATED = {"proposed": published.PROPOSED, "EPC": published.EPC}
-# Every so many samples of a margin, and of an envelope, are drawn.
+# Every so many samples of a demand, and of an envelope, are drawn.
 EVERY, THIN = 20, 200
-# Of the phase planes, rad/s.
-TOP_RATE = 13.5
+TOP_RATE = 13.5  # of the phase planes, rad/s
 SPEED_LEVELS = (0.0, 0.5, 1.0, 1.5, 2.0)
 # Where the map's lines carry their number: (mu, M), away from the nominal plant.
 LABELS = {
@@ -53,12 +51,12 @@ LABELS = {
 
 
 def draw_phase_plane() -> Any:
-    """The fastest that the published torques can swing the pendulum, beside the published profiles."""
+    """The upper envelopes of the published torques with the published profiles."""
     figure = new_figure(3.7)
     panels = figure.subplots(1, 2, sharey=True)
     peaks, anywhere, stated = [], [], []
-    for axes, profile in zip(panels, (PROPOSED, EPC), strict=True):
-        pen, numbers = PENS[profile.name], STATED[profile.name]
+    for axes, profile in zip(panels, PROFILES, strict=True):
+        pen, numbers = PENS[profile.name], published.RUNS[profile.name]
         torque, peak = numbers["peak_torque"].value, numbers["peak_velocity"].value
         swing = math.radians(numbers["swing"].value)
         envelope = swing_envelope(torque, profile.start, swing)
@@ -78,8 +76,8 @@ def draw_phase_plane() -> Any:
         axes.set_title(f"{profile.name}: |u| ≤ {torque:g} N m")
     panels[0].set_ylabel("rate θ' (rad/s)")
     handles, labels = panels[0].get_legend_handles_labels()
-    rival, name = panels[1].get_legend_handles_labels()
-    figure.legend([*handles, rival[1]], [*labels, name[1]], loc="outside upper left", ncols=3)
+    others, names = panels[1].get_legend_handles_labels()
+    figure.legend([*handles, others[1]], [*labels, names[1]], loc="outside upper left", ncols=3)
     add_note(
         figure,
         "With the published torques the pendulum, from rest at the profiles' start, stays below "
@@ -90,37 +88,22 @@ def draw_phase_plane() -> Any:
     return figure
 
 
-def _phase_axis(margin: Margin) -> np.ndarray:
-    """The samples' places on an axis that gives every phase the same width."""
-    t, phase = margin.cycle.t, margin.cycle.phase
-    place = np.empty_like(t)
-    for n in range(int(phase[-1]) + 1):
-        inside = phase == n
-        first, last = t[inside][0], t[inside][-1]
-        place[inside] = n + (t[inside] - first) / (last - first)
-    return place
-
-
 def draw_principles() -> Any:
     """Load over limit of Principles 3 and 4 over a cycle, phase by phase."""
     figure = new_figure(4.8)
     rows = figure.subplots(2, 2, sharey="row", sharex="col", width_ratios=(7.0, 6.0))
-    plant = NOMINAL.plant()
-    forces: tuple[tuple[NormalForce, Pen, str], ...] = (
-        ("newton", Pen(INK), "Newton's forces"),
-        ("paper", Pen(PURPLE, (0.0, (5.0, 1.6))), "as printed"),
-    )
-    for column, profile in enumerate((PROPOSED, EPC)):
+    plant, looks = NOMINAL.plant(), ((Pen(INK), "Newton's forces"), (Pen(PURPLE, (0.0, (5.0, 1.6))), "as printed"))
+    for column, profile in enumerate(PROFILES):
+        cycle = sample(profile)
         for row, principle in zip(rows, (principle_3, principle_4), strict=True):
-            _draw_principle(
-                row[column], profile, [(principle(profile, plant, force), pen, label) for force, pen, label in forces]
-            )
+            cases = [principle(cycle, plant, force) for force in NORMAL_FORCES]
+            _draw_demand(row[column], [(case, *look) for case, look in zip(cases, looks, strict=True)])
         rows[0][column].set_title(profile.name)
         rows[1][column].set_xlabel("phase, each drawn as wide as the next")
     rows[0][0].set(title="Principle 3 (7): proposed", ylabel="pendulum's lift / weight", ylim=(-1.4, 1.2))
     rows[1][0].set(title="Principle 4 (8)", ylabel="push / static friction", yscale="log", ylim=(0.02, 200.0))
     rows[0][1].legend(loc="upper right", bbox_to_anchor=(1.0, 0.5))
-    held = [principle_4(profile, plant).factor_by_phase[-RESTORING_PHASES:] for profile in (PROPOSED, EPC)]
+    held = [principle_4(sample(profile), plant).by_phase[-RESTORING_PHASES:] for profile in PROFILES]
     add_note(
         figure,
         "Above 1 a principle is violated; 4 is asked for in the shaded restoring stage only, before it a violation is "
@@ -131,15 +114,16 @@ def draw_principles() -> Any:
     return figure
 
 
-def _draw_principle(axes: Any, profile: Profile, cases: list[tuple[Margin, Pen, str]]) -> None:
-    """One principle of one profile: load over limit, each phase as wide as the next."""
-    count = len(profile.segments)
+def _draw_demand(axes: Any, cases: list[tuple[Demand, Pen, str]]) -> None:
+    """One principle on one profile: load over limit, each phase as wide as the next."""
+    count = int(cases[0][0].cycle.phase[-1]) + 1
     axes.axvspan(count - RESTORING_PHASES, count, color="#eef1f5", linewidth=0.0)
-    for margin, pen, label in cases:
-        place, ratio = _phase_axis(margin), margin.load / margin.limit
+    for demand, pen, label in cases:
         for n in range(count):
-            inside = np.flatnonzero(margin.cycle.phase == n)[::EVERY]
-            axes.plot(place[inside], ratio[inside], **pen.line(label=label if n == 0 else None))
+            inside = np.flatnonzero(demand.cycle.phase == n)
+            t, ratio = demand.cycle.t[inside], demand.ratio[inside]
+            place = n + (t - t[0]) / (t[-1] - t[0])
+            axes.plot(place[::EVERY], ratio[::EVERY], **pen.line(label=label if n == 0 else None))
     axes.axhline(1.0, color=INK, linewidth=0.9)
     axes.set_xlim(0.0, count)
     axes.set_xticks(np.arange(count) + 0.5, ROMAN[:count])
@@ -154,72 +138,54 @@ def draw_speed_map() -> Any:
     figure = new_figure(3.3)
     panels = figure.subplots(1, 3, sharey=True)
     M, mu = grid()
-    maps = [speed_map(profile, M, mu) for profile in (PROPOSED, EPC)]
+    maps = [speed_map(profile, M, mu) for profile in PROFILES]
     for axes, speeds in zip(panels, maps, strict=False):
         _draw_map(figure, axes, speeds)
-    ratio = np.full_like(maps[0].speed, np.nan)
-    np.divide(maps[0].speed, maps[1].speed, out=ratio, where=maps[1].speed > ALL_BUT_AT_REST)
+    ratio = speed_ratio(*maps)
     levels = np.arange(-0.4, 0.91, 0.1)
     drawn = panels[2].contourf(mu, M, ratio, levels=levels, cmap="cividis")
     lines = panels[2].contour(mu, M, ratio, levels=(0.0, 0.5, 0.8), colors=("white", "white", INK), linewidths=0.8)
     panels[2].clabel(lines, fmt="%g", fontsize=6.5)
-    figure.colorbar(
-        drawn,
-        ax=panels[2],
-        location="bottom",
-        aspect=30,
-        shrink=0.95,
-        label="proposed / EPC",
-        ticks=(-0.4, 0, 0.4, 0.8),
-    )
+    _add_colorbar(figure, drawn, panels[2], "proposed / EPC", (-0.4, 0, 0.4, 0.8))
     panels[2].set_title("Ratio of the speeds")
     panels[0].set(ylabel="mass of the platform M (kg)")
     for axes in panels:
         axes.set(xscale="log", xlabel="friction coefficient μ")
         axes.grid(False)
         axes.plot(NOMINAL.mu, NOMINAL.M, "*", color="white", mec=INK, mew=0.7, ms=9)
-    turns = turning_points(*maps)
-    order = f"the order turns at {len(turns)} points" if turns else "the order turns nowhere"
-    fits = [
-        friction_for(speeds, NOMINAL.M, numbers["mean_speed"].value)
-        for speeds, numbers in zip(maps, STATED.values(), strict=True)
-    ]
+    fits = [speeds.friction_for(published.RUNS[speeds.profile]["mean_speed"].value)[0] for speeds in maps]
     add_note(
         figure,
         "Exact tracking, five cycles; star: nominal plant; dashed: the published speed, which M = 0.5 kg gives at μ = "
-        f"{listed(fits, 3, '').strip()}. EPC is faster on all of it ({order}; largest ratio {np.nanmax(ratio):.2f}); "
-        f"hatched, below M = {least_mass_in_contact(maps[1]):.2f} kg, it lifts the platform off the floor. "
-        "White: both all but at rest.",
+        f"{listed(fits, 3, '').strip()}. EPC is faster on all of it (the order turns nowhere; largest "
+        f"ratio {np.nanmax(ratio):.2f}); hatched, below M = {maps[1].least_mass_in_contact:.2f} kg, it lifts the "
+        f"platform off the floor. White: both all but at rest.",
     )
     return figure
 
 
-def _set_off(labels: Any) -> None:
-    """Gives labels on a map a dark edge, so that hatching and lines do not run into them."""
-    from matplotlib.patheffects import withStroke
-
-    for label in labels:
-        label.set_path_effects([withStroke(linewidth=1.6, foreground="#4a4f5a")])
-        label.set_zorder(5.0)
+def _add_colorbar(figure: Any, drawn: Any, axes: Any, label: str, ticks: tuple[float, ...]) -> None:
+    """A colour bar below a map."""
+    figure.colorbar(drawn, ax=axes, location="bottom", aspect=30, shrink=0.95, label=label, ticks=ticks)
 
 
 def _draw_map(figure: Any, axes: Any, speeds: SpeedMap) -> None:
     """One profile's speeds with the published one as a dashed line, hatched where contact is lost."""
+    from matplotlib.patheffects import withStroke
+
     drawn = axes.contourf(speeds.mu, speeds.M, speeds.speed, levels=np.arange(-0.25, 2.76, 0.25), cmap="cividis")
-    # A profile that never slides back has a wide floor of exactly 0, and no line at it.
-    levels = SPEED_LEVELS if speeds.speed.min() < -ALL_BUT_AT_REST else SPEED_LEVELS[1:]
+    # A profile that never slides back has a wide area of exactly 0, and no line at it.
+    levels = SPEED_LEVELS if speeds.speed.min() < -AT_REST else SPEED_LEVELS[1:]
     lines = axes.contour(speeds.mu, speeds.M, speeds.speed, levels=levels, colors="white", linewidths=0.7)
-    _set_off(axes.clabel(lines, fmt="%g", fontsize=6.5, manual=LABELS[speeds.profile]))
-    value = STATED[speeds.profile]["mean_speed"].value
+    # A dark edge separates the labels from hatching and lines.
+    for label in axes.clabel(lines, fmt="%g", fontsize=6.5, manual=LABELS[speeds.profile]):
+        label.set(path_effects=[withStroke(linewidth=1.6, foreground="#4a4f5a")], zorder=5.0)
+    value = published.RUNS[speeds.profile]["mean_speed"].value
     axes.contour(speeds.mu, speeds.M, speeds.speed, levels=(value,), colors=INK, linestyles="dashed", linewidths=1.2)
     if speeds.smallest_normal_ratio.min() <= 0.0:
-        least = least_mass_in_contact(speeds)
-        axes.fill_between(
-            speeds.mu, speeds.M[0], least, facecolor="none", edgecolor="white", hatch="////", linewidth=0.0
-        )
-    figure.colorbar(
-        drawn, ax=axes, location="bottom", aspect=30, shrink=0.95, label="mean speed (cm/s)", ticks=(0, 1, 2)
-    )
+        hatched = {"facecolor": "none", "edgecolor": "white", "hatch": "////", "linewidth": 0.0}
+        axes.fill_between(speeds.mu, speeds.M[0], speeds.least_mass_in_contact, **hatched)
+    _add_colorbar(figure, drawn, axes, "mean speed (cm/s)", (0, 1, 2))
     axes.set_title(speeds.profile)
 
 
@@ -227,22 +193,20 @@ def draw_contact_and_step() -> Any:
     """The paper's normal force against Newton's, and what the integration step changes."""
     figure = new_figure(5.0)
     (speed, speed_error), (change, torque_error) = figure.subplots(2, 2, sharex="col")
-    mu = np.geomspace(0.003, 1.0, 61)
-    for profile in (PROPOSED, EPC):
+    mu, shares = np.geomspace(*MU_RANGE, 61), []
+    for profile in PROFILES:
         pen = PENS[profile.name]
-        effect = contact_effect(profile, mu)
-        speed.plot(mu, effect.newton, **pen.line(label=profile.name))
-        speed.plot(mu, effect.paper, color=INK, lw=0.6)
-        change.plot(mu, effect.paper - effect.newton, **pen.line())
+        newton, paper = (speed_map(profile, mu=mu, normal_force=force).speed[0] for force in NORMAL_FORCES)
+        speed.plot(mu, newton, **pen.line(label=profile.name))
+        speed.plot(mu, paper, color=INK, lw=0.6)
+        change.plot(mu, paper - newton, **pen.line())
+        nominal = [float(speed_map(profile, normal_force=force).speed[0, 0]) for force in NORMAL_FORCES]
+        shares.append(100.0 * (nominal[1] / nominal[0] - 1.0))
         for law_step, marker in ((None, "o"), (STEPS[-1], "s")):
-            study = step_study(profile, law_step=law_step)
+            study = [np.abs(values - values[0])[1:] for values in step_study(profile, law_step=law_step)]
             face = pen.colour if law_step is None else "white"
-            for axes, errors in zip((speed_error, torque_error), study.errors(), strict=True):
-                axes.plot(
-                    1e3 * study.steps[1:],
-                    errors,
-                    **pen.line(marker=marker, ms=4.0, mfc=face),
-                )
+            for axes, errors in zip((speed_error, torque_error), study, strict=True):
+                axes.plot(1e3 * np.array(STEPS[1:]), errors, **pen.line(marker=marker, ms=4.0, mfc=face))
     speed.set(title="Normal force", xscale="log", ylabel="mean speed (cm/s)", ylim=(-0.15, 1.9))
     speed.axvline(NOMINAL.mu, color=INK, linestyle=PUBLISHED_DASHES, linewidth=1.0)
     change.axvline(NOMINAL.mu, color=INK, linestyle=PUBLISHED_DASHES, linewidth=1.0)
@@ -261,8 +225,6 @@ def draw_contact_and_step() -> Any:
     handles += [speed.plot([], [], **line)[0] for _, line in extra]
     labels += [label for label, _ in extra]
     figure.legend(handles, labels, loc="outside upper left", ncols=len(labels), columnspacing=1.4)
-    nominal = [contact_effect(profile, (NOMINAL.mu,)) for profile in (PROPOSED, EPC)]
-    shares = [100.0 * float(effect.paper[0] / effect.newton[0] - 1.0) for effect in nominal]
     add_note(
         figure,
         f"At the nominal friction (dotted) the normal force of (7) changes the speeds by {listed(shares, 2, '%')}. The "
@@ -270,3 +232,11 @@ def draw_contact_and_step() -> Any:
         "step costs the first power (filled).",
     )
     return figure
+
+
+STUDIES: dict[str, Callable[[], Any]] = {
+    "phase_plane": draw_phase_plane,
+    "principles": draw_principles,
+    "speed_map": draw_speed_map,
+    "contact_and_step": draw_contact_and_step,
+}

@@ -1,0 +1,449 @@
+"""Sect. 5 of the paper: both profiles on the platform, tracked exactly and under feedback linearisation (35).
+
+Under exact tracking the platform's motion follows from M, m, l, g and mu alone: `speed_map` evaluates it on many
+plants. `simulate`, `track` and `step_study` run the environment's own simulation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from baselines.laws.feedback_linearisation import feedback_linearising, feedback_linearising_law
+from baselines.laws.gains import K_P, K_V
+from baselines.laws.profiles import EPC, PROPOSED, Profile, Segment
+from baselines.laws.reference import COLUMNS, slide
+from baselines.paper import published
+from baselines.paper.selection import bisect
+from capsule_gym import Capsule, Controller, dynamics
+from capsule_gym.compilation import compile_cached
+from capsule_gym.layout import ROWS, Row
+from capsule_gym.parameters import LAW_DT, NOMINAL, EnvConfig, NormalForce, Plant
+from capsule_gym.simulation import Simulation
+
+PROFILES = (PROPOSED, EPC)
+# Beyond any torque of the paper: its Figures 5 and 8 show no limit.
+UNLIMITED = 50.0
+CYCLES = 5
+NORMAL_FORCES: tuple[NormalForce, ...] = ("newton", "paper")
+M_RANGE, MU_RANGE = (0.3, 1.0), (0.003, 1.0)
+# Refined fivefold, no speed of the map changes by more than 1e-5 cm/s.
+MAP_STEP = 1e-4
+STEPS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2)
+# Below this speed in cm/s a profile moves only during its first push, and a ratio of speeds is meaningless.
+AT_REST = 0.01
+CONTACT_MU = (0.003, 0.01, 0.03, 0.1, 0.2, 0.3)
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """One run, a sample per millisecond; the first is the start.
+
+    Attributes:
+        t: s, shape (n,).
+        theta: rad.
+        theta_dot: rad/s.
+        x: m.
+        x_dot: m/s; exactly 0.0 in stick.
+        torque: the motor's in the millisecond that ends at t, N m.
+        reference: rows of the reference table, shape (n, columns).
+        memory: the law's memory after its call at t, shape (n, cells).
+        metrics: the episode's, by name; see `Simulation.metrics`.
+    """
+
+    t: np.ndarray
+    theta: np.ndarray
+    theta_dot: np.ndarray
+    x: np.ndarray
+    x_dot: np.ndarray
+    torque: np.ndarray
+    reference: np.ndarray
+    memory: np.ndarray
+    metrics: dict[str, float]
+
+    @property
+    def completed(self) -> bool:
+        """Whether it ran to its end without loss of contact or collision of the pendulum with the platform."""
+        return self.metrics["failed"] == 0.0
+
+    @property
+    def error(self) -> np.ndarray:
+        """theta - theta_d, rad."""
+        return self.theta - self.reference[:, 0]
+
+    @property
+    def rate_error(self) -> np.ndarray:
+        """theta' - theta_d', rad/s."""
+        return self.theta_dot - self.reference[:, 1]
+
+    @property
+    def error_rms(self) -> float:
+        """Root mean square of theta - theta_d, rad."""
+        return float(np.sqrt(np.mean(self.error**2)))
+
+
+def simulate(
+    controller: Controller,
+    plants: Sequence[tuple[float, float]] = ((NOMINAL.M, NOMINAL.mu),),
+    *,
+    cycles: int = CYCLES,
+    torque_limit: float = UNLIMITED,
+    **options: Any,
+) -> list[Trajectory]:
+    """Runs a controller from rest at -pi/3 on several plants and records every millisecond.
+
+    Args:
+        controller: the law with its reference, at 1 kHz.
+        plants: M (kg) and mu of each.
+        cycles: of the reference.
+        torque_limit: N m.
+        options: further options of the environment.
+
+    Raises:
+        ValueError: if the law runs at another rate.
+    """
+    if controller.dt != LAW_DT:
+        raise ValueError(f"controller must run every {LAW_DT} s, got dt={controller.dt!r} s")
+    simulation = make_simulation(controller, plants, LAW_DT, torque_limit=torque_limit, **options)
+    steps, rows = cycles * len(simulation.reference), ROWS + len(simulation.memory)
+    states = np.zeros((steps + 1, rows, len(plants)))
+    states[0] = simulation.rows(0, rows)
+    running, last = np.ones(len(plants), np.bool_), np.zeros(len(plants), np.int64)
+    for n in range(1, steps + 1):
+        simulation.step(np.zeros(len(plants)), running)
+        states[n] = simulation.rows(0, rows)
+        last[running] = n
+        running &= states[n, Row.termination] == 0.0
+        if not running.any():
+            break
+    metrics = simulation.metrics(np.arange(len(plants)), steps)
+    trajectories = []
+    for i, end in enumerate(last):
+        own = states[: end + 1, :, i]
+        trajectories.append(
+            Trajectory(
+                t=np.arange(end + 1) * LAW_DT,
+                theta=own[:, Row.theta],
+                theta_dot=own[:, Row.theta_dot],
+                x=own[:, Row.x],
+                x_dot=own[:, Row.x_dot],
+                torque=own[:, Row.torque],
+                reference=simulation.reference[own[:, Row.clock].astype(np.int64)],
+                memory=own[:, ROWS:],
+                metrics={name: float(values[i]) for name, values in metrics.items()},
+            )
+        )
+    return trajectories
+
+
+def make_simulation(
+    controller: Controller, plants: Sequence[tuple[float, float]], control_dt: float, **options: Any
+) -> Simulation:
+    """The environment's simulation of plants (M, mu) at rest at -pi/3, without residual torque."""
+    settings = {"randomization": "none", "residual_limit": 0.0, "physics_dt": LAW_DT, **options}
+    simulation = Simulation(len(plants), EnvConfig(controller=controller, control_dt=control_dt, **settings))
+    simulation.reset(np.arange(len(plants)), M=[M for M, _ in plants], mu=[mu for _, mu in plants])
+    return simulation
+
+
+def track(profile: Profile, contact: NormalForce = "newton", physics_dt: float = LAW_DT) -> dict[str, float]:
+    """Five cycles of a profile under (35) at 1 kHz, with one option for the normal force in both plant and law.
+
+    Returns:
+        `peak_velocity` (rad/s), `swing` (largest angle, degrees), `mean_speed` (cm/s), `peak_torque` (N m), `energy`
+        (mechanical energy per cycle, J), `cost_of_transport`, `backward` (travel backwards per cycle, cm),
+        `backward_ratio` (over travel forwards) and `error` (rms of theta - theta_d, rad).
+    """
+    capsule = Capsule(normal_force=contact)
+    (run,) = simulate(feedback_linearising(profile, nominal=capsule), capsule=capsule, physics_dt=physics_dt)
+    m, ratio = run.metrics, run.metrics["backward_ratio"]
+    return {
+        "peak_velocity": m["largest_theta_dot"],
+        "swing": math.degrees(m["largest_theta"]),
+        "mean_speed": m["mean_speed"],
+        "peak_torque": m["peak_torque"],
+        "energy": m["energy"] / CYCLES,
+        "cost_of_transport": m["cost_of_transport"],
+        "backward": 100.0 * m["distance"] * ratio / (1.0 - ratio) / CYCLES,
+        "backward_ratio": ratio,
+        "error": run.error_rms,
+    }
+
+
+def step_study(
+    profile: Profile, steps: Sequence[float] = STEPS, law_step: float | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Five cycles under feedback linearisation with the true plant as nominal, at several integration steps.
+
+    Args:
+        profile: what the pendulum follows.
+        steps: s; each divides the law's period, and that one 20 ms.
+        law_step: period of the law, s, with a zero-order hold of its torque; None takes the integrator's step, as a
+            simulation with one fixed step for everything does.
+
+    Returns:
+        Mean speeds (cm/s) and largest torques (N m).
+    """
+    plant, found = NOMINAL.plant(), []
+    for step in steps:
+        dt = law_step or step
+        times = np.arange(round(profile.period / dt)) * dt
+        # The law does not read the platform's columns; with them it shares the machine code of the other runs.
+        table = np.zeros((len(times), len(COLUMNS)))
+        table[:, :3] = np.stack(profile.evaluate(times), axis=1)
+        controller = Controller("feedback-linearising", feedback_linearising_law(plant, K_P, K_V), table, dt=dt)
+        options = {"torque_limit": UNLIMITED, "physics_dt": step}
+        simulation = make_simulation(controller, [(plant.M, plant.mu)], 0.02, **options)
+        for _ in range(round(CYCLES * profile.period / 0.02)):
+            simulation.step(np.zeros(1), np.ones(1, np.bool_))
+        metrics = simulation.metrics(np.zeros(1, np.int64))
+        found.append((metrics["mean_speed"][0], metrics["peak_torque"][0]))
+    speed, torque = np.array(found).T
+    return speed, torque
+
+
+def displacements(
+    angle: np.ndarray,
+    velocity: np.ndarray,
+    acceleration: np.ndarray,
+    p: Plant,
+    friction: np.ndarray,
+    h: float,
+    cycles: int,
+) -> tuple[np.ndarray, float]:
+    """Where the platform is after some cycles from rest, for many friction coefficients at once.
+
+    Neither load depends on the friction while the pendulum's motion is given, which keeps a map cheap.
+
+    Args:
+        angle: theta in the middle of every step of one cycle, rad.
+        velocity: theta', rad/s.
+        acceleration: theta'', rad/s^2.
+        p: the plant.
+        friction: friction coefficients, static and kinetic, in both directions.
+        h: s.
+        cycles: repetitions.
+
+    Returns:
+        Positions in m, and the smallest normal force before its clamp at zero, N.
+    """
+    force, normal, result = np.empty_like(angle), np.empty_like(angle), np.zeros(len(friction))
+    for n in range(len(angle)):
+        force[n] = dynamics.driving_force(angle[n], velocity[n], acceleration[n], p)
+        normal[n] = dynamics.normal_force(angle[n], velocity[n], acceleration[n], p)
+    for i in range(len(friction)):
+        x = x_dot = 0.0
+        for _ in range(cycles):
+            for n in range(len(force)):
+                limit = friction[i] * max(0.0, normal[n])
+                x, x_dot, _ = slide(force[n], limit, limit, 1.0, p.M + p.m, x, x_dot, h)
+        result[i] = x
+    return result, normal.min()
+
+
+@lru_cache(maxsize=1)
+def _displacements() -> Any:
+    """The function above, compiled."""
+    return compile_cached(displacements)
+
+
+@dataclass(frozen=True)
+class SpeedMap:
+    """Mean speed along one profile over a grid of plants, exact tracking.
+
+    Attributes:
+        profile: its name.
+        M: kg, shape (rows,).
+        mu: friction coefficients, shape (columns,).
+        speed: over five cycles from rest, cm/s, shape (rows, columns).
+        smallest_normal_ratio: smallest N / ((M + m) g), shape (rows,); at 0.0 or less contact is lost, and the speed
+            belongs to a floor without friction for that time.
+    """
+
+    profile: str
+    M: np.ndarray
+    mu: np.ndarray
+    speed: np.ndarray
+    smallest_normal_ratio: np.ndarray
+
+    def friction_for(self, speed: float, M: float = NOMINAL.M) -> list[float]:
+        """Every friction coefficient at which a mass (kg) of the map has a speed (cm/s), interpolated in log mu."""
+        row, logs = self.speed[int(np.argmin(np.abs(self.M - M)))] - speed, np.log(self.mu)
+        signs = np.flatnonzero(row[:-1] * row[1:] < 0.0)
+        shares = row[signs] / (row[signs] - row[signs + 1])
+        return [float(mu) for mu in np.exp(logs[signs] + shares * (logs[signs + 1] - logs[signs]))]
+
+    @property
+    def least_mass_in_contact(self) -> float:
+        """The mass in kg below which the profile lifts the platform off the floor, interpolated between rows."""
+        return float(np.interp(0.0, self.smallest_normal_ratio, self.M))
+
+
+def grid(rows: int = 29, columns: int = 61) -> tuple[np.ndarray, np.ndarray]:
+    """Evenly spaced M in kg over M_RANGE, and mu over MU_RANGE in equal ratios."""
+    return np.linspace(*M_RANGE, rows), np.geomspace(*MU_RANGE, columns)
+
+
+def speed_map(
+    profile: Profile,
+    M: Iterable[float] = (NOMINAL.M,),
+    mu: Iterable[float] = (NOMINAL.mu,),
+    *,
+    normal_force: NormalForce = "newton",
+    h: float = MAP_STEP,
+) -> SpeedMap:
+    """Mean speed along a profile under exact tracking, for every M with every mu.
+
+    Args:
+        profile: what the pendulum follows.
+        M: masses of the platform, kg.
+        mu: friction coefficients.
+        normal_force: as in `Capsule`.
+        h: integration step, s; divides the profile's period.
+
+    Raises:
+        ValueError: if M or mu is out of range, or h does not divide the period.
+    """
+    steps = round(profile.period / h)
+    if abs(steps * h - profile.period) > 1e-9:
+        raise ValueError(f"h must divide the profile's period of {profile.period:g} s, got {h!r} s")
+    capsule, masses, friction = Capsule(normal_force=normal_force), np.array([*M]), np.array([*mu])
+    # In the middle of the steps, where theta_d'' does not jump.
+    motion = profile.evaluate((np.arange(steps) + 0.5) * h)
+    speed, smallest = np.empty((len(masses), len(friction))), np.empty(len(masses))
+    for row, mass in enumerate(masses):
+        for coefficient in friction:
+            capsule.check_plant(mass, coefficient)
+        plant = capsule.plant(M=mass)
+        travelled, normal = _displacements()(*motion, plant, friction, h, CYCLES)
+        speed[row] = 100.0 * travelled / (CYCLES * profile.period)
+        smallest[row] = normal / ((plant.M + plant.m) * plant.g)
+    return SpeedMap(profile.name, masses, friction, speed, smallest)
+
+
+def speed_ratio(proposed: SpeedMap, epc: SpeedMap) -> np.ndarray:
+    """Speed of the proposed profile over EPC's; NaN where EPC does not move."""
+    ratio = np.full_like(epc.speed, np.nan)
+    return np.divide(proposed.speed, epc.speed, out=ratio, where=epc.speed > AT_REST)
+
+
+Shape = Callable[[float, float, float], Segment]
+
+
+def linear(duration: float, start: float, end: float) -> Segment:
+    """From one velocity (rad/s) to another in the given time (s) at a constant acceleration."""
+    return Segment(duration, offset=start, slope=(end - start) / duration)
+
+
+def half_cosine(duration: float, start: float, end: float) -> Segment:
+    """Without a jump of the acceleration at either end."""
+    half = 0.5 * (start - end)
+    return Segment(duration, amplitude=half, phase=0.5 * math.pi, rate=math.pi / duration, offset=start - half)
+
+
+def decaying(duration: float, start: float, end: float) -> Segment:
+    """Steep at first and level at its end; from rest it is the quarter sine of phase I of (9)."""
+    return Segment(duration, amplitude=end - start, rate=0.5 * math.pi / duration, offset=start)
+
+
+def cosine_to(duration: float, start: float, end: float) -> Segment:
+    """Level at first: phase III of (9)."""
+    return Segment(duration, amplitude=start, phase=0.5 * math.pi, rate=math.acos(end / start) / duration)
+
+
+# The paper gives only EPC's times, so its shape is assumed, and phase III of the proposed profile is corrected. Each
+# alternative keeps what is published: times, peak and swing. Its rise and fall replace EPC's phases I and II, or its
+# fall the proposed profile's phase III.
+ALTERNATIVES: tuple[tuple[str, Profile, tuple[Shape, ...]], ...] = (
+    ("as assumed: quarter sine, then linear", EPC, (decaying, linear)),
+    ("linear rise, linear fall", EPC, (linear, linear)),
+    ("half-cosine rise, half-cosine fall", EPC, (half_cosine, half_cosine)),
+    ("quarter sine, fall as phase III of (9)", EPC, (decaying, cosine_to)),
+    ("quarter sine, fall that levels off", EPC, (decaying, decaying)),
+    ("as corrected: (9) with a phase in III", PROPOSED, (cosine_to,)),
+    ("III linear", PROPOSED, (linear,)),
+    ("III half a cosine", PROPOSED, (half_cosine,)),
+    ("III levels off", PROPOSED, (decaying,)),
+)
+
+
+def alternative(original: Profile, shapes: tuple[Shape, ...]) -> tuple[Profile, float]:
+    """A profile with other shapes before its last progressive phase, and the P2 (rad/s) that keeps its swing.
+
+    The return stays the same, since the angle that it must cover does.
+    """
+    count = 4 if original is PROPOSED else 3
+    fixed = original.segments[: count - 1 - len(shapes)]
+    replaced, last = original.segments[len(fixed) : count - 1], original.segments[count - 1]
+    velocities = [0.0, float(original.segments[0].velocity(np.float64(original.segments[0].duration)))]
+
+    def progressive(P2: float) -> list[Segment]:
+        edges = [*velocities[-len(shapes) :], P2]
+        pairs = zip(shapes, replaced, edges[:-1], edges[1:], strict=True)
+        return [*fixed, *(shape(old.duration, a, b) for shape, old, a, b in pairs), linear(last.duration, P2, 0.0)]
+
+    def swept(segments: Sequence[Segment]) -> float:
+        return sum(float(segment.turned(np.float64(segment.duration))) for segment in segments)
+
+    needed = swept(original.segments[:count])
+    _, P2 = bisect(lambda P2: swept(progressive(P2)) < needed, 0.0, velocities[1])
+    return replace(original, segments=(*progressive(P2), *original.segments[count:])), P2
+
+
+def speeds_of_shapes() -> list[tuple[str, str, float, float]]:
+    """Profile, shape, P2 (rad/s) and mean speed (cm/s) of every alternative, exact tracking, nominal plant."""
+    rows = []
+    for name, original, shapes in ALTERNATIVES:
+        profile, P2 = alternative(original, shapes)
+        rows.append((profile.name, name, P2, float(speed_map(profile).speed[0, 0])))
+    return rows
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """Everything that is computed of Sect. 5 without the adaptive law; dictionaries are by profile.
+
+    Attributes:
+        tracking: see `track`, by profile and normal force.
+        refined: mean speed with ten times smaller physics steps, cm/s.
+        frictions: friction coefficients that give the published speed.
+        ratio: smallest and largest speed of the proposed profile over EPC's at the nominal mass, over mu.
+        maps: speed of both profiles over M and mu.
+        contacts: speeds in cm/s at `CONTACT_MU`, by profile and normal force.
+        steps: see `step_study`, law and physics at one step.
+        physics_steps: the same with the law at 10 ms.
+        shapes: see `speeds_of_shapes`.
+    """
+
+    tracking: dict[tuple[str, str], dict[str, float]]
+    refined: dict[str, float]
+    frictions: dict[str, list[float]]
+    ratio: tuple[float, float]
+    maps: list[SpeedMap]
+    contacts: dict[tuple[str, str], list[float]]
+    steps: dict[str, tuple[np.ndarray, np.ndarray]]
+    physics_steps: dict[str, tuple[np.ndarray, np.ndarray]]
+    shapes: list[tuple[str, str, float, float]]
+
+
+def reproduce() -> Reproduction:
+    """Runs everything; some seconds."""
+    fine = [speed_map(profile, mu=np.geomspace(*MU_RANGE, 241)) for profile in PROFILES]
+    ratio = speed_ratio(*fine)
+    pairs = [(profile, force) for profile in PROFILES for force in NORMAL_FORCES]
+    return Reproduction(
+        {(a.name, b): track(a, b) for a, b in pairs},
+        {profile.name: track(profile, physics_dt=1e-4)["mean_speed"] for profile in PROFILES},
+        {m.profile: m.friction_for(published.RUNS[m.profile]["mean_speed"].value) for m in fine},
+        (float(np.nanmin(ratio)), float(np.nanmax(ratio))),
+        [speed_map(profile, *grid()) for profile in PROFILES],
+        {(a.name, b): speed_map(a, mu=CONTACT_MU, normal_force=b).speed[0].tolist() for a, b in pairs},
+        {profile.name: step_study(profile) for profile in PROFILES},
+        {profile.name: step_study(profile, law_step=STEPS[-1]) for profile in PROFILES},
+        speeds_of_shapes(),
+    )

@@ -1,0 +1,144 @@
+"""The optimised profiles: the assessment compared with independent code, the committed optima, the search itself."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from baselines.laws.profiles import PROPOSED
+from baselines.laws.reference import reference_table
+from baselines.paper import profile_search
+from baselines.paper.optimal_profiles import main
+from baselines.paper.profile_search import TORQUE_LIMITS, Problem, assess, exchange, load, problems, search
+from capsule_gym.parameters import NOMINAL
+from capsule_gym.task import START_THETA
+
+FOUND = load()
+SOLUTIONS = {each.problem: each for each in FOUND.solutions}
+
+
+def test_assessment_agrees_with_the_reference_table():
+    p = NOMINAL.plant()
+    found = assess(PROPOSED, Problem(1.5))
+    table = reference_table(PROPOSED, p)
+    assert found.mean_speed == pytest.approx(table[-1, 3] / 6.6, rel=1e-4)
+    theta, theta_dot, theta_ddot, _, _, x_ddot = table.T[:6]
+    ml = p.m * p.l
+    u = ml * p.l * theta_ddot - ml * np.cos(theta) * x_ddot
+    u += -ml * p.g * np.sin(theta) + p.k * theta + p.c * theta_dot
+    assert found.peak_torque == pytest.approx(np.abs(u).max(), rel=2e-3)
+    energy = np.abs(u * theta_dot).sum() * 1e-3
+    # A sum over milliseconds, first order at the jumps.
+    assert found.cost_of_transport == pytest.approx(energy / ((p.M + p.m) * p.g * table[-1, 3]), rel=0.02)
+    assert assess(PROPOSED, Problem(1.5), 1e-5).peak_torque == pytest.approx(found.peak_torque, rel=1e-5)
+    # The published profile defines the bounds of Principles 1 and 2.
+    bounds = ("principle_1", "principle_2_velocity", "principle_2_acceleration")
+    assert [found.shares[name] for name in bounds] == pytest.approx([1.0] * 3)
+    assert found.excess == 0.0 < assess(PROPOSED, Problem(1.0)).excess
+    for name in ("strict-return", "restoring", "printed"):
+        assert assess(PROPOSED, Problem(1.5, standstill=name)).excess > 0.0
+    with pytest.raises(ValueError, match="h must divide"):
+        assess(PROPOSED, Problem(1.5), 4e-4)
+
+
+def test_worst_plant_lies_at_a_corner_of_the_ranges(monkeypatch):
+    problem = Problem(1.0, "ranges")
+    corners = assess(SOLUTIONS[problem].profile, problem)
+    inside = [NOMINAL.plant(M, mu) for M in np.linspace(0.45, 0.55, 3) for mu in np.linspace(0.009, 0.011, 3)]
+    monkeypatch.setattr(Problem, "plant_list", lambda self: inside)
+    everywhere = assess(SOLUTIONS[problem].profile, problem)
+    assert everywhere.mean_speed == pytest.approx(corners.mean_speed, rel=1e-9)
+    assert everywhere.shares == pytest.approx(corners.shares, rel=1e-9)
+
+
+def test_committed_solutions_are_what_they_claim():
+    assert list(SOLUTIONS) == problems()
+    for problem, each in SOLUTIONS.items():
+        again, edges = assess(each.profile, problem), np.array([0.0, *each.profile.times])
+        assert (again.excess == 0.0) == each.feasible, problem
+        assert again.mean_speed == pytest.approx(each.mean_speed, rel=1e-6)
+        assert again.peak_torque == pytest.approx(each.peak_torque, rel=1e-6)
+        assert again.shares == pytest.approx(each.shares, rel=1e-6, abs=1e-9)
+        before, after = (each.profile.evaluate(edges + step) for step in (-1e-9, 1e-9))
+        np.testing.assert_allclose(before[0], after[0], atol=1e-7)
+        np.testing.assert_allclose(before[1], after[1], atol=1e-5)
+        # The law's table needs whole milliseconds.
+        np.testing.assert_allclose(edges, np.round(edges, 3), atol=1e-12)
+        assert problem.free_start or each.start == START_THETA
+
+
+def test_a_demand_never_gains_speed_and_principle_4_binds():
+    for limit in TORQUE_LIMITS:
+        optimum = SOLUTIONS[Problem(limit)]
+        loose = [Problem(limit, dropped=n) for n in (1, 2, 3, 4)] + [Problem(limit, free_start=True)]
+        assert all(SOLUTIONS[problem].mean_speed >= optimum.mean_speed for problem in loose)
+        tight = [Problem(limit, "ranges"), *(Problem(limit, standstill=s) for s in ("strict-return", "restoring"))]
+        assert all(SOLUTIONS[problem].mean_speed <= optimum.mean_speed for problem in tight)
+        assert optimum.shares["principle_4_force"] > 0.95
+        assert SOLUTIONS[Problem(limit, dropped=4)].mean_speed > 1.5 * optimum.mean_speed
+    for problem in FOUND.spreads:
+        changes = FOUND.relative_speeds(problem)
+        assert len(changes) == 8 and changes[-1] < 0.02
+
+
+def test_short_search_is_seeded_and_says_when_it_fails():
+    pytest.importorskip("scipy")
+    first, second = (search(Problem(1.5), seed=3, generations=1, members=1) for _ in range(2))
+    assert replace(first, seconds=0.0) == replace(second, seconds=0.0)
+    # The published profile is in the first generation.
+    assert first.feasible and first.found_by == "1.5 N m, nominal, seed 3"
+    assert first.mean_speed >= assess(PROPOSED, Problem(1.5)).mean_speed * 0.999
+    hopeless = search(Problem(0.001), seed=3, generations=1, members=1)
+    assert not hopeless.feasible and hopeless.profile.name == "infeasible" and hopeless.rank > first.rank
+
+
+def test_exchange_takes_the_best_profile_of_all_searches():
+    tight, loose = SOLUTIONS[Problem(1.0)], SOLUTIONS[Problem(1.5)]
+    pair = exchange([tight, replace(tight, problem=loose.problem, mean_speed=0.0, found_by="poor")])
+    assert pair[0] == tight
+    assert (pair[1].problem, pair[1].found_by) == (loose.problem, tight.found_by)
+    assert pair[1].mean_speed == pytest.approx(tight.mean_speed)
+
+
+def test_command_solves_resumes_and_checks(tmp_path, monkeypatch, capsys):
+    calls = []
+
+    def stub(problem, *args, **kwargs):
+        calls.append(problem)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return SOLUTIONS[problem]
+
+    monkeypatch.setattr(profile_search, "search", stub)
+    path = tmp_path / "found.json"
+    command = ["--json", str(path), "--generations", "1"]
+    assert main(command) == 130
+    assert [each.problem for each in load(path).solutions] == problems()[:1]
+    assert main(command) == 0
+    assert calls[1:3] == problems()[1:2] * 2 and load(path).solutions == FOUND.solutions
+    # Nothing is computed again.
+    count, written = len(calls), path.read_text()
+    assert main(command) == 0 and len(calls) == count and path.read_text() == written
+    with pytest.raises(SystemExit):
+        main(["--json", str(path), "--generations", "2"])
+    assert "--again" in capsys.readouterr().err
+    monkeypatch.setattr(profile_search, "problems", list)
+    document = json.loads(path.read_text())
+    document["solutions"] = document["solutions"][:1]
+    for factor, status in ((1.0, 0), (1.01, 1)):
+        document["solutions"][0]["mean_speed"] *= factor
+        path.write_text(json.dumps({**document, "spreads": []}))
+        assert main(["--json", str(path), "--check"]) == status
+
+
+def test_bounds_are_those_of_the_published_profile():
+    theta_0, v_theta, a_theta = profile_search.published_bounds()
+    assert math.degrees(theta_0) == pytest.approx(68.75, abs=0.01)
+    assert v_theta == 7.8
+    # The end of phase III: V1 phi / (t3 - t2) sin(phi), with cos(phi) = P2 / V1.
+    phi = math.acos(2.122 / 7.8)
+    assert a_theta == pytest.approx(7.8 * phi / 0.075 * math.sin(phi))

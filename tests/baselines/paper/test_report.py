@@ -1,0 +1,145 @@
+"""The command: every published number and claim with its verdict, and figures of the same numbers."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from baselines import drawing
+from baselines.laws.profiles import PROPOSED
+from baselines.paper import __main__ as paper
+from baselines.paper import figures, published, report, study_figures
+from baselines.paper.adaptive import CORRECTED_LAW, REGULARISED_LAW
+from baselines.paper.proofs import check_proof_2
+
+pytest.importorskip("matplotlib")
+
+
+@pytest.fixture(scope="module")
+def made():
+    return report.make_report(lambda name: None)
+
+
+@pytest.fixture(scope="module")
+def runs():
+    return figures.Runs()
+
+
+def text_of(figure):
+    """Everything written in a figure, one line."""
+    from matplotlib.text import Text
+
+    return " ".join(" ".join(text.get_text() for text in figure.findobj(Text)).split())
+
+
+def test_verdicts(made):
+    rows = {(row.run, row.number.quantity): row for row in made.numbers}
+    for run in ("proposed", "EPC"):
+        assert rows[run, "largest theta'"].reproduced
+        for quantity in ("mean speed, five cycles", "largest torque"):
+            assert not rows[run, quantity].reproduced and rows[run, quantity].kind == "predicted"
+    assert all(row.remark for row in made.numbers if not row.reproduced)
+    reproduced = {verdict.claim for verdict in made.claims if verdict.reproduced}
+    assert {verdict.claim for verdict in made.claims} == set(published.CLAIMS)
+    assert reproduced == {"torque", "energy", "backward"}
+    assert made.runs.ratio[1] < 1.0
+
+
+def test_command_prints_and_writes_every_published_number(made, monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(report, "make_report", lambda progress: made)
+    target = tmp_path / "paper.json"
+    assert paper.main(["--json", str(target)]) == 0
+    text = capsys.readouterr().out
+    numbers = [*published.PROPOSED.values(), *published.EPC.values(), *published.BASE_PARAMETERS]
+    numbers += [published.SWING_DIFFERENCE, published.ADAPTIVE_PEAK_VELOCITY, published.NATURAL_FREQUENCY]
+    for number in numbers:
+        shown = f" {number.value:.{number.digits}f} "
+        assert any(number.quantity in line and shown in line for line in text.splitlines())
+    words = " ".join(text.split())
+    assert all(claim.text in words for claim in published.CLAIMS.values())
+
+    def refuse(constant):
+        raise AssertionError(f"{constant} is not JSON")
+
+    content = json.loads(target.read_text(encoding="utf-8"), parse_constant=refuse)
+    assert content["numbers"][2]["number"]["value"] == 0.642 and content["numbers"][2]["reproduced"] is False
+    assert {proof["holds"] for proof in content["proof_1"] + content["proof_2"]} == {True}
+    for arguments in (["--json", str(target)], ["--figures", str(target)], ["--json", str(tmp_path / "no" / "x.json")]):
+        with pytest.raises(SystemExit):
+            paper.main(arguments)
+    assert paper.main(["--json", str(target), "--overwrite"]) == 0
+
+
+def test_report_rounds_bounds_outwards(made):
+    lines = [line.split() for line in report.proofs_text(made).splitlines() if line.startswith(("proposed", "EPC"))]
+    for peak, rate, first, second in zip(made.proof_1, made.proof_2, lines[:2], lines[2:], strict=True):
+        assert float(first[6]) - 1e-4 <= peak.bound - 1e-4 < float(first[6])
+        numbers = [float(word) for word in second if word.replace(".", "").isdigit()]
+        _, _, bound, from_start, needed, enough, undamped = numbers
+        assert bound >= rate.bound and from_start >= rate.from_start and undamped >= rate.undamped
+        assert needed <= rate.torque_needed and enough >= rate.torque_enough
+
+
+def test_figures_show_the_numbers_of_the_table(made, runs):
+    with drawing.style():
+        texts = {name: text_of(draw(runs)) for name, draw in figures.FIGURES.items()}
+    assert [name[:4] for name in texts][:9] == [f"fig{n}" for n in range(1, 10)]
+    for name, key, digits in (
+        ("fig3_tracking", "peak_velocity", 2),
+        ("fig4_displacement", "mean_speed", 3),
+        ("fig5_torque", "peak_torque", 3),
+    ):
+        for profile, numbers in published.RUNS.items():
+            assert f"{numbers[key].value:g}" in texts[name]
+            assert f"{made.runs.tracking[profile, 'newton'][key]:.{digits}f}" in texts[name]
+    assert all(f"{number:.3g}" in texts["fig2_phases"] for number in (*PROPOSED.times, PROPOSED.restoring_speed))
+    for name in ("fig6_adaptive_tracking", "fig7_adaptive_error", "fig8_adaptive_torque", "fig9_sliding_variable"):
+        assert "1 of 3 runs loses contact with the floor, at 0.10 s" in texts[name]
+    assert [run.completed for run in runs.adaptive[CORRECTED_LAW]] == [True, False, True]
+
+
+def test_curves_are_those_of_the_runs(runs):
+    with drawing.style():
+        errors, torque = figures.draw_adaptive_error(runs), figures.draw_torque(runs)
+    drawn = {line.get_label(): line.get_ydata() for line in errors.axes[2].lines}
+    nominal = runs.adaptive[REGULARISED_LAW][0]
+    np.testing.assert_allclose(drawn["M = 0.5 kg, μ = 0.01"], 1e3 * (nominal.theta_dot - nominal.reference[:, 1]))
+    np.testing.assert_array_equal(torque.axes[2].lines[0].get_ydata(), runs.profiles[1].torque[1:])
+    run = runs.profiles[0]
+    np.testing.assert_allclose(figures.sliding_variable(run), run.rate_error + 12.0 * run.error, atol=1e-15)
+
+
+def test_figures_beyond_the_papers_state_the_numbers_of_the_report():
+    with drawing.style():
+        assert "3.5 and 2.0 in its first phase, 0.35 and 0.40 in the others" in text_of(study_figures.draw_principles())
+        text = text_of(study_figures.draw_phase_plane())
+    found = re.search(r"below ([\d.]+) and ([\d.]+) rad/s, in any contact.* below ([\d.]+) and ([\d.]+) rad/s", text)
+    proposed, epc = check_proof_2()
+    bounds = (proposed.from_start, epc.from_start, proposed.bound, epc.bound)
+    for printed, bound in zip(found.groups(), bounds, strict=True):
+        assert bound <= float(printed) < bound + 0.001
+
+
+def test_every_figure_is_written_twice_and_identically_at_every_run(runs, tmp_path, monkeypatch):
+    # Coarse pictures: what is drawn does not depend on the resolution, the time does.
+    monkeypatch.setattr(drawing, "DPI", 60)
+    monkeypatch.setattr(figures, "Runs", lambda: runs)
+    written = figures.draw_all(tmp_path / "made", lambda name: None)
+    assert sorted(written) == sorted((tmp_path / "made").iterdir())
+    for path in written:
+        assert path.read_bytes().startswith({".svg": b"<?xml", ".png": b"\x89PNG"}[path.suffix])
+    with drawing.style():
+        for path in drawing.save(figures.draw_displacement(runs), tmp_path / "fig4_displacement"):
+            assert path.read_bytes() == (tmp_path / "made" / path.name).read_bytes()
+
+
+def test_failed_drawing_leaves_no_partial_file(tmp_path, monkeypatch):
+    with drawing.style():
+        figure = drawing.new_figure(1.0)
+        monkeypatch.setattr(figure, "savefig", lambda path, **_: (path.write_bytes(b"half"), 1 / 0))
+        with pytest.raises(ZeroDivisionError):
+            drawing.save(figure, tmp_path / "figure")
+    assert list(tmp_path.iterdir()) == []

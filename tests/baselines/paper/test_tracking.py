@@ -1,0 +1,141 @@
+"""Both profiles on the platform: exact tracking and the law (35), against each other and against closed forms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from baselines.laws.adaptive import adaptive
+from baselines.laws.profiles import EPC, PROPOSED
+from baselines.paper import tracking
+from baselines.paper.tracking import grid, simulate, speed_map, speed_ratio, step_study, track
+
+
+@pytest.fixture(scope="module")
+def maps():
+    M, mu = grid(15, 41)
+    return [speed_map(profile, M, mu) for profile in (PROPOSED, EPC)]
+
+
+@pytest.mark.parametrize(
+    ("profile", "speed", "torque", "energy", "transport"),
+    [(PROPOSED, 1.384, 1.2513, 1.380, 2.412), (EPC, 1.627, 2.2085, 1.792, 2.664)],
+    ids=["proposed", "EPC"],
+)
+def test_law_reproduces_exact_tracking_within_the_tolerance_of_refinement(profile, speed, torque, energy, transport):
+    run, (speeds, torques) = track(profile), step_study(profile, (5e-4, 1e-3))
+    # The zero-order hold makes the error first order in the step: halving it shows half of the error at 1 ms.
+    for name, expected, (fine, coarse) in (("mean_speed", speed, speeds), ("peak_torque", torque, torques)):
+        assert run[name] == pytest.approx(coarse, rel=1e-9)
+        error = 2.0 * abs(coarse - fine)
+        assert error < 2e-3 * coarse
+        assert abs(2.0 * fine - coarse - expected) < 0.5e-3
+    assert (run["energy"], run["cost_of_transport"]) == pytest.approx((energy, transport), rel=4e-3)
+    exact = speed_map(profile, h=2e-5).speed[0, 0]
+    assert 2.0 * speeds[0] - speeds[1] == pytest.approx(exact, rel=1e-4)
+    # The contact option matters little, and smaller physics steps not at all.
+    assert 1e-4 < abs(track(profile, "paper")["mean_speed"] / run["mean_speed"] - 1.0) < 0.01
+    assert track(profile, physics_dt=2e-4)["mean_speed"] == pytest.approx(run["mean_speed"], rel=1e-7)
+
+
+def test_integrators_error_is_of_fourth_order_and_the_zero_order_holds_of_first():
+    for values in step_study(PROPOSED, (5e-4, 5e-3, 1e-2), law_step=1e-2):
+        assert 8.0 < abs(values[2] - values[0]) / abs(values[1] - values[0]) < 32.0
+    for values in step_study(PROPOSED, (5e-4, 1e-3, 2e-3)):
+        assert (values[2] - values[0]) / (values[1] - values[0]) == pytest.approx(3.0, rel=0.1)
+
+
+def test_simulation_needs_a_law_at_1_khz():
+    with pytest.raises(ValueError, match=r"controller must run every 0.001 s, got dt=0.0005 s"):
+        simulate(adaptive(dt=5e-4))
+
+
+def test_refined_map_stays_within_its_stated_error():
+    for profile in (PROPOSED, EPC):
+        coarse, fine = (speed_map(profile, *grid(3, 5), h=h).speed for h in (tracking.MAP_STEP, 2e-5))
+        assert np.abs(coarse - fine).max() < 1e-5
+
+
+def test_epc_is_faster_wherever_it_moves(maps):
+    ratio = speed_ratio(*maps)
+    assert np.nanmax(ratio) == pytest.approx(0.88, abs=0.02)
+    assert np.isnan(ratio[maps[1].speed <= 0.01]).all()
+
+
+def test_speed_falls_with_friction_and_with_mass(maps):
+    for speeds in maps:
+        # Below, the platform slides on through the slow return, and the profiles gain from a little friction.
+        rough = speeds.speed[:, speeds.mu > 0.02]
+        assert (np.diff(rough, axis=1)[rough[:, 1:] > 0.01] < 0.0).all()
+        both = np.minimum(speeds.speed[:-1], speeds.speed[1:]) > 0.01
+        assert (np.diff(speeds.speed, axis=0)[both] < 0.0).all()
+
+
+def test_mirrored_profile_goes_backwards_at_the_same_speed():
+    segments = tuple(replace(s, amplitude=-s.amplitude, offset=-s.offset, slope=-s.slope) for s in PROPOSED.segments)
+    mirrored, plants = replace(PROPOSED, segments=segments, start=-PROPOSED.start), ([0.35, 0.7], [0.0, 0.05, 0.4])
+    np.testing.assert_allclose(
+        speed_map(mirrored, *plants).speed, -speed_map(PROPOSED, *plants).speed, rtol=1e-9, atol=1e-9
+    )
+
+
+def test_speed_without_friction_and_with_very_much():
+    # Without friction the centre of mass stays, and the platform is back after every closed cycle.
+    assert speed_map(PROPOSED, [0.3, 1.0], [0.0]).speed == pytest.approx(0.0, abs=1e-4)
+    assert (speed_map(PROPOSED, [1.0], [2.0]).speed == 0.0).all()
+
+
+def test_contact_is_lost_where_the_map_says(maps):
+    proposed, epc = maps
+    assert proposed.smallest_normal_ratio.min() > 0.0
+    around = speed_map(EPC, [epc.least_mass_in_contact - 0.005, epc.least_mass_in_contact + 0.005])
+    assert around.smallest_normal_ratio[0] < 0.0 < around.smallest_normal_ratio[1]
+    # At the peak: b = m l V1^2 cos(theta) against the weight, with theta'' sin(theta) just after the peak.
+    theta = EPC.evaluate(np.array([0.1]))[0][0]
+    lift = 0.138 * 0.3 * (121.0 * math.cos(theta) - (11.0 - 1.451) / 0.23 * math.sin(theta))
+    assert epc.least_mass_in_contact == pytest.approx(lift / 9.81 - 0.138, abs=2e-3)
+
+
+def test_no_friction_gives_both_published_speeds(maps):
+    frictions = []
+    for speeds, profile, published in zip(maps, (PROPOSED, EPC), (0.642, 0.629), strict=True):
+        (mu,) = speeds.friction_for(published)
+        frictions.append(mu)
+        assert speed_map(profile, mu=[mu]).speed[0, 0] == pytest.approx(published, rel=0.01)
+    assert frictions == pytest.approx([0.104, 0.189], abs=0.001)
+    assert maps[0].friction_for(5.0) == []
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: speed_map(PROPOSED, [0.5], [-0.1]), "mu must be"),
+        (lambda: speed_map(PROPOSED, [0.0], [0.1]), "M must be"),
+        (lambda: speed_map(PROPOSED, [0.5], [0.1], h=7e-3), "divide the profile's period"),
+        (lambda: speed_map(PROPOSED, [0.05], [10.0]), "Painlev"),
+    ],
+)
+def test_bad_arguments_raise_errors_that_name_them(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+def test_alternatives_keep_what_is_published():
+    for name, original, shapes in tracking.ALTERNATIVES:
+        profile, _ = tracking.alternative(original, shapes)
+        np.testing.assert_allclose(profile.times, original.times, atol=1e-12)
+        angle, rate, _ = profile.evaluate(np.linspace(0.0, profile.period, 66_001)[:-1])
+        assert rate.max() == pytest.approx(7.8 if original is PROPOSED else 11.0, rel=1e-6), name
+        assert math.degrees(angle.max()) == pytest.approx(68.75 if original is PROPOSED else 85.85, abs=0.02), name
+        before, after = (profile.evaluate(profile.times + step) for step in (-1e-9, 1e-9))
+        np.testing.assert_allclose(before[1], after[1], atol=1e-5)
+        np.testing.assert_allclose(before[0], after[0], atol=1e-7)
+
+
+def test_epc_is_faster_in_every_shape():
+    epc, proposed = ([row[3] for row in tracking.speeds_of_shapes() if row[0] == name] for name in ("EPC", "proposed"))
+    assert epc == pytest.approx([1.627, 1.569, 1.569, 1.691, 1.523], abs=1e-3)
+    assert proposed == pytest.approx([1.384, 1.358, 1.358, 1.336], abs=1e-3)
