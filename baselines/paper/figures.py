@@ -341,13 +341,13 @@ def _ends(series: Sequence[Trajectory]) -> str:
 
 
 def _plot_plants(
-    axes: Any, series: Sequence[Trajectory], quantity: Quantity, *, first: int = 0, order: float = 0.1, lw: float = 1.1
+    axes: Any, series: Sequence[Trajectory], quantity: Quantity, *, window: slice = slice(None), order: float = 0.1
 ) -> None:
-    """A quantity on the three plants from a sample on, with a cross where a run ends early; `order` of the layers."""
+    """A quantity on the three plants, with a cross where a run ends early; `order` of the layers."""
     for i, (run, plant, pen) in enumerate(zip(series, PLANTS, PLANT_PENS, strict=True)):
         values = quantity(run)
-        line = pen.line(label=_plant_label(plant), lw=lw, zorder=2.0 + order * i)
-        axes.plot(run.t[first:], values[first:], **line)
+        line = pen.line(label=_plant_label(plant), lw=1.0 if window.start else 1.1, zorder=2.0 + order * i)
+        axes.plot(run.t[window], values[window], **line)
         if not run.completed:
             axes.plot(run.t[-1], values[-1], "x", color=pen.colour, ms=6, mew=1.6, clip_on=False, zorder=5)
 
@@ -431,16 +431,15 @@ def _two_panels(runs: Runs, title: str, label: str, quantity: Quantity, note: st
     figure = new_figure(4.3)
     panels = figure.subplots(2, 1)
     for axes, end, (law, series) in zip(panels, (DURATION, CHATTER), runs.adaptive.items(), strict=True):
-        _plot_plants(axes, series, quantity, first=1, order=0.0, lw=1.0)
-        shown = [quantity(run)[1:][run.t[1:] <= end] for run in series]
-        low, high = (extreme(extreme(values) for values in shown) for extreme in (min, max))
-        # The action of a cycle lies in its first second, and the slow return leaves room for the legend.
-        room = 0.08 * (high - low)
-        above = 1.16 * 0.22 * (high - low) if axes is panels[0] else 0.0
-        axes.set(ylabel=label, xlim=(0.0, end), ylim=(low - room, high + room + above))
+        _plot_plants(axes, series, quantity, window=slice(1, round(end / LAW_DT) + 1), order=0.0)
+        axes.set(ylabel=label, xlim=(0.0, end))
+        axes.margins(y=0.08)
         axes.set_title(law if end == DURATION else f"{law}, the first {end:g} s")
     panels[0].set_title(f"{title}, {REGULARISED_LAW}")
     panels[0].legend(loc="upper center", ncols=3, bbox_to_anchor=(0.5, 1.0))
+    # Room for the legend.
+    low, high = panels[0].get_ylim()
+    panels[0].set_ylim(low, high + 0.22 * (high - low))
     panels[1].set(xlabel="time (s)")
     add_note(figure, note)
     return figure
