@@ -1,4 +1,4 @@
-"""Figures beyond the paper's own: proof 2, principles, and sensitivity to plant, normal force and integration step."""
+"""Figures beyond the paper's own: proof 2, Principles 3 and 4, and the speeds over mass and friction."""
 
 from __future__ import annotations
 
@@ -8,34 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from baselines.drawing import (
-    INK,
-    MUTED,
-    PENS,
-    PUBLISHED_DASHES,
-    PURPLE,
-    Pen,
-    add_note,
-    listed,
-    mark_published,
-    new_figure,
-)
+from baselines.drawing import INK, PENS, PURPLE, Pen, add_note, listed, mark_published, new_figure
 from baselines.paper import published
 from baselines.paper.principles import RESTORING_PHASES, Demand, principle_3, principle_4, sample
 from baselines.paper.proofs import swing_envelope
 from baselines.paper.selection import ROMAN
-from baselines.paper.tracking import (
-    AT_REST,
-    MU_RANGE,
-    NORMAL_FORCES,
-    PROFILES,
-    STEPS,
-    SpeedMap,
-    grid,
-    speed_map,
-    speed_ratio,
-    step_study,
-)
+from baselines.paper.tracking import AT_REST, NORMAL_FORCES, PROFILES, SpeedMap, grid, speed_map, speed_ratio
 from baselines.tables import printed_above
 from capsule_gym.parameters import NOMINAL
 
@@ -189,54 +167,8 @@ def _draw_map(figure: Any, axes: Any, speeds: SpeedMap) -> None:
     axes.set_title(speeds.profile)
 
 
-def draw_contact_and_step() -> Any:
-    """The paper's normal force against Newton's, and what the integration step changes."""
-    figure = new_figure(5.0)
-    (speed, speed_error), (change, torque_error) = figure.subplots(2, 2, sharex="col")
-    mu, shares = np.geomspace(*MU_RANGE, 61), []
-    for profile in PROFILES:
-        pen = PENS[profile.name]
-        newton, paper = (speed_map(profile, mu=mu, normal_force=force).speed[0] for force in NORMAL_FORCES)
-        speed.plot(mu, newton, **pen.line(label=profile.name))
-        speed.plot(mu, paper, color=INK, lw=0.6)
-        change.plot(mu, paper - newton, **pen.line())
-        nominal = [float(speed_map(profile, normal_force=force).speed[0, 0]) for force in NORMAL_FORCES]
-        shares.append(100.0 * (nominal[1] / nominal[0] - 1.0))
-        for law_step, marker in ((None, "o"), (STEPS[-1], "s")):
-            study = [np.abs(values - values[0])[1:] for values in step_study(profile, law_step=law_step)]
-            face = pen.colour if law_step is None else "white"
-            for axes, errors in zip((speed_error, torque_error), study, strict=True):
-                axes.plot(1e3 * np.array(STEPS[1:]), errors, **pen.line(marker=marker, ms=4.0, mfc=face))
-    speed.set(title="Normal force", xscale="log", ylabel="mean speed (cm/s)", ylim=(-0.15, 1.9))
-    speed.axvline(NOMINAL.mu, color=INK, linestyle=PUBLISHED_DASHES, linewidth=1.0)
-    change.axvline(NOMINAL.mu, color=INK, linestyle=PUBLISHED_DASHES, linewidth=1.0)
-    change.set(xlabel="friction coefficient μ (M = 0.5 kg)", ylabel="(7) minus Newton (cm/s)")
-    speed_error.set(title="Integration step", xscale="log", yscale="log", ylabel="error of the speed (cm/s)")
-    torque_error.set(xscale="log", yscale="log", ylabel="error of the largest torque (N m)")
-    torque_error.set(xlabel="integration step (ms); error against 0.1 ms")
-    torque_error.set_xticks([0.2, 0.5, 1, 2, 5, 10], ["0.2", "0.5", "1", "2", "5", "10"])
-    torque_error.minorticks_off()
-    handles, labels = speed.get_legend_handles_labels()
-    extra: tuple[tuple[str, dict[str, Any]], ...] = (
-        ("with the normal force of (7)", {"color": INK, "lw": 0.6}),
-        ("torque held for the step", {"color": MUTED, "marker": "o", "ms": 4.0}),
-        (f"for {1e3 * STEPS[-1]:g} ms", {"color": MUTED, "marker": "s", "ms": 4.0, "mfc": "white"}),
-    )
-    handles += [speed.plot([], [], **line)[0] for _, line in extra]
-    labels += [label for label, _ in extra]
-    figure.legend(handles, labels, loc="outside upper left", ncols=len(labels), columnspacing=1.4)
-    add_note(
-        figure,
-        f"At the nominal friction (dotted) the normal force of (7) changes the speeds by {listed(shares, 2, '%')}. The "
-        "integrator's own error (open squares) falls with the fourth power of the step; holding the torque for the "
-        "step costs the first power (filled).",
-    )
-    return figure
-
-
 STUDIES: dict[str, Callable[[], Any]] = {
     "phase_plane": draw_phase_plane,
     "principles": draw_principles,
     "speed_map": draw_speed_map,
-    "contact_and_step": draw_contact_and_step,
 }

@@ -114,6 +114,7 @@ def test_command_solves_resumes_and_checks(tmp_path, monkeypatch, capsys):
         return SOLUTIONS[problem]
 
     monkeypatch.setattr(profile_search, "search", stub)
+    monkeypatch.setattr(profile_search, "exchange", list)
     path = tmp_path / "found.json"
     command = ["--json", str(path), "--generations", "1"]
     assert main(command) == 130

@@ -17,11 +17,6 @@ START = -math.pi / 3
 SWINGS = {name: math.radians(numbers["swing"].value) for name, numbers in published.RUNS.items()}
 
 
-@pytest.fixture(scope="module")
-def rates():
-    return proofs.check_proof_2()
-
-
 def test_proof_1():
     proposed, epc = proofs.check_proof_1()
     found = (proposed.bound, proposed.sticking, proposed.anywhere, epc.bound)

@@ -11,16 +11,23 @@ import pytest
 from baselines import drawing
 from baselines.laws.profiles import PROPOSED
 from baselines.paper import __main__ as paper
-from baselines.paper import figures, published, report, study_figures
-from baselines.paper.adaptive import CORRECTED_LAW, REGULARISED_LAW
-from baselines.paper.proofs import check_proof_2
+from baselines.paper import adaptive, figures, published, report, study_figures, tracking
+from baselines.paper.adaptive import CORRECTED_LAW, RATES, REGULARISED_LAW
 
 pytest.importorskip("matplotlib")
 
 
 @pytest.fixture(scope="module")
-def made():
-    return report.make_report(lambda name: None)
+def made(laws, rates):
+    """The report; what other modules test is taken from them or replaced by a few numbers."""
+    deviations = {f"{name} {s * p:+g}": 100.0 / p for p in adaptive.DEVIATIONS for name in ("M", "mu") for s in (-1, 1)}
+    errors = dict.fromkeys(adaptive.SHOWN_CYCLES, (1e-4, 1e-3, 1e-3))
+    study = adaptive.AdaptiveStudy(laws, [(0.01, 1.0, 1, 1000, 24, 17)], deviations, dict.fromkeys(RATES, [errors] * 5))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(adaptive, "study_adaptive", lambda: study)
+        patch.setattr(report.proofs, "check_proof_2", lambda: rates)
+        patch.setattr(tracking, "grid", lambda: ([0.3, 0.5, 1.0], [0.003, 0.01, 0.1]))
+        return report.make_report(lambda name: None)
 
 
 @pytest.fixture(scope="module")
@@ -112,12 +119,12 @@ def test_curves_are_those_of_the_runs(runs):
     np.testing.assert_allclose(figures.sliding_variable(run), run.rate_error + 12.0 * run.error, atol=1e-15)
 
 
-def test_figures_beyond_the_papers_state_the_numbers_of_the_report():
+def test_figures_beyond_the_papers_state_the_numbers_of_the_report(rates):
     with drawing.style():
         assert "3.5 and 2.0 in its first phase, 0.35 and 0.40 in the others" in text_of(study_figures.draw_principles())
         text = text_of(study_figures.draw_phase_plane())
     found = re.search(r"below ([\d.]+) and ([\d.]+) rad/s, in any contact.* below ([\d.]+) and ([\d.]+) rad/s", text)
-    proposed, epc = check_proof_2()
+    proposed, epc = rates
     bounds = (proposed.from_start, epc.from_start, proposed.bound, epc.bound)
     for printed, bound in zip(found.groups(), bounds, strict=True):
         assert bound <= float(printed) < bound + 0.001
@@ -127,6 +134,11 @@ def test_every_figure_is_written_twice_and_identically_at_every_run(runs, tmp_pa
     # Coarse pictures: what is drawn does not depend on the resolution, the time does.
     monkeypatch.setattr(drawing, "DPI", 60)
     monkeypatch.setattr(figures, "Runs", lambda: runs)
+    monkeypatch.setattr(figures, "FIGURES", {"fig4_displacement": figures.draw_displacement})
+    monkeypatch.setattr(study_figures, "STUDIES", {"speed_map": study_figures.draw_speed_map})
+    monkeypatch.setattr(study_figures, "grid", lambda: tracking.grid(4, 5))
+    for module, draw in (("gaits", "draw_gaits"), ("optimum", "draw_optimum")):
+        monkeypatch.setattr(f"baselines.{module}.figure.{draw}", lambda: drawing.new_figure(1.0))
     written = figures.draw_all(tmp_path / "made", lambda name: None)
     assert sorted(written) == sorted((tmp_path / "made").iterdir())
     for path in written:

@@ -16,7 +16,7 @@ from baselines.paper.tracking import grid, simulate, speed_map, speed_ratio, ste
 
 @pytest.fixture(scope="module")
 def maps():
-    M, mu = grid(15, 41)
+    M, mu = grid(8, 31)
     return [speed_map(profile, M, mu) for profile in (PROPOSED, EPC)]
 
 
