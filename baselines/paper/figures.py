@@ -503,8 +503,8 @@ def draw_all(directory: Path, progress: Callable[[str], None]) -> list[Path]:
     Raises:
         ImportError: if matplotlib is not installed.
     """
+    from baselines.dynamic_programming.figure import draw_optimum
     from baselines.gaits.figure import draw_gaits
-    from baselines.optimum.figure import draw_optimum
     from baselines.paper.study_figures import STUDIES
 
     directory.mkdir(parents=True, exist_ok=True)

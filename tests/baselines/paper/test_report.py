@@ -137,7 +137,7 @@ def test_every_figure_is_written_twice_and_identically_at_every_run(runs, tmp_pa
     monkeypatch.setattr(figures, "FIGURES", {"fig4_displacement": figures.draw_displacement})
     monkeypatch.setattr(study_figures, "STUDIES", {"speed_map": study_figures.draw_speed_map})
     monkeypatch.setattr(study_figures, "grid", lambda: tracking.grid(4, 5))
-    for module, draw in (("gaits", "draw_gaits"), ("optimum", "draw_optimum")):
+    for module, draw in (("gaits", "draw_gaits"), ("dynamic_programming", "draw_optimum")):
         monkeypatch.setattr(f"baselines.{module}.figure.{draw}", lambda: drawing.new_figure(1.0))
     written = figures.draw_all(tmp_path / "made", lambda name: None)
     assert sorted(written) == sorted((tmp_path / "made").iterdir())
