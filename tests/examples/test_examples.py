@@ -31,8 +31,8 @@ PROGRAMS = {
     "torchrl": ("torchrl", f"{EXAMPLES}/torchrl_envs.py --steps 50", "failures"),
     "minari": ("minari", f"{EXAMPLES}/minari_record.py --episodes 1", ""),
 }
-# SAC and TD3 read more of an episode that reaches its time limit, and begin with random torques without a seed: episodes
-# of 10 steps end in time.
+# SAC and TD3 read more of an episode that reaches its time limit, and begin with random torques without a seed: these
+# episodes of 10 steps end in time.
 SHORT = """
 import gymnasium as gym
 
