@@ -72,12 +72,8 @@ class Args:
     """Policies that are shown, as for python -m agents.evaluate; those of the documentation by default."""
     output: Annotated[Path, arg(metavar="DIR", aliases=["-o"])] = ROOT / "docs"
     """Folder of the files, which are replaced."""
-
-    def check_names(self) -> None:
-        """Checks the names."""
-        for name in self.names:
-            if name not in DOCUMENTS:
-                raise ValueError(f"NAME must be one of {', '.join(DOCUMENTS)}, got {name!r}")
+    train: bool = False
+    """First train the agents of residual_limit again; the same command resumes."""
 
 
 def render(document: Document) -> str:
@@ -91,9 +87,13 @@ def render(document: Document) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit status."""
     args = parse(Args, COMMAND, arguments)
+    unknown = [name for name in args.names if name not in DOCUMENTS]
+    if unknown:
+        refuse(COMMAND, f"NAME must be one of {', '.join(DOCUMENTS)}, got {unknown[0]!r}")
     stale = False
     try:
-        args.check_names()
+        if args.train:
+            residual_limit.train()
         for name in args.names or DOCUMENTS:
             document, path = DOCUMENTS[name](args.policies), args.output / f"{name}_tables.md"
             if args.check:

@@ -1,21 +1,14 @@
-"""Sweep over the residual limit: agents of one budget on several laws, with more or less torque of their own.
-
-`python -m agents.analysis.residual_limit` trains and evaluates the agents and writes residual_limit.json, of which the
-document is made.
-"""
+"""Sweep over the residual limit: agents of one budget on several laws, with more or less torque of their own."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from tyro.conf import arg
 
 import capsule_gym
 from agents.analysis.data import Document
@@ -23,18 +16,15 @@ from agents.analysis.figures import write_with
 from agents.evaluation.episodes import TABLE_METRICS, Episode, evaluate, versions
 from agents.evaluation.sets import validation_set
 from agents.evaluation.statistics import estimate, learning_curve, paired_difference
-from agents.study.jobs import Job, check_jobs, evaluations, plan, revision_of, seeds_of, train_all
+from agents.study.jobs import Job, evaluations, plan, revision_of, train_all
 from agents.training.presets import ROWS, Config, RunError
-from agents.training.signals import INTERRUPTED
 from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, Pen, add_note, new_figure
 from baselines.policies import SCRIPTED
 from baselines.tables import markdown_table
-from capsule_gym.command_line import parse, refuse
 from capsule_gym.evaluation_sets import EvaluationSet
 from capsule_gym.files import write_atomically
 from capsule_gym.task import TORQUE_LIMIT
 
-PROG = "python -m agents.analysis.residual_limit"
 RESULTS = Path(__file__).with_name("residual_limit.json")
 SPEED = TABLE_METRICS["mean_speed"]
 # N m; with twice the torque limit an agent can replace the law's torque by any other.
@@ -49,7 +39,7 @@ BASES: dict[str, tuple[str, str, tuple[str, ...]]] = {
 DIRECT = {"paper": "direct-ppo", "wide": "direct-ppo-wide"}
 # The row whose settings agents on a law have, but for law, limit, plants and budget, by the name in tables.
 RECIPES = {"cautious": "residual-on-gait", "bold": "direct-ppo"}
-STEPS, EVALUATIONS = 1_000_000, 5
+STEPS, EVALUATIONS, SEEDS = 1_000_000, 5, (0, 1, 2)
 # The plants of the evaluation: other seeds than those of training, of the selection and of the frozen sets.
 FIRST_SEED, EPISODES = 3_000_000, 256
 DASHES: dict[str, Any] = {"paper": "-", "wide": (0.0, (5.0, 1.6))}
@@ -87,9 +77,9 @@ class Agent(NamedTuple):
         """Its law without an agent."""
         return Agent(self.base, self.plants, 0.0)
 
-    def config(self, steps: int = STEPS) -> Config:
+    def config(self) -> Config:
         """What its runs are trained with, but for the seed."""
-        shared: dict[str, Any] = {"total_steps": steps, "evaluate_every": max(1, steps // EVALUATIONS)}
+        shared: dict[str, Any] = {"total_steps": STEPS, "evaluate_every": STEPS // EVALUATIONS}
         if not self.recipe:
             return dataclasses.replace(ROWS[DIRECT[self.plants]], **shared)
         law = SCRIPTED[self.base].env_kwargs["controller"]
@@ -151,7 +141,7 @@ def load(path: Path = RESULTS) -> Results:
     content = json.loads(path.read_text(encoding="utf-8"))
     for name, value in content["sets"].items():
         if evaluation_plants(name).hash != value:
-            raise ValueError(f"{path} holds episodes on other plants of {name} than there are now: run {PROG}")
+            raise ValueError(f"{path} holds episodes on other plants of {name} than there are now: train again")
     return Results(content)
 
 
@@ -250,29 +240,6 @@ def draw(results: Results) -> Any:
     return figure
 
 
-@dataclass(frozen=True)
-class Args:
-    """Trains and evaluates the agents of the sweep and writes agents/analysis/residual_limit.json.
-
-    The same command resumes. Ctrl-C stops. `python -m agents.analysis residual_limit` makes the tables and the figure.
-
-    Examples:
-      python -m agents.analysis.residual_limit --jobs 2
-    """
-
-    seeds: Annotated[tuple[str, ...], arg(metavar="N")] = ("0-2",)
-    """Training seeds, and ranges of seeds such as 0-9."""
-    jobs: int | None = None
-    """Number of runs in parallel; one per core by default."""
-    runs: Path = Path("runs/residual_limit")
-    """Folder of the runs."""
-
-    def check(self) -> None:
-        """Checks ranges."""
-        seeds_of(self.seeds)
-        check_jobs(self.jobs)
-
-
 def evaluated(agent: Agent, episodes: Sequence[Episode], job: Job | None = None) -> dict[str, Any]:
     """A run as the results hold it; a law alone has no job."""
     learning = (
@@ -288,34 +255,26 @@ def evaluated(agent: Agent, episodes: Sequence[Episode], job: Job | None = None)
     }
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit status."""
-    args = parse(Args, PROG, arguments)
+def train(runs: Path = Path("runs/residual_limit")) -> None:
+    """Trains the agents, or resumes their runs, evaluates them and writes the results.
+
+    Args:
+        runs: the folder of the runs.
+
+    Raises:
+        RunError: if a run fails.
+    """
     kinds = {agent.name: agent for agent in agents()}
-    try:
-        jobs = plan({name: agent.config() for name, agent in kinds.items()}, seeds_of(args.seeds), args.runs)
-        failures = train_all(jobs, args.jobs)
-    except (RunError, OSError) as error:
-        refuse(PROG, str(error))
-    except KeyboardInterrupt:
-        print("\nStopped. The same command resumes.")
-        return INTERRUPTED
-    for job, reason in failures.items():
-        print(f"{job.name} failed: {reason}", file=sys.stderr)
-    if failures:
-        return 1
+    jobs = plan({name: agent.config() for name, agent in kinds.items()}, SEEDS, runs)
+    for job, reason in train_all(jobs).items():
+        raise RunError(f"{job.name} failed: {reason}")
     sets = {plants: evaluation_plants(plants) for plants in DIRECT}
     laws = dict.fromkeys(agent.alone for agent in kinds.values() if agent.base)
-    runs = [evaluated(law, evaluate(SCRIPTED[law.base], sets[law.plants])) for law in laws]
+    results = [evaluated(law, evaluate(SCRIPTED[law.base], sets[law.plants])) for law in laws]
     for job in jobs:
         agent = kinds[job.row]
-        runs.append(evaluated(agent, evaluate(capsule_gym.load_policy(job.run), sets[agent.plants]), job))
+        results.append(evaluated(agent, evaluate(capsule_gym.load_policy(job.run), sets[agent.plants]), job))
     content = {"steps": STEPS, "sets": {name: each.hash for name, each in sets.items()}, "versions": versions()}
     # A line per run.
-    lines = ",\n".join(json.dumps(run, separators=(",", ":")) for run in runs)
+    lines = ",\n".join(json.dumps(run, separators=(",", ":")) for run in results)
     write_atomically(RESULTS, f'{json.dumps(content)[:-1]}, "runs": [\n{lines}\n]}}\n')
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
