@@ -149,7 +149,7 @@ class Archive:
         low, step, *limits, curvature, gain = numbers.tolist()
         for axis in range(steps.ndim):
             steps = np.cumsum(steps, axis=axis, dtype=np.uint16)
-        grid = Grid(steps.shape, (limits[0], limits[1]), (limits[2], limits[3]), problem.M, problem.capsule)
+        grid = Grid(steps.shape, (limits[0], limits[1]), (limits[2], limits[3]), problem.M)
         return Solution(problem, grid, (low + step * steps).astype(np.float32), curvature, gain, 0.0)
 
     def check(self) -> list[str]:

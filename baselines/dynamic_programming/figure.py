@@ -35,8 +35,13 @@ def draw_optimum() -> Any:
     value.set_title("Value of a state, relative to the start")
     _draw_map(figure, torque, np.where(failing, np.nan, torques), own, "RdBu_r", "torque (N m)", (-limit, limit))
     torque.set_title("The best torque")
-    _draw_motion(motion, own)
-    _draw_forces(force, own)
+    motion.plot(own.time, own.theta, color=BLUE, label="θ (rad)")
+    motion.plot(own.time, own.x_dot, color=VERMILION, label="x' (m/s)")
+    _draw_cycle(motion, own, "Pendulum and platform", (-0.8, 1.3))
+    weight = (NOMINAL.M + NOMINAL.m) * NOMINAL.g
+    force.step(own.time, own.torque, where="post", color=GREEN, label="u (N m)")
+    force.plot(own.time, own.normal_force / weight, color=INK, label="N / (M + m) g")
+    _draw_cycle(force, own, "Torque and contact", (-1.7, 2.3))
     add_note(
         figure,
         f"Nominal plant, control interval 20 ms. Maps: the slice where the centre of mass moves at {100.0 * q * w:.1f} "
@@ -87,34 +92,10 @@ def _draw_map(
     axes.set(xlabel="θ (rad)", ylabel="θ' (rad/s)", xlim=(-THETA, THETA), ylim=RATES)
 
 
-def _shade(axes: Any, own: Cycle) -> None:
-    """Where the platform slides backwards."""
+def _draw_cycle(axes: Any, own: Cycle, title: str, limits: tuple[float, float]) -> None:
+    """The frame of a panel over the cycle; shaded where the platform slides backwards."""
     backwards = own.x_dot < 0.0
-    low, high = axes.get_ylim()
-    axes.fill_between(own.time, low, high, where=backwards, step="post", color="#e8eef6", lw=0.0, zorder=0.5)
-    axes.set_ylim(low, high)
-    axes.set_xlim(0.0, own.period)
-    axes.set_xlabel("time in the cycle (s)")
-
-
-def _draw_motion(axes: Any, own: Cycle) -> None:
-    """Angle and the platform's velocity over the cycle."""
-    axes.plot(own.time, own.theta, color=BLUE, label="θ (rad)")
-    axes.plot(own.time, own.x_dot, color=VERMILION, label="x' (m/s)")
+    axes.fill_between(own.time, *limits, where=backwards, step="post", color="#e8eef6", lw=0.0, zorder=0.5)
     axes.axhline(0.0, color=MUTED, lw=0.6)
-    axes.set_title("Pendulum and platform")
-    axes.set_ylim(-0.8, 1.3)
+    axes.set(title=title, xlim=(0.0, own.period), ylim=limits, xlabel="time in the cycle (s)")
     axes.legend(loc="upper right", ncols=2, handlelength=1.5, columnspacing=1.2)
-    _shade(axes, own)
-
-
-def _draw_forces(axes: Any, own: Cycle) -> None:
-    """Torque and normal force over the cycle."""
-    weight = (NOMINAL.M + NOMINAL.m) * NOMINAL.g
-    axes.step(own.time, own.torque, where="post", color=GREEN, label="u (N m)")
-    axes.plot(own.time, own.normal_force / weight, color=INK, label="N / (M + m) g")
-    axes.axhline(0.0, color=MUTED, lw=0.6)
-    axes.set_title("Torque and contact")
-    axes.set_ylim(-1.7, 2.3)
-    axes.legend(loc="upper right", ncols=2, handlelength=1.5, columnspacing=1.2)
-    _shade(axes, own)

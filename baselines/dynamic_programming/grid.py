@@ -20,7 +20,7 @@ import numpy as np
 
 from capsule_gym.compilation import compile_cached, jitable
 from capsule_gym.elementary import sincos, sines_and_cosines
-from capsule_gym.parameters import NOMINAL, Capsule
+from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import THETA_LIMIT
 
 # rad/s: where the spacing of y is four times that at rest.
@@ -117,27 +117,17 @@ class Grid:
         y: range of y, rad/s, around 0.
         w: first and last node of w, rad/s.
         M: mass of the platform, kg.
-        capsule: the plant's other constants.
     """
 
     shape: tuple[int, int, int]
     y: tuple[float, float]
     w: tuple[float, float]
     M: float
-    capsule: Capsule = NOMINAL
-
-    def __post_init__(self) -> None:
-        if len(self.shape) != 3 or min(self.shape) < 4:
-            raise ValueError(f"shape must be three numbers of nodes, at least 4 each, got {self.shape!r}")
-        if not self.y[0] < 0.0 < self.y[1]:
-            raise ValueError(f"y must be a pair of rad/s around 0, got {self.y!r}")
-        if not self.w[0] < self.w[1]:
-            raise ValueError(f"w must be an ascending pair of rad/s, got {self.w!r}")
 
     @property
     def q(self) -> float:
         """m l / (M + m), m."""
-        return self.capsule.m * self.capsule.l / (self.M + self.capsule.m)
+        return NOMINAL.m * NOMINAL.l / (self.M + NOMINAL.m)
 
     @property
     def axes(self) -> np.ndarray:

@@ -18,7 +18,7 @@ from baselines.dynamic_programming import MIN_NORMAL_FORCE
 from baselines.dynamic_programming.archive import known_results
 from baselines.dynamic_programming.grid import clamped, interpolate, locate
 from baselines.dynamic_programming.problem import Problem, Transitions
-from baselines.dynamic_programming.solver import Solution
+from baselines.dynamic_programming.solver import Solution, cell_curvature
 from capsule_gym.compilation import compile_cached
 from capsule_gym.parameters import NOMINAL
 
@@ -59,7 +59,7 @@ def _score(
         values: of all tables, concatenated.
         shapes: of the tables, and in a fourth column where each begins.
         axes: shape (tables, 3, 2).
-        curvatures: of the tables, `Solution.cell_curvature`, cm.
+        curvatures: of the tables, `cell_curvature`, cm.
         failure: the score of a torque that fails, cm.
         scores: cm, shape (environments, torques); written.
     """
@@ -96,7 +96,7 @@ def _tables(solutions: Sequence[Solution]) -> tuple[np.ndarray, ...]:
         np.concatenate([solution.values.reshape(-1) for solution in solutions]),
         np.array([(*s.grid.shape, begin) for s, begin in zip(solutions, begins.tolist(), strict=True)]),
         np.array([solution.grid.axes for solution in solutions]),
-        np.array([solution.cell_curvature for solution in solutions]),
+        np.array([cell_curvature(solution.curvature, solution.grid) for solution in solutions]),
     )
 
 

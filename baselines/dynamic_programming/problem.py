@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from capsule_gym.layout import Row
-from capsule_gym.parameters import DIRECT_PHYSICS_DT, NOMINAL, Capsule, EnvConfig, check_number
+from capsule_gym.parameters import DIRECT_PHYSICS_DT, NOMINAL, EnvConfig, check_number
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import CONTROL_DT, TORQUE_LIMIT
 
@@ -25,7 +25,6 @@ class Problem:
         control_dt: control interval, over which the torque is constant, s.
         torque_limit: N m.
         margin: normal force that must be left, N; a smaller one counts as a failure.
-        capsule: the plant's other constants.
 
     Raises:
         TypeError: if a value is of the wrong type.
@@ -38,10 +37,9 @@ class Problem:
     control_dt: float = CONTROL_DT
     torque_limit: float = TORQUE_LIMIT
     margin: float = 0.0
-    capsule: Capsule = NOMINAL
 
     def __post_init__(self) -> None:
-        self.capsule.check_plant(self.M, self.mu)
+        NOMINAL.check_plant(self.M, self.mu)
         check_number("control_dt", self.control_dt, "a finite number > 0 (s)", 0.0, open_low=True)
         check_number("margin", self.margin, "a finite number >= 0 (N)", 0.0)
         _ = self.options
@@ -57,7 +55,6 @@ class Problem:
             energy_weight=self.energy_weight,
             termination_penalty=0.0,
             randomization="none",
-            capsule=self.capsule,
         )
 
 

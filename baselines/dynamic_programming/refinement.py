@@ -91,7 +91,7 @@ def solve_on_grids(problem: Problem, shapes: Sequence[tuple[int, int, int]]) -> 
     """
     friction = min(problem.mu, 0.3)
     w = -3.0 - 25.0 * friction, 8.0 + 35.0 * friction
-    grid = Grid(shapes[0], INITIAL_Y, w, problem.M, problem.capsule)
+    grid = Grid(shapes[0], INITIAL_Y, w, problem.M)
     solution = solve(problem, grid)
     trajectory = run_policy(solution, STARTS)
     curvature = curvature_of(solution, trajectory)

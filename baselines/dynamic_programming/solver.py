@@ -62,14 +62,9 @@ class Solution:
     gain: float
     span: float
 
-    @property
-    def cell_curvature(self) -> float:
-        """The curvature times the square of the spacing of w, cm."""
-        return cell_curvature(self.curvature, self.grid)
-
     def at(self, states: np.ndarray) -> np.ndarray:
         """The values of states of shape (3, n), cm; `FAILURE_VALUE` off the grid."""
-        return values_at(self.values, self.grid.positions(states), self.cell_curvature)
+        return values_at(self.values, self.grid.positions(states), cell_curvature(self.curvature, self.grid))
 
 
 def cell_curvature(curvature: float, grid: Grid) -> float:

@@ -79,7 +79,7 @@ class GaitMap:
 
     Attributes:
         M: centres of the cells, kg, ascending.
-        mu: likewise.
+        mu: centres of the cells, ascending.
         gaits: the gait of each cell, shape (len(M), len(mu)).
     """
 

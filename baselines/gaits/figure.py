@@ -30,28 +30,18 @@ def draw_gaits() -> Any:
     _draw_front(front)
     handles, labels = speeds.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=len(labels), columnspacing=1.4, handlelength=2.0)
+    shown = {gait.family for gait in (*known_gaits().fastest().values(), *pareto_front())}
+    absent = " or ".join(name for name in FAMILIES if name not in shown)
     bound = printed_above(speed_bound(NOMINAL.M, NOMINAL.mu), 0)
     add_note(
         figure,
         "Found by search from rest over 33 s, so lower bounds of what is possible; dashed: proved upper bounds "
         f"({bound} cm/s on the nominal plant). A mark is the family of the fastest gait: harmonics, a Fourier series "
         "of the torque with feedback; bang-bang, full torque with free switching times and feedback; phase-space, a "
-        "polynomial "
-        f"of the state without a clock.{_absent()}",
+        "polynomial of the state without a clock."
+        + (f" No {absent} gait is the fastest or the cheapest anywhere." if absent else ""),
     )
     return figure
-
-
-def _absent() -> str:
-    """Which families have no mark."""
-    shown = {gait.family for gait in (*known_gaits().fastest().values(), *pareto_front())}
-    absent = [name for name in FAMILIES if name not in shown]
-    return f" No {' and no '.join(absent)} gait is the fastest or the cheapest anywhere." if absent else ""
-
-
-def _mark(family: str) -> dict[str, Any]:
-    """How a gait of a family is marked."""
-    return {"marker": MARKS[family], "markersize": 4.5, "linestyle": "none"}
 
 
 def _draw_speeds(axes: Any) -> None:
@@ -62,7 +52,7 @@ def _draw_speeds(axes: Any) -> None:
         gaits = [table[M, mu] for mu in GRID_MU]
         axes.plot(GRID_MU, [gait.mean_speed for gait in gaits], color=colour, label=f"M = {M:g} kg")
         for gait in gaits:
-            axes.plot(gait.mu, gait.mean_speed, color=colour, **_mark(gait.family))
+            axes.plot(gait.mu, gait.mean_speed, color=colour, marker=MARKS[gait.family], markersize=4.5)
         bounds = [speed_bound(M, mu) for mu in friction.tolist()]
         axes.plot(friction, bounds, color=colour, linestyle=(0.0, (5.0, 1.6)), linewidth=1.0)
     axes.plot([], [], color=INK, linestyle=(0.0, (5.0, 1.6)), linewidth=1.0, label="upper bound")
@@ -84,7 +74,7 @@ def _draw_front(axes: Any) -> None:
         own = [gait for gait in gaits if gait.family == name]
         x, y = [gait.cost_of_transport for gait in own], [gait.mean_speed for gait in own]
         # Without a gait of its own the family still stands in the legend: the marks serve both panels.
-        axes.plot(x, y, color=INK, label=name, **_mark(name))
+        axes.plot(x, y, color=INK, label=name, marker=MARKS[name], markersize=4.5, linestyle="none")
     axes.set(xlabel="cost of transport", ylabel="mean speed over 33 s (cm/s)")
     axes.set_title(f"Speed against cost, M = {NOMINAL.M:g} kg, μ = {NOMINAL.mu:g}")
     # Both from zero, so that twice the height is twice the speed; the rest keeps the outermost points whole.

@@ -108,7 +108,7 @@ def adaptive(
     Args:
         profile: what the pendulum follows.
         Lambda_theta: bandwidth of the filter of the pendulum's error, 1/s.
-        Lambda_x: likewise of the platform's, 1/s.
+        Lambda_x: bandwidth of the filter of the platform's error, 1/s.
         K1: N m s/rad.
         K2: N s.
         K3: of the non-collocated terms, N s/m.
@@ -119,8 +119,8 @@ def adaptive(
         n: of the exponent in (39d), at least 1; None is the form's own.
         eta_0: the auxiliary variable at the start, > 0 and at most the form's `Choices.eta_bound`; None is the form's
             own.
-        dt: period of the law, of its torque's hold and of its Euler steps, s; divides the profile's period. The
-            environment's `physics_dt` must divide it.
+        dt: period of the law and of its Euler steps, over which the torque is constant, s; divides the profile's
+            period. The environment's `physics_dt` must divide it.
         nominal: the plant that the law starts from.
         name: the controller's name.
 

@@ -37,7 +37,7 @@ class Constants(NamedTuple):
         saturation_width: rad/s.
         root_bound: the largest root of eta.
         lowest: bounds of the nine estimates from below, in the order of `MEMORY`.
-        highest: likewise from above.
+        highest: bounds from above.
         anchored: see `Choices`.
         cycle_advance: distance that x_d covers in a cycle, m.
         dt: period of the law, s.

@@ -13,7 +13,7 @@ class Gains(NamedTuple):
 
     Attributes:
         Lambda_theta: bandwidth of the first-order filter of the pendulum's error, 1/s.
-        Lambda_x: likewise of the platform's, 1/s.
+        Lambda_x: bandwidth of the filter of the platform's error, 1/s.
         K1: N m s/rad.
         K2: N s.
         K3: of the non-collocated terms, N s/m.

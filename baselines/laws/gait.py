@@ -1,8 +1,8 @@
 """A gait without a clock as a `Controller`: the torque is a polynomial of the state, and a guard keeps the contact.
 
-The law is told nothing of the plant and follows no reference. `python -m baselines.gaits.law_search` has found the
-numbers in `gait.json`. `gait_identifying` is the same law, whose guard knows a platform that is lighter than those of
-the search by the momentum that the pendulum gives it.
+The law does not observe the plant and follows no reference. `python -m baselines.gaits.law_search` has found the
+numbers in `gait.json`. The guard of `gait_identifying` identifies a platform that is lighter than those of the search
+by the momentum that the pendulum gives it.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ def known_parameters() -> tuple[float, ...]:
 
 
 def gait(parameters: Sequence[float] | None = None) -> Controller:
-    """A gait that is told nothing of the plant: its torque follows from theta, theta_dot and x_dot alone.
+    """A gait that does not observe the plant: its torque follows from theta, theta_dot and x_dot alone.
 
     Args:
         parameters: in the order of `PARAMETERS`; None takes the committed ones.

@@ -28,7 +28,7 @@ def slide(
     Args:
         force: the pendulum's push, N.
         forwards: kinetic friction while it slides forwards, N.
-        backwards: likewise backwards.
+        backwards: kinetic friction while it slides backwards, N.
         static_ratio: static over kinetic friction.
         total: M + m, kg.
         x: m.

@@ -66,20 +66,6 @@ def test_nodes_are_divided_by_the_ranges():
     assert along_s * along_w == pytest.approx(51 * 16, rel=0.05)
 
 
-@pytest.mark.parametrize(
-    ("shape", "y", "w", "named"),
-    [
-        ((3, 9, 9), (-1.0, 1.0), (-1.0, 1.0), "shape"),
-        ((9, 9), (-1.0, 1.0), (-1.0, 1.0), "shape"),
-        ((9, 9, 9), (1.0, 2.0), (-1.0, 1.0), "y must be"),
-        ((9, 9, 9), (-1.0, 1.0), (1.0, 1.0), "w must be"),
-    ],
-)
-def test_invalid_grids_raise_an_error(shape, y, w, named):
-    with pytest.raises(ValueError, match=named):
-        Grid(shape, y, w, 0.5)
-
-
 # Transitions
 
 
