@@ -239,7 +239,7 @@ def renderer_of(
         episode: what is drawn.
         mode: "human" or "rgb_array".
         title: as `Renderer` takes it.
-        on_key: likewise.
+        on_key: as `Renderer` takes it.
 
     Raises:
         SystemExit: with 2 after an error, with 130 after Ctrl-C.

@@ -95,7 +95,7 @@ class EvaluationSet:
         Args:
             seed: of a plant of the set.
             M: mass of the platform of all of them, kg, in place of their own; then none jumps.
-            mu: friction coefficient, likewise.
+            mu: friction coefficient of all of them, in place of their own; then none jumps.
 
         Raises:
             TypeError: if M or mu is no number.

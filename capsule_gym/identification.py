@@ -1,4 +1,4 @@
-"""What a policy can know of a plant that it is not told: M and mu, identified on line from the observations.
+"""Identifies M and mu on line from the observations, for policies from which they are hidden.
 
 While the platform slips one way the balance of momentum between two observations holds exactly, whatever the torque
 did in between. With q = m l / (M + m) and s the sign of x' it reads
@@ -75,10 +75,10 @@ def identify(
         theta: rad.
         theta_dot: rad/s.
         x_dot: m/s.
-        m: as `balance` takes it, and so the rest.
-        l: likewise.
-        g: likewise.
-        dt: likewise.
+        m: mass of the ball, kg.
+        l: length of the pendulum, m.
+        g: gravitational acceleration, m/s^2.
+        dt: time between the observations, s.
     """
     begun, M, log_mu, P_MM, P_Mf, P_ff, last_across, last_along, last_x_dot = memory
     sin, cos = sincos(theta)

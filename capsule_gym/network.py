@@ -44,7 +44,7 @@ class Header(NamedTuple):
         observed: how many of them are the environment's observation.
         identifies: whether the estimates of M and mu follow it.
         observes_energy_weight: whether the logarithm of the energy weight follows.
-        log_energy_weight: that logarithm, of a weight in cm/J; 0.0 where it is told none.
+        log_energy_weight: that logarithm, of a weight in cm/J; 0.0 where it observes none.
         outputs_torque: whether the output is the wanted torque, which the action makes of the law's.
         has_law: whether there is a law whose torque it has to be made of.
         torque_limit: N m.
@@ -101,42 +101,24 @@ def residual_limit(options: EnvConfig) -> float:
     return options.torque_limit if options.residual_limit is None else options.residual_limit
 
 
-def make_header(
-    options: EnvConfig,
-    *,
-    layers: int,
-    relu: bool,
-    tanh_squashing: bool,
-    clip: float,
-    identifies: bool,
-    observes_energy_weight: bool,
-    outputs_torque: bool,
-) -> Header:
-    """What a packed network begins with; see `Header`.
+def make_header(options: EnvConfig, *, identifies: bool, observes_energy_weight: bool, **network: Any) -> Header:
+    """The header of a network that acts in an environment of these options.
 
     Args:
-        options: of the environment that it acts in.
-        layers: as in the header, and so the rest.
-        relu: likewise.
-        tanh_squashing: likewise.
-        clip: likewise.
-        identifies: likewise.
-        observes_energy_weight: likewise.
-        outputs_torque: likewise.
+        options: of the environment.
+        identifies: as in `Header`.
+        observes_energy_weight: as in `Header`.
+        network: `layers`, `relu`, `tanh_squashing`, `clip` and `outputs_torque` of the header.
     """
     capsule, entries = options.capsule or Capsule(), observed(options)
     return Header(
-        layers=layers,
-        relu=relu,
-        tanh_squashing=tanh_squashing,
-        clip=clip,
+        **network,
         inputs=len(input_names(entries, identifies, observes_energy_weight)),
         observed=len(entries),
         identifies=identifies,
         observes_energy_weight=observes_energy_weight,
         log_energy_weight=log(options.energy_weight) if observes_energy_weight else 0.0,
-        outputs_torque=outputs_torque,
-        has_law=outputs_torque and options.controller is not None,
+        has_law=network["outputs_torque"] and options.controller is not None,
         torque_limit=options.torque_limit,
         residual_limit=residual_limit(options),
         m=capsule.m,
@@ -157,7 +139,7 @@ def pack(layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, header: H
     Args:
         layers: weights (outputs, inputs) and biases (outputs,) of each layer, in order; the last has one output.
         mean: what is subtracted from an input, shape (inputs,).
-        scale: what the difference is multiplied with, likewise.
+        scale: what the difference is multiplied with, shape (inputs,).
         header: the rest.
 
     Returns:
@@ -222,6 +204,7 @@ def add_tile(
         store(sums, k * LANES + j, LANES, (add(s0, w0, x), add(s1, w1, x), add(s2, w2, x), add(s3, w3, x)))
 
 
+@inner
 def affine(bias: np.ndarray, weights: np.ndarray, n: int, given: np.ndarray, sums: np.ndarray) -> None:
     """What a layer makes of n lanes in `given`, before its activation.
 
@@ -252,9 +235,7 @@ def activate(sums: np.ndarray, units: int, n: int, relu: bool) -> None:
             store(sums, j, 1, ((0.0 if total < 0.0 else total) if relu else tanh(total),))
 
 
-affine_noinline = inner(affine)
-
-
+@inner
 def forward(network: np.ndarray, inputs: np.ndarray, first: int, n: int, lanes: np.ndarray) -> np.ndarray:
     """The outputs for up to LANES environments.
 
@@ -276,7 +257,7 @@ def forward(network: np.ndarray, inputs: np.ndarray, first: int, n: int, lanes: 
     for layer in range(layers):
         width, outputs = int(network[HEADER + layer]), int(network[HEADER + layer + 1])
         end = at + outputs + outputs * width
-        affine_noinline(network[at : at + outputs], network[at + outputs : end], n, given, sums)
+        affine(network[at : at + outputs], network[at + outputs : end], n, given, sums)
         if layer < layers - 1:
             activate(sums, outputs, n, header.relu)
         given, sums = sums, given
@@ -286,6 +267,7 @@ def forward(network: np.ndarray, inputs: np.ndarray, first: int, n: int, lanes: 
     return given[:n]
 
 
+@inner
 def write_inputs(
     network: np.ndarray, observations: np.ndarray, first: int, n: int, memory: np.ndarray, inputs: np.ndarray
 ) -> None:
@@ -333,10 +315,7 @@ def to_action(header: Header, output: float, law_torque: float) -> float:
     return clip((header.torque_limit * wanted - law_torque) / header.residual_limit, 1.0)
 
 
-forward_noinline = inner(forward)
-write_inputs_noinline = inner(write_inputs)
-
-
+@inner
 def act_lanes(
     network: np.ndarray,
     observations: np.ndarray,
@@ -354,7 +333,7 @@ def act_lanes(
         first: first environment.
         n: how many.
         memory: as `write_inputs` takes it; changed.
-        inputs: likewise; written where the policy adds to the observation.
+        inputs: as `write_inputs` takes it; written where the policy adds to the observation.
         lanes: from `workspace`; changed.
 
     Returns:
@@ -362,17 +341,14 @@ def act_lanes(
     """
     header = record(network, 0, Header)
     if header.identifies or header.observes_energy_weight:
-        write_inputs_noinline(network, observations, first, n, memory, inputs)
-        outputs = forward_noinline(network, inputs, first, n, lanes)
+        write_inputs(network, observations, first, n, memory, inputs)
+        outputs = forward(network, inputs, first, n, lanes)
     else:
-        outputs = forward_noinline(network, observations, first, n, lanes)
+        outputs = forward(network, observations, first, n, lanes)
     for j in range(n):
         law_torque = observations[first + j, LAW_TORQUE] if header.has_law else 0.0
         outputs[j] = to_action(header, outputs[j], law_torque)
     return outputs
-
-
-act_lanes_noinline = inner(act_lanes)
 
 
 def act_batch(
@@ -384,13 +360,13 @@ def act_batch(
         network: from `pack`.
         observations: shape (n, entries), float32.
         memory: as `write_inputs` takes it; changed.
-        inputs: likewise; written.
+        inputs: as `write_inputs` takes it; written.
         actions: shape (n, 1), float32; written.
     """
     lanes = workspace(network)
     for first in range(0, len(observations), LANES):
         n = min(LANES, len(observations) - first)
-        found = act_lanes_noinline(network, observations, first, n, memory, inputs, lanes)
+        found = act_lanes(network, observations, first, n, memory, inputs, lanes)
         for j in range(n):
             actions[first + j, 0] = found[j]
 

@@ -117,7 +117,7 @@ class Policy:
         activation: after the hidden layers, "tanh" or "relu".
         squashing: of the last output to [-1, 1], "clip" or "tanh".
         mean: of the inputs in training, shape (inputs,), float64: the observation and what the fields below add.
-        variance: likewise.
+        variance: of the inputs in training, shape (inputs,), float64.
         clip: largest size of a normalised input.
         epsilon: added to the variance.
         env_kwargs: the arguments of the environment that it was trained in, for

@@ -12,7 +12,7 @@ from numba import types
 from capsule_gym import kernels, layout
 from capsule_gym.compilation import compile_now, fingerprint, kernel
 from capsule_gym.layout import AT, LANES
-from capsule_gym.network import act_lanes_noinline, workspace
+from capsule_gym.network import act_lanes, workspace
 from capsule_gym.parameters import check_count
 from capsule_gym.policy import Policy
 from capsule_gym.simulation import Simulation
@@ -48,7 +48,7 @@ def play(
         observations: shape (environments, entries), float32; changed.
         network: from `network.pack`.
         memory: as `network.write_inputs` takes it; changed.
-        inputs: likewise.
+        inputs: as `network.write_inputs` takes it; changed.
         changes: shape (changes, 4), those of an environment in order of time; changed.
 
     Returns:
@@ -64,7 +64,7 @@ def play(
                 active = block[AT.termination + j] == 0.0
                 block[AT.active + j] = 1.0 if active else 0.0
                 going += active
-            actions = act_lanes_noinline(network, observations, start, n, memory, inputs, lanes)
+            actions = act_lanes(network, observations, start, n, memory, inputs, lanes)
             for j in range(n):
                 # As coarse as an action that is handed to the environment.
                 block[AT.action + j] = np.float32(actions[j])

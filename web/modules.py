@@ -31,7 +31,7 @@ from capsule_gym.elementary import logarithm
 from capsule_gym.files import write_atomically
 from capsule_gym.identification import CELLS
 from capsule_gym.layout import LANES
-from capsule_gym.network import act_lanes_noinline
+from capsule_gym.network import act_lanes
 from capsule_gym.observation import observation_names
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.simulation import NO_CONTROLLER, count_rows
@@ -88,7 +88,7 @@ def common_entries() -> list[Entry]:
     def act(network, size, observations, memory, inputs, lanes, units):  # type: ignore[no-untyped-def]
         shown, given = array(observations, (1, ENTRIES)), array(inputs, (1, ENTRIES + CELLS))
         cells, room = array(memory, (CELLS,)), array(lanes, (2, units * LANES))
-        return act_lanes_noinline(array(network, (size,)), shown, 0, 1, cells, given, room)[0]
+        return act_lanes(array(network, (size,)), shown, 0, 1, cells, given, room)[0]
 
     def gait(gaits, size, n, time, observations):  # type: ignore[no-untyped-def]
         seen, number = array(observations, (3,)), types.float64

@@ -91,7 +91,7 @@ class Sight:
 @lru_cache(maxsize=1)
 def _perceive() -> Any:
     """`network.write_inputs`, compiled by itself."""
-    return compile_cached(write_inputs)
+    return compile_cached(write_inputs.py_func)
 
 
 class Classroom:

@@ -19,12 +19,12 @@ from capsule_gym.layout import AT, LANES, record
 from capsule_gym.network import (
     LAW_TORQUE,
     Header,
-    forward_noinline,
+    forward,
     input_names,
     make_header,
     to_action,
     workspace,
-    write_inputs_noinline,
+    write_inputs,
 )
 from capsule_gym.observation import observation_names
 from capsule_gym.resets import Stream, draw_two, plant_at, plant_ranges, random_stream
@@ -152,14 +152,14 @@ def collect(
         block, first = world[b], b * LANES
         n = min(LANES, end - first)
         if fresh:
-            write_inputs_noinline(network, observations, first, n, memory, inputs)
+            write_inputs(network, observations, first, n, memory, inputs)
             for j in range(n):
                 complete(way, block, j, log_weights, first + j, header.inputs, inputs)
         for t in range(len(noise)):
             for j in range(n):
                 for k in range(inputs.shape[1]):
                     seen[t, first + j, k] = inputs[first + j, k]
-            outputs = forward_noinline(network, inputs, first, n, lanes)
+            outputs = forward(network, inputs, first, n, lanes)
             for j in range(n):
                 i = first + j
                 drawn = np.float32(outputs[j] + deviation * noise[t, i])
@@ -186,7 +186,7 @@ def collect(
                 if not over:
                     continue
                 if not failed:
-                    write_inputs_noinline(network, observations, i, 1, memory, inputs)
+                    write_inputs(network, observations, i, 1, memory, inputs)
                     complete(way, block, j, log_weights, i, header.inputs, inputs)
                     cut[cuts, 0], cut[cuts, 1] = t, i
                     cut_inputs[cuts] = inputs[i]
@@ -209,7 +209,7 @@ def collect(
                 returns[i], lengths[i] = 0.0, 0
                 for k in range(CELLS if header.identifies else 0):
                     memory[i * CELLS + k] = 0.0
-            write_inputs_noinline(network, observations, first, n, memory, inputs)
+            write_inputs(network, observations, first, n, memory, inputs)
             for j in range(n):
                 complete(way, block, j, log_weights, first + j, header.inputs, inputs)
     return cuts, endings, -1

@@ -158,7 +158,7 @@ def test_an_edit_of_what_it_calls_changes_its_fingerprint(monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(network, "TILE", network.TILE + 1)
         assert fingerprint(act_batch) != before
-    for function in (network.affine, network.fma.py_func):
+    for function in (network.affine.py_func, network.fma.py_func):
         with monkeypatch.context() as patch:
             code = function.__code__
             patch.setattr(function, "__code__", code.replace(co_consts=(*code.co_consts, "edited")))
