@@ -44,8 +44,8 @@ define double @numba_frexp(double %x, ptr %exponent) {{
 
 # Of a WebAssembly module: how many bytes it begins with, and the numbers of its sections and of what they name.
 PREAMBLE = 8
-CUSTOM, IMPORT, FUNCTION, EXPORT, CODE, DATA = 0, 2, 3, 7, 10, 11
-FUNCTION_KIND, TABLE_KIND, MEMORY_KIND, GLOBAL_KIND = range(4)
+CUSTOM, EXPORT, DATA = 0, 7, 11
+FUNCTION_KIND = 0
 
 
 class Entry(NamedTuple):
@@ -68,7 +68,7 @@ def assemble(entries: Sequence[Entry]) -> bytes:
     """The module that exports these functions, and imports nothing but its memory and the pointer to its stack.
 
     Raises:
-        RuntimeError: if numba's optimiser is on, or the functions need more than that.
+        RuntimeError: if numba's optimiser is on, or the functions need data.
     """
     if numba.config.OPT != 0:
         raise RuntimeError(f"NUMBA_OPT must be 0, got {numba.config.OPT}: the module would depend on this processor")
@@ -178,36 +178,13 @@ def _module(built: bytes, exports: dict[str, int]) -> bytes:
         exports: names and indices of functions.
 
     Raises:
-        RuntimeError: if it does hold data, or needs functions that it lacks.
+        RuntimeError: if it does hold data.
     """
     sections = dict(pair for pair in _sections(built) if pair[0] != CUSTOM)
-    missing = sorted(name for kind, name in _imports(sections[IMPORT]) if kind == FUNCTION_KIND)
-    if DATA in sections or missing:
-        raise RuntimeError(f"the module must need neither data nor functions of others, it lacks {missing}")
+    if DATA in sections:
+        raise RuntimeError("the functions must need no data")
     listed = [
         _number(len(name)) + name.encode() + bytes([FUNCTION_KIND]) + _number(index) for name, index in exports.items()
     ]
     sections[EXPORT] = _number(len(listed)) + b"".join(listed)
     return built[:PREAMBLE] + b"".join(_section(number, sections[number]) for number in sorted(sections))
-
-
-def _imports(content: bytes) -> Iterator[tuple[int, str]]:
-    """Kinds and names of what a module imports."""
-    count, at = _read_number(content, 0)
-    for _ in range(count):
-        for _ in range(2):
-            size, start = _read_number(content, at)
-            name, at = content[start : start + size].decode(), start + size
-        kind, at = content[at], at + 1
-        yield kind, name
-        # A function's type; a global's type and whether it changes; of a table also its type; limits of one or two.
-        if kind == GLOBAL_KIND:
-            at += 2
-        elif kind == FUNCTION_KIND:
-            _, at = _read_number(content, at)
-        else:
-            at += kind == TABLE_KIND
-            limits = 1 + content[at]
-            at += 1
-            for _ in range(limits):
-                _, at = _read_number(content, at)

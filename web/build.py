@@ -45,7 +45,7 @@ def build_page(module: str, *, documented: bool) -> str:
 
 
 @dataclass(frozen=True)
-class Options:
+class Args:
     """Builds the environment for browsers and node, and the live page.
 
     Examples:
@@ -59,26 +59,26 @@ class Options:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """The command line."""
-    options = parse(Options, PROG, arguments)
+    args = parse(Args, PROG, arguments)
     # After the command line is known to be right: the help needs none of it.
     from web.data import pack_data
 
     try:
-        options.output.mkdir(parents=True, exist_ok=True)
+        args.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        refuse(PROG, f"--output must be a folder that can be written to, got {str(options.output)!r}: {error}")
+        refuse(PROG, f"--output must be a folder that can be written to, got {str(args.output)!r}: {error}")
     try:
         archive = pack_data()
     except subprocess.CalledProcessError as error:
         refuse(PROG, f"the modules cannot be built: {error}")
     module = build_module(archive)
     for name, text in (
-        ("index.html", build_page(module, documented=(options.output.parent / "index.html").is_file())),
+        ("index.html", build_page(module, documented=(args.output.parent / "index.html").is_file())),
         ("capsule.mjs", module),
         ("capsule.d.mts", (SOURCES / "capsule.d.mts").read_text(encoding="utf-8")),
     ):
-        write_atomically(options.output / name, text)
-        print(f"{options.output / name}: {len(text.encode()) / 1000:.0f} kB")
+        write_atomically(args.output / name, text)
+        print(f"{args.output / name}: {len(text.encode()) / 1000:.0f} kB")
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ ACTIONS, HOLD = 97, 5
 # The scale of random actions, by the driver that they are added to.
 SCALES = {"zero": 0.15, "adaptive": 0.05, "gait-identifying": 0.05}
 
-Course = dict[str, Any]
+Episode = dict[str, Any]
 
 
 def env_kwargs(name: str) -> dict[str, Any]:
@@ -39,7 +39,7 @@ def env_kwargs(name: str) -> dict[str, Any]:
     return capsule_gym.load_policy(name).env_kwargs if is_trained(name) else SCRIPTED[name].env_kwargs
 
 
-def courses() -> Iterator[Course]:
+def episodes() -> Iterator[Episode]:
     """What has a hash: which driver on which plant, and the random actions where there are any."""
     for n, name in enumerate(controller_names()):
         yield {"name": name, "driver": name, "set": "drift", "plant": n}
@@ -55,17 +55,17 @@ def describe_plant(plant: PlantSpec) -> dict[str, Any]:
     return {key: value for key, value in plant.to_dict().items() if key != "seed" and value != []}
 
 
-def compute(course: Course) -> tuple[int, str]:
+def compute(episode: Episode) -> tuple[int, str]:
     """How many steps an episode takes, and its hash, by Python's environment."""
-    name, plant = course["driver"], load_set(course["set"]).plants[course["plant"]]
+    name, plant = episode["driver"], load_set(episode["set"]).plants[episode["plant"]]
     kwargs = env_kwargs(name)
     env = capsule_gym.CapsuleEnv(**kwargs)
     observation, _ = env.reset(options=plant.reset_options())
     act = (capsule_gym.load_policy(name) if is_trained(name) else SCRIPTED[name]).start([plant.seed])
     digest, terminated, step = hashlib.sha256(), False, 0
     while not terminated and step < round(HORIZON / kwargs.get("control_dt", CONTROL_DT)):
-        if "actions" in course:
-            action = np.array([course["actions"][step // course["hold"] % len(course["actions"])]], np.float32)
+        if "actions" in episode:
+            action = np.array([episode["actions"][step // episode["hold"] % len(episode["actions"])]], np.float32)
         else:
             action = act(observation[None])[0]
         observation, _, terminated, _, _ = env.step(action)
@@ -76,7 +76,7 @@ def compute(course: Course) -> tuple[int, str]:
 
 
 @dataclass(frozen=True)
-class Options:
+class Args:
     """Computes the episodes that the page replays; exit status 1 where they are not the committed ones.
 
     Examples:
@@ -90,15 +90,15 @@ class Options:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    options = parse(Options, "python -m web.episodes", arguments)
+    args = parse(Args, "python -m web.episodes", arguments)
     found = []
-    for course in courses():
-        steps, digest = compute(course)
-        found.append({**course, "steps": steps, "sha256": digest})
-    if options.write:
-        write_atomically(FILE, "[\n" + ",\n".join(json.dumps(course) for course in found) + "\n]\n")
+    for episode in episodes():
+        steps, digest = compute(episode)
+        found.append({**episode, "steps": steps, "sha256": digest})
+    if args.write:
+        write_atomically(FILE, "[\n" + ",\n".join(json.dumps(episode) for episode in found) + "\n]\n")
     committed = json.loads(FILE.read_text(encoding="utf-8"))
-    wrong = [course["name"] for course in found if course not in committed]
+    wrong = [episode["name"] for episode in found if episode not in committed]
     print(
         *(f"{name}: differs from web/episodes.json" for name in wrong),
         f"{len(found)} episodes, {len(wrong)} differ",

@@ -70,7 +70,7 @@ def known_recordings() -> dict[str, dict[str, np.ndarray]]:
 
 
 @dataclass(frozen=True)
-class Options:
+class Args:
     """Records the optimum's policies anew; exit status 1 where they do not do what is committed.
 
     Examples:
@@ -84,13 +84,13 @@ class Options:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    options = parse(Options, "python -m web.recordings", arguments)
+    args = parse(Args, "python -m web.recordings", arguments)
     found: dict[str, Any] = {}
     for name in RECORDED:
         for each in SET_NAMES:
             print(f"{name} on {each} ..", file=sys.stderr, flush=True)
             found[f"{name} {each}"] = record(name, load_set(each).plants)
-    if options.write:
+    if args.write:
         content = io.BytesIO()
         np.savez_compressed(content, **found)
         write_atomically(FILE, content.getvalue())

@@ -75,14 +75,14 @@ def node(site: Path) -> Node:
 
 @pytest.mark.parametrize("name", ["zero", "adaptive", "robust", "held torques on adaptive, 2"])
 def test_committed_episodes_are_pythons(name: str) -> None:
-    committed = next(course for course in COMMITTED if course["name"] == name)
+    committed = next(episode for episode in COMMITTED if episode["name"] == name)
     assert episodes.compute(committed) == (committed["steps"], committed["sha256"])
 
 
 def test_the_module_replays_every_committed_episode(node: Node) -> None:
     all_equal, reports = node("const reports = []; show([await live.check((r) => reports.push(r)), reports]);")
-    assert [report["name"] for report in reports] == [course["name"] for course in COMMITTED]
-    assert [report["steps"] for report in reports] == [course["steps"] for course in COMMITTED]
+    assert [report["name"] for report in reports] == [episode["name"] for episode in COMMITTED]
+    assert [report["steps"] for report in reports] == [episode["steps"] for episode in COMMITTED]
     assert all_equal and all(report["equal"] for report in reports)
     assert sum(report["doubles"] for report in reports) > 1_000_000
 
