@@ -13,7 +13,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
-from agents.distil.students import STUDENTS
+from agents.distillation.config import STUDENTS
 from agents.evaluation.episodes import evaluate, failures, scores
 from agents.evaluation.policies import checkpoint_names
 from agents.evaluation.statistics import interquartile_mean
@@ -26,7 +26,7 @@ from capsule_gym.evaluation_sets import load_set
 
 PROG = "python -m agents.reproduce"
 # Trained with reinforcement learning, or distilled from the optimum.
-PUBLISHED = (*ROWS, *(name for name, student in STUDENTS.items() if not student.told))
+PUBLISHED = (*ROWS, *(name for name, student in STUDENTS.items() if not student.observe_parameters))
 # Student's t at 97.5 % with 1, 2, .. degrees of freedom; the last value, which is conservative, serves for all others.
 STUDENT_T = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262)
 HEADER = ["row", "set", "published cm/s (runs)", "expected", "now", "failed", "one core (min)", "verdict"]
@@ -126,8 +126,7 @@ def train(args: Args) -> tuple[list[list[str]], dict[str, str]]:
         KeyboardInterrupt: if the user stops it.
     """
     # Slow to import, and --help does not need them.
-    from agents.distil.outcome import teach
-    from agents.distil.run import read_result
+    from agents.distillation.dagger import distil_all, read_result
 
     jobs = plan({row: row_settings(row) for row in args.rows if row not in STUDENTS}, [args.seed], args.runs)
     failed = {job.row: reason for job, reason in train_all(jobs, args.jobs).items()}
@@ -138,7 +137,7 @@ def train(args: Args) -> tuple[list[list[str]], dict[str, str]]:
         lines.append(compare(job.row, job.run, last.get("core_seconds", last["seconds"])))
     for row in (row for row in args.rows if row in STUDENTS):
         folder = args.runs / row / f"seed-{args.seed}"
-        if not teach(row, {args.seed: folder}, STUDENTS[row].budget):
+        if not distil_all(row, {args.seed: folder}, STUDENTS[row].budget):
             raise KeyboardInterrupt
         result = read_result(folder)
         assert result is not None

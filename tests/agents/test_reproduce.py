@@ -11,8 +11,8 @@ import pytest
 from scipy import stats
 
 from agents import reproduce
-from agents.distil import outcome
-from agents.distil.students import STUDENTS
+from agents.distillation import dagger
+from agents.distillation.config import STUDENTS
 from agents.evaluation.policies import CHECKPOINTS, checkpoint_names
 from agents.reproduce import STUDENT_T, prediction_interval, verdict
 
@@ -49,7 +49,7 @@ def train_again(jobs, *_):
 
 
 def test_published_runs_lie_within_the_intervals_of_their_rows(tmp_path, monkeypatch, capsys):
-    def teach(name, folders, budget):
+    def distil_all(name, folders, budget):
         assert budget == STUDENTS[name].budget
         for folder in folders.values():
             shutil.copytree(CHECKPOINTS / name / "seed-0", folder)
@@ -57,7 +57,7 @@ def test_published_runs_lie_within_the_intervals_of_their_rows(tmp_path, monkeyp
             (folder / "finished.json").write_text(json.dumps(result))
         return True
 
-    monkeypatch.setattr(outcome, "teach", teach)
+    monkeypatch.setattr(dagger, "distil_all", distil_all)
     monkeypatch.setattr(reproduce, "train_all", train_again)
     assert reproduce.main(["direct-ppo", "optimum-distilled", "--runs", str(tmp_path)]) == 0
     direct, distilled = (line for line in capsys.readouterr().out.splitlines() if line.endswith("within"))

@@ -10,8 +10,8 @@ from typing import get_args, get_type_hints
 import pytest
 
 import train
-from agents.distil.network import HIDDEN
-from agents.distil.students import STUDENTS
+from agents.distillation.config import STUDENTS
+from agents.distillation.dagger import HIDDEN
 from agents.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
 from agents.training.presets import CONFIG, PRESETS, ROWS, PPOConfig, read_config
 from capsule_gym.parameters import DOCS, RANDOMIZATIONS, EnvConfig
@@ -77,7 +77,7 @@ def test_the_table_of_commands_names_every_row_and_its_seeds():
         seeds = [run.training_seed for run in find_candidate(name).policies]
         assert seeds == list(range(int(first), int(last or first) + 1))
         if name in STUDENTS:
-            assert command == f"-m agents.distil {name} --seeds N"
+            assert command == f"-m agents.distillation {name} --seeds N"
             continue
         program, *words = command.replace(" N", " 7").split()
         assert program == "train.py"

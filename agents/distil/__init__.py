@@ -1,1 +1,0 @@
-"""A network that is taught by the optimum: `python -m agents.distil`."""

@@ -1,0 +1,1 @@
+"""Distillation of the optimum into networks by DAgger: `python -m agents.distillation`."""

@@ -1,0 +1,270 @@
+"""Trains a student by DAgger: rounds of data in which it acts more and more, a fit after each, and a final longer fit.
+
+The loss of a torque is its interpolated regret, not its distance from the expert's torque. A run's folder holds
+
+    policy.safetensors   the best policy so far, by evaluations on validation plants
+    finished.json        once the run is finished: the fields of `Result`
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+from tqdm import tqdm
+
+from agents.distillation.config import STUDENTS, Budget, Student
+from agents.distillation.dataset import Collector, Dataset
+from agents.evaluation.episodes import evaluate, scores
+from agents.evaluation.sets import validation_set
+from agents.study.jobs import FINISHED
+from agents.training.algorithms import FastTanh
+from agents.training.callbacks import FAILURE_COST
+from agents.training.checkpoint import git_revision
+from agents.training.export import Normalisation
+from agents.training.presets import RunError
+from agents.training.signals import Stop
+from baselines.dynamic_programming.policy import NUM_TORQUES
+from capsule_gym import Policy
+from capsule_gym.evaluation_sets import EvaluationSet
+from capsule_gym.files import to_json, write_atomically
+from capsule_gym.policy import IMITATION, POLICY
+from capsule_gym.task import CONTROL_DT
+
+# First seed of the validation plants that select the best policy, far from other seeds.
+SELECTION_SEED = 6_000_000
+# The expert's share of the time in the first rounds; 0 afterwards.
+EXPERT_SHARES = (1.0, 0.5, 0.3, 0.2, 0.1)
+# The step size at the end of the fit after a round, in parts of that at its start.
+FINAL_RATE = 0.3
+HIDDEN = 64
+# Lower bound on the variance of an input that hardly varies.
+MIN_VARIANCE = 1e-3
+CLIP, EPSILON = 10.0, 1e-8
+MAX_GRADIENT_NORM = 1.0
+
+
+def interpolated_regret(regrets: torch.Tensor, torques: torch.Tensor) -> torch.Tensor:
+    """The regret of any torque, linear between those that the expert tried.
+
+    Args:
+        regrets: of `TORQUES`, shape (n, NUM_TORQUES).
+        torques: in [-1, 1], shape (n,).
+
+    Returns:
+        In the unit of the regrets, shape (n,).
+    """
+    positions = 0.5 * (NUM_TORQUES - 1) * (torques + 1.0)
+    below = positions.detach().long().clamp(0, NUM_TORQUES - 2)
+    low, high = (regrets.gather(1, (below + n)[:, None])[:, 0] for n in (0, 1))
+    return low + (positions - below) * (high - low)
+
+
+class Network:
+    """The student's network: two hidden layers, tanh after each.
+
+    Args:
+        dataset: its inputs are normalised to zero mean and unit variance.
+        seed: of the initial weights.
+    """
+
+    def __init__(self, dataset: Dataset, seed: int) -> None:
+        inputs = dataset.inputs.astype(np.float64)
+        variance = np.maximum(inputs.var(axis=0), MIN_VARIANCE)
+        self._normalisation = Normalisation(inputs.mean(axis=0), variance, CLIP, EPSILON)
+        torch.manual_seed(seed)
+        first, second, last = nn.Linear(inputs.shape[1], HIDDEN), nn.Linear(HIDDEN, HIDDEN), nn.Linear(HIDDEN, 1)
+        self._layers = first, second, last
+        self._module = nn.Sequential(first, FastTanh(), second, FastTanh(), last, FastTanh())
+        self._optimiser = torch.optim.Adam(self._module.parameters())
+
+    def fit(
+        self,
+        datasets: list[Dataset],
+        updates: int,
+        rates: tuple[float, float],
+        batch_size: int,
+        rng: np.random.Generator,
+        callback: Callable[[float], bool] = lambda loss: True,
+    ) -> None:
+        """Minimises the mean regret.
+
+        Args:
+            datasets: the data of all rounds.
+            updates: number of gradient steps.
+            rates: step size of Adam at the first and at the last; linear in between.
+            batch_size: states in each step.
+            rng: draws the batches.
+            callback: called after every step with the loss of its batch, cm/s; False ends the fit.
+        """
+        norm = self._normalisation
+        raw = np.concatenate([dataset.inputs for dataset in datasets])
+        scaled = np.clip((raw - norm.mean) / np.sqrt(norm.var + norm.epsilon), -norm.clip, norm.clip)
+        inputs = torch.from_numpy(scaled.astype(np.float32))
+        regrets = torch.from_numpy(np.concatenate([dataset.regrets for dataset in datasets]))
+        for n in range(updates):
+            self._optimiser.param_groups[0]["lr"] = rates[0] + (rates[1] - rates[0]) * n / updates
+            batch = torch.from_numpy(rng.integers(len(inputs), size=batch_size))
+            loss = interpolated_regret(regrets[batch], self._module(inputs[batch])[:, 0]).mean() / CONTROL_DT
+            self._optimiser.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(self._module.parameters(), MAX_GRADIENT_NORM)
+            self._optimiser.step()
+            if not callback(loss.item()):
+                break
+
+    def policy(self, name: str, student: Student, seed: int, revision: str) -> Policy:
+        """The policy with the current weights.
+
+        Args:
+            name: as the others a field of `capsule_gym.Policy`.
+            student: its configuration.
+            seed: of its training.
+            revision: of the code.
+        """
+        norm = self._normalisation
+        return Policy(
+            name=name,
+            algorithm=IMITATION,
+            layers=tuple(
+                (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in self._layers
+            ),
+            activation="tanh",
+            squashing="tanh",
+            mean=norm.mean,
+            variance=norm.var,
+            clip=norm.clip,
+            epsilon=norm.epsilon,
+            env_kwargs=student.env_kwargs,
+            training_seed=seed,
+            revision=revision,
+            identifies=student.identifies,
+        )
+
+
+@dataclass(frozen=True)
+class Result:
+    """The result of a finished run.
+
+    Attributes:
+        mean_speed: of its best policy in the evaluation that selected it, cm/s.
+        failed: share of failed episodes in it.
+        core_seconds: of processor time that the run took.
+        revision: the git revision that it ran at.
+    """
+
+    mean_speed: float
+    failed: float
+    core_seconds: float
+    revision: str
+
+
+def read_result(folder: Path) -> Result | None:
+    """The result of a run; None if it is not finished."""
+    path = folder / FINISHED
+    return Result(**json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else None
+
+
+def validation_plants(student: Student, first_seed: int, count: int) -> EvaluationSet:
+    """Plants drawn as those of the student's episodes, never a frozen set."""
+    return validation_set(student.randomization, f"validation plants, {student.randomization}", first_seed, count)
+
+
+def schedule(budget: Budget) -> list[tuple[float | None, int, tuple[float, float]]]:
+    """The expert's share of each round, None without a round; the gradient steps after it and their step sizes."""
+    rate = budget.learning_rate
+    shares = (*EXPERT_SHARES, *[0.0] * budget.rounds)[: budget.rounds]
+    final = [rate * (1.0 - n / budget.final_parts) for n in range(budget.final_parts + 1)]
+    rounds = [(share, budget.updates, (rate, FINAL_RATE * rate)) for share in shares]
+    return [*rounds, *((None, budget.final_updates // budget.final_parts, rates) for rates in pairwise(final))]
+
+
+def evaluate_policy(policy: Policy, plants: EvaluationSet) -> tuple[float, float]:
+    """The mean speed (cm/s) and the share of failed episodes."""
+    episodes = evaluate(policy, plants)
+    speed, failed = (float(scores(episodes, metric).mean()) for metric in ("mean_speed", "failed"))
+    return speed, failed
+
+
+def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop, budget: Budget) -> Result | None:
+    """Trains a student.
+
+    Args:
+        name: the student's.
+        student: its configuration.
+        seed: of everything: on one machine the same seed gives the same policy.
+        folder: a new one, for the files above.
+        stop: ends the run early; the folder then holds the best policy so far, if there is one.
+        budget: the size of the run.
+
+    Returns:
+        The result; None if the run was stopped.
+
+    Raises:
+        FileExistsError: if the folder exists.
+    """
+    folder.mkdir(parents=True)
+    torch.set_num_threads(1)
+    began, revision = time.process_time(), git_revision(Path(__file__).parent)
+    rng = np.random.default_rng(seed)
+    collector = Collector(student, budget.num_envs, rng)
+    first_seed = SELECTION_SEED + seed * budget.evaluation_episodes
+    plants = validation_plants(student, first_seed, budget.evaluation_episodes)
+    rounds = schedule(budget)
+    datasets: list[Dataset] = []
+    network: Network | None = None
+    policy: Policy | None = None
+    best = (-math.inf, 0.0, 0.0)
+    total = sum(updates for _, updates, _ in rounds)
+    with tqdm(total=total, desc=f"{name}/{folder.name}", file=sys.stderr, disable=None) as bar:
+
+        def count_update(loss: float) -> bool:
+            bar.update()
+            return not stop.requested
+
+        for expert_share, updates, rates in rounds:
+            if expert_share is not None:
+                act = policy.start(range(budget.num_envs)) if policy else None
+                datasets.append(collector.collect(budget.steps, expert_share, act, lambda: stop.requested))
+            network = network or Network(datasets[0], seed)
+            network.fit(datasets, updates, rates, budget.batch_size, rng, count_update)
+            if stop.requested:
+                return None
+            policy = network.policy(name, student, seed, revision)
+            speed, failed = evaluate_policy(policy, plants)
+            bar.set_postfix_str(f"{speed:.2f} cm/s, {100.0 * failed:.0f} % failed")
+            found = (speed - FAILURE_COST * failed, speed, failed)
+            if found > best:
+                best = found
+                policy.save(folder / POLICY)
+    result = Result(best[1], best[2], round(time.process_time() - began, 1), revision)
+    write_atomically(folder / FINISHED, to_json(asdict(result)))
+    return result
+
+
+def distil_all(name: str, folders: dict[int, Path], budget: Budget) -> bool:
+    """Runs what is not finished; returns whether all runs are.
+
+    Args:
+        name: of the student.
+        folders: of its runs, by the seed.
+        budget: of each.
+
+    Raises:
+        RunError: if a run was started before and is not finished.
+    """
+    waiting = {seed: folder for seed, folder in folders.items() if read_result(folder) is None}
+    started = [str(folder) for folder in waiting.values() if folder.exists()]
+    if started:
+        raise RunError(f"{', '.join(started)} was started and is not finished: remove it, or give other --runs")
+    with Stop() as stop:
+        return all(distil(name, STUDENTS[name], seed, folder, stop, budget) for seed, folder in waiting.items())

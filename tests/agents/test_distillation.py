@@ -1,0 +1,196 @@
+import dataclasses
+import json
+import os
+import signal
+
+import numpy as np
+import pytest
+import torch
+
+from agents.distillation import __main__ as command
+from agents.distillation import dagger
+from agents.distillation.config import STUDENTS, Budget
+from agents.distillation.dagger import Network, interpolated_regret
+from agents.distillation.dataset import Collector, regrets_of
+from agents.training.presets import RunError
+from agents.training.signals import INTERRUPTED
+from baselines.dynamic_programming.policy import FAILURE_SCORE, NUM_TORQUES, TORQUES
+from capsule_gym import load_policy
+from capsule_gym.task import CONTROL_DT
+
+TINY = Budget(
+    num_envs=3,
+    steps=30,
+    updates=3,
+    final_updates=4,
+    final_parts=2,
+    batch_size=16,
+    learning_rate=1e-3,
+    evaluation_episodes=2,
+)
+NAME = "optimum-distilled"
+
+
+def collected(name=NAME, *, expert_share=1.0, act=None, steps=60):
+    collector = Collector(STUDENTS[name], 4, np.random.default_rng(0))
+    return collector.collect(steps, expert_share, act, lambda: False)
+
+
+@pytest.fixture(autouse=True)
+def cheap_references(monkeypatch):
+    monkeypatch.setitem(STUDENTS, NAME, dataclasses.replace(STUDENTS[NAME], references=("zero",)))
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    return collected()
+
+
+def distil(folder, *words: str) -> int:
+    return command.main([*words, "--seeds", "0", "--runs", str(folder)], budget=TINY, count=1)
+
+
+def test_regrets_are_losses_compared_with_the_best_torque():
+    scores = np.zeros((3, NUM_TORQUES))
+    scores[0] = -((np.arange(NUM_TORQUES) - 7.0) ** 2)
+    scores[1, 5:] = FAILURE_SCORE
+    scores[2] = FAILURE_SCORE
+    regrets = regrets_of(scores, 5.0)
+    assert regrets.dtype == np.float32
+    assert regrets[0, 7] == 0.0 and regrets[0, 8] == 1.0 and regrets[0, -1] == 5.0
+    assert (regrets[1, :5] == 0.0).all() and (regrets[1, 5:] == 5.0).all()
+    # Where every torque fails there is nothing to learn.
+    assert (regrets[2] == 0.0).all()
+
+
+def test_the_loss_is_linear_between_the_torques_of_the_expert(dataset):
+    regrets = torch.arange(NUM_TORQUES, dtype=torch.float32).square().repeat(3, 1)
+    spacing = 2.0 / (NUM_TORQUES - 1)
+    torques = torch.tensor([-1.0, -1.0 + 2.25 * spacing, 1.0], requires_grad=True)
+    costs = interpolated_regret(regrets, torques)
+    assert costs.tolist() == pytest.approx([0.0, 4.0 + 0.25 * 5.0, (NUM_TORQUES - 1.0) ** 2], rel=1e-4)
+    costs.sum().backward()
+    assert (spacing * torques.grad).tolist() == pytest.approx([1.0, 5.0, 2.0 * NUM_TORQUES - 3.0], rel=1e-4)
+    # The expert's own torques have no regret.
+    best = torch.from_numpy(TORQUES[dataset.regrets.argmin(axis=1)])
+    assert interpolated_regret(torch.from_numpy(dataset.regrets), best).max() < 1e-6 < 0.1 < dataset.regrets.max()
+
+
+def test_students_observe_the_plant_only_if_configured(dataset):
+    assert len(dataset.inputs) == len(dataset.regrets) and dataset.inputs.shape[1] == 5
+    observing = collected("optimum-distilled-oracle", steps=3)
+    assert observing.inputs.shape[1] == 7
+    # Drawn for every episode.
+    assert len(np.unique(observing.inputs[:, -1])) == 4
+
+
+def test_a_student_that_identifies_is_given_the_estimates():
+    name = "optimum-distilled-wide"
+    assert STUDENTS[name].change_rate > 0.0
+    data = collected(name, steps=150)
+    assert data.inputs.shape[1] == 9
+    first, last = data.inputs[:4], data.inputs[-4:]
+    assert (first[:, 5:] == first[0, 5:]).all()
+    assert (last[:, 7] < 0.2 * first[:, 7]).all()
+    policy = Network(data, 0).policy(name, STUDENTS[name], 0, "none")
+    # The policy computes the same inputs from the observations alone.
+    act = policy.start(range(4))
+    for n in range(0, len(data.inputs), 4):
+        inputs = data.inputs[n : n + 4]
+        given = np.clip((inputs - policy.mean) / np.sqrt(policy.variance + policy.epsilon), -policy.clip, policy.clip)
+        for weights, bias in policy.layers:
+            given = np.tanh(given @ weights.T.astype(np.float64) + bias)
+        np.testing.assert_allclose(act(inputs[:, :5]), given, atol=1e-6)
+
+
+def test_the_acting_policy_decides_the_states(dataset):
+    shapes = []
+
+    def zero(observations):
+        shapes.append(observations.shape)
+        return np.zeros((len(observations), 1), np.float32)
+
+    alone = collected(expert_share=0.0, act=zero)
+    assert set(shapes) == {(4, 5)}
+    assert np.abs(alone.inputs[:, 4]).mean() < 0.1 < np.abs(dataset.inputs[:, 4]).mean()
+
+
+def test_a_fit_lowers_the_loss_and_the_file_acts_as_the_network(dataset, tmp_path):
+    network, rng, losses = Network(dataset, 0), np.random.default_rng(0), []
+    network.fit([dataset], 150, (3e-3, 3e-3), 128, rng, lambda loss: losses.append(loss) is None)
+    assert len(losses) == 150
+    assert np.mean(losses[-20:]) < 0.5 * np.mean(losses[:5])
+    policy = network.policy("student", STUDENTS[NAME], 0, "none")
+    policy.save(tmp_path / "policy.safetensors")
+    actions = load_policy(tmp_path)(dataset.inputs)
+    assert actions.tobytes() == policy(dataset.inputs).tobytes()
+    regrets = interpolated_regret(torch.from_numpy(dataset.regrets), torch.from_numpy(actions[:, 0]))
+    assert regrets.mean().item() / CONTROL_DT == pytest.approx(np.mean(losses[-20:]), rel=0.3)
+    # The callback ends the fit.
+    network.fit([dataset], 50, (1e-3, 1e-3), 8, rng, losses.append)
+    assert len(losses) == 151
+
+
+def test_the_same_seed_gives_the_same_policy_and_finished_runs_are_skipped(tmp_path, capsys):
+    assert distil(tmp_path / "a") == distil(tmp_path / "b") == 0
+    files = [tmp_path / name / NAME / "seed-0" / "policy.safetensors" for name in "ab"]
+    assert files[0].read_bytes() == files[1].read_bytes()
+    assert load_policy(files[0]).training_seed == 0
+    before = files[0].stat().st_mtime_ns
+    capsys.readouterr()
+    assert command.main(["--seeds", "0-1", "--runs", str(tmp_path / "a")], budget=TINY, count=1) == 0
+    assert files[0].stat().st_mtime_ns == before
+    assert (tmp_path / "a" / NAME / "seed-1" / "policy.safetensors").read_bytes() != files[0].read_bytes()
+    shown = capsys.readouterr().out
+    lines = {line.split()[0]: line.split()[1] for line in shown.splitlines() if line.startswith((NAME, "zero"))}
+    assert lines == {NAME: "2", "zero": "1"}
+
+
+def test_ctrl_c_keeps_the_best_policy_and_the_run_is_not_overwritten(tmp_path, monkeypatch, capsys):
+    evaluated = []
+
+    def evaluate_policy(policy, plants):
+        evaluated.append(policy)
+        if len(evaluated) == 2:
+            os.kill(os.getpid(), signal.SIGINT)
+        return float(-len(evaluated)), 0.0
+
+    monkeypatch.setattr(dagger, "evaluate_policy", evaluate_policy)
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        assert distil(tmp_path) == INTERRUPTED
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert len(evaluated) == 2
+    folder = tmp_path / NAME / "seed-0"
+    assert [path.name for path in folder.iterdir()] == ["policy.safetensors"]
+    observations = np.zeros((1, 5), np.float32)
+    assert load_policy(folder)(observations).tobytes() == evaluated[0](observations).tobytes()
+    assert "kept" in capsys.readouterr().out
+    with pytest.raises(SystemExit) as stop:
+        distil(tmp_path)
+    assert stop.value.code == 2
+    assert "was started and is not finished" in capsys.readouterr().err
+
+
+def test_only_clean_revisions_are_published(tmp_path):
+    folder, checkpoints = tmp_path / "run", tmp_path / "checkpoints"
+    folder.mkdir()
+    (folder / "policy.safetensors").write_bytes(b"policy")
+    result = {"mean_speed": 20.0, "failed": 0.0, "core_seconds": 1.0, "revision": "0123456789ab+"}
+    (folder / "finished.json").write_text(json.dumps(result))
+    with pytest.raises(RunError, match="nothing uncommitted"):
+        command.publish(NAME, {3: folder}, checkpoints)
+    assert not checkpoints.exists()
+    (folder / "finished.json").write_text(json.dumps({**result, "revision": "0123456789ab"}))
+    command.publish(NAME, {3: folder}, checkpoints)
+    assert (checkpoints / NAME / "seed-3" / "policy.safetensors").read_bytes() == b"policy"
+
+
+@pytest.mark.parametrize("words", [["another"], ["--seeds", "x"]])
+def test_wrong_options_are_named_in_one_line(words, capsys):
+    with pytest.raises(SystemExit) as stop:
+        command.main(words)
+    assert stop.value.code == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and words[-1] in error
