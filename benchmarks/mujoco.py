@@ -199,7 +199,7 @@ def largest_creep(load: float, timestep: float) -> float:
     return largest
 
 
-def driven_creep(model: Any, load: float) -> float:
+def median_creep(model: Any, load: float) -> float:
     """Median |x'| of MuJoCo in `CREEP_SECONDS` under `load_torque`, m/s."""
     import mujoco
 
@@ -212,23 +212,6 @@ def driven_creep(model: Any, load: float) -> float:
     return float(np.median(speeds))
 
 
-def steady_creep(model: Any, load: float) -> float:
-    """Mean x' of MuJoCo under a constant force on the platform, over the second half of `CREEP_SECONDS`, m/s."""
-    import mujoco
-    from scipy.optimize import brentq
-
-    capsule = Capsule()
-    # Spring and gravity balance.
-    rest = brentq(lambda theta: capsule.m * capsule.g * capsule.l * math.sin(theta) - capsule.k * theta, 0.1, math.pi)
-    data = start_data(model, rest)
-    x, half = data.joint("x"), round(0.5 * CREEP_SECONDS / model.opt.timestep)
-    x.qfrc_applied[0] = load * capsule.mu * (capsule.M + capsule.m) * capsule.g
-    mujoco.mj_step(model, data, half)
-    middle = float(x.qpos[0])
-    mujoco.mj_step(model, data, half)
-    return (float(x.qpos[0]) - middle) / (half * model.opt.timestep)
-
-
 @dataclass(frozen=True)
 class Result:
     """What was found of one model at the default step.
@@ -236,14 +219,12 @@ class Result:
     Attributes:
         name: friction model and integrator.
         errors: largest error in any state, one per case.
-        driven: creep under the motor's load, one per share of the limit, m/s.
-        steady: creep under a constant force, m/s; empty where no force can be applied.
+        creep: under `load_torque`, one per share of the limit, m/s.
     """
 
     name: str
     errors: list[float]
-    driven: list[float]
-    steady: list[float]
+    creep: list[float]
 
 
 def measure(trajectories: int) -> list[Result]:
@@ -255,7 +236,7 @@ def measure(trajectories: int) -> list[Result]:
         accuracy.expected_trajectories(mu, amplitude, trajectories) for mu, amplitude in tqdm(CASES, desc="reference")
     ]
     own = [accuracy.errors(mu, known, [step]).max() for (mu, _), known in zip(CASES, expected, strict=True)]
-    results = [Result("capsule_gym", own, [largest_creep(load, step) for load in LOADS], [])]
+    results = [Result("capsule_gym", own, [largest_creep(load, step) for load in LOADS])]
     variants = [(friction, integrator) for friction in ALL_FRICTIONS for integrator in INTEGRATORS]
     for friction, integrator in tqdm(variants, desc="MuJoCo"):
         errors = []
@@ -265,19 +246,17 @@ def measure(trajectories: int) -> list[Result]:
             ends = [found[each.intervals - 1] for found, each in zip(states, known, strict=True)]
             errors.append(float(np.abs(np.array(ends) - [each.state for each in known]).max()))
         model = build_model(friction, integrator, step)
-        driven, steady = ([creep(model, load) for load in LOADS] for creep in (driven_creep, steady_creep))
-        results.append(Result(f"MuJoCo {friction.name}, {integrator}", errors, driven, steady))
+        creep = [median_creep(model, load) for load in LOADS]
+        results.append(Result(f"MuJoCo {friction.name}, {integrator}", errors, creep))
     return results
 
 
 def table(results: Sequence[Result]) -> list[list[str]]:
     """The table of errors and creep."""
     errors = (f"error, mu = {mu:g}, ±{amplitude:g} N m" for mu, amplitude in CASES)
-    driven, steady = ([f"{kind}, {load:.0%}" for load in LOADS] for kind in ("driven", "steady"))
-    rows = [["", *errors, *driven, *steady]]
+    rows = [["", *errors, *(f"creep, {load:.0%}" for load in LOADS)]]
     for result in results:
-        numbers = [f"{value:.1e}" for value in (*result.errors, *result.driven, *result.steady)]
-        rows.append([result.name, *numbers, *["-"] * (len(rows[0]) - 1 - len(numbers))])
+        rows.append([result.name, *(f"{value:.1e}" for value in (*result.errors, *result.creep))])
     return rows
 
 
@@ -302,10 +281,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         refuse(COMMAND, f'{error}: pip install "capsule-gym[bench]"')
     note = (
         f"Error: the largest in any state after 10 s of random torque, {args.trajectories} trajectories, against "
-        f"DOP853. Creep in m/s; driven: median |x'| over {CREEP_SECONDS:g} s while the pendulum pushes the platform "
-        "with that share of its friction limit mu N, forwards and backwards in turn; steady: mean x' under a constant "
-        "external force of that share, which capsule_gym does not have. 'stiff': the hardest constraints that MuJoCo "
-        f"allows at the step of {1e3 * DIRECT_PHYSICS_DT:g} ms. {describe(machine('mujoco'))}."
+        f"DOP853. Creep: median |x'| in m/s over {CREEP_SECONDS:g} s while the pendulum pushes the platform with that "
+        "share of its friction limit mu N, forwards and backwards in turn. 'stiff': the hardest constraints that "
+        f"MuJoCo allows at the step of {1e3 * DIRECT_PHYSICS_DT:g} ms. {describe(machine('mujoco'))}."
     )
     print(text_table(table(results)), note, sep="\n\n")
     numbers = {"machine": machine("mujoco"), "results": [asdict(result) for result in results]}

@@ -456,27 +456,6 @@ def test_plants_of_a_set(open_page: Open) -> None:
     page.wait_for_function("document.getElementById('plant').disabled")
 
 
-def test_a_recorded_driver_keeps_the_plants_of_the_sets(open_page: Open) -> None:
-    page = open_page(PAUSED)
-    page.select_option("#driver", "optimum-oracle")
-    page.wait_for_function("location.hash.includes('set=nominal')")
-    for control in ("#M", "#M-number", "#mu", "#mu-number", "#jump"):
-        assert page.locator(control).is_disabled()
-    assert page.locator("#set option").first.is_disabled()
-    shows(page, "plant-text", "recorded on the plants of the sets")
-    page.select_option("#set", "drift")
-    page.wait_for_function("location.hash.includes('set=drift')")
-    page.select_option("#driver", "epc")
-    page.wait_for_function("!document.getElementById('jump').disabled")
-    page.click("#play") if playing(page) else None
-    # A rival asks for the same.
-    page.click("#jump")
-    page.wait_for_function("!location.hash.includes('set=') || location.hash.includes('jumps=')")
-    page.select_option("#rival", "optimum-nominal")
-    page.wait_for_function("location.hash.includes('set=') && !location.hash.includes('jumps=')")
-    assert page.locator("#trouble").is_hidden()
-
-
 def test_mass_out_of_range_is_said_and_kept_within(open_page: Open) -> None:
     page = open_page(LAW, reduced_motion="reduce")
     page.fill("#M-number", "9")
@@ -551,14 +530,6 @@ def test_links_hold_the_whole_scene(open_page: Open, scene: str) -> None:
     page.wait_for_function("scene => location.hash === scene", arg=scene)
 
 
-def test_links_are_followed_in_an_open_page(open_page: Open) -> None:
-    page = open_page(PAUSED)
-    page.evaluate("location.hash = '#driver=epc&rival=adaptive&set=paper&plant=5&t=1'")
-    shows(page, "figure-time", "1.00")
-    assert page.input_value("#driver") == "epc"
-    assert page.input_value("#plant") == "5"
-
-
 @pytest.mark.parametrize(
     ("scene", "words"),
     [
@@ -586,23 +557,6 @@ def test_keys_turn_the_motor_while_they_are_held(open_page: Open) -> None:
         page.keyboard.up(key)
         shows(page, "torque-value", "0.00")
     assert page.input_value("#torque") == "0"
-
-
-def test_a_run_by_hand_is_told_by_its_link(open_page: Open) -> None:
-    page = open_page("#driver=yourself&speed=0.2")
-    page.focus("#torque")
-    page.keyboard.down("ArrowLeft")
-    reaches(page, 0.1)
-    page.keyboard.up("ArrowLeft")
-    reaches(page, 0.2)
-    page.click("#play")
-    page.wait_for_function("location.hash.includes('hand=')")
-    other = open_page(page.evaluate("location.hash"))
-    shows(other, "figure-time", page.locator("#figure-time").text_content())
-    assert measures(other) == measures(page)
-    page.click("#restart")
-    page.click("#play")
-    assert "hand" not in link(page) or set(link(page)["hand"]) <= set("0123456789u")
 
 
 def test_reduced_motion_waits(open_page: Open) -> None:
