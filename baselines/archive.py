@@ -72,6 +72,7 @@ def write_archive(folder: Path, content: Mapping[str, Any], arrays: Mapping[str,
         content: the JSON object; the entries of its lists get a line each.
         arrays: by name.
     """
+    folder.mkdir(parents=True, exist_ok=True)
     if arrays:
         ordered: dict[str, Any] = {name: arrays[name] for name in sorted(arrays)}
         with replacing(folder / ARRAYS) as temporary:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from baselines.dynamic_programming import FOLDER
 from capsule_gym.command_line import parse
@@ -38,37 +38,28 @@ class Args:
       python -m baselines.dynamic_programming                      all that is missing
       python -m baselines.dynamic_programming --report             print the tables of what is on file
       python -m baselines.dynamic_programming --check              repeat every trajectory and write nothing
-      python -m baselines.dynamic_programming --problems plants --again
+      python -m baselines.dynamic_programming --folder new         compute everything again
     """
 
     check: bool = False
     """Repeat every trajectory on file, write nothing; the exit status is 1 if a speed differs in the last bit."""
     report: bool = False
     """Only print the tables of what is on file."""
-    problems: tuple[Literal["plants", "margins", "weights", "intervals"], ...] = (
-        "plants",
-        "margins",
-        "weights",
-        "intervals",
-    )
-    """Problems to solve."""
-    again: bool = False
-    """Solve again what is known."""
     folder: Path = FOLDER
     """Of the archive."""
 
 
-def problems() -> dict[str, list[Problem]]:
-    """The problems by their names on the command line."""
+def problems() -> list[Problem]:
+    """All problems."""
     from baselines.archive import PLANTS
     from baselines.dynamic_programming.problem import Problem
 
-    return {
-        "plants": [Problem(M=M, mu=mu) for M, mu in PLANTS],
-        "margins": [Problem(margin=MARGIN)],
-        "weights": [Problem(energy_weight=weight) for weight in ENERGY_WEIGHTS],
-        "intervals": [Problem(control_dt=control_dt) for control_dt in CONTROL_INTERVALS],
-    }
+    return [
+        *(Problem(M=M, mu=mu) for M, mu in PLANTS),
+        Problem(margin=MARGIN),
+        *(Problem(energy_weight=weight) for weight in ENERGY_WEIGHTS),
+        *(Problem(control_dt=control_dt) for control_dt in CONTROL_INTERVALS),
+    ]
 
 
 def solve_all(wanted: Sequence[Problem], archive: Archive) -> Iterator[None]:
@@ -108,8 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if args.report:
         print(report(archive))
         return 0
-    wanted = [problem for name in args.problems for problem in problems()[name]]
-    missing = [problem for problem in wanted if args.again or key_of(problem) not in archive.results]
+    missing = [problem for problem in problems() if key_of(problem) not in archive.results]
     interrupted = run_search(solve_all(missing, archive), lambda: archive.save(args.folder))
     print(f"{len(archive.results)} problems on file in {args.folder}")
     return 130 if interrupted else 0

@@ -11,7 +11,6 @@ The archive only improves. It is written after every iteration and on Ctrl-C, an
 from __future__ import annotations
 
 import math
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from pathlib import Path
 from typing import Literal
 
 from baselines.gaits import FOLDER
-from capsule_gym.command_line import Count, parse, refuse
+from capsule_gym.command_line import Count, parse
 
 PROG = "python -m baselines.gaits"
 
@@ -55,8 +54,6 @@ class Args:
     """Purposes of the iterations that take turns."""
     seed: int = 0
     """Of the search."""
-    threads: int = os.cpu_count() or 1
-    """For the batch."""
     folder: Path = FOLDER
     """Of the archive."""
 
@@ -64,8 +61,6 @@ class Args:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, PROG, arguments)
-    if args.threads < 1:
-        refuse(PROG, f"--threads must be at least 1, got {args.threads}")
     # Imported once the command line is known to be right: the help needs none of it.
     from baselines.archive import run_search
     from baselines.gaits.archive import load_archive
@@ -74,12 +69,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     archive = load_archive(args.folder)
     if args.check:
-        stale = check(archive, args.threads)
+        stale = check(archive)
         print(*stale, f"{len(archive.everything())} gaits simulated again: {len(stale)} numbers differ", sep="\n")
         return int(bool(stale))
     if not args.oracle:
         command = f"{PROG} --seed {args.seed} --families {' '.join(args.families)} --purposes {' '.join(args.purposes)}"
-        search = Search(archive, args.families, args.purposes, args.seed, args.threads, command)
+        search = Search(archive, args.families, args.purposes, args.seed, command)
         steps = search.iterations(args.minutes, args.iterations or math.inf)
         if run_search(steps, lambda: archive.save(args.folder)):
             return 130
@@ -87,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{args.folder} holds no gait to compute the map of gait-oracle from")
         return 1
     print("computing the map of gait-oracle (some minutes)", flush=True)
-    archive.oracle = compute_map(list(archive.gaits.values()), threads=args.threads)
+    archive.oracle = compute_map(list(archive.gaits.values()))
     archive.save(args.folder)
     return 0
 

@@ -26,7 +26,7 @@ from baselines.gaits.policy import tolerant_nominal
 from baselines.gaits.search import cma_strategy, score
 from baselines.laws.gait import FILE, LIGHTEST, NO_REFERENCE, PARAMETERS, guarded_torque
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym.command_line import Count, parse, refuse
+from capsule_gym.command_line import Count, parse
 from capsule_gym.controller import Controller
 from capsule_gym.files import write_atomically
 from capsule_gym.layout import ROWS
@@ -68,8 +68,6 @@ class Args:
     """Of the search."""
     generations: Count = 700
     """Of the CMA-ES."""
-    threads: int = os.cpu_count() or 1
-    """For the batch."""
     file: Path = FILE
     """Of the parameters."""
 
@@ -86,10 +84,9 @@ class Candidates:
 
     Args:
         count: of environments.
-        threads: that share the batch; the results do not depend on it.
     """
 
-    def __init__(self, count: int, threads: int) -> None:
+    def __init__(self, count: int) -> None:
         # The first millisecond has no torque: a reset calls the law before its memory can be written.
         self.env = CapsuleVectorEnv(
             count,
@@ -99,7 +96,7 @@ class Candidates:
             control_dt=CONTROL_DT,
             max_episode_steps=round(HORIZON / CONTROL_DT),
             autoreset_mode=AutoresetMode.DISABLED,
-            threads=threads,
+            threads=os.cpu_count() or 1,
         )
 
     def run(self, parameters: np.ndarray, plants: np.ndarray, actions: np.ndarray) -> dict[str, np.ndarray]:
@@ -161,7 +158,7 @@ class Search:
         self.rng = np.random.default_rng([args.seed, 3])
         start = np.array([*tolerant_nominal().parameters, *START_GUARD]) / UNITS
         self.strategy = cma_strategy(start, FIRST_STEP, POPULATION, self.rng)
-        self.trials, self.tests = Candidates(POPULATION * PLANTS, args.threads), Candidates(TEST_EPISODES, args.threads)
+        self.trials, self.tests = Candidates(POPULATION * PLANTS), Candidates(TEST_EPISODES)
         self.best = -math.inf
         if args.file.is_file():
             known = json.loads(args.file.read_text(encoding="utf-8"))["parameters"]
@@ -220,8 +217,6 @@ class Search:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, PROG, arguments)
-    if args.threads < 1:
-        refuse(PROG, f"--threads must be at least 1, got {args.threads}")
     search = Search(args)
     return 130 if run_search(search.generations(), search.save) else 0
 

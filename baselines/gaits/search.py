@@ -135,7 +135,6 @@ class Search:
         families: names of the families that take turns.
         purposes: names of the purposes that take turns.
         seed: of the whole search; iteration i draws from the stream (seed, i).
-        threads: for the batch.
         command: stored with the gaits that it finds.
     """
 
@@ -145,11 +144,10 @@ class Search:
         families: Sequence[str] = tuple(FAMILIES),
         purposes: Sequence[str] = tuple(PURPOSES),
         seed: int = 0,
-        threads: int = 1,
         command: str = "",
     ) -> None:
         self.archive, self.families, self.purposes = archive, families, purposes
-        self.seed, self.threads, self.command = seed, threads, command
+        self.seed, self.command = seed, command
 
     def iterations(self, minutes: float = math.inf, count: float = math.inf) -> Iterator[None]:
         """Runs iterations as it is iterated, until the time or their number is up."""
@@ -216,7 +214,7 @@ class Search:
     ) -> np.ndarray:
         """The scores of candidates for their targets: the worst over the variants of the plant."""
         M, mu, goals = targets.T
-        results = simulate(family, parameters, M, mu, variants=variants, horizon=horizon, threads=self.threads)
+        results = simulate(family, parameters, M, mu, variants=variants, horizon=horizon)
         if horizon == HORIZON:
             results["late_speed"] = results["mean_speed"]
         return score(results, horizon, None if np.isnan(goals).any() else goals).min(axis=0)
@@ -242,10 +240,10 @@ class Search:
         # Rounded before the evaluation, as they are written.
         points = np.array([[float(f"{value:.9g}") for value in point] for point in points])
         M, mu = np.array([run.target[:2] for run in runs for _ in run.best]).T
-        results = simulate(family, points, M, mu, variants=PERTURBED, threads=self.threads)
+        results = simulate(family, points, M, mu, variants=PERTURBED)
         changes, speeds, tolerant = sensitivity(results), results["mean_speed"][0], purpose == "tolerate"
         if tolerant:
-            speeds = worst_speed(simulate(family, points, M, mu, variants=TOLERATED, threads=self.threads))
+            speeds = worst_speed(simulate(family, points, M, mu, variants=TOLERATED))
         better = 0
         # The best first, so that an entry is replaced, and counted, once.
         for i in np.argsort(-speeds):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from itertools import product
 
@@ -35,7 +36,6 @@ def simulate(
     *,
     variants: np.ndarray = PERTURBED[:1],
     horizon: float = HORIZON,
-    threads: int = 1,
 ) -> dict[str, np.ndarray]:
     """Runs gaits of one family, each from rest on its own plant and on variants of it.
 
@@ -46,7 +46,6 @@ def simulate(
         mu: friction coefficients, shape (n,).
         variants: factors of M and mu and changes of the first angle, shape (variants, 3).
         horizon: length of an episode, s.
-        threads: that share the batch; the results do not depend on it.
 
     Returns:
         The metrics of `capsule_gym.task.Metrics` and `late_speed`, the mean speed over the second half of the episode
@@ -62,7 +61,7 @@ def simulate(
         autoreset_mode=AutoresetMode.DISABLED,
         randomization="none",
         control_dt=GAIT_DT,
-        threads=threads,
+        threads=os.cpu_count() or 1,
     )
     try:
         plants = {"M": np.outer(variants[:, 0], M).reshape(-1), "mu": np.outer(variants[:, 1], mu).reshape(-1)}
@@ -94,7 +93,7 @@ def sensitivity(results: dict[str, np.ndarray]) -> np.ndarray:
     return np.where((results["failed"] > 0.0).any(axis=0), 1.0, np.abs(speeds - speeds[0]).max(axis=0) / scale)
 
 
-def check(archive: Archive, threads: int = 1) -> list[str]:
+def check(archive: Archive) -> list[str]:
     """Simulates every gait again; returns what differs from the archive by more than the tolerance, one line each.
 
     Rounding differs between machines and a gait may amplify it, by as much as the search allows for a thousandth.
@@ -105,7 +104,7 @@ def check(archive: Archive, threads: int = 1) -> list[str]:
         if not gaits:
             continue
         parameters, M, mu = (np.array([getattr(gait, each) for gait in gaits]) for each in ("parameters", "M", "mu"))
-        results = simulate(family, parameters, M, mu, threads=threads)
+        results = simulate(family, parameters, M, mu)
         for n, gait in enumerate(gaits):
             for metric in ("mean_speed", "cost_of_transport"):
                 old, new = getattr(gait, metric), float(results[metric][0, n])
@@ -116,14 +115,13 @@ def check(archive: Archive, threads: int = 1) -> list[str]:
     return stale
 
 
-def compute_map(gaits: Sequence[Gait], *, threads: int = 1) -> GaitMap:
+def compute_map(gaits: Sequence[Gait]) -> GaitMap:
     """Computes the map of `gait-oracle`: in every cell the gait whose slowest run is fastest.
 
     The runs cover the cell and two starts, since a small change may lead to another, slower motion.
 
     Args:
         gaits: to choose from.
-        threads: that share the batch.
     """
     M, mu = np.linspace(*MAP_M), np.geomspace(*MAP_MU)
     half_M, half_mu = 0.5 * (M[1] - M[0]), (mu[1] / mu[0]) ** 0.5
@@ -132,7 +130,7 @@ def compute_map(gaits: Sequence[Gait], *, threads: int = 1) -> GaitMap:
     for n, gait in enumerate(gaits):
         parameters = np.tile(gait.parameters, (len(centre_M), 1))
         plants = centre_M + half_M * steps_M, centre_mu * half_mu**steps_mu
-        results = simulate(gait.family, parameters, *plants, variants=STARTS, threads=threads)
+        results = simulate(gait.family, parameters, *plants, variants=STARTS)
         worst[n] = worst_speed(results).reshape(worst.shape[1], -1).min(axis=1)
     best = worst.argmax(axis=0).reshape(len(M), len(mu))
     rows = tuple(tuple(gaits[index] for index in row) for row in best)

@@ -128,15 +128,14 @@ def adaptive(
         TypeError: if an argument is of the wrong type.
         ValueError: if one is out of range.
     """
-    gains = check_gains(
-        Lambda_theta=Lambda_theta, Lambda_x=Lambda_x, K1=K1, K2=K2, K3=K3, Gamma_1=Gamma_1, Gamma_2=Gamma_2
-    )
+    given = Gains(Lambda_theta, Lambda_x, K1, K2, K3, Gamma_1, Gamma_2)
+    gains = Gains(**check_gains(**given._asdict()))
     if not isinstance(regularised, bool):
         raise TypeError(f"regularised must be True or False, got {regularised!r}")
     choices = chosen(REGULARISED if regularised else UNREGULARISED, beta, n, eta_0)
     plant = nominal.plant()
     table = reference_table(profile, plant, dt)
-    constants = constants_of(Gains(**gains), choices, plant, table, float(dt))
+    constants = constants_of(gains, choices, plant, table, float(dt))
     return Controller(name, adaptive_law(constants), table, initial_memory(constants, choices.eta_0), constants.dt)
 
 

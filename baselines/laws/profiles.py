@@ -105,8 +105,10 @@ class Profile:
         return -min(segment.offset for segment in self.segments)
 
 
-def _check_times(times: Sequence[float], count: int) -> list[float]:
-    """The durations of the phases between the given times, which must grow from 0."""
+def _durations(times: Sequence[float], count: int, V1: float, P2: float) -> list[float]:
+    """The durations of the phases between the given times, which must grow from 0; checks the velocities, too."""
+    if not 0.0 < P2 < V1:
+        raise ValueError(f"P2 must lie between 0 and V1, got P2={P2!r}, V1={V1!r}")
     if len(times) != count:
         raise ValueError(f"times must hold t1 to t{count}, got {len(times)} values")
     durations = np.diff([0.0, *(check_number("times", t, "finite numbers > 0 (s)", 0.0, open_low=True) for t in times)])
@@ -139,9 +141,7 @@ def seven_phases(times: Sequence[float], V1: float, P2: float, name: str = "prop
     Raises:
         ValueError: if the times do not grow or 0 < P2 < V1 does not hold.
     """
-    if not 0.0 < P2 < V1:
-        raise ValueError(f"P2 must lie between 0 and V1, got P2={P2!r}, V1={V1!r}")
-    d = _check_times(times, 7)
+    d = _durations(times, 7, V1, P2)
     progressive = [
         Segment(d[0], amplitude=V1, rate=math.pi / (2.0 * d[0])),
         Segment(d[1], offset=V1),
@@ -163,9 +163,7 @@ def six_phases(times: Sequence[float], V1: float, P2: float, name: str = "EPC") 
     Raises:
         ValueError: if the times do not grow or 0 < P2 < V1 does not hold.
     """
-    if not 0.0 < P2 < V1:
-        raise ValueError(f"P2 must lie between 0 and V1, got P2={P2!r}, V1={V1!r}")
-    d = _check_times(times, 6)
+    d = _durations(times, 6, V1, P2)
     progressive = [
         Segment(d[0], amplitude=V1, rate=math.pi / (2.0 * d[0])),
         _ramp(d[1], V1, P2),

@@ -8,8 +8,7 @@ from scipy.ndimage import map_coordinates
 
 from baselines.dynamic_programming.grid import FAILED, Grid
 from baselines.dynamic_programming.problem import Problem, Transitions
-from baselines.dynamic_programming.refinement import divide_nodes
-from baselines.dynamic_programming.solver import FAILURE_VALUE, _compiled, _improve, solve, transitions, values_at
+from baselines.dynamic_programming.solver import FAILURE_VALUE, solve, transitions, values_at
 from baselines.dynamic_programming.trajectory import repeat, run_policy
 from capsule_gym import CapsuleEnv
 
@@ -57,13 +56,6 @@ def test_interpolation_is_exact_for_linear_functions_plus_the_parabola():
     x, y, z = positions.astype(np.float64).T
     expected = 2.0 * x - 3.0 * y + 0.7 * z + 0.5 * z * z
     np.testing.assert_allclose(values_at(values, positions, 0.5), expected, rtol=1e-5, atol=1e-4)
-
-
-def test_nodes_are_divided_by_the_ranges():
-    assert divide_nodes((31, 51, 16), (-6.0, 20.0), (-1.0, 4.8)) == (31, 51, 16)
-    along_theta, along_s, along_w = divide_nodes((31, 51, 16), (-1.0, 3.4), (-16.0, 14.0))
-    assert along_theta == 31 and along_s < along_w
-    assert along_s * along_w == pytest.approx(51 * 16, rel=0.05)
 
 
 # Transitions
@@ -141,24 +133,6 @@ def test_the_solution_is_that_of_value_iteration(solution):
     np.testing.assert_allclose(other[alive], values[alive], atol=0.5)
     assert 10.0 < solution.gain < 30.0
     assert solution.at(np.array([[-np.pi / 3.0], [0.0], [0.0]]))[0] == pytest.approx(0.0, abs=1e-3)
-
-
-def test_the_operator_is_monotone_and_a_contraction():
-    torques = np.tile(np.linspace(-1.0, 1.0, 3), (np.prod(SHAPE), 1))
-    positions, rewards = transitions(Problem(), make_grid(), torques)
-    chosen = np.zeros(np.prod(SHAPE), np.int32)
-
-    def operator(values):
-        out = np.empty_like(values)
-        _compiled(_improve)(values, out, chosen, positions, rewards, 0.3, 0.01, FAILURE_VALUE)
-        return out
-
-    rng = np.random.default_rng(2)
-    below = rng.uniform(FAILURE_VALUE, 50.0, SHAPE).astype(np.float32)
-    above = below + rng.uniform(0.0, 5.0, SHAPE).astype(np.float32)
-    change = operator(above) - operator(below)
-    assert (change >= -1e-4).all() and change.max() <= (above - below).max() + 1e-4
-    assert np.unique(chosen).size > 1
 
 
 def test_more_torques_and_a_smaller_energy_weight_gain_more(solution):

@@ -57,7 +57,7 @@ def test_the_guard_opposes_the_rate_in_proportion_to_its_excess():
 
 def test_only_the_guard_keeps_the_contact_of_a_light_platform():
     plants = np.array([[0.36] * 6, [0.006, 0.02, 0.05, 0.1, 0.2, 0.28]])
-    candidates, actions = Candidates(6, 1), np.zeros((round(HORIZON / CONTROL_DT), 6))
+    candidates, actions = Candidates(6), np.zeros((round(HORIZON / CONTROL_DT), 6))
     kept, lost = (candidates.run(np.tile(p, (6, 1)), plants[None], actions) for p in (known_parameters(), FREE))
     assert kept["failed"].sum() == 0.0 < lost["failed"].sum()
     assert kept["smallest_normal_ratio"].min() > 0.0
