@@ -87,7 +87,7 @@ def record(
         shown = 100.0 * whole.x[whole.t >= frames_from]
         low, high = (float(shown.min()), float(shown.max())) if shown.size else (0.0, 0.0)
         length = max(float(whole.t[-1]) - frames_from, FRAME_SECONDS)
-        renderer.hold_axes(ChartAxes(frames_from, length, low, max(high, low + 1.0)))
+        renderer.set_axes(ChartAxes(frames_from, length, low, max(high, low + 1.0)))
     act = policy.start([plant.seed])
     rows, frames, terminated = [], [], False
     start = [plant.theta, 0.0, 0.0, 0.0]

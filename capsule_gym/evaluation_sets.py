@@ -1,4 +1,4 @@
-"""The plants that policies are judged and shown on: evaluation sets and their files, the frozen ones among them.
+"""Evaluation sets and their files, the frozen ones among them: the plants that policies are evaluated on.
 
 `agents.evaluation.sets` says what the frozen ones are, and draws them.
 """
@@ -18,7 +18,7 @@ from capsule_gym.parameters import NOMINAL, check_number, nearest
 from capsule_gym.task import HORIZON, START_THETA, THETA_LIMIT
 
 SET_NAMES = ("nominal", "paper", "wide", "extrapolation", "drift")
-# What makes an episode of a set, whatever a policy was trained with.
+# The options of an episode of a set; they override those of a policy's training.
 EPISODE_SETTINGS: dict[str, Any] = {"randomization": "none", "initial_noise": 0.0}
 # A wheel carries their files in the package; in a checkout they lie with the evaluation.
 FOLDERS = (Path(__file__).with_name("frozen"), Path(__file__).parents[1] / "agents" / "evaluation" / "frozen")

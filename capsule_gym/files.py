@@ -25,7 +25,7 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Gives the path of a temporary file beside `path`, of the same type, which takes its place at the end.
+    """Gives the path of a temporary file next to `path`, of the same type, which takes its place at the end.
 
     Nobody ever reads half of the file, and where the block fails, or the power does, what stood there stays.
     """

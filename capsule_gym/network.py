@@ -1,4 +1,4 @@
-"""A trained policy in strict float64, for any number of environments: what it is given, its network, its action.
+"""A trained policy in strict float64, for any number of environments: inputs, layers, action.
 
 An environment is a lane, as in `capsule_gym.kernels`: every loop runs over LANES of them, of which the compiler takes
 several at once. Each unit adds its inputs in their order, bias first, one fused multiply-add after the other, so that
@@ -40,7 +40,7 @@ class Header(NamedTuple):
         relu: whether max(0, .) follows the hidden layers, else tanh.
         tanh_squashing: whether tanh brings the last output to [-1, 1], else it is clipped.
         clip: largest size of a normalised input.
-        inputs: how many numbers the network is given.
+        inputs: how many numbers the network takes.
         observed: how many of them are the environment's observation.
         identifies: whether the estimates of M and mu follow it.
         observes_energy_weight: whether the logarithm of the energy weight follows.
@@ -83,7 +83,7 @@ SATURATION = 0.9
 
 
 def input_names(observation: Sequence[str], identifies: bool, observes_energy_weight: bool) -> tuple[str, ...]:
-    """What a network is given, in order: the environment's observation and what the policy adds to it."""
+    """The inputs of a network in order: the environment's observation and what the policy adds to it."""
     return (
         *observation,
         *(ESTIMATES if identifies else ()),
@@ -134,7 +134,7 @@ def padded(width: int) -> int:
 
 
 def pack(layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, header: Header) -> np.ndarray:
-    """A network in one array, which is all that compiled code needs to be given.
+    """A network in one array, as compiled code takes it.
 
     Args:
         layers: weights (outputs, inputs) and biases (outputs,) of each layer, in order; the last has one output.
@@ -160,7 +160,7 @@ def pack(layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, header: H
 
 @jitable
 def workspace(network: np.ndarray) -> np.ndarray:
-    """What `forward` works in, shape (2, units of the widest layer times LANES)."""
+    """The memory that `forward` works in, shape (2, units of the widest layer times LANES)."""
     widest = 0
     for layer in range(record(network, 0, Header).layers + 1):
         widest = max(widest, int(network[HEADER + layer]))
@@ -172,14 +172,14 @@ def workspace(network: np.ndarray) -> np.ndarray:
 
 
 @inlined
-def normalise(network: np.ndarray, inputs: np.ndarray, first: int, n: int, given: np.ndarray) -> None:
+def normalise(network: np.ndarray, inputs: np.ndarray, first: int, n: int, values: np.ndarray) -> None:
     """Writes the normalised inputs first..first + n - 1 into the lanes; what fills up their width stays zero."""
     header = record(network, 0, Header)
     widths, width = header.layers + 1, int(network[HEADER])
     for i in range(header.inputs):
         mean, scale = network[HEADER + widths + i], network[HEADER + widths + width + i]
         for j in range(n):
-            given[i * LANES + j] = clip((inputs[first + j, i] - mean) * scale, header.clip)
+            values[i * LANES + j] = clip((inputs[first + j, i] - mean) * scale, header.clip)
 
 
 @inlined
@@ -193,20 +193,20 @@ def add(total: float, weights: tuple[float, ...], inputs: tuple[float, ...]) -> 
 
 @inlined
 def add_tile(
-    weights: np.ndarray, at: int, inputs: int, n: int, given: np.ndarray, i: int, sums: np.ndarray, k: int
+    weights: np.ndarray, at: int, inputs: int, n: int, values: np.ndarray, i: int, sums: np.ndarray, k: int
 ) -> None:
     """Adds the inputs i, i + 1, .. of n lanes to the sums k, k + 1, .., with the weights that begin at `at`."""
     w0, w1 = load(weights, at, 1, TILE), load(weights, at + inputs, 1, TILE)
     w2, w3 = load(weights, at + 2 * inputs, 1, TILE), load(weights, at + 3 * inputs, 1, TILE)
     for j in range(n):
-        x = load(given, i * LANES + j, LANES, TILE)
+        x = load(values, i * LANES + j, LANES, TILE)
         s0, s1, s2, s3 = load(sums, k * LANES + j, LANES, TILE)
         store(sums, k * LANES + j, LANES, (add(s0, w0, x), add(s1, w1, x), add(s2, w2, x), add(s3, w3, x)))
 
 
 @inner
-def affine(bias: np.ndarray, weights: np.ndarray, n: int, given: np.ndarray, sums: np.ndarray) -> None:
-    """What a layer makes of n lanes in `given`, before its activation.
+def affine(bias: np.ndarray, weights: np.ndarray, n: int, values: np.ndarray, sums: np.ndarray) -> None:
+    """The outputs of a layer for n lanes in `values`, before its activation.
 
     A function of its own, with arrays of its own: where the compiler can tell that they do not overlap it tries to keep
     all sums of a tile in registers, of which there are too few, and the loop takes half as long again.
@@ -219,9 +219,9 @@ def affine(bias: np.ndarray, weights: np.ndarray, n: int, given: np.ndarray, sum
             store(sums, k * LANES + j, LANES, start)
         for i in range(0, inputs, TILE):
             if n > FEW:
-                add_tile(weights, k * inputs + i, inputs, LANES, given, i, sums, k)
+                add_tile(weights, k * inputs + i, inputs, LANES, values, i, sums, k)
             else:
-                add_tile(weights, k * inputs + i, inputs, n, given, i, sums, k)
+                add_tile(weights, k * inputs + i, inputs, n, values, i, sums, k)
 
 
 @inlined
@@ -231,7 +231,7 @@ def activate(sums: np.ndarray, units: int, n: int, relu: bool) -> None:
     for k in range(units):
         for j in range(k * LANES, k * LANES + n):
             total = load(sums, j, 1, 1)[0]
-            # What is no number stays none.
+            # NaN stays NaN.
             store(sums, j, 1, ((0.0 if total < 0.0 else total) if relu else tanh(total),))
 
 
@@ -251,27 +251,27 @@ def forward(network: np.ndarray, inputs: np.ndarray, first: int, n: int, lanes: 
     """
     header = record(network, 0, Header)
     layers = header.layers
-    given, sums = lanes[0], lanes[1]
-    normalise(network, inputs, first, n, given)
+    values, sums = lanes[0], lanes[1]
+    normalise(network, inputs, first, n, values)
     at = HEADER + layers + 1 + 2 * int(network[HEADER])
     for layer in range(layers):
         width, outputs = int(network[HEADER + layer]), int(network[HEADER + layer + 1])
         end = at + outputs + outputs * width
-        affine(network[at : at + outputs], network[at + outputs : end], n, given, sums)
+        affine(network[at : at + outputs], network[at + outputs : end], n, values, sums)
         if layer < layers - 1:
             activate(sums, outputs, n, header.relu)
-        given, sums = sums, given
+        values, sums = sums, values
         at = end
     if header.tanh_squashing:
-        activate(given, 1, n, False)
-    return given[:n]
+        activate(values, 1, n, False)
+    return values[:n]
 
 
 @inner
 def write_inputs(
     network: np.ndarray, observations: np.ndarray, first: int, n: int, memory: np.ndarray, inputs: np.ndarray
 ) -> None:
-    """Writes what the network is given of environments first..first + n - 1 into the same rows of `inputs`.
+    """Writes the network's inputs of environments first..first + n - 1 into the same rows of `inputs`.
 
     Args:
         network: from `pack`.
@@ -373,7 +373,7 @@ def act_batch(
 
 @lru_cache(maxsize=1)
 def compiled_act_batch() -> Any:
-    """`act_batch` as compiled code: it checks neither dtype nor shape nor contiguity of what it is given."""
+    """`act_batch` as compiled code: it checks neither dtype nor shape nor contiguity of its arguments."""
     compiled = kernel(act_batch, fingerprint(act_batch)[:16], {})
     rows = types.float32[:, ::1]
     signature = (types.float64[::1], rows, types.float64[::1], rows, rows)

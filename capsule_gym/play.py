@@ -114,7 +114,7 @@ class Game:
             self.best = max(self.best or -np.inf, self.episode.mean_speed)
 
     def overlay(self) -> Overlay:
-        """What lies over the picture of the player's robot."""
+        """What is drawn over the picture of the player's robot."""
         pace = "paused" if self.paused else f"speed {self.speed:g}"
         note = (
             f"A D torque   up down {STRENGTHS[self._strength]:.0%}   N next plant   R again   G ghost   + - {pace}   "

@@ -104,7 +104,7 @@ def pretrained() -> dict[str, Path]:
 class Policy:
     """A trained network that acts deterministically: `policy(observation)` is the action.
 
-    One that identifies M and mu remembers what it has seen, from the beginning of an episode on, and so acts through
+    A policy that identifies M and mu has a memory, which begins with an episode, and so acts through
     `act = policy.start([0])`, then `act(observation)` at every step.
 
     The arithmetic is strict float64 in a fixed order: the action for an observation is the same bits alone, in any
@@ -124,8 +124,8 @@ class Policy:
             `gym.make("CapsuleStickSlip-v0", **policy.env_kwargs)`.
         training_seed: the seed of its training run.
         revision: the git revision of the code that trained it.
-        output: what the network puts out: the "action", or the wanted "torque" in torque limits, whatever the law under
-            the action asks for.
+        output: what the network puts out: the "action", or the wanted "torque" in torque limits, from which the torque
+            of the control law is subtracted.
         identifies: whether M, log(mu) and their standard deviations, as `capsule_gym.identification` finds them on
             line, follow the observation among the inputs.
         observes_energy_weight: whether the `energy_weight` of `env_kwargs` follows among the inputs.
@@ -266,7 +266,7 @@ class Policy:
         return actions if array.ndim == 2 else actions[0]
 
     def new_memory(self, count: int) -> np.ndarray:
-        """What it remembers at the beginning of so many episodes: of one that identifies M and mu the filters."""
+        """The memory at the beginning of `count` episodes: a filter for each where the policy identifies M and mu."""
         from capsule_gym.identification import CELLS
 
         return np.zeros(count * CELLS if self.identifies else 0)
@@ -408,7 +408,7 @@ def _in_order(content: bytes) -> bytes:
 
 
 def _read(name: str, path: Path, trust_controller: bool) -> Policy:
-    """The policy in a file; whatever is wrong with it is a ValueError that names the file."""
+    """The policy in a file; a file that is not a policy raises a ValueError that names it."""
     size = path.stat().st_size
     if size > LARGEST_FILE:
         raise ValueError(f"{path} is no policy: it must have at most {LARGEST_FILE} bytes, got {size}")

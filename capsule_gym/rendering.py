@@ -207,7 +207,7 @@ def _nice_step(least: float) -> float:
 
 
 def _decimals(step: float) -> int:
-    """How many decimals tell multiples of `step` apart."""
+    """How many decimals distinguish multiples of `step`."""
     return max(0, -math.floor(math.log10(step) + 1e-9))
 
 
@@ -283,7 +283,7 @@ class Ghost(NamedTuple):
     """Another robot on the same floor, drawn pale behind the first.
 
     Attributes:
-        name: shown with its lead.
+        name: shown with its distance.
         theta: angle of its pendulum from the upright, rad.
         x: displacement of its platform, m.
     """
@@ -294,7 +294,7 @@ class Ghost(NamedTuple):
 
 
 class Overlay(NamedTuple):
-    """What may lie over the picture.
+    """What is drawn over the picture.
 
     Attributes:
         ghost: another robot.
@@ -337,7 +337,7 @@ class Renderer:
         fps: frames per second that the window is held to.
         torque_limit: torque that fills the gauge, N m.
         title: shown in the picture, where some 30 characters fit, and on the window.
-        on_key: hears of the keys of the window: pygame's name of a key, and whether it is pressed or let go.
+        on_key: called for every key of the window with pygame's name of it, and whether it is pressed or released.
 
     Raises:
         ValueError: if an argument is out of range.
@@ -406,7 +406,7 @@ class Renderer:
             M: mass of the platform, kg.
             mu: friction coefficient.
             theta_reference: angle that a controller follows, rad; None draws none.
-            overlay: what lies over the picture.
+            overlay: what is drawn over the picture.
 
         Returns:
             The frame as an array of uint8, (540, 960, 3), in mode "rgb_array"; None in mode "human".
@@ -446,8 +446,8 @@ class Renderer:
         self._clock.tick(self._fps)
         return None
 
-    def hold_axes(self, axes: ChartAxes) -> None:
-        """Keeps the chart's axes as they are given, instead of fitting them to its last seconds."""
+    def set_axes(self, axes: ChartAxes) -> None:
+        """Sets the axes of the chart, which otherwise fit its last seconds."""
         self._axes = axes
 
     def close(self) -> None:
@@ -496,16 +496,16 @@ class Renderer:
         self._canvas.box(0, FLOOR - 1, WIDTH, 2, TICK)
 
     def _draw_ghost(self, ghost: Ghost, x: float) -> None:
-        """The other robot as an outline, where it is on the same floor; and by how much it leads."""
-        canvas, lead = self._canvas, ghost.x - x
-        aside = lead / self._major * self._major_pixels
-        if abs(aside) < WIDTH / 2 + SHELL_HALF:
-            left, top = MIDDLE + aside - SHELL_HALF, FLOOR - SHELL_HEIGHT
+        """The other robot as an outline at its place on the floor, and its distance."""
+        canvas, distance = self._canvas, ghost.x - x
+        offset = distance / self._major * self._major_pixels
+        if abs(offset) < WIDTH / 2 + SHELL_HALF:
+            left, top = MIDDLE + offset - SHELL_HALF, FLOOR - SHELL_HEIGHT
             canvas.box(left, top, 2 * SHELL_HALF, SHELL_HEIGHT, GHOST, radius=SHELL_HEIGHT / 2, line=2)
-            pivot, ball = ((at + aside, y) for at, y in (_polar(0.0, 0.0), _polar(ghost.theta, ROD)))
+            pivot, ball = ((at + offset, y) for at, y in (_polar(0.0, 0.0), _polar(ghost.theta, ROD)))
             canvas.ribbon([pivot, ball], 5.0, GHOST)
             canvas.disc(ball, BALL, GHOST)
-        text = f"{ghost.name} {_number(100.0 * abs(lead), 1)} cm {'ahead' if lead > 0.0 else 'behind'}"
+        text = f"{ghost.name} {_number(100.0 * abs(distance), 1)} cm {'ahead' if distance > 0.0 else 'behind'}"
         canvas.write(text, 17, GREY, WIDTH - 24, HEADER + 46, "right")
 
     def _draw_speed(self, x_dot: float) -> None:

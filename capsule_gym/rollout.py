@@ -21,7 +21,7 @@ from capsule_gym.simulation import Simulation
 ENVIRONMENT, TIME, NEW_M, NEW_MU = range(4)
 
 
-def play(
+def run_episodes(
     advance: Any,
     world: np.ndarray,
     first: int,
@@ -84,8 +84,8 @@ def play(
 
 @lru_cache(maxsize=1)
 def _compiled() -> Any:
-    """`play`, which is compiled once for all laws: it is given their steps as functions."""
-    compiled = kernel(play, fingerprint(play)[:16], {})
+    """`run_episodes`, compiled once for all laws, whose steps it takes as functions."""
+    compiled = kernel(run_episodes, fingerprint(run_episodes)[:16], {})
     world, first, last, _, fixed, observations = kernels.SIGNATURE
     step = types.FunctionType(types.int64(*kernels.SIGNATURE))
     numbers, changes = types.float64[::1], types.float64[:, ::1]
@@ -100,7 +100,7 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
     """Runs a policy in every environment of a simulation, whose episodes have begun.
 
     An environment whose episode ends stands still from then on. The bits are those of a batch that is stepped with
-    `policy.start(..)`; what a policy remembers begins with the call.
+    `policy.start(..)`; the memory of the policy begins with the call.
 
     Args:
         simulation: after `reset`; changed. Its threads share the environments.

@@ -173,7 +173,7 @@ def test_inputs_are_the_observation_then_what_is_identified_then_the_weight():
     assert input_names(("theta",), False, True) == ("theta", added[-1])
 
 
-# Prints a hash of what every committed policy and a network of odd widths answer, alone and in batches.
+# Prints a hash of what every pretrained policy and a network of odd widths answer, alone and in batches.
 BITS_SCRIPT = """
 import hashlib
 import numpy as np

@@ -139,19 +139,6 @@ def test_keys_of_the_window_reach_the_game_until_it_ends(game):
     assert renderer.closed and not game.over
 
 
-def test_ghost_and_banner_are_drawn(game):
-    renderer = Renderer(Capsule(), "rgb_array", 50, 1.5)
-    game.on_key("a", True)
-    game.tick(0.5)
-    with_ghost = renderer.draw(**game.episode.state(), overlay=game.overlay())
-    press(game, "g")
-    without = renderer.draw(**game.episode.state(), overlay=game.overlay())
-    assert with_ghost is not None and (with_ghost != without).any(axis=2).sum() > 500
-    game.tick(100.0)
-    ended = renderer.draw(**game.episode.state(), overlay=game.overlay())
-    assert ended is not None and (ended == (30, 41, 59)).all(axis=2)[382:410].sum() > 10_000
-
-
 def test_the_command_ends_by_a_key_and_by_an_interrupt(monkeypatch):
     events = iter([[], [pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE)]])
     monkeypatch.setattr(pygame.event, "get", lambda: next(events))

@@ -178,19 +178,19 @@ def test_what_is_remembered_is_an_episodes_own():
     with pytest.raises(TypeError, match=r"'made' identifies M and mu .*policy.start\(\[0\]\)"):
         policy(OBSERVATIONS[0])
     # A slip, in which the last of three environments sees something else than the others.
-    course = [np.array([[0.1 * n, 2.0 - 0.3 * n, 0.3 - 0.02 * n, 0.0, 0.0]] * 3, np.float32) for n in range(6)]
-    for observations in course:
+    history = [np.array([[0.1 * n, 2.0 - 0.3 * n, 0.3 - 0.02 * n, 0.0, 0.0]] * 3, np.float32) for n in range(6)]
+    for observations in history:
         observations[2, 2] = 0.3
     together = policy.start(range(3))
     alone = [policy.start([0]) for _ in range(3)]
-    for observations in course:
+    for observations in history:
         actions = together(observations)
         for i, act in enumerate(alone):
             assert act(observations[i]).tobytes() == actions[i].tobytes()
     assert actions[0] == actions[1] != actions[2]
     # The same observation after another past; a new episode has none.
-    assert policy.start([0])(course[-1][0]) != actions[0]
-    assert policy.start([0])(course[0][0]).tobytes() == policy.start([1])(course[0][0]).tobytes()
+    assert policy.start([0])(history[-1][0]) != actions[0]
+    assert policy.start([0])(history[0][0]).tobytes() == policy.start([1])(history[0][0]).tobytes()
 
 
 def test_another_energy_weight_is_told_and_nothing_else_changes():

@@ -78,7 +78,7 @@ def draw_scenes() -> NDArray[np.float64]:
     for number, scene in enumerate(SCENES):
         renderer = Renderer(Capsule(l=0.5 if number == 2 else 0.3), "rgb_array", 50, 1.5, title=f"scene {number}")
         if number == 3:
-            renderer.hold_axes(ChartAxes(30.0, 4.0, 1200.0, 1260.0))
+            renderer.set_axes(ChartAxes(30.0, 4.0, 1200.0, 1260.0))
         state = {**STATE, "time": 14.0, **scene}
         for k in range(-1200, 0, 5):
             x = state["x"] + 1e-4 * k + 0.03 * math.sin(0.05 * k)

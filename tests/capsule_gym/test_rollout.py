@@ -87,7 +87,7 @@ def test_what_is_remembered_gives_the_same_bits_alone_in_a_batch_and_compiled(ma
     rolled, _ = begun(policy, n, jumps(n), threads=2)
     stepped(looped, policy, observations, 130)
     metrics = rollout(rolled.simulation, policy, 130)
-    # What an environment that stands still is told to do counts for nothing.
+    # What an environment that stands still does with its action counts for nothing.
     assert_same(looped.simulation, rolled.simulation, EPISODE_ROWS)
     # It moves, so that there is something to identify.
     assert np.median(metrics["distance"] + metrics["backward_ratio"]) > 0.01
