@@ -11,7 +11,7 @@ from typing import Any
 
 from capsule_gym.files import replacing
 
-# Okabe and Ito's colours, told apart in every common colour blindness; the dashes tell them apart in grey.
+# Okabe and Ito's colours, distinct in every common colour blindness; the dashes distinguish them in grey.
 BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#AA4499"
 INK, MUTED = "#222222", "#767676"
 
@@ -56,14 +56,14 @@ class Pen:
 
 
 PENS = {"proposed": Pen(BLUE), "EPC": Pen(VERMILION, (0.0, (5.0, 1.6)))}
-# Wide and pale below the found course, which lies on it.
+# Wide and pale: the trajectory found is drawn on it.
 REFERENCE: dict[str, Any] = {"color": "#c5ccd6", "lw": 3.6, "zorder": 1.5}
 PUBLISHED_DASHES = (0.0, (1.2, 1.6))
 
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draws and saves in the house style, whatever the user's own configuration of matplotlib is.
+    """Draws and saves in the style of this project, whatever the user's own configuration of matplotlib is.
 
     Raises:
         ImportError: if matplotlib is not installed.
@@ -87,7 +87,7 @@ def new_figure(height: float, width: float = WIDTH) -> Any:
 
 
 def add_note(figure: Any, text: str) -> None:
-    """Sets a note under the figure: what was found beside what is published."""
+    """Sets a note under the figure: what is found and what is published."""
     figure.supxlabel(
         textwrap.fill(text, NOTE_COLUMNS, break_on_hyphens=False), x=0.012, ha="left", fontsize=7.5, color=INK
     )
@@ -109,28 +109,8 @@ def mark_published(axes: Any, value: float, text: str, pen: Pen, *, x: float = 0
     )
 
 
-def split_axes(figure: Any, rows: int, split: float, end: float) -> list[tuple[Any, Any]]:
-    """Rows of two axes that share a time axis whose scale changes at `split`: a quick stage, then a slow one.
-
-    Args:
-        figure: where.
-        rows: number of rows.
-        split: s.
-        end: s.
-    """
-    grid = figure.subplots(rows, 2, sharey="row", sharex="col", width_ratios=(1.5, 1.0), squeeze=False)
-    for left, right in grid:
-        left.set_xlim(0.0, split)
-        right.set_xlim(split, end)
-        right.spines["left"].set_visible(False)
-        right.tick_params(axis="y", length=0.0)
-    grid[-1][0].set_xlabel("time in the cycle (s)")
-    grid[-1][1].set_xlabel("time in the cycle (s), compressed")
-    return [(left, right) for left, right in grid]
-
-
 def save(figure: Any, stem: Path) -> list[Path]:
-    """Writes `stem`.svg and `stem`.png, each whole or not at all; the same figure gives the same bytes.
+    """Writes `stem`.svg and `stem`.png atomically; the same figure gives the same bytes.
 
     Args:
         figure: the figure.

@@ -1,7 +1,7 @@
 """The upper envelope in the phase plane: the fastest that any bounded torque lets the pendulum pass an angle.
 
-It knows no reference, no law and no gait, only the plant and the largest torque. `baselines.paper.proofs` holds the
-published torques against it, `baselines.gaits.bound` makes an upper bound of every mean speed of it.
+It depends on no reference, law or gait, only on the plant and the largest torque. `baselines.paper.proofs` compares the
+published torques with it, `baselines.gaits.bound` derives an upper bound of every mean speed from it.
 """
 
 from __future__ import annotations

@@ -14,9 +14,9 @@ def text_table(rows: Rows, *, left: int | None = None, last_left: bool = True) -
     """Aligned columns for the terminal.
 
     Args:
-        rows: a cell may hold line breaks.
-        left: the first so many columns stand left, the others right; None puts all of them left.
-        last_left: whether the last column stands left as well: remarks, not numbers.
+        rows: a cell may contain line breaks.
+        left: number of left-aligned columns, the others are right-aligned; None aligns all to the left.
+        last_left: whether the last column is left-aligned as well: remarks, not numbers.
 
     >>> print(text_table([["policy", "cm/s", ""], ["adaptive", "1.39", "reference"], ["epc", "11.62", ""]], left=1))
     policy      cm/s

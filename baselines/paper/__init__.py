@@ -1,1 +1,1 @@
-"""The paper computed anew: `python -m baselines.paper` prints its numbers beside ours."""
+"""Reproduction of the paper: `python -m baselines.paper` prints its numbers next to ours."""

@@ -287,24 +287,15 @@ def check_lemmas(states: int = 200_000, seed: int = 0) -> list[Implication]:
     return rows
 
 
-@dataclass(frozen=True)
-class Linearity:
-    """Property 3, Eq. (4), on random motions.
+def check_linearity(samples: int = 1000, seed: int = 0) -> dict[str, float]:
+    """Evaluates Property 3, Eq. (4), on random motions, each on a random plant.
 
-    Attributes:
-        residual: largest |M q'' + C q' + G - Y alpha| over the largest term, alpha = [m l^2, m l, M + m, m g l].
-        products: the same for the friction mu N as a linear function of [mu (M + m), mu m l].
-        defect: relative difference between the friction at the middle of the paper's ranges of M and mu and the mean of
-            two opposite corners: it is not linear in M and mu.
+    Returns:
+        `residual`: largest |M q'' + C q' + G - Y alpha| over the largest term, alpha = [m l^2, m l, M + m, m g l];
+        `products`: the same for the friction mu N as a linear function of [mu (M + m), mu m l]; `defect`: relative
+        difference between the friction at the middle of the paper's ranges of M and mu and the mean of two opposite
+        corners, since it is not linear in M and mu.
     """
-
-    residual: float
-    products: float
-    defect: float
-
-
-def check_linearity(samples: int = 1000, seed: int = 0) -> Linearity:
-    """Evaluates Property 3 on random motions, each on a random plant."""
     rng = np.random.default_rng(seed)
     scales = np.array([1.5, 10.0, 100.0, 5.0])  # rad, rad/s, rad/s^2, m/s^2
     residual = products = 0.0
@@ -327,4 +318,4 @@ def check_linearity(samples: int = 1000, seed: int = 0) -> Linearity:
     corners = zip(published.M_RANGE, published.MU_RANGE, strict=True)
     light, heavy = (mu * (M + NOMINAL.m) for M, mu in corners)
     middle = sum(published.MU_RANGE) / 2.0 * (sum(published.M_RANGE) / 2.0 + NOMINAL.m)
-    return Linearity(float(residual), float(products), 0.5 * (light + heavy) / middle - 1.0)
+    return {"residual": residual, "products": float(products), "defect": 0.5 * (light + heavy) / middle - 1.0}

@@ -161,7 +161,7 @@ def swing_envelope(
 ) -> Envelope:
     """Proof 2: the envelope of a swing from rest, whichever option for the normal force holds.
 
-    The theorem and its argument stand at `baselines.envelope.upper_envelope`.
+    The theorem and its argument are in `baselines.envelope.upper_envelope`.
 
     Args:
         limit: of the torque, N m.

@@ -1,4 +1,4 @@
-"""What the paper states in numbers (Sect. 5), once, with the place where it stands.
+"""The numbers and claims of the paper (Sect. 5), each once and with its place.
 
 Liu, Yu, Cang: Optimized adaptive tracking control for an underactuated vibro-driven capsule system, Nonlinear
 Dynamics 94 (2018).

@@ -13,7 +13,7 @@ import numpy as np
 from baselines.laws.gains import REGULARISED, UNREGULARISED
 from baselines.laws.profiles import PROPOSED, V1
 from baselines.paper import adaptive, principles, proofs, published, selection, tracking
-from baselines.paper.adaptive import DEVIATIONS, ERRORS, GRID, LONG, RATES, AdaptiveStudy, LawStudy
+from baselines.paper.adaptive import DEVIATIONS, ERRORS, LONG, RATES, AdaptiveStudy, LawStudy
 from baselines.paper.principles import RESTORING_PHASES, THETA_0
 from baselines.paper.profile_search import Found, Solution, load
 from baselines.paper.tracking import CYCLES, STEPS, Reproduction
@@ -56,7 +56,7 @@ class Report:
     adaptive: AdaptiveStudy
     proof_1: list[proofs.PeakTorque]
     proof_2: list[proofs.LargestRate]
-    property_3: principles.Linearity
+    property_3: dict[str, float]
     profile_as_printed: list[selection.PrintedPhase]
     table_1: list[selection.Selected]
     boundary_condition: selection.BoundaryCondition
@@ -235,10 +235,10 @@ def derivation_text(report: Report) -> str:
     """Property 3, the profile (9) and the origin of Table 1."""
     found, condition = report.property_3, report.boundary_condition
     linearity = (
-        f"The left side of (4) is Y alpha with alpha = [m l^2, m l, M + m, m g l], to {found.residual:.0e} of its "
+        f"The left side of (4) is Y alpha with alpha = [m l^2, m l, M + m, m g l], to {found['residual']:.0e} of its "
         "terms on random motions and plants. The friction mu N sign(x'), which (4) leaves out, is linear in mu (M + m) "
-        f"and mu m l ({found.products:.0e}) and not in mu and the masses: in the middle of the paper's ranges it lies "
-        f"{100.0 * found.defect:.1f} % off the straight line between two opposite corners."
+        f"and mu m l ({found['products']:.0e}) and not in mu and the masses: in the middle of the paper's ranges it "
+        f"lies {100.0 * found['defect']:.1f} % off the straight line between two opposite corners."
     )
     phases = [["phase", "as printed", "begins", "ends", "turns, deg", "built: begins", "ends", "turns, deg", ""]]
     for phase in report.profile_as_printed:
@@ -334,7 +334,8 @@ def adaptive_text(study: AdaptiveStudy) -> str:
 
 def _ranges_text(study: AdaptiveStudy) -> str:
     """The adaptive law over the grid, in all its forms."""
-    regularised, nominal = study.laws[0], study.laws[0].runs[GRID * GRID // 2]
+    regularised, plants = study.laws[0], len(study.laws[0].runs)
+    nominal = regularised.runs[plants // 2]
     cells = [["regularised law", "nominal", "worst", "unit", "at M (kg)", "mu"]]
     for label, name, unit, style in (
         ("tracking error, rms", "error_rms", "rad", ".1e"),
@@ -357,7 +358,7 @@ def _ranges_text(study: AdaptiveStudy) -> str:
             parts += ["Seconds until it fails ('-': lasts 33 s), M in kg by mu:", _failures(law), *_extremes(law)]
     M, mu = ([*limits] for limits in (published.M_RANGE, published.MU_RANGE))
     return _section(
-        f"Adaptive law (39), {GRID} x {GRID} plants: M in {M} kg, mu in {mu}",
+        f"Adaptive law (39), {plants} plants: M in {M} kg, mu in {mu}",
         *parts,
         f"Corrected, unregularised: beta = {UNREGULARISED.beta:g}, n = {UNREGULARISED.n}, eta(0) = "
         f"{UNREGULARISED.eta_0:g}, eta at most {UNREGULARISED.eta_bound:g}. Regularised: beta = {REGULARISED.beta:g}, "
@@ -368,7 +369,8 @@ def _ranges_text(study: AdaptiveStudy) -> str:
 
 def _failures(law: LawStudy) -> Cells:
     """When a form of the law fails on each plant of the grid."""
-    rows = [law.runs[i : i + GRID] for i in range(0, len(law.runs), GRID)]
+    size = math.isqrt(len(law.runs))
+    rows = [law.runs[i : i + size] for i in range(0, len(law.runs), size)]
     table = [["", *(f"{run['mu']:.4f}" for run in rows[0])]]
     for row in rows:
         table.append([f"{row[0]['M']:.3f}", *(f"{run['until']:.3f}" if run["ending"] else "-" for run in row)])
@@ -402,7 +404,7 @@ def _choices_text(study: AdaptiveStudy) -> str:
         deviations.append([f"{percent:g} %", *("-" if time is None else f"{time:.1f}" for time in row)])
         lasting |= {name: percent for name, pair in times.items() if all((t or duration) >= duration for t in pair)}
     return _section(
-        f"What the paper leaves open: plants of {GRID * GRID} that fail, law corrected, unregularised",
+        f"What the paper leaves open: plants of {len(study.laws[1].runs)} that fail, law corrected, unregularised",
         choices,
         f"Seconds until the same law fails off the nominal plant ('-': lasts {LONG} cycles):",
         deviations,

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from baselines.paper.adaptive import study_law
+from baselines.paper import adaptive
 from baselines.paper.proofs import check_proof_2
 from capsule_gym.task import TORQUE_LIMIT
 
 
 @pytest.fixture(scope="session")
 def laws():
-    """The adaptive law over the ranges: regularised; corrected, unregularised; the latter with a torque limit."""
-    return [study_law(True), study_law(False), study_law(False, TORQUE_LIMIT)]
+    """The adaptive law on 3 x 3 plants: regularised; corrected, unregularised; the latter with a torque limit."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(adaptive, "GRID", 3)
+        return [adaptive.study_law(True), adaptive.study_law(False), adaptive.study_law(False, TORQUE_LIMIT)]
 
 
 @pytest.fixture(scope="session")

@@ -92,7 +92,7 @@ def test_errors_by_cycle_are_those_of_the_run():
 
 def test_regularised_law_over_the_ranges(laws):
     law = laws[0]
-    assert len(law.runs) == 25 and law.failures == 0
+    assert len(law.runs) == 9 and law.failures == 0
     assert law.worst("error_rms")["error_rms"] < 1e-4 and law.worst("peak_torque")["peak_torque"] < 1.31
     speeds = [law.worst("mean_speed", smallest=smallest)["mean_speed"] for smallest in (True, False)]
     assert speeds == pytest.approx([1.26, 1.53], abs=0.01)
@@ -106,11 +106,12 @@ def test_regularised_law_over_the_ranges(laws):
 def test_unregularised_law_fails_on_most_of_the_ranges(laws):
     _, corrected, limited = laws
     # Which plants fail is chaotic at the edge; that nearly all do is not.
-    assert corrected.failures >= 20 and limited.failures >= 10
-    assert not corrected.runs[12]["ending"] and corrected.runs[12]["M"] == 0.5
+    assert corrected.failures >= 7 and limited.failures >= 3
+    assert not corrected.runs[4]["ending"] and corrected.runs[4]["M"] == 0.5
+    plants = [(run["M"], run["mu"]) for run in corrected.runs]
     # Both ways to run it agree, to the millisecond.
     for law, limit in ((corrected, corrected.torque_limit), (limited, TORQUE_LIMIT)):
-        again = run_cycles(varied(regularised=False), study.plant_grid(), torque_limit=limit)
+        again = run_cycles(varied(regularised=False), plants, torque_limit=limit)
         assert again.failed.tolist() == [bool(run["ending"]) for run in law.runs]
         assert again.until == pytest.approx([run["until"] for run in law.runs], abs=2e-3)
     # eta only grows, and on some plant up to its bound.

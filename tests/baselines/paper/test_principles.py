@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -36,19 +35,6 @@ def state(theta: float, theta_dot: float, theta_ddot: float = 0.0) -> Cycle:
     return Cycle(np.zeros(1), np.zeros(1, np.int64), *(np.array([value]) for value in (theta, theta_dot, theta_ddot)))
 
 
-def test_samples_contain_both_ends_of_every_phase():
-    cycle = sample(PROPOSED, 3)
-    edges = [0.0, *PROPOSED.times]
-    assert cycle.t == pytest.approx([t for a, b in pairwise(edges) for t in (a, (a + b) / 2, b)])
-    # The acceleration drops from that of phase III to that of phase IV at t3, and both are there.
-    assert cycle.theta_ddot[np.isclose(cycle.t, 0.27)] == pytest.approx([-129.63, -2.122 / 0.63], rel=1e-4)
-    middle = np.arange(21) % 3 == 1
-    for mine, theirs in zip(
-        (cycle.theta, cycle.theta_dot, cycle.theta_ddot), PROPOSED.evaluate(cycle.t[middle]), strict=True
-    ):
-        np.testing.assert_allclose(mine[middle], theirs, rtol=1e-12, atol=1e-12)
-
-
 def test_principles_1_and_2_by_hand():
     assert principle_1(CYCLE, math.radians(68.75)).by_phase.max() == pytest.approx(1.0, abs=1e-3)
     velocity, acceleration = principle_2(CYCLE, 7.8, 200.0)
@@ -71,13 +57,6 @@ def test_principles_3_and_4_are_normal_force_and_driving_force(form):
         force += (form == "paper") * (p.k * theta + p.c * theta_dot) * math.cos(theta)
         assert standstill.load[0] == pytest.approx(abs(force), rel=1e-9)
         assert standstill.limit[0] == pytest.approx(p.mu * 2.0 * (3.0 if force < 0.0 else 1.0) * normal, rel=1e-9)
-
-
-def test_printed_principle_4_fails_at_rest():
-    # At -pi/3 only the spring is left, 0.36 pi / 3 cos(pi / 3), three times the friction limit.
-    rest = principle_4(state(-math.pi / 3, 0.0), NOMINAL, "paper")
-    assert rest.ratio[0] == pytest.approx(0.06 * math.pi / (0.01 * (WEIGHT - 0.06 * math.pi * 3**0.5)))
-    assert principle_4(state(-math.pi / 3, 0.0), NOMINAL).load[0] == 0.0
 
 
 def test_published_profile_and_principle_4():
@@ -141,6 +120,6 @@ def test_demands_on_the_profiles(profile, swing):
 
 def test_property_3_holds_and_friction_is_linear_in_products_alone():
     found = check_linearity(200)
-    assert found.residual < 1e-14 and found.products < 1e-14
+    assert found["residual"] < 1e-14 and found["products"] < 1e-14
     # Half of the sum of (1 - a)(1 - b) and (1 + a)(1 + b) is 1 + a b, with a = 0.05 / 0.638 and b = 0.1.
-    assert found.defect == pytest.approx(0.05 / 0.638 * 0.1, rel=1e-9)
+    assert found["defect"] == pytest.approx(0.05 / 0.638 * 0.1, rel=1e-9)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -134,12 +133,3 @@ def test_command_solves_resumes_and_checks(tmp_path, monkeypatch, capsys):
         document["solutions"][0]["mean_speed"] *= factor
         path.write_text(json.dumps({**document, "spreads": []}))
         assert main(["--json", str(path), "--check"]) == status
-
-
-def test_bounds_are_those_of_the_published_profile():
-    theta_0, v_theta, a_theta = profile_search.published_bounds()
-    assert math.degrees(theta_0) == pytest.approx(68.75, abs=0.01)
-    assert v_theta == 7.8
-    # The end of phase III: V1 phi / (t3 - t2) sin(phi), with cos(phi) = P2 / V1.
-    phi = math.acos(2.122 / 7.8)
-    assert a_theta == pytest.approx(7.8 * phi / 0.075 * math.sin(phi))

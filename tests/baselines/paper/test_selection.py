@@ -26,17 +26,6 @@ def test_printed_profile_by_hand():
     assert math.degrees(sum(phase.printed[2] for phase in phases.values())) == pytest.approx(-378, abs=0.5)
 
 
-def test_equation_24_both_ways():
-    # ((0.638 9.81)^2 / (2 0.0414) / 7.8^3 - 0.0923) / 0.36 = (473.09 / 474.55 - 0.0923) / 0.36
-    assert selection.eq_24_t1() == pytest.approx(2.513, abs=2e-3)
-    assert selection.eq_24_v1(selection.eq_24_t1(5.0)) == pytest.approx(5.0, rel=1e-12)
-
-
-def test_equation_25_branches_differ_by_the_reflected_angle():
-    rising, falling = selection.eq_25_t2(11.0), selection.eq_25_t2(11.0, falling=True)
-    assert rising - falling == pytest.approx(math.pi - 2.0 * math.asin(2.122 / 7.8), rel=1e-12)
-
-
 def test_equation_27_both_ways():
     P2 = selection.eq_27_p2()
     assert selection.eq_27_t4(P2) == pytest.approx(0.9, rel=1e-12)
