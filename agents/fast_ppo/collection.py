@@ -1,4 +1,4 @@
-"""Whole rollouts in one compiled call: policy, control law, physics and resets, with noise that is drawn before."""
+"""A rollout in one compiled call: policy, control law, physics and resets, with random numbers drawn beforehand."""
 
 from __future__ import annotations
 
@@ -31,119 +31,89 @@ from capsule_gym.resets import Stream, draw_two, plant_at, plant_ranges, random_
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.simulation import episode_metrics
 
-# What the critic may be told beside the policy's inputs.
+# Inputs of a privileged critic in addition to the policy's.
 PRIVILEGED = ("M", "log_mu")
-# Episodes of a rollout that are told of, where more end than are cut off.
+# Largest number of ended episodes that a rollout reports, unless more are truncated.
 MOST_ENDED = 1024
 DISTURBANCES = np.uint64(Stream.disturbances)
 
 
-class Course(NamedTuple):
-    """How episodes of training go.
+class EpisodeConfig(NamedTuple):
+    """Episodes of training.
 
     Attributes:
-        steps: of an episode, agent steps.
+        steps: agent steps of an episode.
         privileged: whether M and log(mu) follow the policy's inputs.
-        told: whether the last of those inputs is the logarithm of an energy weight, which every episode draws anew.
-        least: of these logarithms, of weights in cm/J; they are drawn uniformly from here ..
-        most: .. to here.
-        jump: probability of a step that M and mu are drawn anew.
+        weighted: whether the policy's last input is the logarithm of an energy weight, drawn at every reset.
+        least: smallest logarithm, of a weight in cm/J; draws are uniform.
+        most: largest logarithm.
+        jump: probability that M and mu are drawn anew in a step.
     """
 
     steps: int
     privileged: bool
-    told: bool
+    weighted: bool
     least: float
     most: float
     jump: float
 
 
-draw_apart, renew_apart = inner(resets.draw), inner(resets.renew)
+draw_noinline, renew_noinline = inner(resets.draw), inner(resets.renew)
 
 
 @inlined
-def complete(
-    course: Course, block: np.ndarray, j: int, log_weights: np.ndarray, i: int, columns: int, inputs: np.ndarray
+def append_inputs(
+    config: EpisodeConfig, block: np.ndarray, j: int, log_weights: np.ndarray, i: int, columns: int, inputs: np.ndarray
 ) -> None:
-    """Writes what the environment's own observation does not hold, at the end of an environment's inputs."""
-    if course.told:
+    """Writes the inputs that the environment's observation does not hold to the end of environment i's inputs."""
+    if config.weighted:
         inputs[i, columns - 1] = log_weights[i]
-    if course.privileged:
+    if config.privileged:
         inputs[i, columns] = block[AT.M + j]
         inputs[i, columns + 1] = math.log(block[AT.mu + j])
 
 
 def collect(
-    advance: Any,
-    world: np.ndarray,
-    begin: int,
-    end: int,
+    advance: Any,  # `kernels.advance`, compiled with the law, which documents the next five
+    world: np.ndarray,  # changed
+    begin: int,  # first environment, a multiple of LANES
+    end: int,  # one past the last environment
     fixed: np.ndarray,
-    observations: np.ndarray,
-    course: np.ndarray,
-    lines: np.ndarray,
+    observations: np.ndarray,  # changed
+    episode_config: np.ndarray,  # the fields of `EpisodeConfig`
+    lines: np.ndarray,  # `resets.draw` documents this and the next three
     start_noise: float,
     keys: np.ndarray,
-    episodes: np.ndarray,
-    law_memory: np.ndarray,
-    network: np.ndarray,
-    memory: np.ndarray,
-    log_weights: np.ndarray,
-    inputs: np.ndarray,
-    fresh: bool,
-    deviation: float,
-    noise: np.ndarray,
-    chances: np.ndarray,
-    returns: np.ndarray,
-    lengths: np.ndarray,
-    seen: np.ndarray,
-    actions: np.ndarray,
-    rewards: np.ndarray,
-    ends: np.ndarray,
-    cut: np.ndarray,
-    cut_inputs: np.ndarray,
-    ended: np.ndarray,
+    episodes: np.ndarray,  # changed
+    law_memory: np.ndarray,  # memory of the law at the start of an episode
+    network: np.ndarray,  # from `network.pack`
+    memory: np.ndarray,  # of the filter, as `network.write_inputs` documents; changed
+    log_weights: np.ndarray,  # of the running episodes' energy weights, shape (environments,); changed
+    inputs: np.ndarray,  # network inputs of the present state, shape (environments, columns); changed
+    fresh: bool,  # whether the episodes have just begun, and `inputs` are not written yet
+    deviation: float,  # standard deviation of the actions
+    noise: np.ndarray,  # standard normal, shape (steps, environments)
+    chances: np.ndarray,  # uniform in [0, 1), shape (steps, environments, 3); an empty first axis without jumps
+    returns: np.ndarray,  # sums of rewards of the running episodes, shape (environments,); changed
+    lengths: np.ndarray,  # agent steps of the running episodes, shape (environments,); changed
+    seen: np.ndarray,  # written: `inputs` at every step, shape (steps, environments, columns)
+    actions: np.ndarray,  # written: actions before clipping, shape (steps, environments)
+    rewards: np.ndarray,  # written, shape (steps, environments)
+    ends: np.ndarray,  # written: 1.0 where the episode ends with the step, else 0.0
+    cut: np.ndarray,  # written: step and environment of the truncated episodes, shape (rows, 2)
+    cut_inputs: np.ndarray,  # written: their last inputs, shape (rows, columns)
+    ended: np.ndarray,  # written: return, length and rows of `world` of ended episodes, (rows, 2 + layout.ROWS)
 ) -> tuple[int, int, int]:
-    """Takes environments through as many agent steps as there is noise for; who ends begins anew at once.
-
-    Args:
-        advance: `kernels.advance`, compiled with the law.
-        world: as `kernels.advance` takes it; changed.
-        begin: first environment, a multiple of LANES.
-        end: one past the last environment.
-        fixed: as `kernels.advance` takes it, and so the next.
-        observations: likewise.
-        course: the fields of `Course`.
-        lines: with the next three as `resets.draw` takes them.
-        start_noise: likewise.
-        keys: likewise.
-        episodes: likewise; changed.
-        law_memory: of the law at the start of an episode.
-        network: from `network.pack`.
-        memory: as `network.write_inputs` takes it; changed.
-        log_weights: logarithms of the energy weights of the running episodes, shape (environments,); changed.
-        inputs: shape (environments, inputs and what is privileged), float32: of the present state; changed.
-        fresh: whether the episodes have just begun, and the inputs are not there yet.
-        deviation: standard deviation of the actions.
-        noise: standard normal, shape (steps, environments).
-        chances: uniform in [0, 1), shape (steps, environments, 3); an empty first axis where nothing jumps.
-        returns: sums of rewards of the running episodes, shape (environments,); changed.
-        lengths: steps of these so far, likewise, int64.
-        seen: written: the inputs at every step, shape (steps, environments, columns), float32.
-        actions: written: what was drawn, before it is clipped, shape (steps, environments), float32.
-        rewards: written, likewise.
-        ends: written, likewise: 0.0 where the episode goes on after the step, 1.0 where it ends.
-        cut: written: step and environment of the episodes that were cut off, not failed; shape (rows, 2), int64.
-        cut_inputs: written: their last inputs, shape (rows, columns), float32.
-        ended: written: of episodes that ended return, length and the rows of `world`; shape (rows, 2 + layout.ROWS).
+    """Steps environments as often as there is noise for; an episode that ends is followed by the next one.
 
     Returns:
         How many rows of `cut` and of `ended` are written; an environment whose law returned no finite torque, or -1.
     """
     header = record(network, 0, Header)
-    steps, privileged, told = int(course[0]), course[1] != 0.0, course[2] != 0.0
-    way = Course(steps, privileged, told, course[3], course[4], course[5])
-    # Of the plant only what no law has a say in is read here.
+    given = episode_config
+    steps, privileged, weighted = int(given[0]), given[1] != 0.0, given[2] != 0.0
+    config = EpisodeConfig(steps, privileged, weighted, given[3], given[4], given[5])
+    # Only fields of the plant that do not depend on the law are read here.
     plant, settings = layout.unpack(fixed, 0.0)
     lanes = workspace(network)
     row, starts = np.empty(1, np.int64), np.empty((layout.Row.torque, 1))
@@ -154,7 +124,7 @@ def collect(
         if fresh:
             write_inputs(network, observations, first, n, memory, inputs)
             for j in range(n):
-                complete(way, block, j, log_weights, first + j, header.inputs, inputs)
+                append_inputs(config, block, j, log_weights, first + j, header.inputs, inputs)
         for t in range(len(noise)):
             for j in range(n):
                 for k in range(inputs.shape[1]):
@@ -167,7 +137,7 @@ def collect(
                 law_torque = observations[i, LAW_TORQUE] if header.has_law else 0.0
                 block[AT.action + j] = np.float32(to_action(header, drawn, law_torque))
                 block[AT.active + j] = 1.0
-                if len(chances) > 0 and chances[t, i, 0] < way.jump:
+                if len(chances) > 0 and chances[t, i, 0] < config.jump:
                     block[AT.M + j], block[AT.mu + j] = plant_at(lines, chances[t, i, 1], chances[t, i, 2])
             broken = advance(world, first, first + n, False, fixed, observations)
             if broken >= 0:
@@ -175,7 +145,7 @@ def collect(
             for j in range(n):
                 i = first + j
                 reward = block[AT.reward + j]
-                if told:
+                if weighted:
                     reward -= (exp(log_weights[i]) - settings.energy_weight) * block[AT.energy + j]
                 rewards[t, i] = reward
                 returns[i] += reward
@@ -187,7 +157,7 @@ def collect(
                     continue
                 if not failed:
                     write_inputs(network, observations, i, 1, memory, inputs)
-                    complete(way, block, j, log_weights, i, header.inputs, inputs)
+                    append_inputs(config, block, j, log_weights, i, header.inputs, inputs)
                     cut[cuts, 0], cut[cuts, 1] = t, i
                     cut_inputs[cuts] = inputs[i]
                     cuts += 1
@@ -197,12 +167,12 @@ def collect(
                         ended[endings, 2 + k] = block[k * LANES + j]
                     endings += 1
                 row[0] = i
-                if told:
+                if weighted:
                     share, _ = draw_two(keys[i, 0], keys[i, 1], DISTURBANCES, np.uint64(episodes[i]))
-                    log_weights[i] = way.least + share * (way.most - way.least)
-                draw_apart(lines, start_noise, row, keys, episodes, starts)
-                renew_apart(world[b : b + 1], law_memory, plant.m, plant.g, row - first, starts, episodes[first:])
-                # `renew` leaves the others out: who has begun already has taken its zeroth step by then.
+                    log_weights[i] = config.least + share * (config.most - config.least)
+                draw_noinline(lines, start_noise, row, keys, episodes, starts)
+                renew_noinline(world[b : b + 1], law_memory, plant.m, plant.g, row - first, starts, episodes[first:])
+                # This is step 0 of the new episode; the others have `active` set to 0 by `renew`.
                 broken = advance(world, first, first + n, True, fixed, observations)
                 if broken >= 0:
                     return cuts, endings, broken
@@ -211,13 +181,13 @@ def collect(
                     memory[i * CELLS + k] = 0.0
             write_inputs(network, observations, first, n, memory, inputs)
             for j in range(n):
-                complete(way, block, j, log_weights, first + j, header.inputs, inputs)
+                append_inputs(config, block, j, log_weights, first + j, header.inputs, inputs)
     return cuts, endings, -1
 
 
 @lru_cache(maxsize=1)
 def _compiled() -> Any:
-    """`collect`, which is compiled once for all laws: it is given their steps as functions."""
+    """`collect`, compiled once for all laws: the compiled step of a law is an argument."""
     compiled = kernel(collect, fingerprint(collect)[:16], {})
     world, begin, end, _, fixed, observations = kernels.SIGNATURE
     step = types.FunctionType(types.int64(*kernels.SIGNATURE))
@@ -232,18 +202,18 @@ def _compiled() -> Any:
 
 
 class Rollout(NamedTuple):
-    """What `RolloutVecEnv.collect` returns; T agent steps of N environments.
+    """A rollout of T agent steps of N environments.
 
     Attributes:
-        inputs: of the policy at every step and what is privileged, shape (T, N, columns), float32.
-        actions: what was drawn, before it is clipped, shape (T, N), float32.
+        inputs: network inputs at every step, shape (T, N, columns), float32.
+        actions: actions before clipping, shape (T, N), float32.
         rewards: shape (T, N), float32.
         starts: 1.0 at the first step of an episode, shape (T, N), float32.
-        cut: step and environment of the episodes that were cut off, not failed; shape (n, 2), int64.
+        cut: step and environment of the truncated episodes; shape (n, 2), int64.
         cut_inputs: the inputs after their last step, shape (n, columns), float32.
         last: inputs of the present state, shape (N, columns), float32.
-        over: 1.0 where that begins an episode, shape (N,), float32.
-        infos: of the episodes that ended, as SB3 has them: "episode" and "metrics".
+        over: 1.0 where that state begins an episode, shape (N,), float32.
+        infos: infos of the ended episodes, with SB3's "episode" and "metrics".
     """
 
     inputs: np.ndarray
@@ -258,31 +228,29 @@ class Rollout(NamedTuple):
 
 
 class RolloutVecEnv(CapsuleSB3VecEnv):
-    """The native batch as something that collects whole rollouts, for `agents.fast_ppo.FastPPO`.
+    """Environments that collect rollouts for `agents.fast_ppo.FastPPO`; they do not step.
 
-    An observation is here what the policy and its critic are given: the environment's own, then what the policy adds to
-    it (`capsule_gym.network.input_names`), then what the critic alone may know. Where nothing is added it also steps as
-    any other `VecEnv`.
+    An observation holds the inputs of policy and critic: the environment's own observation, the policy's further inputs
+    (`capsule_gym.network.input_names`), and the inputs of the critic alone.
 
     Args:
         num_envs: number of environments.
         seed: environment i gets seed + i.
-        episode_steps: of an episode of training, agent steps.
-        identifies: whether the policy identifies M and mu.
-        privileged: whether the critic is told them.
-        energy_weights: lowest and highest energy weight (cm/J) that the policy is told, drawn anew for every episode;
-            None for the environment's own, which it is not told.
-        jump: probability of a step that M and mu are drawn anew.
-        outputs_torque: whether the policy puts out the wanted torque.
+        episode_steps: agent steps of an episode.
+        identifies: whether the policy observes online estimates of M and mu.
+        privileged: whether the critic observes M and log(mu).
+        energy_weights: range of the energy weights (cm/J), one drawn per episode and observed by the policy; None for
+            the environment's own weight, which is not observed.
+        jump: probability that M and mu are drawn anew in a step.
+        outputs_torque: whether the network's output is the total torque.
         **env_kwargs: what `CapsuleVectorEnv` takes.
 
     Attributes:
-        header: what a packed network begins with, but for what the network itself says.
-        names: of the entries of an observation.
-        columns: how many they are.
+        header: header of a packed network; its layers, activation and clip are the network's.
+        names: names of the entries of an observation; `columns` is their number.
 
     Raises:
-        ValueError: if the critic is told the logarithm of a friction coefficient that may be 0.
+        ValueError: if `privileged` is given and mu may be 0, whose logarithm is not finite.
     """
 
     def __init__(
@@ -301,10 +269,10 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         super().__init__(num_envs, seed, max_episode_steps=episode_steps, **env_kwargs)
         simulation = self.batch.simulation
         if privileged and not (simulation.randomization.mu or (simulation.capsule.mu,))[0] > 0.0:
-            raise ValueError("privileged must be False where mu may be 0: the critic is told its logarithm, got True")
+            raise ValueError("privileged must be False where mu may be 0: the critic observes its logarithm, got True")
         low, high = energy_weights or (1.0, 1.0)
-        told = energy_weights is not None
-        self.course = Course(episode_steps, privileged, told, math.log(low), math.log(high), jump)
+        weighted = energy_weights is not None
+        self.config = EpisodeConfig(episode_steps, privileged, weighted, math.log(low), math.log(high), jump)
         self.header = make_header(
             simulation.options,
             layers=0,
@@ -312,11 +280,11 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
             tanh_squashing=False,
             clip=0.0,
             identifies=identifies,
-            observes_energy_weight=self.course.told,
+            observes_energy_weight=self.config.weighted,
             outputs_torque=outputs_torque,
         )
         observed = observation_names(simulation.settings.with_reference, simulation.settings.with_parameters)
-        self.names = (*input_names(observed, identifies, self.course.told), *(PRIVILEGED if privileged else ()))
+        self.names = (*input_names(observed, identifies, self.config.weighted), *(PRIVILEGED if privileged else ()))
         self.columns = len(self.names)
         if self.columns > self.header.observed:
             self.observation_space = spaces.Box(-np.inf, np.inf, (self.columns,), np.float32)
@@ -327,50 +295,41 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         self.over = np.ones(num_envs, np.float32)
 
     def reset(self) -> VecEnvObs:
-        """Begins new episodes everywhere; what is added to the observations is there when rollouts are collected."""
+        """Begins new episodes; inputs beyond the environment's observation are 0 until rollouts are collected."""
         observations = super().reset()
         assert isinstance(observations, np.ndarray)
         self.fresh = True
         self.memory[:] = 0.0
         self.over[:] = 1.0
         simulation = self.batch.simulation
-        # Apart from each other in time: a rollout is to hold every part of an episode.
-        simulation.write(layout.Row.steps, np.arange(self.num_envs) * self.course.steps // self.num_envs)
-        if self.course.told:
-            low, high = self.course.least, self.course.most
-            # Counted already: the episodes that begin here are the ones before.
+        # Staggered in time, so that a rollout holds every part of an episode.
+        simulation.write(layout.Row.steps, np.arange(self.num_envs) * self.config.steps // self.num_envs)
+        if self.config.weighted:
+            low, high = self.config.least, self.config.most
+            # `_episodes` counts the episodes that begin here already.
             begun = zip(simulation._keys.tolist(), simulation._episodes.tolist(), strict=True)
             streams = (random_stream(key + (rest << 64), n - 1, Stream.disturbances) for (key, rest), n in begun)
             self.log_weights[:] = [low + stream.random() * (high - low) for stream in streams]
         return np.pad(observations, ((0, 0), (0, self.columns - observations.shape[1])))
 
     def step_wait(self) -> VecEnvStepReturn:
-        """One step, for algorithms that collect by themselves.
-
-        Raises:
-            RuntimeError: if something is added to the observations, or the policy puts out torques.
-        """
-        if self.columns > self.header.observed or self.header.outputs_torque:
-            raise RuntimeError(
-                "step() knows nothing of what is added to the observations, and no torque that is wanted: collect() "
-                "rollouts instead"
-            )
-        return super().step_wait()
+        """Raises RuntimeError: these environments only collect rollouts."""
+        raise RuntimeError("RolloutVecEnv does not step: collect() rollouts, or use CapsuleSB3VecEnv")
 
     def collect(
         self, network: np.ndarray, deviation: float, noise: np.ndarray, chances: np.ndarray | None = None
     ) -> Rollout:
-        """Takes every environment through a rollout, whose length is that of the noise.
+        """Collects a rollout, whose length is that of the noise.
 
         Args:
             network: from `network.pack`.
             deviation: standard deviation of the actions.
             noise: standard normal, shape (T, N), float64.
-            chances: uniform in [0, 1), shape (T, N, 3), float64, where M and mu may jump.
+            chances: uniform in [0, 1), shape (T, N, 3), float64, for jumps of M and mu; None without jumps.
 
         Raises:
             TypeError: if the network or an array is not of that dtype and shape.
-            ValueError: if a user's control law returned a torque that is not finite; only a reset goes on from there.
+            ValueError: if a user's control law returned a torque that is not finite; a reset must follow.
         """
         simulation = self.batch.simulation
         steps, count = len(noise), self.num_envs
@@ -385,12 +344,12 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         )
         seen = np.empty((steps, count, self.columns), np.float32)
         actions, rewards, ends = (np.empty((steps, count), np.float32) for _ in range(3))
-        compiled, course = _compiled(), np.array(self.course, np.float64)
+        compiled, episode_config = _compiled(), np.array(self.config, np.float64)
         lines, law_memory = plant_ranges(simulation.randomization, simulation.capsule), np.array(simulation.memory)
 
         def run(first: int, last: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-            # In a rollout an environment's episode is cut off at most so often.
-            most = (last - first) * (steps // self.course.steps + 1)
+            # The largest number of truncated episodes of a rollout.
+            most = (last - first) * (steps // self.config.steps + 1)
             cut, cut_inputs = np.empty((most, 2), np.int64), np.empty((most, self.columns), np.float32)
             ended = np.empty((max(most, MOST_ENDED), 2 + layout.ROWS))
             cuts, endings, broken = compiled(
@@ -400,7 +359,7 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
                 last,
                 fixed,
                 simulation.observations,
-                course,
+                episode_config,
                 lines,
                 simulation.options.initial_noise,
                 simulation._keys,
@@ -435,17 +394,17 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         starts = np.concatenate([self.over[None], ends[:-1]])
         self.over = ends[-1].copy()
         cut, cut_inputs, ended = (np.concatenate([part[n] for part in parts]) for n in range(3))
-        # As many as one thread would have told of.
-        told = max(count * (steps // self.course.steps + 1), MOST_ENDED)
+        # As many as with one thread.
+        reported = max(count * (steps // self.config.steps + 1), MOST_ENDED)
         return Rollout(
             *(seen, actions, rewards, starts, cut, cut_inputs, self.inputs.copy(), self.over.copy()),
-            self._infos(ended[:told]),
+            self._infos(ended[:reported]),
         )
 
     def _infos(self, ended: np.ndarray) -> list[dict[str, Any]]:
-        """What SB3 is told of episodes that have ended."""
+        """Infos of ended episodes, as SB3 expects them."""
         world = ended[:, 2:].T
-        metrics = episode_metrics(world, self.course.steps * self.batch.simulation.options.control_dt)
+        metrics = episode_metrics(world, self.config.steps * self.batch.simulation.options.control_dt)
         return [
             {
                 "episode": {"r": float(ended[n, 0]), "l": int(ended[n, 1])},

@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from torch import nn
 
 from agents.fast_ppo.collection import Rollout, RolloutVecEnv
-from agents.fast_ppo.update import LOSSES, Numbers, Settings, make_steps
+from agents.fast_ppo.update import LOSSES, Numbers, UpdateConfig, make_steps
 from agents.training.algorithms import HALF_LOG_2_PI, FastTanh
 from agents.training.presets import PPOConfig
 from capsule_gym.network import Layer, pack
@@ -30,10 +30,10 @@ class FastPolicy(ActorCriticPolicy):
     """A policy and a critic of their own networks, of which the critic may see more.
 
     Args:
-        observation_space: of what both are given.
+        observation_space: of the inputs of policy and critic.
         action_space: one action.
         lr_schedule: as SB3's.
-        policy_inputs: how many of the first entries the policy sees; the critic sees all.
+        policy_inputs: the policy's inputs are the first so many entries; the critic's are all.
         tanh_mean: whether tanh brings the mean to [-1, 1].
         least_log_std: floor of the logarithm of the standard deviation.
         **kwargs: as SB3's.
@@ -63,7 +63,7 @@ class FastPolicy(ActorCriticPolicy):
         return {**super()._get_constructor_parameters(), **{name: getattr(self, name) for name in own}}
 
     def mean_and_log_std(self, latent: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Of the action's distribution, of shapes (n, 1) and (1,), out of what the policy's hidden layers put out."""
+        """Mean and logarithmic standard deviation of the action, shapes (n, 1) and (1,), from the last hidden layer."""
         mean = self.action_net(latent)
         return FastTanh()(mean) if self.tanh_mean else mean, self.log_std.clamp_min(self.least_log_std)
 
@@ -75,8 +75,8 @@ class Extractor(MlpExtractor):
     """SB3's hidden layers, the policy's of the first features alone.
 
     Args:
-        policy_inputs: how many these are.
-        features: how many there are.
+        policy_inputs: number of the policy's features.
+        features: number of all features.
         **kwargs: as SB3's.
     """
 
@@ -86,7 +86,7 @@ class Extractor(MlpExtractor):
         self.policy_net = MlpExtractor(policy_inputs, **kwargs).policy_net
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """What the policy's layers make of the features."""
+        """Output of the policy's hidden layers."""
         return self.policy_net(features[..., : self.policy_inputs])
 
 
@@ -129,7 +129,7 @@ class FastPPO(PPO):
     def collect_rollouts(
         self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_rollout_steps: int
     ) -> bool:
-        """Fills the rollout buffer; returns whether to go on."""
+        """Fills the rollout buffer; returns whether to continue."""
         assert isinstance(env, VecNormalize) and isinstance(env.venv, RolloutVecEnv)
         self.policy.set_training_mode(False)
         callback.on_rollout_start()
@@ -154,7 +154,7 @@ class FastPPO(PPO):
         venv: Any = env.venv
         network = self._network(env)
         noise = torch.randn(steps, self.n_envs).double().numpy()
-        chances = torch.rand(steps, self.n_envs, 3).double().numpy() if venv.course.jump > 0.0 else None
+        chances = torch.rand(steps, self.n_envs, 3).double().numpy() if venv.config.jump > 0.0 else None
         deviation = float(self.policy.log_std.detach().clamp_min(self.policy.least_log_std).exp())
         rollout: Rollout = venv.collect(network, deviation, noise, chances)
         return rollout
@@ -174,7 +174,7 @@ class FastPPO(PPO):
         return pack(layers, mean, 1.0 / np.sqrt(variance + env.epsilon), header)
 
     def _count(self, rollout: Rollout, callback: BaseCallback) -> bool:
-        """Counts a rollout's steps and tells of its episodes; returns whether to go on."""
+        """Counts a rollout's steps and reports its episodes; returns whether to continue."""
         self.num_timesteps += rollout.rewards.size
         infos = rollout.infos
         self._update_info_buffer(infos)
@@ -227,9 +227,9 @@ class FastPPO(PPO):
         orders = torch.stack([torch.randperm(len(inputs)) for _ in range(self.n_epochs)]).numpy()
         states = self._states()
         beta_1, beta_2 = adam["betas"]
-        settings = Settings(
+        settings = UpdateConfig(
             batch_size=self.batch_size,
-            normalises=self.normalize_advantage,
+            normalize_advantage=self.normalize_advantage,
             clip_range=clip_range(self._current_progress_remaining),
             ent_coef=self.ent_coef,
             vf_coef=self.vf_coef,
@@ -260,7 +260,7 @@ class FastPPO(PPO):
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
 
     def _states(self) -> dict[torch.Tensor, dict[str, torch.Tensor]]:
-        """What Adam remembers of every parameter, begun where it has made no step."""
+        """Adam's state of every parameter; zeros before its first step."""
         states: Any = self.policy.optimizer.state
         for parameter in self.policy.parameters():
             if not states[parameter]:
@@ -269,7 +269,7 @@ class FastPPO(PPO):
         return states
 
     def _numbers(self, of: dict[torch.Tensor, torch.Tensor]) -> Numbers:
-        """What belongs to the parameters, in the memory of torch."""
+        """The given tensors of the parameters, as arrays that share their memory."""
         policy: Any = self.policy
         networks = acting_layers(policy), [*policy.mlp_extractor.value_net[::2], policy.value_net]
         actor, critic = (

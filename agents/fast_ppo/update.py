@@ -1,7 +1,7 @@
 """PPO's whole update in one compiled call: every epoch and minibatch, both networks forward and backward, and Adam.
 
 A sample is a lane. Minibatches are taken LANES samples at a time, whose numbers lie side by side, row by row, in the
-processor's nearest caches. The three products that all the time goes into (a layer forward, back to what it was given,
+processor's nearest caches. The three products that take nearly all time (a layer forward, back to its inputs,
 and the gradients of its weights) are made of tiles that keep their sums in registers.
 
 Arithmetic is float32, and the compiler may fuse and reorder it: like torch's, an update is the same for the same start
@@ -53,28 +53,11 @@ LARGEST = F32(87.0)
 FLAT = F32(10.0)
 
 
-class Settings(NamedTuple):
-    """What an update needs to know besides its arrays.
-
-    Attributes:
-        batch_size: samples in a minibatch.
-        normalises: whether advantages are normalised, per minibatch.
-        clip_range: how far the ratio of probabilities pays off, from 1.
-        ent_coef: weight of the entropy.
-        vf_coef: weight of the critic's loss.
-        max_grad_norm: largest norm of the gradient of all parameters.
-        learning_rate: of Adam, as the next three.
-        beta_1: decay of the first moment.
-        beta_2: decay of the second moment.
-        eps: what is added to the root of the second.
-        step: steps that Adam has made before.
-        relu: whether max(0, .) follows the hidden layers, else tanh.
-        tanh_mean: whether tanh brings the action's mean to [-1, 1].
-        least_log_std: floor of the logarithm of the standard deviation.
-    """
+class UpdateConfig(NamedTuple):
+    """The numbers of an update; those of SB3's PPO and torch's Adam have their names and meanings there."""
 
     batch_size: int
-    normalises: bool
+    normalize_advantage: bool
     clip_range: float
     ent_coef: float
     vf_coef: float
@@ -83,14 +66,18 @@ class Settings(NamedTuple):
     beta_1: float
     beta_2: float
     eps: float
+    # Steps that Adam has made before.
     step: int
+    # Whether max(0, .) follows the hidden layers, else tanh.
     relu: bool
+    # Whether tanh brings the action's mean to [-1, 1].
     tanh_mean: bool
+    # Floor of the logarithm of the standard deviation.
     least_log_std: float
 
 
 class Rows(NamedTuple):
-    """What is kept of every lane besides the networks' numbers."""
+    """Rows of a sample's numbers besides those of the networks."""
 
     action: int
     old_log_prob: int
@@ -104,7 +91,7 @@ class Rows(NamedTuple):
 
 
 ROW = Rows(*range(len(Rows._fields)))
-# What `update` returns the means of.
+# Logged means.
 LOSSES = ("policy_gradient_loss", "value_loss", "entropy_loss", "approx_kl", "clip_fraction")
 
 
@@ -115,11 +102,11 @@ def filled(width: int) -> int:
 
 
 class Numbers(NamedTuple):
-    """The parameters of an agent, or what belongs to each of them: float32 arrays.
+    """The parameters of an agent, or a moment of each of them: float32 arrays.
 
     Attributes:
         actor: weights (outputs, inputs) and biases (outputs,) of each layer, in order.
-        critic: likewise.
+        critic: the same of the critic.
         log_std: logarithm of the standard deviation, shape (1,).
     """
 
@@ -144,7 +131,7 @@ def pack(numbers: Numbers) -> np.ndarray:
 
 
 def unpack(packed: np.ndarray, numbers: Numbers) -> None:
-    """Writes what `pack` has packed back to where it came from."""
+    """Writes a packed array back to the arrays that `pack` took."""
     at = 0
     for weights, bias in [*numbers.actor, *numbers.critic]:
         outputs, inputs = weights.shape
@@ -210,19 +197,11 @@ def multiply(
     sums: Any,
     target: Any,
 ) -> Any:
-    """Writes TILE rows of a matrix times the given rows, for SPAN lanes; unchecked.
+    """Writes TILE rows of a matrix times the rows of `given`, for SPAN lanes; unchecked.
 
-    Args:
-        typing_context: numba's.
-        weights: the matrix.
-        at: its first entry.
-        row: entries from one of its rows to the next.
-        column: entries from one of its columns to the next.
-        count: of columns.
-        given: what it is multiplied with, a row of LANES for each column.
-        first: where its lanes begin.
-        sums: the products, written.
-        target: where their lanes begin.
+    The matrix begins at `weights[at]`; `row` and `column` are the distances of its rows and its columns, `count` is the
+    number of its columns. `given` has a row of LANES for each column, from `first` on. The products are written to
+    `sums`, from `target` on.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -254,17 +233,10 @@ def multiply(
 def correlate(
     typing_context: Any, errors: Any, first: Any, given: Any, start: Any, gradients: Any, at: Any, row: Any
 ) -> Any:
-    """Adds the sums over the lanes of TILE rows' products with TILE others to a matrix; unchecked.
+    """Adds the products of TILE rows with TILE other rows, summed over the lanes, to a matrix; unchecked.
 
-    Args:
-        typing_context: numba's.
-        errors: what belongs to the rows of the matrix.
-        first: where the first begins.
-        given: what belongs to its columns.
-        start: where the first begins.
-        gradients: the matrix, changed.
-        at: the first entry.
-        row: entries from one of its rows to the next.
+    The rows of the matrix belong to `errors`, from `first` on, its columns to `given`, from `start` on. It begins at
+    `gradients[at]`, and `row` is the distance of its rows.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -328,7 +300,7 @@ def exponential(x: float) -> float:
 @inlined
 def tanh(x: float) -> float:
     """The hyperbolic tangent, to float32's rounding of 1."""
-    # What is no number stays none.
+    # NaN stays NaN.
     x = FLAT if x > FLAT else x
     x = -FLAT if x < -FLAT else x
     return ONE - TWO / (exponential(TWO * x) + ONE)
@@ -345,7 +317,7 @@ def activate(rows: np.ndarray, relu: bool) -> None:
             rows[j] = tanh(rows[j])
 
 
-def descend(errors: np.ndarray, activations: np.ndarray, relu: bool) -> None:
+def activate_backward(errors: np.ndarray, activations: np.ndarray, relu: bool) -> None:
     """Multiplies with the slopes of the activation where it has these values."""
     use_widest_vectors()
     if relu:
@@ -356,7 +328,7 @@ def descend(errors: np.ndarray, activations: np.ndarray, relu: bool) -> None:
             errors[j] *= ONE - activations[j] * activations[j]
 
 
-def total(row: np.ndarray) -> float:
+def sum_of(row: np.ndarray) -> float:
     """The sum of the entries."""
     use_widest_vectors()
     found = 0.0
@@ -374,28 +346,17 @@ def sum_of_squares(row: np.ndarray) -> float:
     return found
 
 
-def judge(
-    samples: np.ndarray,
-    outputs: np.ndarray,
-    errors: np.ndarray,
-    n: int,
-    share: float,
-    log_std: float,
-    clip_range: float,
-    tanh_mean: bool,
+def policy_loss(
+    samples: np.ndarray,  # the rows of `Rows`; those of the policy are written
+    outputs: np.ndarray,  # of the policy, shape (LANES,)
+    errors: np.ndarray,  # written: slopes of the loss
+    n: int,  # lanes in use; the others are written with 0
+    share: float,  # weight of a sample in the loss
+    log_std: float,  # logarithm of the standard deviation
+    clip_range: float,  # of the ratio of probabilities, around 1
+    tanh_mean: bool,  # whether tanh brings the mean to [-1, 1]
 ) -> None:
-    """Writes the slopes of the policy's loss over n lanes' outputs, and what else becomes of their samples.
-
-    Args:
-        samples: the rows of `Rows`; the policy's are written.
-        outputs: of the policy, shape (LANES,).
-        errors: written.
-        n: how many lanes; what is written to the others is zero.
-        share: of a sample in the loss.
-        log_std: logarithm of the standard deviation.
-        clip_range: how far the ratio of probabilities pays off, from 1.
-        tanh_mean: whether tanh brings the mean to [-1, 1].
-    """
+    """Computes the policy's loss, and its slopes over the policy's outputs, for n lanes."""
     use_widest_vectors()
     precision = exponential(-log_std)
     low, high = ONE - clip_range, ONE + clip_range
@@ -425,7 +386,7 @@ def judge(
         clipped[j] = ONE if used and (ratio < low or ratio > high) else ZERO
 
 
-def appraise(samples: np.ndarray, values: np.ndarray, errors: np.ndarray, n: int, share: float) -> None:
+def value_loss(samples: np.ndarray, values: np.ndarray, errors: np.ndarray, n: int, share: float) -> None:
     """Writes the slopes of the critic's loss over n lanes' values, and their squared errors; the others' are zero."""
     use_widest_vectors()
     targets, squares = samples[ROW.target], samples[ROW.squared_error]
@@ -436,31 +397,18 @@ def appraise(samples: np.ndarray, values: np.ndarray, errors: np.ndarray, n: int
 
 
 def adam(
-    parameters: np.ndarray,
+    parameters: np.ndarray,  # changed
     gradients: np.ndarray,
-    first: np.ndarray,
-    second: np.ndarray,
-    decay_1: float,
-    decay_2: float,
-    scale: float,
-    rate: float,
-    root: float,
-    eps: float,
+    first: np.ndarray,  # first moments; changed
+    second: np.ndarray,  # second moments; changed
+    decay_1: float,  # weight of the new gradient in the first moments
+    decay_2: float,  # weight of its square in the second
+    scale: float,  # factor of the gradients
+    rate: float,  # learning rate, corrected for the bias of the first moments
+    root: float,  # square root of the correction of the second moments
+    eps: float,  # added to the root of the second moments
 ) -> None:
-    """A step of Adam, as torch makes it.
-
-    Args:
-        parameters: changed, like the moments.
-        gradients: of the loss.
-        first: moments.
-        second: moments.
-        decay_1: what the new gradient weighs in the first.
-        decay_2: what its square weighs in the second.
-        scale: what the gradients are multiplied with.
-        rate: learning rate, corrected for the bias of the first moments.
-        root: root of the correction of the second.
-        eps: what is added to the root of the second.
-    """
+    """A step of Adam, as torch makes it."""
     use_widest_vectors()
     for n in range(len(parameters)):
         gradient = gradients[n] * scale
@@ -474,19 +422,20 @@ def _inner(function: Any, *flags: str) -> Any:
     return inner(function, fastmath=dict.fromkeys(flags, True))
 
 
-activate_apart, descend_apart = _inner(activate, "contract"), _inner(descend, "contract")
-total_apart, sum_of_squares_apart = _inner(total, "reassoc"), _inner(sum_of_squares, "reassoc")
-judge_apart, appraise_apart, adam_apart = (_inner(function, "contract") for function in (judge, appraise, adam))
+activate_noinline, activate_backward_noinline = _inner(activate, "contract"), _inner(activate_backward, "contract")
+sum_noinline, sum_of_squares_noinline = _inner(sum_of, "reassoc"), _inner(sum_of_squares, "reassoc")
+policy_loss_noinline, value_loss_noinline = _inner(policy_loss, "contract"), _inner(value_loss, "contract")
+adam_noinline = _inner(adam, "contract")
 
 
 def forward(parameters: np.ndarray, widths: np.ndarray, relu: bool, rows: np.ndarray) -> int:
     """Takes LANES samples through a network.
 
     Args:
-        parameters: its part of what `pack` has packed.
+        parameters: its part of a packed array.
         widths: of its inputs and its layers.
         relu: whether max(0, .) follows the hidden layers, else tanh.
-        rows: the filled inputs; what every layer makes of them is written behind, shape (.., LANES) but flat.
+        rows: the padded inputs; the outputs of every layer are written behind them, shape (.., LANES) but flat.
 
     Returns:
         Where the outputs begin.
@@ -503,8 +452,8 @@ def forward(parameters: np.ndarray, widths: np.ndarray, relu: bool, rows: np.nda
                 multiply(parameters, start, columns, 1, columns, rows, given + j, rows, target)
         if layer < layers - 1:
             end = sums + units * LANES
-            activate_apart(rows[sums:end], relu)
-            # What the next layer's bias is the weight of.
+            activate_noinline(rows[sums:end], relu)
+            # The input that the next layer's bias multiplies.
             rows[end : end + LANES] = ONE
         at += filled(units) * columns
         given = sums
@@ -512,25 +461,15 @@ def forward(parameters: np.ndarray, widths: np.ndarray, relu: bool, rows: np.nda
 
 
 def backward(
-    parameters: np.ndarray,
-    gradients: np.ndarray,
+    parameters: np.ndarray,  # this and the next three as in `forward`
+    gradients: np.ndarray,  # of the parameters; changed
     widths: np.ndarray,
     relu: bool,
-    rows: np.ndarray,
-    errors: np.ndarray,
-    spare: np.ndarray,
+    rows: np.ndarray,  # as `forward` leaves them
+    errors: np.ndarray,  # slopes of the loss over the padded outputs; changed
+    spare: np.ndarray,  # of the size of `errors`; changed
 ) -> None:
-    """Adds LANES samples to the gradients of a network.
-
-    Args:
-        parameters: with the next three as `forward` takes them.
-        gradients: like the parameters; changed.
-        widths: see there.
-        relu: see there.
-        rows: as `forward` leaves them.
-        errors: slopes of the loss over the filled outputs; changed.
-        spare: room for those of any layer.
-    """
+    """Adds the gradients of LANES samples to those of a network."""
     use_widest_vectors()
     at = given = 0
     for layer in range(len(widths) - 1):
@@ -549,18 +488,18 @@ def backward(
                 for i in range(0, filled(inputs), TILE):
                     multiply(parameters, at + i, 1, columns, outputs, errors, j, spare, i * LANES + j)
             size = inputs * LANES
-            descend_apart(spare[:size], rows[given : given + size], relu)
-            # Nothing is made of what fills up the width: it has to stay zero.
+            activate_backward_noinline(spare[:size], rows[given : given + size], relu)
+            # Padding must stay zero.
             spare[size : filled(inputs) * LANES] = ZERO
             errors, spare = spare, errors
 
 
-forward_apart, backward_apart = inner(forward), inner(backward)
+forward_noinline, backward_noinline = inner(forward), inner(backward)
 
 
 @jitable
-def room(count: int) -> np.ndarray:
-    """So many zeros, from the beginning of a cache line on, which a wide load should not cross."""
+def zeros_aligned(count: int) -> np.ndarray:
+    """Zeros that begin at a cache line, which a wide load should not cross."""
     memory = np.zeros(count + LINE, np.float32)
     start = -(memory.ctypes.data // 4) % LINE
     return memory[start : start + count]
@@ -597,45 +536,29 @@ def moments(advantages: np.ndarray, chosen: np.ndarray) -> tuple[float, float]:
 
 
 def update(
-    settings: np.ndarray,
-    actor: np.ndarray,
-    critic: np.ndarray,
-    orders: np.ndarray,
-    inputs: np.ndarray,
-    actions: np.ndarray,
-    old_log_probs: np.ndarray,
+    settings: np.ndarray,  # the fields of `UpdateConfig`
+    actor: np.ndarray,  # widths of its inputs and its layers, the last of which is 1
+    critic: np.ndarray,  # the same of the critic, which may have more inputs
+    orders: np.ndarray,  # the samples in the order of each epoch, shape (epochs, samples)
+    inputs: np.ndarray,  # normalised, shape (samples, inputs of the critic); the actor's come first
+    actions: np.ndarray,  # shape (samples,), as the next three
+    old_log_probs: np.ndarray,  # their logarithmic probabilities when they were drawn
     advantages: np.ndarray,
-    targets: np.ndarray,
-    parameters: np.ndarray,
-    first: np.ndarray,
-    second: np.ndarray,
-    losses: np.ndarray,
+    targets: np.ndarray,  # returns, which the critic estimates
+    parameters: np.ndarray,  # actor, critic and logarithm of the standard deviation, from `pack`; changed
+    first: np.ndarray,  # Adam's first moments; changed
+    second: np.ndarray,  # Adam's second moments; changed
+    losses: np.ndarray,  # written: means of LOSSES over the minibatches
 ) -> None:
-    """Makes a step of Adam for every minibatch.
-
-    Args:
-        settings: the fields of `Settings`.
-        actor: widths of its inputs, of its layers, and 1.
-        critic: likewise; it may have more inputs.
-        orders: the samples in the order of each epoch, shape (epochs, samples).
-        inputs: normalised, shape (samples, inputs of the critic); the actor's come first.
-        actions: shape (samples,).
-        old_log_probs: logarithms of their probabilities when they were drawn, likewise.
-        advantages: likewise.
-        targets: what the critic should have said, likewise.
-        parameters: actor, critic and logarithm of the standard deviation, from `pack`; changed.
-        first: Adam's first moments of them; changed.
-        second: Adam's second moments; changed.
-        losses: written: the means of LOSSES over the minibatches.
-    """
-    s = record(settings, 0, Settings)
+    """Makes a step of Adam for every minibatch."""
+    s = record(settings, 0, UpdateConfig)
     split = size_of(actor)
     last = split + size_of(critic)
-    rows_a, rows_c = room(rows_of(actor) * LANES), room(rows_of(critic) * LANES)
+    rows_a, rows_c = zeros_aligned(rows_of(actor) * LANES), zeros_aligned(rows_of(critic) * LANES)
     widest = max(actor.max(), critic.max())
-    errors, spare = room(filled(widest) * LANES), room(filled(widest) * LANES)
-    samples = room(len(ROW) * LANES).reshape(len(ROW), LANES)
-    gradients = room(len(parameters))
+    errors, spare = zeros_aligned(filled(widest) * LANES), zeros_aligned(filled(widest) * LANES)
+    samples = zeros_aligned(len(ROW) * LANES).reshape(len(ROW), LANES)
+    gradients = zeros_aligned(len(parameters))
     rows_a[actor[0] * LANES : (actor[0] + 1) * LANES] = ONE
     rows_c[critic[0] * LANES : (critic[0] + 1) * LANES] = ONE
     sums = np.zeros(len(losses))
@@ -646,7 +569,7 @@ def update(
             chosen = order[begin : begin + s.batch_size]
             size = len(chosen)
             centre, scale = 0.0, 1.0
-            if s.normalises and size > 1:
+            if s.normalize_advantage and size > 1:
                 centre, deviation = moments(advantages, chosen)
                 scale = 1.0 / (deviation + 1e-8)
             gradients[:] = ZERO
@@ -661,9 +584,9 @@ def update(
                         rows_a[k * LANES + j] = inputs[i, k]
                     for k in range(critic[0]):
                         rows_c[k * LANES + j] = inputs[i, k]
-                out = forward_apart(parameters[:split], actor, s.relu, rows_a)
+                out = forward_noinline(parameters[:split], actor, s.relu, rows_a)
                 errors[LANES : TILE * LANES] = ZERO
-                judge_apart(
+                policy_loss_noinline(
                     samples,
                     rows_a[out : out + LANES],
                     errors[:LANES],
@@ -673,22 +596,22 @@ def update(
                     F32(s.clip_range),
                     s.tanh_mean,
                 )
-                backward_apart(parameters[:split], gradients[:split], actor, s.relu, rows_a, errors, spare)
-                out = forward_apart(parameters[split:last], critic, s.relu, rows_c)
+                backward_noinline(parameters[:split], gradients[:split], actor, s.relu, rows_a, errors, spare)
+                out = forward_noinline(parameters[split:last], critic, s.relu, rows_c)
                 errors[LANES : TILE * LANES] = ZERO
-                appraise_apart(samples, rows_c[out : out + LANES], errors[:LANES], n, F32(2.0 * s.vf_coef / size))
-                backward_apart(parameters[split:last], gradients[split:last], critic, s.relu, rows_c, errors, spare)
-                gradients[last] += total_apart(samples[ROW.log_std_slope])
-                sums[0] -= total_apart(samples[ROW.gain]) / size
-                sums[1] += total_apart(samples[ROW.squared_error]) / size
-                sums[3] += total_apart(samples[ROW.divergence]) / size
-                sums[4] += total_apart(samples[ROW.clipped]) / size
+                value_loss_noinline(samples, rows_c[out : out + LANES], errors[:LANES], n, F32(2.0 * s.vf_coef / size))
+                backward_noinline(parameters[split:last], gradients[split:last], critic, s.relu, rows_c, errors, spare)
+                gradients[last] += sum_noinline(samples[ROW.log_std_slope])
+                sums[0] -= sum_noinline(samples[ROW.gain]) / size
+                sums[1] += sum_noinline(samples[ROW.squared_error]) / size
+                sums[3] += sum_noinline(samples[ROW.divergence]) / size
+                sums[4] += sum_noinline(samples[ROW.clipped]) / size
             sums[2] -= log_std + NORMAL + HALF
             gradients[last] = gradients[last] - s.ent_coef if parameters[last] >= F32(s.least_log_std) else 0.0
-            norm = math.sqrt(sum_of_squares_apart(gradients))
+            norm = math.sqrt(sum_of_squares_noinline(gradients))
             power_1 *= s.beta_1
             power_2 *= s.beta_2
-            adam_apart(
+            adam_noinline(
                 parameters,
                 gradients,
                 first,
@@ -707,7 +630,7 @@ def update(
 
 @lru_cache(maxsize=1)
 def compiled() -> Any:
-    """`update` as compiled code: it checks neither dtype nor shape nor contiguity of what it is given."""
+    """`update` as compiled code: it checks neither dtype nor shape nor contiguity of its arrays."""
     built = kernel(update, fingerprint(update)[:16], {})
     numbers, widths, row = types.float64[::1], types.int64[::1], types.float32[::1]
     given = (types.int64[:, ::1], types.float32[:, ::1], row, row, row, row)
@@ -716,7 +639,7 @@ def compiled() -> Any:
 
 
 def make_steps(
-    settings: Settings,
+    settings: UpdateConfig,
     changed: list[Numbers],
     orders: np.ndarray,
     inputs: np.ndarray,
@@ -725,17 +648,9 @@ def make_steps(
     advantages: np.ndarray,
     targets: np.ndarray,
 ) -> np.ndarray:
-    """Makes a step of Adam for every minibatch.
+    """Makes a step of Adam for every minibatch, as `update`, which documents the arrays.
 
-    Args:
-        settings: what is done.
-        changed: the parameters and Adam's first and second moments; what they hold is changed.
-        orders: with the next five as `update` takes them.
-        inputs: see there.
-        actions: see there.
-        old_log_probs: see there.
-        advantages: see there.
-        targets: see there.
+    `changed` holds the parameters and Adam's first and second moments.
 
     Returns:
         The means of LOSSES over the minibatches, float64.

@@ -178,7 +178,7 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
 
     Args:
         config: its hyperparameters.
-        env: what it trains in, as `make_env` gave it.
+        env: its environments, from `make_env`.
     """
     network: dict[str, Any] = {"net_arch": [config.hidden, config.hidden]}
     kwargs: dict[str, Any] = {
@@ -285,15 +285,14 @@ class RecurrentPolicy(RecurrentActorCriticPolicy):
 class FastSAC(SAC):
     """SAC whose `train` makes the same updates with fewer calls, about 1.7 times as fast.
 
-    `python -m benchmarks.training --parts sac` measures it. Networks of 64 units are so small that an update is mostly
-    the cost of calling torch, not of computing:
-    one draw from the replay buffer for all updates of a call; gradients only of what is then stepped (SB3 also
-    computes the critics' for the actor's loss, and clears them); the entropy coefficient's in closed form; the log
-    probability from the noise that was drawn, without objects for distributions; losses read once, at the end.
-    The algorithm is SB3's, up to rounding: with one update per call and the same seed the parameters agree.
+    Networks of 64 units are so small that an update is mostly the cost of calling torch. Hence one draw from the replay
+    buffer for all updates of a call; gradients only of the parameters that are stepped (SB3 also computes the critics'
+    for the actor's loss, and clears them); the entropy coefficient's gradient in closed form; the log probability from
+    the drawn noise, without objects for distributions; losses read once, at the end. The algorithm is SB3's, up to
+    rounding: with one update per call and the same seed the parameters agree.
 
-    Only what this project uses is there: flat observations, a learned entropy coefficient, no gSDE, no n-step returns,
-    no batch normalisation.
+    Not supported, because this project does not use them: dictionary observations, a fixed entropy coefficient, gSDE,
+    n-step returns, batch normalisation.
     """
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:

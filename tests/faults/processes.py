@@ -1,4 +1,4 @@
-"""Processes that faults are tried on."""
+"""Child processes that faults are injected into."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from capsule_gym import CapsuleVectorEnv
 ROOT = Path(__file__).resolve().parents[2]
 HANG_SECONDS = 240.0
 
-# Modules are loaded once, by a process that is forked for each child.
+# Modules are imported once, by a process that is forked for each child.
 CONTEXT = multiprocessing.get_context("forkserver")
-PRELOADED = ["agents.training.loop", "agents.comparison", "train", "tests.faults.processes"]
+CONTEXT.set_forkserver_preload(["agents.training.loop", "agents.comparison", "train", "tests.faults.processes"])
 
 
 class Child:
-    """A process that calls a function, or runs a command; what it prints goes to a file.
+    """A process that calls a function, or runs a command; its output goes to a file.
 
     Args:
         log: that file.
-        function: what is called; None for a command.
-        arguments: its arguments, or the words of the command.
+        function: the function; None for a command.
+        arguments: the arguments of the function, or the words of the command.
     """
 
     def __init__(self, log: Path, function: Callable[..., None] | None, *arguments: Any) -> None:
@@ -57,12 +57,12 @@ class Child:
         return status
 
     def send(self, number: signal.Signals) -> None:
-        """Sends a signal, if it still runs."""
+        """Sends a signal, if the process still runs."""
         if self.status() is None:
             os.kill(self.pid, number)
 
     def wait(self, condition: Callable[[], bool] = lambda: False, seconds: float = HANG_SECONDS) -> bool:
-        """Waits until it has ended or something holds; returns whether that was in time."""
+        """Waits until the process has ended or the condition holds; returns whether that was in time."""
         deadline = time.monotonic() + seconds
         while self.status() is None and not condition():
             if time.monotonic() > deadline:
@@ -71,7 +71,7 @@ class Child:
         return True
 
     def end(self) -> int | None:
-        """Waits for its end and returns the exit status; kills it, and returns None, where it hangs."""
+        """Waits for the end and returns the exit status; kills a process that hangs and returns None."""
         if self.wait():
             return self.status()
         self.send(signal.SIGKILL)
@@ -79,11 +79,11 @@ class Child:
         return None
 
     def printed(self) -> str:
-        """The end of what it has printed."""
+        """The end of its output."""
         return self.log.read_text(errors="replace")[-2000:]
 
     def handles_signals(self) -> bool:
-        """Whether it has got as far as the first lines of train.py."""
+        """Whether it has run the first lines of train.py."""
         try:
             status = Path(f"/proc/{self.pid}/status").read_text()
         except OSError:
@@ -93,26 +93,20 @@ class Child:
 
 
 def _call(log: str, function: Callable[..., None], arguments: Sequence[Any]) -> None:
-    """In the child: calls the function, which prints into a file."""
-    # A terminal's Ctrl-C is meant for who tries the faults.
+    """In the child: calls the function, with its output in a file."""
+    # Ctrl-C in a terminal is for the parent.
     os.setsid()
     descriptor = os.open(log, os.O_WRONLY | os.O_APPEND)
     os.dup2(descriptor, 1)
     os.dup2(descriptor, 2)
-    # tqdm's own lock is the system's, and outlives a process that is killed.
+    # tqdm's own lock belongs to the system, and outlives a process that is killed.
     tqdm.set_lock(threading.RLock())
     function(*arguments)
     sys.stdout.flush()
 
 
 def train(arguments: Sequence[str], cache: str, limit: int) -> None:
-    """In the child: train.py.
-
-    Args:
-        arguments: its command line.
-        cache: folder of the compiled code; "" for the usual one.
-        limit: bytes that a file may not grow beyond; 0 for none.
-    """
+    """In the child: train.py; `cache` is a folder of compiled code or "", `limit` the largest size of a file or 0."""
     import train as command
 
     command.QUIET_EXIT.install()
@@ -134,13 +128,13 @@ def digest(env: CapsuleVectorEnv) -> str:
 
 
 def rollout(cache: str) -> None:
-    """In the child: prints the hash of a batch, whose compiled code lies in a folder."""
+    """In the child: prints the hash of a batch, with a folder of compiled code."""
     numba.config.CACHE_DIR = cache
     print(digest(CapsuleVectorEnv(70)))
 
 
 def fork() -> None:
-    """In the child: forks after its threads have run; both then print the hash of their batch."""
+    """In the child: forks after its threads have run; both processes then print the hash of their batch."""
     env = CapsuleVectorEnv(130, threads=2)
     digest(env)
     child = os.fork()

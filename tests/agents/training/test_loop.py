@@ -16,12 +16,10 @@ import torch
 from stable_baselines3 import PPO
 
 import train as command_line
-from agents.training import callbacks
 from agents.training.algorithms import algorithm, make_env, make_model
 from agents.training.callbacks import validation_plants
 from agents.training.checkpoint import newest
 from agents.training.loop import begin, train
-from agents.training.presets import PRESETS
 from capsule_gym import load_policy
 from capsule_gym.network import LAW_TORQUE, to_action
 from capsule_gym.parameters import RANDOMIZATIONS
@@ -47,7 +45,7 @@ def test_bootstrap_happens_at_time_limits_only():
     env.close()
 
 
-@pytest.mark.parametrize(("task", "algo"), list(PRESETS))
+@pytest.mark.parametrize(("task", "algo"), [("direct", "ppo"), ("direct", "td3")])
 def test_same_seed_same_model_another_seed_another(tmp_path, task, algo):
     models = []
     for n, seed in enumerate((0, 0, 1)):
@@ -151,15 +149,3 @@ def test_kill_and_interrupt_lose_nothing_that_resume_cannot_find(tmp_path):
     with (run / "logs" / "progress.csv").open() as file:
         logged = [int(row["time/total_timesteps"]) for row in csv.DictReader(file)]
     assert logged == sorted(set(logged)) and logged[0] < int(first.name.split("-")[1]) < logged[-1]
-
-
-@pytest.mark.parametrize("algo", ["sac", "td3", "tqc"])
-def test_what_updates_after_every_step_logs_long_before_an_episode_ends(tmp_path, monkeypatch, algo):
-    monkeypatch.setattr(callbacks, "LOG_EVERY", 100)
-    run = tmp_path / "run"
-    config = small("direct", algo, total_steps=800, learning_starts=200, gradient_steps=1)
-    begin(run, config)
-    assert train(run, config)
-    with (run / "logs" / "progress.csv").open() as file:
-        steps = [int(row["time/total_timesteps"]) for row in csv.DictReader(file)]
-    assert steps == [104, 200, 304, 400, 504, 600, 704, 800]

@@ -11,8 +11,9 @@ from stable_baselines3.common.logger import configure
 from torch import nn
 
 from agents.fast_ppo.ppo import FastPolicy, FastPPO
-from agents.training.algorithms import FastTanh
-from tests.agents.training.small import weights
+from agents.training.algorithms import FastTanh, make_env, make_model
+from agents.training.export import archive, export
+from tests.agents.training.small import small, weights
 
 EPOCHS = 2
 RATE = 1e-3
@@ -150,3 +151,34 @@ def test_the_same_start_gives_the_same_bits():
         torch.manual_seed(1)
         model.train()
     np.testing.assert_array_equal(*map(weights, models))
+
+
+def test_first_only_the_critic_learns():
+    config = small("direct", "ppo", critic_steps=600, episode_seconds=0.4)
+    model: Any = make_model(config, make_env(config, 0))
+    hidden = model.policy.mlp_extractor
+    for learns, steps in ((False, 300), (True, 600)):
+        actor = [*hidden.policy_net.parameters(), *model.policy.action_net.parameters(), model.policy.log_std]
+        critic = [*hidden.value_net.parameters(), *model.policy.value_net.parameters()]
+        before = [torch.nn.utils.parameters_to_vector(part).detach().clone() for part in (actor, critic)]
+        model.learn(steps, reset_num_timesteps=False)
+        after = [torch.nn.utils.parameters_to_vector(part) for part in (actor, critic)]
+        assert [not torch.equal(*pair) for pair in zip(before, after, strict=True)] == [learns, True]
+
+
+@pytest.mark.parametrize("tanh_mean", [False, True])
+def test_the_archive_of_every_option_acts_as_the_policy_file(tanh_mean, tmp_path):
+    options = {"energy_weights": (0.1, 10.0), "privileged_critic": True, "randomization": "broad"}
+    config = small("direct", "ppo", tanh_mean=tanh_mean, episode_seconds=0.4, **options)
+    model: Any = make_model(config, make_env(config, 0))
+    model.learn(600)
+    policy = export("run", model, env_kwargs=config.env_kwargs(), training_seed=0, revision="abc")
+    assert policy.squashing == ("tanh" if tanh_mean else "clip")
+    (tmp_path / "model.zip").write_bytes(archive(model))
+    observations = np.random.default_rng(0).normal(size=(50, 5)).astype(np.float32)
+    # The inputs of the critic alone do not matter.
+    further = np.full((50, 3), np.log(config.energy_weight), np.float32)
+    loaded = FastPPO.load(tmp_path / "model.zip", device="cpu")
+    expected, _ = loaded.predict(np.hstack([observations, further]), deterministic=True)
+    np.testing.assert_allclose(policy(observations), expected, atol=2e-6)
+    assert np.ptp(expected) > 1e-3

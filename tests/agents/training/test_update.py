@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from agents.fast_ppo.update import Numbers, Settings, exponential, make_steps, pack, tanh, unpack
+from agents.fast_ppo.update import Numbers, UpdateConfig, exponential, make_steps, pack, tanh, unpack
 
 ACTOR, CRITIC = (5, 9, 6, 1), (7, 3, 1)
 SAMPLES = 70
@@ -28,7 +28,7 @@ def parameters(random: np.random.Generator) -> Numbers:
 def updated(relu: bool = False, **changes: np.ndarray) -> tuple[list[Numbers], np.ndarray]:
     """Parameters and moments after some steps, and the losses."""
     random = np.random.default_rng(0)
-    settings = Settings(32, True, 0.2, 0.0, 0.5, 0.5, 1e-2, 0.9, 0.999, 1e-5, 0, relu, False, -20.0)
+    settings = UpdateConfig(32, True, 0.2, 0.0, 0.5, 0.5, 1e-2, 0.9, 0.999, 1e-5, 0, relu, False, -20.0)
     changed = [parameters(random) for _ in range(3)]
     for moments in changed[1:]:
         unpack(np.zeros_like(pack(moments)), moments)
