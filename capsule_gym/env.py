@@ -21,6 +21,12 @@ from capsule_gym.simulation import Simulation, check_seed
 RESET_OPTIONS = ("M", "mu", "state", "changes")
 REWARD_TERMS = ("reward_progress", "reward_energy", "reward_termination")
 _CODES = {float(code): np.int64(code) for code in task.Termination}
+# Looking the rows of an info up in `Row` at every step takes a tenth of it.
+_STATE, _X_DOT, _REWARD, _TERMINATION = slice(Row.theta, Row.M), Row.x_dot, Row.reward, Row.termination
+_M, _MU, _TORQUE, _LAW_TORQUE, _NORMAL_FORCE, _ENERGY, _PROGRESS, _ENERGY_COST, _FAILURE = Row[Row.M : Row.reward]
+_FIRST = np.zeros(1, np.int64)
+# What a copy of an environment does not take over.
+_VIEWS = ("_rows", "_observation", "_step", "_renderer")
 
 
 class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
@@ -175,11 +181,22 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         self.metadata = {**type(self).metadata, "render_fps": round(1.0 / self.simulation.options.control_dt)}
         self.action_space, self.observation_space = make_spaces(self.simulation)
         self._running = False
-        self._renderer: Renderer | None = None
+        self._bind()
 
     def __getstate__(self) -> dict[str, Any]:
         """The episode, with which a copy goes on, without the window."""
-        return {**vars(self), "_renderer": None}
+        return {name: value for name, value in vars(self).items() if name not in _VIEWS}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._bind()
+
+    def _bind(self) -> None:
+        """Makes views of the only environment: finding them takes a good part of a step."""
+        self._rows = self.simulation.world[0, : Row.steps, 0]
+        self._observation = self.simulation.observations[0]
+        self._step = self.simulation.step_one
+        self._renderer: Renderer | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -205,15 +222,17 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         super().reset(seed=seed)
         if fresh:
             self.simulation.seed(0, self.np_random_seed)
-        options = check_options(options, RESET_OPTIONS)
-        # One environment is a batch of one.
-        given = {name: [options[name]] for name in ("M", "mu", "changes") if options.get(name) is not None}
-        self.simulation.reset(np.zeros(1, np.int64), state=options.get("state"), **given)
+        if options is None:
+            self.simulation.reset(_FIRST)
+        else:
+            check_options(options, RESET_OPTIONS)
+            # One environment is a batch of one.
+            given = {name: [options[name]] for name in ("M", "mu", "changes") if options.get(name) is not None}
+            self.simulation.reset(_FIRST, state=options.get("state"), **given)
         self._running = True
         if self.render_mode == "human":
             self.render()
-        rows = self.simulation.first.copy()
-        return self.simulation.observations[0].copy(), describe(rows, _CODES[0.0])
+        return self._observation.copy(), describe(self._rows.copy(), _CODES[0.0])
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
         """One agent step: `capsule_gym.kernels.step`, compiled with the control law.
@@ -235,14 +254,14 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         array = action if plain else as_actions(action)
         if array is None or array.shape != (1,) or not math.isfinite(value := array.item()):
             raise ValueError(f"action must be one finite number of shape (1,) in [-1, 1], got {written(action)}")
-        self.simulation.step_one(value)
-        rows = self.simulation.first.copy()
-        ended = rows.item(Row.termination)
+        self._step(value)
+        rows = self._rows.copy()
+        ended = rows.item(_TERMINATION)
         self._running = ended == 0.0
         if self.render_mode == "human":
             self.render()
         info = describe(rows, _CODES[ended])
-        return self.simulation.observations[0].copy(), rows.item(Row.reward), not self._running, False, info
+        return self._observation.copy(), rows.item(_REWARD), not self._running, False, info
 
     def episode_metrics(self, horizon: int = task.EPISODE_STEPS) -> dict[str, float]:
         """The metrics of the episode so far; `capsule_gym.task.Metrics` says what each means.
@@ -255,9 +274,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
             ValueError: if it is below 1.
         """
         check_count("horizon", horizon)
-        return {
-            name: float(value[0]) for name, value in self.simulation.metrics(np.zeros(1, np.int64), horizon).items()
-        }
+        return {name: float(value[0]) for name, value in self.simulation.metrics(_FIRST, horizon).items()}
 
     def render(self) -> np.ndarray | None:
         """Draws the present state.
@@ -306,20 +323,18 @@ def describe(rows: np.ndarray, termination: Any) -> dict[str, Any]:
         rows: the first rows of `Row`, of one environment, shape (n,), or of a batch, shape (n, num_envs).
         termination: `task.Termination` as int64, or an array of them.
     """
-    # Unpacked, which takes less time than eleven look-ups.
-    M, mu, torque, law_torque, normal_force, energy, progress, energy_cost, failure = rows[Row.M : Row.reward]
     return {
-        "state": rows[: Row.M].T,
-        "stick": rows[Row.x_dot] == 0.0,
-        "M": M,
-        "mu": mu,
-        "torque": torque,
-        "law_torque": law_torque,
-        "normal_force": normal_force,
-        "energy": energy,
-        "reward_progress": progress,
-        "reward_energy": energy_cost,
-        "reward_termination": failure,
+        "state": rows[_STATE],
+        "stick": rows[_X_DOT] == 0.0,
+        "M": rows[_M],
+        "mu": rows[_MU],
+        "torque": rows[_TORQUE],
+        "law_torque": rows[_LAW_TORQUE],
+        "normal_force": rows[_NORMAL_FORCE],
+        "energy": rows[_ENERGY],
+        "reward_progress": rows[_PROGRESS],
+        "reward_energy": rows[_ENERGY_COST],
+        "reward_termination": rows[_FAILURE],
         "termination": termination,
     }
 

@@ -229,8 +229,7 @@ class Simulation:
             self.observations = np.zeros((self.num_envs, len(names)), np.float32)
         except MemoryError as error:
             raise ValueError(f"num_envs must be as many as there is memory for, got {self.num_envs}: {error}") from None
-        # What an info shows of the first environment. The views save the single environment a good part of a step.
-        self.first = self.world[0, : Row.steps, 0]
+        # Set through a memoryview, which takes half the time of an array.
         self._action: Any = memoryview(self.world[0, Row.action])
         self._keys = np.zeros((self.num_envs, 2), np.uint64)
         self._episodes = np.zeros(self.num_envs, np.int64)

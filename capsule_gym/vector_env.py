@@ -137,7 +137,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._ended[rows] = False
         # The mask of the first reset need not name every environment; one that has not begun has no mass.
         self._started = self._started or bool(self.simulation.row(Row.M).all())
-        return self.simulation.observations.copy(), _masked(self._info(), mask)
+        return self.simulation.observations.copy(), _masked(_info(self.simulation.rows(0, Row.start_x)), mask)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One agent step of every environment.
@@ -176,7 +176,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             terminated &= active
             truncated &= active
         ended = terminated | truncated
-        info = _masked(describe(shown, shown[Row.termination].astype(np.int64)), np.ones(self.num_envs, np.bool_))
+        info = _masked(_info(shown), np.ones(self.num_envs, np.bool_))
         if active is not None and self.autoreset_mode is AutoresetMode.DISABLED:
             info |= {f"_{name}": active for name in REWARD_TERMS}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
@@ -216,11 +216,6 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             renderer.close()
         self._renderers = []
 
-    def _info(self) -> dict[str, Any]:
-        """The info of the present state, without the masks."""
-        rows = self.simulation.rows(0, Row.start_x)
-        return describe(rows, rows[Row.termination].astype(np.int64))
-
     def _begin_next(self, info: dict[str, Any], ended: np.ndarray) -> None:
         """Begins the next episodes, and moves to the info's `final_..` how the last ones have ended."""
         simulation = self.simulation
@@ -236,7 +231,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         info["final_info"] = _masked({**shared, "metrics": metrics}, ended)
         info["_final_obs"] = info["_final_info"] = ended
         simulation.reset(rows)
-        info |= self._info()
+        info |= _info(self.simulation.rows(0, Row.start_x))
 
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
         """Hands the seeds out: environment i of seed s gets s + i."""
@@ -300,6 +295,13 @@ def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:
             return candidate
     names = [candidate.name for candidate in AutoresetMode]
     raise ValueError(f"autoreset_mode must be an AutoresetMode or one of {names}, got {written(mode)}")
+
+
+def _info(rows: np.ndarray) -> dict[str, Any]:
+    """The infos of the first rows of `Row`, without their masks."""
+    info = describe(rows, rows[Row.termination].astype(np.int64))
+    info["state"] = info["state"].T
+    return info
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:
