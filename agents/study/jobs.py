@@ -165,14 +165,14 @@ def train_all(jobs: Sequence[Job], parallel: int | None = None, backend: Backend
     from joblib import Parallel, delayed, parallel_config
 
     waiting = [job for job in jobs if not job.finished]
-    if backend == "ray" and waiting:
-        import ray
-        from ray.util.joblib import register_ray
-
-        ray.init(runtime_env={"env_vars": {"PYTHONPATH": str(ROOT)}}, log_to_driver=False, logging_level="error")
-        register_ray()
-        waiting = [dataclasses.replace(job, run=job.run.resolve()) for job in waiting]
     try:
+        if backend == "ray" and waiting:
+            import ray
+            from ray.util.joblib import register_ray
+
+            ray.init(runtime_env={"env_vars": {"PYTHONPATH": str(ROOT)}}, log_to_driver=False, logging_level="error")
+            register_ray()
+            waiting = [dataclasses.replace(job, run=job.run.resolve()) for job in waiting]
         # One run per task: joblib would otherwise send several short ones together.
         with parallel_config(backend=backend, n_jobs=parallel or -1, verbose=10):
             found = Parallel(batch_size=1, pre_dispatch="n_jobs")(delayed(train_job)(job) for job in waiting)

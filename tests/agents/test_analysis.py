@@ -15,7 +15,7 @@ from agents.analysis.figures import draw_improvement, figures_of, spread
 from agents.analysis.residual_limit import Agent, Results
 from agents.evaluation import policies as evaluation_policies
 from agents.leaderboard.rows import COLUMNS, Row
-from agents.training.loop import SELECTION_SEED
+from agents.training.callbacks import SELECTION_SEED
 from agents.training.presets import ROWS as TRAINED
 from capsule_gym.evaluation_sets import SET_NAMES, load_set
 from capsule_gym.task import TORQUE_LIMIT
