@@ -121,13 +121,6 @@ def test_an_option_of_a_reset(batch, name, data):
 
 @pytest.mark.parametrize("batch", [False, True])
 @SOME
-@given(options=anything | st.dictionaries(st.text(max_size=3), scalars))
-def test_options_of_a_reset(batch, options):
-    check_reset(made(batch), ("options", *OPTIONS), options=options)
-
-
-@pytest.mark.parametrize("batch", [False, True])
-@SOME
 @given(seed=anything | st.integers(0) | st.lists(st.integers(0) | st.none(), min_size=3, max_size=3))
 def test_a_seed_of_a_reset(batch, seed):
     check_reset(made(batch), ("seed",), seed=seed)

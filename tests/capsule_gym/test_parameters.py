@@ -241,13 +241,6 @@ def test_every_corner_of_the_ranges_is_checked_for_painleves_paradox():
         randomization.check(Capsule())
 
 
-def test_the_ranges_in_words():
-    assert str(Randomization()) == "the capsule's own M and mu"
-    assert str(RANDOMIZATIONS["paper"]) == "M in [0.45, 0.55] kg, mu in [0.009, 0.011]"
-    assert str(RANDOMIZATIONS["wide"]) == "M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3]"
-    assert str(Randomization(mu=(0.0, 0.5))) == "the capsule's own M, mu in [0, 0.5]"
-
-
 def test_names():
     assert Randomization.named("none") == Randomization()
     assert Randomization.named("paper") == Randomization(M=(0.45, 0.55), mu=(0.009, 0.011))
