@@ -35,7 +35,7 @@ in 0.1.0 it was a single episode.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -57,15 +57,10 @@ _WIDE = RANDOMIZATIONS["wide"]
 assert _WIDE.M is not None and _WIDE.mu is not None
 LIGHTER, HEAVIER = (0.25, _WIDE.M[0]), (_WIDE.M[1], 1.2)
 SMOOTHER, ROUGHER = (0.002, _WIDE.mu[0]), (_WIDE.mu[1], 0.6)
+# Of the sets' own random streams. Frozen: a different set needs a different name.
+SEEDS = {"nominal": 20180, "paper": 20181, "wide": 20182, "extrapolation": 20183, "drift": 20184}
+assert tuple(SEEDS) == SET_NAMES
 CHANGE_WINDOWS = ((HORIZON / 6.0, HORIZON / 3.0), (HORIZON * 2.0 / 3.0, HORIZON * 5.0 / 6.0))
-
-
-def _rounded_mass(M: float) -> float:
-    return round(M, 4)
-
-
-def _rounded_friction(mu: float) -> float:
-    return float(f"{mu:.5g}")
 
 
 def _uniform(rng: np.random.Generator, low: float, high: float) -> float:
@@ -73,68 +68,37 @@ def _uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    # Here, as in `validation_set`, since numba comes with it, which takes most of a second to import.
+    # Imported here, as in other functions: it imports numba, which takes most of a second.
     from capsule_gym.elementary import exp, log
 
     return float(low * exp(float(rng.random()) * log(high / low)))
 
 
-def _drawn(rng: np.random.Generator, randomization: str) -> tuple[float, float]:
-    """M and mu from one of the environment's own ranges."""
-    # Like the other local imports here: numba comes with it.
+def _sample(rng: np.random.Generator, randomization: str) -> tuple[float, float]:
+    """M and mu from one of the environment's own distributions, rounded."""
     from capsule_gym.resets import draw_plant
 
     M, mu = draw_plant(RANDOMIZATIONS[randomization], NOMINAL, rng)
-    return _rounded_mass(M), _rounded_friction(mu)
+    return round(M, 4), float(f"{mu:.5g}")
 
 
-def _nominal(rng: np.random.Generator) -> list[PlantSpec]:
-    starts = [round(START_THETA + _uniform(rng, -STARTS, STARTS), 6) for _ in range(EPISODES - 1)]
-    rest = [replace(NOMINAL_PLANT, seed=seed, theta=theta) for seed, theta in enumerate(starts, start=1)]
-    return [NOMINAL_PLANT, *rest]
-
-
-def _paper(rng: np.random.Generator) -> list[PlantSpec]:
-    return [PlantSpec(*_drawn(rng, "paper"), seed) for seed in range(EPISODES)]
-
-
-def _wide(rng: np.random.Generator) -> list[PlantSpec]:
-    return [PlantSpec(*_drawn(rng, "wide"), seed) for seed in range(EPISODES)]
-
-
-def _extrapolation(rng: np.random.Generator) -> list[PlantSpec]:
-    plants = []
-    for seed in range(EPISODES):
-        M, mu = _drawn(rng, "wide")
+def _sample_plant(name: str, rng: np.random.Generator, seed: int) -> PlantSpec:
+    """The next episode of a frozen set."""
+    if name == "nominal":
+        theta = round(START_THETA + _uniform(rng, -STARTS, STARTS), 6) if seed else START_THETA
+        return replace(NOMINAL_PLANT, seed=seed, theta=theta)
+    M, mu = _sample(rng, "paper" if name == "paper" else "wide")
+    changes = []
+    if name == "extrapolation":
         if seed % 3 != 1:
-            M = _rounded_mass(_uniform(rng, *(LIGHTER if rng.random() < 0.5 else HEAVIER)))
+            M = round(_uniform(rng, *(LIGHTER if rng.random() < 0.5 else HEAVIER)), 4)
         if seed % 3 != 0:
-            mu = _rounded_friction(_log_uniform(rng, *(SMOOTHER if rng.random() < 0.5 else ROUGHER)))
-        plants.append(PlantSpec(M, mu, seed))
-    return plants
-
-
-def _drift(rng: np.random.Generator) -> list[PlantSpec]:
-    plants = []
-    for seed in range(EPISODES):
-        M, mu = _drawn(rng, "wide")
-        changes = []
+            mu = float(f"{_log_uniform(rng, *(SMOOTHER if rng.random() < 0.5 else ROUGHER)):.5g}")
+    if name == "drift":
         for window in CHANGE_WINDOWS:
             t = round(round(_uniform(rng, *window) / CONTROL_DT) * CONTROL_DT, 6)
-            changes.append(Change(t, *_drawn(rng, "wide")))
-        plants.append(PlantSpec(M, mu, seed, tuple(changes)))
-    return plants
-
-
-# Name -> (the seed of the set's own stream, how it is drawn). Frozen: a different set needs a different name.
-_DRAWS: dict[str, tuple[int, Callable[[np.random.Generator], list[PlantSpec]]]] = {
-    "nominal": (20180, _nominal),
-    "paper": (20181, _paper),
-    "wide": (20182, _wide),
-    "extrapolation": (20183, _extrapolation),
-    "drift": (20184, _drift),
-}
-assert tuple(_DRAWS) == SET_NAMES
+            changes.append(Change(t, *_sample(rng, "wide")))
+    return PlantSpec(M, mu, seed, tuple(changes))
 
 
 def draw_set(name: str) -> EvaluationSet:
@@ -143,8 +107,8 @@ def draw_set(name: str) -> EvaluationSet:
     Args:
         name: one of `SET_NAMES`.
     """
-    seed, draw = _DRAWS[name]
-    return EvaluationSet(name, tuple(draw(np.random.default_rng(seed))))
+    rng = np.random.default_rng(SEEDS[name])
+    return EvaluationSet(name, tuple(_sample_plant(name, rng, seed) for seed in range(EPISODES)))
 
 
 def validation_set(randomization: str, name: str, first_seed: int, count: int) -> EvaluationSet:
@@ -164,20 +128,18 @@ def validation_set(randomization: str, name: str, first_seed: int, count: int) -
     return EvaluationSet(name, tuple(plants))
 
 
-def stale_sets(folder: Path = SETS_FOLDER) -> list[str]:
-    """What in the folder differs from a new draw, one line each."""
-    stale = []
-    for name in SET_NAMES:
-        path = folder / f"{name}.json"
-        if not path.is_file():
-            stale.append(f"{path} is missing")
-        elif path.read_text(encoding="utf-8") != draw_set(name).to_json():
-            stale.append(f"{path} differs from its draw")
-    return stale
+def stale_sets() -> list[str]:
+    """The names of the sets whose files differ from a new draw."""
+    paths = {name: SETS_FOLDER / f"{name}.json" for name in SET_NAMES}
+    return [
+        name
+        for name, path in paths.items()
+        if not path.is_file() or path.read_text(encoding="utf-8") != draw_set(name).to_json()
+    ]
 
 
 @dataclass(frozen=True)
-class Options:
+class Args:
     """Draws the frozen evaluation sets from their fixed seeds and writes agents/evaluation/frozen/*.json.
 
     Examples:
@@ -191,9 +153,13 @@ class Options:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    if parse(Options, PROG, arguments).check:
+    if parse(Args, PROG, arguments).check:
         stale = stale_sets()
-        print("\n".join(stale) or "The evaluation sets are what their seeds give.")
+        print(
+            f"Differ from their draws: {', '.join(stale)}"
+            if stale
+            else "The evaluation sets are what their seeds give."
+        )
         return 1 if stale else 0
     SETS_FOLDER.mkdir(exist_ok=True)
     for name in SET_NAMES:

@@ -1,4 +1,4 @@
-"""Interquartile means, probabilities of improvement, profiles and learning curves, with bootstrap intervals.
+"""Bootstrap intervals of interquartile means, probabilities of improvement, profiles and learning curves.
 
 Scores have the shape (training seeds, episodes): every seed is judged on the same episodes. A scripted policy has
 one row.
@@ -71,11 +71,6 @@ def interquartile_mean(scores: ArrayLike) -> np.ndarray:
     return np.asarray(ordered[..., cut : count - cut].mean(axis=-1))
 
 
-def _draw(rng: np.random.Generator, count: int, resamples: int) -> np.ndarray:
-    """Indices with replacement, shape (resamples, count)."""
-    return rng.integers(count, size=(resamples, count))
-
-
 def _percentiles(values: np.ndarray) -> tuple[float, float]:
     tail = 50.0 * (1.0 - CONFIDENCE)
     # A ratio without forward travel is infinite; between two of those the percentile is undefined, and NaN says so.
@@ -89,7 +84,7 @@ def _seed_percentiles(statistic: Callable[[np.ndarray], np.ndarray], *draws: np.
     # The order of seeds does not matter, which leaves few distinct draws (ten for three seeds): each is computed once.
     in_order = np.hstack([np.sort(draw, axis=1) for draw in draws])
     distinct, inverse = np.unique(in_order, axis=0, return_inverse=True)
-    # In parts: all draws of ten seeds at once would fill hundreds of megabytes.
+    # In parts: all draws of ten seeds at once would need hundreds of megabytes.
     parts = [statistic(distinct[first : first + AT_ONCE]) for first in range(0, len(distinct), AT_ONCE)]
     return _percentiles(np.concatenate(parts)[inverse.reshape(-1)])
 
@@ -101,47 +96,45 @@ def _checked(name: str, scores: ArrayLike) -> np.ndarray:
     return array
 
 
-def estimate(scores: ArrayLike, *, resamples: int = RESAMPLES, seed: int = BOOTSTRAP_SEED) -> Estimate:
+def _same_episodes(scores: ArrayLike, reference: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Both as arrays; raises an error unless they hold the same episodes."""
+    array, other = _checked("scores", scores), _checked("reference", reference)
+    if array.shape[1] != other.shape[1]:
+        raise ValueError(
+            f"scores and reference must hold the same episodes, got {array.shape[1]} and {other.shape[1]} of them"
+        )
+    return array, other
+
+
+def estimate(scores: ArrayLike, *, resamples: int = RESAMPLES) -> Estimate:
     """The interquartile mean of all scores with its 95 % percentile bootstrap interval.
 
     Args:
         scores: shape (training seeds, episodes).
         resamples: number of bootstrap resamples.
-        seed: of the resampling: the same scores give the same interval.
 
     Raises:
         ValueError: if the scores are not of that shape.
     """
-    return _over_seeds(_checked("scores", scores), interquartile_mean, resamples, seed)
+    return _over_seeds(_checked("scores", scores), interquartile_mean, resamples)
 
 
-def _over_seeds(
-    array: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray], resamples: int, seed: int
-) -> Estimate:
-    """A statistic of all scores, with its interval.
-
-    Args:
-        array: scores, shape (training seeds, episodes).
-        statistic: over the last axis.
-        resamples: number of bootstrap resamples.
-        seed: of the resampling.
-    """
+def _over_seeds(array: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray], resamples: int) -> Estimate:
+    """A statistic over the last axis of all scores, shape (training seeds, episodes), with its interval."""
     seeds, episodes = array.shape
     value = float(statistic(array.reshape(-1)))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(BOOTSTRAP_SEED)
     if seeds > 1:
-        draws = _draw(rng, seeds, resamples)
+        draws = rng.integers(seeds, size=(resamples, seeds))
         low, high = _seed_percentiles(lambda rows: statistic(array[rows].reshape(len(rows), -1)), draws)
         return Estimate(value, low, high, "seeds")
     if episodes > 1:
-        low, high = _percentiles(statistic(array[0][_draw(rng, episodes, resamples)]))
+        low, high = _percentiles(statistic(array[0][rng.integers(episodes, size=(resamples, episodes))]))
         return Estimate(value, low, high, "episodes")
     return Estimate(value, float("nan"), float("nan"), "nothing")
 
 
-def paired_difference(
-    scores: ArrayLike, reference: ArrayLike, *, resamples: int = RESAMPLES, seed: int = BOOTSTRAP_SEED
-) -> Estimate:
+def paired_difference(scores: ArrayLike, reference: ArrayLike, *, resamples: int = RESAMPLES) -> Estimate:
     """The interquartile mean of the differences, episode by episode, between two policies on the same episodes.
 
     Differences are taken between every training seed of the one and every seed of the other. Where either has
@@ -152,7 +145,6 @@ def paired_difference(
         scores: shape (training seeds, episodes).
         reference: shape (training seeds of the reference, episodes), of the same episodes in the same order.
         resamples: number of bootstrap resamples.
-        seed: of the resampling.
 
     Raises:
         ValueError: if the scores are not of these shapes.
@@ -161,46 +153,27 @@ def paired_difference(
     # Infinite in both: undefined, and NaN says so.
     with np.errstate(invalid="ignore"):
         differences = array[:, None, :] - other[None, :, :]
-    return _over_pairs(differences, interquartile_mean, resamples, seed)
+    return _over_pairs(differences, interquartile_mean, resamples)
 
 
-def _same_episodes(scores: ArrayLike, reference: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """Both as arrays, after a check that they hold the same episodes."""
-    array, other = _checked("scores", scores), _checked("reference", reference)
-    if array.shape[1] != other.shape[1]:
-        raise ValueError(
-            f"scores and reference must hold the same episodes, got {array.shape[1]} and {other.shape[1]} of them"
-        )
-    return array, other
-
-
-def _over_pairs(
-    pairs: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray], resamples: int, seed: int
-) -> Estimate:
-    """A statistic of pairs of seeds, with its interval.
-
-    Args:
-        pairs: shape (seeds of the one, seeds of the other, episodes).
-        statistic: over the last axis.
-        resamples: number of bootstrap resamples.
-        seed: of the resampling.
-    """
+def _over_pairs(pairs: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray], resamples: int) -> Estimate:
+    """A statistic over the last axis of pairs, shape (seeds, seeds of the other, episodes), with its interval."""
     rows, columns, episodes = pairs.shape
     if rows == 1 or columns == 1:
-        return _over_seeds(pairs.reshape(-1, episodes), statistic, resamples, seed)
-    rng = np.random.default_rng(seed)
+        return _over_seeds(pairs.reshape(-1, episodes), statistic, resamples)
+    rng = np.random.default_rng(BOOTSTRAP_SEED)
 
     def drawn_statistic(drawn: np.ndarray) -> np.ndarray:
         chosen = pairs[drawn[:, :rows, None], drawn[:, None, rows:]]
         return statistic(chosen.reshape(len(drawn), -1))
 
-    low, high = _seed_percentiles(drawn_statistic, _draw(rng, rows, resamples), _draw(rng, columns, resamples))
+    low, high = _seed_percentiles(
+        drawn_statistic, rng.integers(rows, size=(resamples, rows)), rng.integers(columns, size=(resamples, columns))
+    )
     return Estimate(float(statistic(pairs.reshape(-1))), low, high, "seeds")
 
 
-def probability_of_improvement(
-    scores: ArrayLike, reference: ArrayLike, *, resamples: int = RESAMPLES, seed: int = BOOTSTRAP_SEED
-) -> Estimate:
+def probability_of_improvement(scores: ArrayLike, reference: ArrayLike, *, resamples: int = RESAMPLES) -> Estimate:
     """How probable it is that one policy scores more than another on the same episode, a tie counting half.
 
     For every episode the share of pairs of training seeds, one of each policy, in which the first scores more (the
@@ -211,7 +184,6 @@ def probability_of_improvement(
         scores: shape (training seeds, episodes).
         reference: shape (training seeds of the reference, episodes), of the same episodes in the same order.
         resamples: number of bootstrap resamples.
-        seed: of the resampling.
 
     Raises:
         ValueError: if the scores are not of these shapes.
@@ -219,7 +191,7 @@ def probability_of_improvement(
     array, other = _same_episodes(scores, reference)
     won = array[:, None, :] > other[None, :, :]
     tied = array[:, None, :] == other[None, :, :]
-    return _over_pairs(_means_of_seeds(won + 0.5 * tied), _mean, resamples, seed)
+    return _over_pairs(_means_of_seeds(won + 0.5 * tied), _mean, resamples)
 
 
 def _mean(values: np.ndarray) -> np.ndarray:
@@ -227,16 +199,16 @@ def _mean(values: np.ndarray) -> np.ndarray:
 
 
 def _means_of_seeds(values: np.ndarray) -> np.ndarray:
-    """The means over the last axis, kept, where seeds are resampled: of a mean nothing else is needed."""
+    """The means over the last axis, which is kept, where seeds are resampled: their mean needs nothing else."""
     return values if values[..., 0].size == 1 else values.mean(axis=-1, keepdims=True)
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A course with its pointwise 95 % intervals.
+    """Estimates over a variable, with pointwise 95 % intervals.
 
     Attributes:
-        x: what it is a course over, ascending, shape (n,).
+        x: the variable, ascending, shape (n,).
         value: shape (n,).
         low: lower ends of the intervals, shape (n,).
         high: upper ends, shape (n,).
@@ -250,9 +222,7 @@ class Curve:
     resampled: Unit
 
 
-def performance_profile(
-    scores: ArrayLike, thresholds: ArrayLike, *, resamples: int = RESAMPLES, seed: int = BOOTSTRAP_SEED
-) -> Curve:
+def performance_profile(scores: ArrayLike, thresholds: ArrayLike, *, resamples: int = RESAMPLES) -> Curve:
     """The share of all episodes of all training seeds that score more than a threshold, over the threshold.
 
     Rliable's run-score distribution; what is resampled is as for `estimate`. The area under it, from 0 on, is the mean
@@ -262,7 +232,6 @@ def performance_profile(
         scores: shape (training seeds, episodes).
         thresholds: ascending, shape (n,).
         resamples: number of bootstrap resamples.
-        seed: of the resampling.
 
     Raises:
         ValueError: if the scores are not of that shape, or the thresholds do not ascend.
@@ -271,22 +240,18 @@ def performance_profile(
     if x.ndim != 1 or not x.size or not (x[1:] > x[:-1]).all():
         raise ValueError(f"thresholds must be ascending numbers of shape (n >= 1,), got {thresholds!r}")
     above = [_means_of_seeds((array > threshold).astype(np.float64)) for threshold in x]
-    found = [_over_seeds(each, _mean, resamples, seed) for each in above]
-    return _curve(x, found)
+    return _curve(x, [_over_seeds(each, _mean, resamples) for each in above])
 
 
-def learning_curve(
-    runs: Sequence[tuple[ArrayLike, ArrayLike]], *, resamples: int = RESAMPLES, seed: int = BOOTSTRAP_SEED
-) -> Curve:
-    """The interquartile mean over training seeds of what each had come to, over the steps of training.
+def learning_curve(runs: Sequence[tuple[ArrayLike, ArrayLike]], *, resamples: int = RESAMPLES) -> Curve:
+    """The interquartile mean over training seeds of their evaluations, over the steps of training.
 
-    A run counts with its last evaluation so far, never with a later one; the course begins where all runs have been
+    A run counts with its last evaluation so far, never with a later one; the curve starts where all runs have been
     evaluated once, and ends with the shortest.
 
     Args:
-        runs: of each seed the steps of its evaluations, ascending, and what they came to; both of shape (evaluations,).
+        runs: of each seed the steps of its evaluations, ascending, and their values; both of shape (evaluations,).
         resamples: number of bootstrap resamples.
-        seed: of the resampling.
 
     Raises:
         ValueError: if there is no run, a run's arrays do not fit each other, its steps do not ascend, or the runs have
@@ -307,7 +272,7 @@ def learning_curve(
     every = np.unique(np.concatenate([steps for steps, _ in checked]))
     x = every[(every >= first) & (every <= last)]
     held = np.stack([values[np.searchsorted(steps, x, side="right") - 1] for steps, values in checked])
-    return _curve(x, [estimate(column[:, None], resamples=resamples, seed=seed) for column in held.T])
+    return _curve(x, [estimate(column[:, None], resamples=resamples) for column in held.T])
 
 
 def _curve(x: np.ndarray, found: Sequence[Estimate]) -> Curve:

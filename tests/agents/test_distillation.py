@@ -19,14 +19,7 @@ from capsule_gym import load_policy
 from capsule_gym.task import CONTROL_DT
 
 TINY = Budget(
-    num_envs=3,
-    steps=30,
-    updates=3,
-    final_updates=4,
-    final_parts=2,
-    batch_size=16,
-    learning_rate=1e-3,
-    evaluation_episodes=2,
+    3, 30, updates=3, final_updates=4, final_parts=2, batch_size=16, learning_rate=1e-3, evaluation_episodes=2
 )
 NAME = "optimum-distilled"
 

@@ -35,15 +35,15 @@ def test_command_line_keeps_existing_results(world, tiny_file, capsys):
     assert "difference" not in capsys.readouterr().out
 
 
-def test_a_policy_with_a_law_from_elsewhere_needs_consent(world, tiny_file, capsys):
+def test_a_control_law_of_another_package_must_be_trusted(world, tiny_file, capsys):
     fields = {"layers": ((np.zeros((1, 10), np.float32), np.zeros(1, np.float32)),), "mean": np.zeros(10)}
     law = {"controller": "tests.agents.fakes:quiet"}
     write_run(world / "run", 2, **fields, variance=np.ones(10), env_kwargs=law)
-    with pytest.raises(SystemExit):
-        evaluate.main([str(world / "run"), "--set", tiny_file])
-    assert "'tests.agents.fakes:quiet', which does not come with this package" in capsys.readouterr().err
-    assert evaluate.main([str(world / "run"), "--set", tiny_file, "--trust-controller"]) == 0
-    assert "run on the set tiny" in capsys.readouterr().out
+    # The second error is the one of the reference: the policy was accepted.
+    for words, message in (([], "'tests.agents.fakes:quiet', which"), (["--trust-controller"], "got 'nobody'")):
+        with pytest.raises(SystemExit):
+            evaluate.main([str(world / "run"), "--set", tiny_file, "--against", "nobody", *words])
+        assert message in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("world")

@@ -16,6 +16,7 @@ HASHES = {
     "extrapolation": "37f72254b16c",
     "drift": "a64a8c831746",
 }
+WIDE = RANDOMIZATIONS["wide"]
 
 
 def within(value, bounds):
@@ -23,15 +24,12 @@ def within(value, bounds):
 
 
 @pytest.mark.parametrize("name", SET_NAMES)
-def test_committed_sets_are_frozen(name):
+def test_committed_sets_are_frozen_and_what_their_seeds_give(name):
     frozen = load_set(name)
     assert frozen.name == name
     assert frozen.hash[:12] == HASHES[name]
     assert len(frozen.plants) == 100
-
-
-def test_committed_sets_are_what_their_seeds_give():
-    assert sets.stale_sets() == []
+    assert sets.draw_set(name) == frozen
 
 
 def test_nominal_is_one_plant_from_many_angles():
@@ -40,50 +38,39 @@ def test_nominal_is_one_plant_from_many_angles():
     assert plants[0].theta == START_THETA
     starts = np.array([plant.theta for plant in plants])
     assert len(set(starts.tolist())) == 100
-    assert np.abs(starts - START_THETA).max() <= 0.1
-    assert np.ptp(starts) > 0.18
+    assert np.ptp(starts) > 0.18 and np.abs(starts - START_THETA).max() <= 0.1
     # The others start where the environment does.
     assert all(plant.theta == START_THETA for name in SET_NAMES[1:] for plant in load_set(name).plants)
 
 
 @pytest.mark.parametrize("name", ["paper", "wide"])
-def test_draws_fill_their_ranges(name):
+def test_plants_fill_their_ranges(name):
     ranges = RANDOMIZATIONS[name]
-    M = np.array([plant.M for plant in load_set(name).plants])
-    mu = np.array([plant.mu for plant in load_set(name).plants])
-    assert ranges.M[0] <= M.min() < M.max() <= ranges.M[1]
-    assert ranges.mu[0] <= mu.min() < mu.max() <= ranges.mu[1]
-    assert np.ptp(M) > 0.9 * np.subtract(*ranges.M[::-1])
-    assert np.ptp(np.log(mu)) > 0.9 * np.log(ranges.mu[1] / ranges.mu[0])
+    plants = load_set(name).plants
+    for values, bounds in (([p.M for p in plants], ranges.M), (np.log([p.mu for p in plants]), np.log(ranges.mu))):
+        assert bounds[0] <= min(values) and max(values) <= bounds[1]
+        assert np.ptp(values) > 0.9 * np.ptp(bounds)
 
 
 def test_extrapolation_is_outside_wide():
-    wide = RANDOMIZATIONS["wide"]
     outside = Counter()
     for plant in load_set("extrapolation").plants:
-        assert within(plant.M, (0.25, 1.2))
-        assert within(plant.mu, (0.002, 0.6))
-        outside[(not within(plant.M, wide.M), not within(plant.mu, wide.mu))] += 1
-    assert set(outside) == {(True, False), (False, True), (True, True)}
-    assert min(outside.values()) >= 33
+        assert within(plant.M, (0.25, 1.2)) and within(plant.mu, (0.002, 0.6))
+        outside[(not within(plant.M, WIDE.M), not within(plant.mu, WIDE.mu))] += 1
+    assert set(outside) == {(True, False), (False, True), (True, True)} and min(outside.values()) >= 33
 
 
-def test_drift_jumps_twice_within_wide():
-    wide = RANDOMIZATIONS["wide"]
+def test_drift_changes_twice_within_wide():
     for plant in load_set("drift").plants:
         first, second = plant.changes
-        assert 5.5 <= first.t <= 11.0
-        assert 22.0 <= second.t <= 27.5
-        for part in (plant, first, second):
-            assert within(part.M, wide.M)
-            assert within(part.mu, wide.mu)
+        assert 5.5 <= first.t <= 11.0 and 22.0 <= second.t <= 27.5
+        assert all(within(part.M, WIDE.M) and within(part.mu, WIDE.mu) for part in (plant, first, second))
 
 
 def test_command_line(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sets, "SETS_FOLDER", tmp_path / "sets")
-    assert sets.main([]) == 0
-    assert sets.stale_sets(tmp_path / "sets") == []
+    assert sets.main([]) == 0 and sets.main(["--check"]) == 0
     (tmp_path / "sets" / "wide.json").unlink()
     (tmp_path / "sets" / "paper.json").write_text("{}")
-    stale = sets.stale_sets(tmp_path / "sets")
-    assert [line.split("/")[-1] for line in stale] == ["paper.json differs from its draw", "wide.json is missing"]
+    assert sets.main(["--check"]) == 1
+    assert "Differ from their draws: paper, wide" in capsys.readouterr().out

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 from scipy import stats
-from scipy.integrate import trapezoid
 
 from agents.evaluation.statistics import (
     estimate,
@@ -26,14 +25,6 @@ def test_interquartile_mean_known_answers():
     assert interquartile_mean([1, 1, 1, np.nan]) == 1.0
     assert np.isnan(interquartile_mean([1, 1, np.nan, np.nan]))
     assert interquartile_mean([1, 1, np.inf, np.inf]) == np.inf
-
-
-def test_interval_is_deterministic_and_holds_the_value():
-    scores = np.random.default_rng(0).normal(size=(1, 100))
-    first = estimate(scores)
-    assert first == estimate(scores)
-    assert first.low < first.value < first.high
-    assert first.resampled == "episodes"
 
 
 def test_interval_covers_the_truth_as_often_as_it_says():
@@ -79,12 +70,6 @@ def test_a_single_episode_has_no_interval():
     # Two have.
     result = estimate([[1.0, 2.0]])
     assert (result.low, result.value, result.high, result.resampled) == (1.0, 1.5, 2.0, "episodes")
-
-
-def test_infinite_scores_give_no_warning():
-    result = estimate([[1.0, 1.0, np.inf, np.inf]])
-    assert result.value == np.inf
-    assert np.isnan(result.high) or result.high == np.inf
 
 
 def test_paired_difference_is_narrower_than_unpaired():
@@ -139,14 +124,6 @@ def test_probability_of_improvement_known_answers():
     assert single.high == stats.binom.ppf(0.975, 8, 0.75) / 8.0
 
 
-def test_probabilities_of_both_ways_sum_to_one():
-    rng = np.random.default_rng(6)
-    ours, theirs = rng.normal(size=(5, 30)), rng.normal(size=(4, 30))
-    there, back = probability_of_improvement(ours, theirs), probability_of_improvement(theirs, ours)
-    assert there.value + back.value == pytest.approx(1.0)
-    assert there.low < there.value < there.high
-
-
 def test_performance_profile_known_answers():
     scores = np.array([[0.0, 1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 0.0]])
     profile = performance_profile(scores, [-1.0, 0.0, 1.0, 2.5, 3.0])
@@ -158,14 +135,6 @@ def test_performance_profile_known_answers():
     assert performance_profile(scores[:1], [0.5]).resampled == "episodes"
 
 
-def test_the_area_under_a_performance_profile_is_the_mean():
-    scores = np.random.default_rng(7).gamma(3.0, size=(4, 50))
-    thresholds = np.linspace(0.0, scores.max(), 4001)
-    assert trapezoid(performance_profile(scores, thresholds, resamples=2).value, thresholds) == pytest.approx(
-        scores.mean(), rel=1e-3
-    )
-
-
 def test_learning_curves_hold_the_last_evaluation_and_never_a_later_one():
     curve = learning_curve([([10, 20, 30], [1.0, 2.0, 3.0]), ([5, 25, 40], [4.0, 6.0, 8.0])])
     np.testing.assert_array_equal(curve.x, [10, 20, 25, 30])
@@ -175,12 +144,6 @@ def test_learning_curves_hold_the_last_evaluation_and_never_a_later_one():
     assert curve.resampled == "seeds"
     alone = learning_curve([([1, 2], [1.0, 2.0])])
     assert alone.resampled == "nothing" and np.isnan(alone.low).all()
-
-
-def test_learning_curves_are_interquartile_means_over_seeds():
-    runs = np.random.default_rng(8).normal(size=(10, 3))
-    curve = learning_curve([([1, 2, 3], run) for run in runs])
-    np.testing.assert_allclose(curve.value, stats.trim_mean(runs, 0.25, axis=0))
 
 
 def test_malformed_curves_are_refused():
