@@ -42,16 +42,10 @@ class Args:
     """How long to search."""
     iterations: Count = 0
     """Iterations at most; 0 for as many as the time allows."""
-    families: tuple[Literal["harmonics", "bang-bang", "phase-space"], ...] = ("harmonics", "bang-bang", "phase-space")
-    """Families of gaits that take turns."""
-    purposes: tuple[Literal["explore", "refine", "finish", "front", "tolerate"], ...] = (
-        "explore",
-        "refine",
-        "finish",
-        "front",
-        "tolerate",
-    )
-    """Purposes of the iterations that take turns."""
+    families: tuple[Literal["harmonics", "bang-bang", "phase-space"], ...] = ()
+    """Families of gaits that take turns; all where none is given."""
+    purposes: tuple[Literal["explore", "refine", "finish", "front", "tolerate"], ...] = ()
+    """Purposes of the iterations that take turns; all where none is given."""
     seed: int = 0
     """Of the search."""
     folder: Path = FOLDER
@@ -73,7 +67,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(*stale, f"{len(archive.everything())} gaits simulated again: {len(stale)} numbers differ", sep="\n")
         return int(bool(stale))
     if not args.oracle:
-        command = f"{PROG} --seed {args.seed} --families {' '.join(args.families)} --purposes {' '.join(args.purposes)}"
+        command = f"{PROG} --seed {args.seed}"
+        for option, names in (("families", args.families), ("purposes", args.purposes)):
+            command += f" --{option} {' '.join(names)}" if names else ""
         search = Search(archive, args.families, args.purposes, args.seed, command)
         steps = search.iterations(args.minutes, args.iterations or math.inf)
         if run_search(steps, lambda: archive.save(args.folder)):

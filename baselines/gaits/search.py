@@ -132,8 +132,8 @@ class Search:
 
     Args:
         archive: what is known; changed in place.
-        families: names of the families that take turns.
-        purposes: names of the purposes that take turns.
+        families: names of the families that take turns; all where none is given.
+        purposes: names of the purposes that take turns; all where none is given.
         seed: of the whole search; iteration i draws from the stream (seed, i).
         command: stored with the gaits that it finds.
     """
@@ -141,12 +141,13 @@ class Search:
     def __init__(
         self,
         archive: Archive,
-        families: Sequence[str] = tuple(FAMILIES),
-        purposes: Sequence[str] = tuple(PURPOSES),
+        families: Sequence[str] = (),
+        purposes: Sequence[str] = (),
         seed: int = 0,
         command: str = "",
     ) -> None:
-        self.archive, self.families, self.purposes = archive, families, purposes
+        self.archive = archive
+        self.families, self.purposes = families or tuple(FAMILIES), purposes or tuple(PURPOSES)
         self.seed, self.command = seed, command
 
     def iterations(self, minutes: float = math.inf, count: float = math.inf) -> Iterator[None]:
