@@ -373,9 +373,7 @@ class Simulation:
             self._plan(rows, schedules)
         self._renew(rows, starts, self._episodes)
         self._everyone = False
-        broken = self._run(begin=True)
-        if broken >= 0:
-            self._report(broken)
+        self._run(begin=True)
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> None:
         """One agent step.
@@ -395,9 +393,7 @@ class Simulation:
         elif not self._everyone:
             self.world[:, Row.active] = 1.0
         self._everyone = active is None
-        broken = self._run(begin=False)
-        if broken >= 0:
-            self._report(broken)
+        self._run(begin=False)
 
     def step_one(self, action: float) -> None:
         """`step` for a single environment, without the arrays."""
@@ -407,11 +403,11 @@ class Simulation:
         if self._advance_one() >= 0:
             self._report(0)
 
-    def _run(self, begin: bool) -> int:
-        """Runs the kernel on all environments; returns one whose law returned no finite torque, or -1."""
-        if len(self._ranges) == 1:
-            return self._advance(0, self.num_envs, begin)
-        return max(self.share(lambda first, last: self._advance(first, last, begin)))
+    def _run(self, begin: bool) -> None:
+        """Runs the kernel on all environments."""
+        broken = max(self.share(lambda first, last: self._advance(first, last, begin)))
+        if broken >= 0:
+            self._report(broken)
 
     def share(self, work: Callable[[int, int], Result]) -> list[Result]:
         """Has the threads share the environments.
@@ -483,17 +479,15 @@ class Simulation:
             "[theta, theta_dot, x, x_dot] with |theta| < pi/2, |theta_dot| <= {:g} rad/s, |x| <= {:g} m and |x_dot| "
             "<= {:g} m/s"
         ).format(*rest)
+        message = f"options['state'] must be {accepted}, got {written(state)}"
         try:
             array = np.asarray(state, dtype=np.float64)
-        except OverflowError:
-            raise ValueError(f"options['state'] must be {accepted}, got {written(state)}") from None
-        except (TypeError, ValueError):
-            raise TypeError(f"options['state'] must be {accepted}, got {written(state)}") from None
+        except (TypeError, ValueError, OverflowError) as error:
+            raise (ValueError if isinstance(error, OverflowError) else TypeError)(message) from None
         if array.shape not in ((4,), (count, 4)):
-            raise ValueError(f"options['state'] must be {accepted}, got shape {array.shape}")
-        inside = (np.abs(array) <= task.LARGEST_STATE).all() and (np.abs(array[..., 0]) < task.THETA_LIMIT).all()
-        if not inside:
-            raise ValueError(f"options['state'] must be {accepted}, got {written(state)}")
+            raise ValueError(f"{message} of shape {array.shape}")
+        if not ((np.abs(array) <= task.LARGEST_STATE).all() and (np.abs(array[..., 0]) < task.THETA_LIMIT).all()):
+            raise ValueError(message)
         return np.broadcast_to(array, (count, 4))
 
     def _schedule(self, changes: Sequence[dict[str, float]]) -> list[tuple[float, float, float]]:
