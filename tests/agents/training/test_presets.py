@@ -48,8 +48,7 @@ def test_a_committed_policy_acts_as_its_rows_settings_say(name):
     settings = ROWS[name]
     settings.check()
     assert settings.seed == 0
-    for run in find_candidate(name).policies:
-        policy = run.policy
+    for policy in find_candidate(name).policies:
         assert policy.env_kwargs == settings.env_kwargs()
         assert policy.algorithm == settings.algo
         assert [bias.size for _, bias in policy.layers] == [settings.hidden, settings.hidden, 1]
@@ -57,8 +56,7 @@ def test_a_committed_policy_acts_as_its_rows_settings_say(name):
 
 @pytest.mark.parametrize("name", [name for name in STUDENTS if name in checkpoint_names()])
 def test_a_student_of_the_optimum_acts_as_it_was_taught(name):
-    for run in find_candidate(name).policies:
-        policy = run.policy
+    for policy in find_candidate(name).policies:
         assert policy.env_kwargs == STUDENTS[name].env_kwargs
         assert policy.algorithm == "dagger"
         assert [bias.size for _, bias in policy.layers] == [HIDDEN, HIDDEN, 1]
