@@ -405,7 +405,10 @@ class Simulation:
 
     def _run(self, begin: bool) -> None:
         """Runs the kernel on all environments."""
-        broken = max(self.share(lambda first, last: self._advance(first, last, begin)))
+        if len(self._ranges) == 1:
+            broken = self._advance(0, self.num_envs, begin)
+        else:
+            broken = max(self.share(lambda first, last: self._advance(first, last, begin)))
         if broken >= 0:
             self._report(broken)
 
