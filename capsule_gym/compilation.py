@@ -176,7 +176,8 @@ class Cache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled function of a signature, or None."""
         target_context.refresh()
-        with suppress(OSError):
+        # Code that was kept by another version may refer to a module that has another name now.
+        with suppress(OSError, ImportError, AttributeError):
             content = self._file(sig, target_context.codegen()).read_bytes()
             digest, payload = content[:DIGEST_SIZE], content[DIGEST_SIZE:]
             if hashlib.sha256(payload).digest() == digest:
