@@ -52,8 +52,6 @@ CORNERS = list(itertools.product(M_RANGE, MU_RANGE))
 # beta, eta(0) and n, which the paper leaves open, and the rate of the law in Hz.
 BETAS, ETAS, EXPONENTS = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0), (0.1, 0.3, 1.0), (1, 2, 3)
 RATES = (1000, 2000, 5000, 10_000)
-# Of M or of mu, in percent in either direction.
-DEVIATIONS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 LONG, LONGEST = 60, 600
 SHOWN_CYCLES = (1, 5, 10, 20, LONG, 200, LONGEST)
 
@@ -346,22 +344,6 @@ def study_variants() -> list[tuple[float, float, int, int, int, int]]:
     return variants
 
 
-def study_deviations() -> dict[str, float | None]:
-    """When the unregularised law fails with M or mu off by so many percent, s; None where it lasts `LONG` cycles.
-
-    Keys are "M +0.1" or "mu -5".
-    """
-    plants = {}
-    for percent in (sign * percent for percent in DEVIATIONS for sign in (-1.0, 1.0)):
-        plants[f"M {percent:+g}"] = (NOMINAL.M * (1.0 + 0.01 * percent), NOMINAL.mu)
-        plants[f"mu {percent:+g}"] = (NOMINAL.M, NOMINAL.mu * (1.0 + 0.01 * percent))
-    found = run_cycles(varied(regularised=False), list(plants.values()), cycles=LONG)
-    return {
-        name: float(until) if failed else None
-        for name, until, failed in zip(plants, found.until, found.failed, strict=True)
-    }
-
-
 LongRun = dict[int, tuple[float, ...]]  # the largest of each of `ERRORS`, by cycle from 1
 
 
@@ -384,13 +366,11 @@ class AdaptiveStudy:
     Attributes:
         laws: over the grid: regularised; corrected, unregularised; the latter with the motor's torque limited.
         variants: see `study_variants`.
-        deviations: see `study_deviations`.
         long_runs: see `study_long_runs`.
     """
 
     laws: list[LawStudy]
     variants: list[tuple[float, float, int, int, int, int]]
-    deviations: dict[str, float | None]
     long_runs: dict[int, list[LongRun]]
 
     def errors(self, quantity: str, cycle: int, rate: int = RATES[0]) -> list[float]:
@@ -401,4 +381,4 @@ class AdaptiveStudy:
 def study_adaptive() -> AdaptiveStudy:
     """Runs everything; half a minute."""
     laws = [study_law(True), study_law(False), study_law(False, TORQUE_LIMIT)]
-    return AdaptiveStudy(laws, study_variants(), study_deviations(), study_long_runs())
+    return AdaptiveStudy(laws, study_variants(), study_long_runs())

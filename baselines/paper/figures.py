@@ -1,4 +1,4 @@
-"""Figures 1 to 9 of the paper from our own runs, with the published numbers, and a comparison of its two profiles.
+"""Figures 1 to 9 of the paper from our own runs, with the published numbers.
 
 `FIGURES` names them all; each is a function of `Runs`. `draw_all` also draws the figures of `study_figures`, of the
 gaits and of the optimum.
@@ -301,31 +301,6 @@ def draw_torque(runs: Runs) -> Any:
     return figure
 
 
-def draw_profiles(runs: Runs) -> Any:
-    """Both profiles over one cycle: angle, rate, displacement and torque."""
-    figure = new_figure(6.2)
-    rows = _split_axes(figure, 4)
-    labels = ("angle θ (deg)", "rate θ' (rad/s)", "displacement x (cm)", "torque u (N m)")
-    efforts = []
-    for run, profile in zip(runs.profiles, PROFILES, strict=True):
-        last, m = slice(-CYCLE - 1, None), run.metrics
-        x = 100.0 * (run.x[last] - run.x[last][0])
-        # The torque on record at an instant ended there: the first sample belongs to the cycle before.
-        torque = np.append(run.torque[last][1:], np.nan)
-        for axes, values in zip(rows, (np.degrees(run.theta[last]), run.theta_dot[last], x, torque), strict=True):
-            for part in axes:
-                part.plot(np.arange(CYCLE + 1) * LAW_DT, values, **PENS[profile.name].line(label=profile.name))
-        effort = f"{m['energy'] / CYCLES:.2f} J, cost of transport {m['cost_of_transport']:.2f}"
-        efforts.append(f"{profile.name} {m['distance'] * 100.0 / CYCLES:.2f} cm with {effort}")
-    for axes, label in zip(rows, labels, strict=True):
-        axes[0].set_ylabel(label)
-    rows[0][0].set_title("The two profiles over the fifth cycle, tracked by the law (35)")
-    rows[0][1].legend(loc="upper right")
-    distances = listed([PERIOD * speed for speed in _stated("mean_speed")], 2, "cm")
-    add_note(figure, f"Found per cycle: {'; '.join(efforts)}. Published: {distances}, no energy.")
-    return figure
-
-
 def _plant_label(plant: tuple[float, float]) -> str:
     """M and mu of a plant."""
     return f"M = {plant[0]:g} kg, μ = {plant[1]:g}"
@@ -486,7 +461,6 @@ FIGURES: dict[str, Callable[[Runs], Any]] = {
     "fig7_adaptive_error": draw_adaptive_error,
     "fig8_adaptive_torque": draw_adaptive_torque,
     "fig9_sliding_variable": draw_sliding_variable,
-    "profiles": draw_profiles,
 }
 
 

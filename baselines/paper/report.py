@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import numpy as np
 
 from baselines.laws.gains import REGULARISED, UNREGULARISED
-from baselines.laws.profiles import PROPOSED, V1
+from baselines.laws.profiles import V1
 from baselines.paper import adaptive, principles, proofs, published, selection, tracking
-from baselines.paper.adaptive import DEVIATIONS, ERRORS, LONG, RATES, AdaptiveStudy, LawStudy
+from baselines.paper.adaptive import ERRORS, LONG, RATES, AdaptiveStudy
 from baselines.paper.principles import RESTORING_PHASES, THETA_0
 from baselines.paper.profile_search import Found, Solution, load
-from baselines.paper.tracking import CYCLES, STEPS, Reproduction
+from baselines.paper.tracking import STEPS, Reproduction
 from baselines.paper.verdicts import AGREEMENT, Row, Verdict, compare_numbers, judge_claims
 from baselines.tables import printed_above, printed_below, text_table
 from capsule_gym.task import TORQUE_LIMIT
@@ -204,14 +204,8 @@ def proofs_text(report: Report) -> str:
 
 
 def sensitivity_text(report: Report) -> str:
-    """Other shapes, plants, normal force and steps."""
+    """Other plants, normal force and steps."""
     runs = report.runs
-    shapes = [["profile", "phases I to III", "P2, rad/s", "cm/s"]]
-    shapes += [[name, shape, f"{P2:.3f}", f"{speed:.3f}"] for name, shape, P2, speed in runs.shapes]
-    note = "Each alternative keeps the published times, peak and swing; P2 follows from them."
-    title = "The order of the speeds under other shapes (exact tracking, nominal plant)"
-    first = _section(title, shapes, note, left=2)
-
     ratio, M, mu = tracking.speed_ratio(*runs.maps), tracking.M_RANGE, tracking.MU_RANGE
     contact = [["normal force", *(f"mu = {mu:g}" for mu in tracking.CONTACT_MU)]]
     contact += [[f"{a}, {b}, cm/s", *(f"{v:.3f}" for v in speeds)] for (a, b), speeds in runs.contacts.items()]
@@ -219,16 +213,11 @@ def sensitivity_text(report: Report) -> str:
         f"Over M = {M[0]:g} to {M[1]:g} kg, mu = {mu[0]:g} to {mu[1]:g}: proposed / EPC {np.nanmin(ratio):.3f} to "
         f"{np.nanmax(ratio):.3f}. EPC loses contact below M = {runs.maps[1].least_mass_in_contact:.3f} kg."
     )
-    columns = ("proposed\ncm/s", "\nN m", "EPC\ncm/s", "\nN m")
-    steps = [["step, ms", *(f"{held}{column}" for held in ("", "held 10 ms: ") for column in columns)]]
-    studies = (*runs.steps.values(), *runs.physics_steps.values())
+    steps = [["step, ms", "proposed\ncm/s", "\nN m", "EPC\ncm/s", "\nN m"]]
     for n, step in enumerate(STEPS):
-        steps.append([f"{1e3 * step:g}", *(f"{values[n]:.5f}" for study in studies for values in study)])
-    last = (
-        "First four columns: law and physics at the same step. Last four: the law at 10 ms, the physics alone refined. "
-        "The law runs at 1 kHz everywhere else."
-    )
-    return f"{first}\n\n{_section('Sensitivity', contact, note, steps, last)}"
+        steps.append([f"{1e3 * step:g}", *(f"{values[n]:.5f}" for study in runs.steps.values() for values in study)])
+    last = "Law and physics at the same step; the law runs at 1 kHz everywhere else."
+    return _section("Sensitivity", contact, note, steps, last)
 
 
 def derivation_text(report: Report) -> str:
@@ -354,8 +343,6 @@ def _ranges_text(study: AdaptiveStudy) -> str:
     for law in study.laws:
         limit = f", motor limited to {TORQUE_LIMIT:g} N m" if law.torque_limit == TORQUE_LIMIT else ""
         parts.append(f"{law.law}{limit}: {law.failures} of {len(law.runs)} plants fail")
-        if law.failures:
-            parts += ["Seconds until it fails ('-': lasts 33 s), M in kg by mu:", _failures(law), *_extremes(law)]
     M, mu = ([*limits] for limits in (published.M_RANGE, published.MU_RANGE))
     return _section(
         f"Adaptive law (39), {plants} plants: M in {M} kg, mu in {mu}",
@@ -367,49 +354,14 @@ def _ranges_text(study: AdaptiveStudy) -> str:
     )
 
 
-def _failures(law: LawStudy) -> Cells:
-    """When a form of the law fails on each plant of the grid."""
-    size = math.isqrt(len(law.runs))
-    rows = [law.runs[i : i + size] for i in range(0, len(law.runs), size)]
-    table = [["", *(f"{run['mu']:.4f}" for run in rows[0])]]
-    for row in rows:
-        table.append([f"{row[0]['M']:.3f}", *(f"{run['until']:.3f}" if run["ending"] else "-" for run in row)])
-    return table
-
-
-def _extremes(law: LawStudy) -> Iterable[str]:
-    """The law's variables on the plants that fail and on those that last."""
-    for name in ("fail", "last"):
-        runs, spans = [run for run in law.runs if bool(run["ending"]) == (name == "fail")], []
-        for quantity, style in (("drift", ".2g"), ("auxiliary_torque", ".3g"), ("eta", ".4g")):
-            values = [run[quantity] for run in runs]
-            spans.append(" to ".join(dict.fromkeys(format(value, style) for value in (min(values), max(values)))))
-        endings = ", ".join(sorted({run["ending"] for run in runs}))
-        yield (
-            f"Of those that {name}{f' ({endings})' if endings else ''}: largest |x - x_d| {spans[0]} m, |T_n| (before "
-            f"the motor's limit) {spans[1]} N m, eta {spans[2]}."
-        )
-
-
 def _choices_text(study: AdaptiveStudy) -> str:
-    """Failures under other choices, and how far from the nominal plant the law lasts."""
+    """Failures under other choices."""
     choices = [["beta", "eta(0)", "n", "law, kHz", "fail", f"motor of {TORQUE_LIMIT:g} N m"]]
     for beta, eta_0, n, rate, *failures in study.variants:
         choices.append([f"{beta:g}", f"{eta_0:g}", f"{n}", f"{rate / 1000:g}", *map(str, failures)])
-    deviations = [["off by", "M less", "M more", "mu less", "mu more"]]
-    duration, lasting = CYCLES * PROPOSED.period, {"M": 0.0, "mu": 0.0}
-    for percent in DEVIATIONS:
-        times = {name: [study.deviations[f"{name} {sign * percent:+g}"] for sign in (-1, 1)] for name in lasting}
-        row = [*times["M"], *times["mu"]]
-        deviations.append([f"{percent:g} %", *("-" if time is None else f"{time:.1f}" for time in row)])
-        lasting |= {name: percent for name, pair in times.items() if all((t or duration) >= duration for t in pair)}
     return _section(
         f"What the paper leaves open: plants of {len(study.laws[1].runs)} that fail, law corrected, unregularised",
         choices,
-        f"Seconds until the same law fails off the nominal plant ('-': lasts {LONG} cycles):",
-        deviations,
-        f"For {duration:g} s it lasts with M off by {lasting['M']:g} %, or mu off by {lasting['mu']:g} %, in both "
-        "directions.",
     )
 
 

@@ -1,4 +1,4 @@
-"""Figures beyond the paper's own: proof 2, Principles 3 and 4, and the speeds over mass and friction."""
+"""Figures beyond the paper's own: proof 2 and the speeds over mass and friction."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from baselines.drawing import INK, PENS, PURPLE, Pen, add_note, listed, mark_published, new_figure
+from baselines.drawing import INK, PENS, add_note, listed, mark_published, new_figure
 from baselines.paper import published
-from baselines.paper.principles import RESTORING_PHASES, Demand, principle_3, principle_4, sample
 from baselines.paper.proofs import swing_envelope
-from baselines.paper.selection import ROMAN
-from baselines.paper.tracking import AT_REST, NORMAL_FORCES, PROFILES, SpeedMap, grid, speed_map, speed_ratio
+from baselines.paper.tracking import AT_REST, PROFILES, SpeedMap, grid, speed_map, speed_ratio
 from baselines.tables import printed_above
 from capsule_gym.parameters import NOMINAL
 
@@ -64,51 +62,6 @@ def draw_phase_plane() -> Any:
         f"{listed(stated, 1, 'rad/s')}.",
     )
     return figure
-
-
-def draw_principles() -> Any:
-    """Load over limit of Principles 3 and 4 over a cycle, phase by phase."""
-    figure = new_figure(4.8)
-    rows = figure.subplots(2, 2, sharey="row", sharex="col", width_ratios=(7.0, 6.0))
-    plant, looks = NOMINAL.plant(), ((Pen(INK), "Newton's forces"), (Pen(PURPLE, (0.0, (5.0, 1.6))), "as printed"))
-    for column, profile in enumerate(PROFILES):
-        cycle = sample(profile)
-        for row, principle in zip(rows, (principle_3, principle_4), strict=True):
-            cases = [principle(cycle, plant, force) for force in NORMAL_FORCES]
-            _draw_demand(row[column], [(case, *look) for case, look in zip(cases, looks, strict=True)])
-        rows[0][column].set_title(profile.name)
-        rows[1][column].set_xlabel("phase, each drawn as wide as the next")
-    rows[0][0].set(title="Principle 3 (7): proposed", ylabel="pendulum's lift / weight", ylim=(-1.4, 1.2))
-    rows[1][0].set(title="Principle 4 (8)", ylabel="push / static friction", yscale="log", ylim=(0.02, 200.0))
-    rows[0][1].legend(loc="upper right", bbox_to_anchor=(1.0, 0.5))
-    held = [principle_4(sample(profile), plant).by_phase[-RESTORING_PHASES:] for profile in PROFILES]
-    add_note(
-        figure,
-        "Above 1 a principle is violated; 4 is asked for in the shaded restoring stage only, before it a violation is "
-        "what moves the capsule. Largest there, Newton: "
-        f"{listed([float(f[0]) for f in held], 1, 'in its first phase')}, "
-        f"{listed([float(f[1:].max()) for f in held], 2, 'in the others')} (proposed and EPC).",
-    )
-    return figure
-
-
-def _draw_demand(axes: Any, cases: list[tuple[Demand, Pen, str]]) -> None:
-    """One principle on one profile: load over limit, each phase as wide as the next."""
-    count = int(cases[0][0].cycle.phase[-1]) + 1
-    axes.axvspan(count - RESTORING_PHASES, count, color="#eef1f5", linewidth=0.0)
-    for demand, pen, label in cases:
-        for n in range(count):
-            inside = np.flatnonzero(demand.cycle.phase == n)
-            t, ratio = demand.cycle.t[inside], demand.ratio[inside]
-            place = n + (t - t[0]) / (t[-1] - t[0])
-            axes.plot(place[::EVERY], ratio[::EVERY], **pen.line(label=label if n == 0 else None))
-    axes.axhline(1.0, color=INK, linewidth=0.9)
-    axes.set_xlim(0.0, count)
-    axes.set_xticks(np.arange(count) + 0.5, ROMAN[:count])
-    axes.set_xticks(np.arange(1, count), minor=True)
-    axes.tick_params(axis="x", which="major", length=0.0)
-    axes.grid(False, axis="x")
-    axes.grid(True, axis="x", which="minor")
 
 
 def draw_speed_map() -> Any:
@@ -169,6 +122,5 @@ def _draw_map(figure: Any, axes: Any, speeds: SpeedMap) -> None:
 
 STUDIES: dict[str, Callable[[], Any]] = {
     "phase_plane": draw_phase_plane,
-    "principles": draw_principles,
     "speed_map": draw_speed_map,
 }

@@ -7,8 +7,8 @@ plants. `simulate`, `track` and `step_study` run the environment's own simulatio
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -16,10 +16,9 @@ import numpy as np
 
 from baselines.laws.feedback_linearisation import feedback_linearising, feedback_linearising_law
 from baselines.laws.gains import K_P, K_V
-from baselines.laws.profiles import EPC, PROPOSED, Profile, Segment
+from baselines.laws.profiles import EPC, PROPOSED, Profile
 from baselines.laws.reference import COLUMNS, slide
 from baselines.paper import published
-from baselines.paper.selection import bisect
 from capsule_gym import Capsule, Controller, dynamics
 from capsule_gym.compilation import compile_cached
 from capsule_gym.layout import ROWS, Row
@@ -175,28 +174,23 @@ def track(profile: Profile, contact: NormalForce = "newton", physics_dt: float =
     }
 
 
-def step_study(
-    profile: Profile, steps: Sequence[float] = STEPS, law_step: float | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Five cycles under feedback linearisation with the true plant as nominal, at several integration steps.
+def step_study(profile: Profile, steps: Sequence[float] = STEPS) -> tuple[np.ndarray, np.ndarray]:
+    """Five cycles under feedback linearisation, law and physics at the same step.
 
     Args:
         profile: what the pendulum follows.
-        steps: s; each divides the law's period, and that one 20 ms.
-        law_step: period of the law, s, with a zero-order hold of its torque; None takes the integrator's step, as a
-            simulation with one fixed step for everything does.
+        steps: s; each divides 20 ms.
 
     Returns:
         Mean speeds (cm/s) and largest torques (N m).
     """
     plant, found = NOMINAL.plant(), []
     for step in steps:
-        dt = law_step or step
-        times = np.arange(round(profile.period / dt)) * dt
+        times = np.arange(round(profile.period / step)) * step
         # The law does not read the platform's columns; with them it shares the machine code of the other runs.
         table = np.zeros((len(times), len(COLUMNS)))
         table[:, :3] = np.stack(profile.evaluate(times), axis=1)
-        controller = Controller("feedback-linearising", feedback_linearising_law(plant, K_P, K_V), table, dt=dt)
+        controller = Controller("feedback-linearising", feedback_linearising_law(plant, K_P, K_V), table, dt=step)
         options = {"torque_limit": UNLIMITED, "physics_dt": step}
         simulation = make_simulation(controller, [(plant.M, plant.mu)], 0.02, **options)
         for _ in range(round(CYCLES * profile.period / 0.02)):
@@ -332,78 +326,6 @@ def speed_ratio(proposed: SpeedMap, epc: SpeedMap) -> np.ndarray:
     return np.divide(proposed.speed, epc.speed, out=ratio, where=epc.speed > AT_REST)
 
 
-Shape = Callable[[float, float, float], Segment]
-
-
-def linear(duration: float, start: float, end: float) -> Segment:
-    """From one velocity (rad/s) to another in the given time (s) at a constant acceleration."""
-    return Segment(duration, offset=start, slope=(end - start) / duration)
-
-
-def half_cosine(duration: float, start: float, end: float) -> Segment:
-    """Without a jump of the acceleration at either end."""
-    half = 0.5 * (start - end)
-    return Segment(duration, amplitude=half, phase=0.5 * math.pi, rate=math.pi / duration, offset=start - half)
-
-
-def decaying(duration: float, start: float, end: float) -> Segment:
-    """Steep at first and level at its end; from rest it is the quarter sine of phase I of (9)."""
-    return Segment(duration, amplitude=end - start, rate=0.5 * math.pi / duration, offset=start)
-
-
-def cosine_to(duration: float, start: float, end: float) -> Segment:
-    """Level at first: phase III of (9)."""
-    return Segment(duration, amplitude=start, phase=0.5 * math.pi, rate=math.acos(end / start) / duration)
-
-
-# The paper gives only EPC's times, so its shape is assumed, and phase III of the proposed profile is corrected. Each
-# alternative keeps what is published: times, peak and swing. Its rise and fall replace EPC's phases I and II, or its
-# fall the proposed profile's phase III.
-ALTERNATIVES: tuple[tuple[str, Profile, tuple[Shape, ...]], ...] = (
-    ("as assumed: quarter sine, then linear", EPC, (decaying, linear)),
-    ("linear rise, linear fall", EPC, (linear, linear)),
-    ("half-cosine rise, half-cosine fall", EPC, (half_cosine, half_cosine)),
-    ("quarter sine, fall as phase III of (9)", EPC, (decaying, cosine_to)),
-    ("quarter sine, fall that levels off", EPC, (decaying, decaying)),
-    ("as corrected: (9) with a phase in III", PROPOSED, (cosine_to,)),
-    ("III linear", PROPOSED, (linear,)),
-    ("III half a cosine", PROPOSED, (half_cosine,)),
-    ("III levels off", PROPOSED, (decaying,)),
-)
-
-
-def alternative(original: Profile, shapes: tuple[Shape, ...]) -> tuple[Profile, float]:
-    """A profile with other shapes before its last progressive phase, and the P2 (rad/s) that keeps its swing.
-
-    The return stays the same, since the angle that it must cover does.
-    """
-    count = 4 if original is PROPOSED else 3
-    fixed = original.segments[: count - 1 - len(shapes)]
-    replaced, last = original.segments[len(fixed) : count - 1], original.segments[count - 1]
-    velocities = [0.0, float(original.segments[0].velocity(np.float64(original.segments[0].duration)))]
-
-    def progressive(P2: float) -> list[Segment]:
-        edges = [*velocities[-len(shapes) :], P2]
-        pairs = zip(shapes, replaced, edges[:-1], edges[1:], strict=True)
-        return [*fixed, *(shape(old.duration, a, b) for shape, old, a, b in pairs), linear(last.duration, P2, 0.0)]
-
-    def swept(segments: Sequence[Segment]) -> float:
-        return sum(float(segment.turned(np.float64(segment.duration))) for segment in segments)
-
-    needed = swept(original.segments[:count])
-    _, P2 = bisect(lambda P2: swept(progressive(P2)) < needed, 0.0, velocities[1])
-    return replace(original, segments=(*progressive(P2), *original.segments[count:])), P2
-
-
-def speeds_of_shapes() -> list[tuple[str, str, float, float]]:
-    """Profile, shape, P2 (rad/s) and mean speed (cm/s) of every alternative, exact tracking, nominal plant."""
-    rows = []
-    for name, original, shapes in ALTERNATIVES:
-        profile, P2 = alternative(original, shapes)
-        rows.append((profile.name, name, P2, float(speed_map(profile).speed[0, 0])))
-    return rows
-
-
 @dataclass(frozen=True)
 class Reproduction:
     """Everything that is computed of Sect. 5 without the adaptive law; dictionaries are by profile.
@@ -415,9 +337,7 @@ class Reproduction:
         ratio: smallest and largest speed of the proposed profile over EPC's at the nominal mass, over mu.
         maps: speed of both profiles over M and mu.
         contacts: speeds in cm/s at `CONTACT_MU`, by profile and normal force.
-        steps: see `step_study`, law and physics at one step.
-        physics_steps: the same with the law at 10 ms.
-        shapes: see `speeds_of_shapes`.
+        steps: see `step_study`.
     """
 
     tracking: dict[tuple[str, str], dict[str, float]]
@@ -427,8 +347,6 @@ class Reproduction:
     maps: list[SpeedMap]
     contacts: dict[tuple[str, str], list[float]]
     steps: dict[str, tuple[np.ndarray, np.ndarray]]
-    physics_steps: dict[str, tuple[np.ndarray, np.ndarray]]
-    shapes: list[tuple[str, str, float, float]]
 
 
 def reproduce() -> Reproduction:
@@ -444,6 +362,4 @@ def reproduce() -> Reproduction:
         [speed_map(profile, *grid()) for profile in PROFILES],
         {(a.name, b): speed_map(a, mu=CONTACT_MU, normal_force=b).speed[0].tolist() for a, b in pairs},
         {profile.name: step_study(profile) for profile in PROFILES},
-        {profile.name: step_study(profile, law_step=STEPS[-1]) for profile in PROFILES},
-        speeds_of_shapes(),
     )

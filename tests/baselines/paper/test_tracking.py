@@ -41,9 +41,7 @@ def test_law_reproduces_exact_tracking_within_the_tolerance_of_refinement(profil
     assert track(profile, physics_dt=2e-4)["mean_speed"] == pytest.approx(run["mean_speed"], rel=1e-7)
 
 
-def test_integrators_error_is_of_fourth_order_and_the_zero_order_holds_of_first():
-    for values in step_study(PROPOSED, (5e-4, 5e-3, 1e-2), law_step=1e-2):
-        assert 8.0 < abs(values[2] - values[0]) / abs(values[1] - values[0]) < 32.0
+def test_error_of_the_zero_order_hold_is_of_first_order():
     for values in step_study(PROPOSED, (5e-4, 1e-3, 2e-3)):
         assert (values[2] - values[0]) / (values[1] - values[0]) == pytest.approx(3.0, rel=0.1)
 
@@ -121,21 +119,3 @@ def test_no_friction_gives_both_published_speeds(maps):
 def test_bad_arguments_raise_errors_that_name_them(call, message):
     with pytest.raises(ValueError, match=message):
         call()
-
-
-def test_alternatives_keep_what_is_published():
-    for name, original, shapes in tracking.ALTERNATIVES:
-        profile, _ = tracking.alternative(original, shapes)
-        np.testing.assert_allclose(profile.times, original.times, atol=1e-12)
-        angle, rate, _ = profile.evaluate(np.linspace(0.0, profile.period, 66_001)[:-1])
-        assert rate.max() == pytest.approx(7.8 if original is PROPOSED else 11.0, rel=1e-6), name
-        assert math.degrees(angle.max()) == pytest.approx(68.75 if original is PROPOSED else 85.85, abs=0.02), name
-        before, after = (profile.evaluate(profile.times + step) for step in (-1e-9, 1e-9))
-        np.testing.assert_allclose(before[1], after[1], atol=1e-5)
-        np.testing.assert_allclose(before[0], after[0], atol=1e-7)
-
-
-def test_epc_is_faster_in_every_shape():
-    epc, proposed = ([row[3] for row in tracking.speeds_of_shapes() if row[0] == name] for name in ("EPC", "proposed"))
-    assert epc == pytest.approx([1.627, 1.569, 1.569, 1.691, 1.523], abs=1e-3)
-    assert proposed == pytest.approx([1.384, 1.358, 1.358, 1.336], abs=1e-3)
