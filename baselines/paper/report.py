@@ -15,7 +15,7 @@ from baselines.laws.profiles import V1
 from baselines.paper import adaptive, principles, proofs, published, selection, tracking
 from baselines.paper.adaptive import ERRORS, LONG, RATES, AdaptiveStudy
 from baselines.paper.principles import RESTORING_PHASES, THETA_0
-from baselines.paper.profile_search import Found, Solution, load
+from baselines.paper.profile_search import Solution, load
 from baselines.paper.tracking import STEPS, Reproduction
 from baselines.paper.verdicts import AGREEMENT, Row, Verdict, compare_numbers, judge_claims
 from baselines.tables import printed_above, printed_below, text_table
@@ -62,7 +62,7 @@ class Report:
     boundary_condition: selection.BoundaryCondition
     demands: list[principles.DemandRow]
     lemmas: list[principles.Implication]
-    optimal_profiles: Found
+    optimal_profiles: list[Solution]
 
     def text(self) -> str:
         """The whole text for a terminal."""
@@ -286,19 +286,14 @@ def principles_text(report: Report) -> str:
     )
 
 
-def optimal_profiles_text(found: Found) -> str:
-    """The optima of the family of profiles (9), and how much a single search misses."""
+def optimal_profiles_text(solutions: Sequence[Solution]) -> str:
+    """The optima of the family of profiles (9)."""
     cells = [["torque limit, plants, changes", "cm/s", "cost of transport", "N m", "back", "binding"]]
-    cells += [_optimum(solution) for solution in sorted(found.solutions, key=lambda each: each.problem.torque_limit)]
-    spreads = [["one search with another seed", "searches", "feasible", "slowest", "fastest", ""]]
-    for problem, speeds in found.spreads.items():
-        changes = [f"{100.0 * change:+.1f} %" for change in found.relative_speeds(problem)] or ["-"]
-        spreads.append([problem.label, str(len(speeds)), str(len(changes)), changes[0], changes[-1], ""])
+    cells += [_optimum(solution) for solution in sorted(solutions, key=lambda each: each.problem.torque_limit)]
     return _section(
         "The optimum of the paper's own family of profiles, exact tracking, Principles 1 to 4",
         cells,
         f"Of the worst plant; 'binding': at {100.0 * BINDING:.0f} % of the limit or more (P2: Principle 2, and so on).",
-        spreads,
         "The speeds are lower bounds of the optimum, rounded down: each problem has the best profile that any of the "
         "searches found.",
         last_left=True,
