@@ -8,7 +8,7 @@ from agents.evaluate import comparison_table
 from agents.evaluation.episodes import evaluate, make_result, scores
 from agents.evaluation.policies import BASELINE
 from agents.evaluation.statistics import interquartile_mean
-from agents.recording import ANIMATION_SECONDS, ANIMATION_START, NOMINAL_TITLE, draw_comparison, record
+from agents.recording import NOMINAL_TITLE, draw_comparison, record
 from agents.report.page import write as write_report
 from agents.training.export import load_best
 from baselines.policies import SCRIPTED
@@ -16,6 +16,9 @@ from capsule_gym.evaluation_sets import load_set
 from capsule_gym.files import to_json, write_atomically
 from capsule_gym.rendering import write_gif
 from capsule_gym.task import HORIZON
+
+# The part of an episode that the animation shows, s.
+ANIMATION_START, ANIMATION_SECONDS = 10.0, 6.0
 
 
 def compare(run: Path, set_name: str = "paper") -> None:

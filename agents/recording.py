@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from tyro.conf import arg
 
-from agents.evaluation.policies import BASELINE, Policy, find_candidate
+from agents.evaluation.policies import Policy
 from baselines.drawing import BLUE, DPI, GREEN, MUTED, VERMILION, new_figure, style
-from baselines.policies import SCRIPTED
-from capsule_gym.command_line import Positional, check_output, parse, refuse
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, NOMINAL_PLANT, PlantSpec
 from capsule_gym.files import replacing
-from capsule_gym.parameters import check_number
-from capsule_gym.rendering import FRAME_SECONDS, ChartAxes, Renderer, write_gif
+from capsule_gym.rendering import FRAME_SECONDS, ChartAxes, Renderer
 from capsule_gym.task import CONTROL_DT, HORIZON
 
-PROG = "python -m agents.recording"
 NOMINAL_TITLE = f"Nominal plant (M = {NOMINAL_PLANT.M:g} kg, μ = {NOMINAL_PLANT.mu:g})"
-# The part of an episode that an animation shows by default, s.
-ANIMATION_START, ANIMATION_SECONDS = 10.0, 6.0
 
 
 @dataclass(frozen=True)
@@ -140,55 +132,3 @@ def draw_comparison(recordings: Sequence[Recording], path: Path, title: str, sec
         contact.grid(visible=False)
         with replacing(path) as temporary:
             figure.savefig(temporary, dpi=DPI)
-
-
-@dataclass(frozen=True)
-class Args:
-    """Draws a policy on the nominal plant: as an animation, or as a figure with the paper's controller.
-
-    Examples:
-      python -m agents.recording residual-ppo --gif animation.gif
-      python -m agents.recording runs/my-run --png figure.png
-    """
-
-    policy: Annotated[Positional[str], arg(metavar="NAME_OR_PATH")]
-    """As for python -m agents.evaluate; the first training seed."""
-    gif: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Write the animation to this file, a GIF."""
-    png: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Write the figure to this file, a PNG."""
-    start: float = ANIMATION_START
-    """Start of the animation, s."""
-    seconds: float = ANIMATION_SECONDS
-    """Length of the animation, s."""
-    trust_controller: bool = False
-    """Accept a policy with a control law from elsewhere: importing it runs its code."""
-
-    def check(self) -> None:
-        """Checks the times and the files."""
-        for name, value in (("--start", self.start), ("--seconds", self.seconds)):
-            check_number(name, value, f"between 0 and {HORIZON:g} s", 0.0, HORIZON)
-        if self.gif is None and self.png is None:
-            raise ValueError("--gif or --png must name a file, got neither")
-        check_output("--gif", self.gif, overwrite=True)
-        check_output("--png", self.png, overwrite=True)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit status."""
-    args = parse(Args, PROG, arguments)
-    try:
-        policy = find_candidate(args.policy, trust_controller=args.trust_controller).policies[0]
-    except ValueError as error:
-        refuse(PROG, str(error))
-    if args.png is not None:
-        recordings = [record(SCRIPTED[BASELINE]), record(policy, name=args.policy)]
-        draw_comparison(recordings, args.png, NOMINAL_TITLE)
-    if args.gif is not None:
-        moving = record(policy, seconds=args.start + args.seconds, frames_from=args.start, name=args.policy)
-        write_gif(moving.frames, args.gif)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,9 +1,6 @@
 import numpy as np
 import pytest
-from PIL import Image
 
-from agents import recording
-from agents.evaluation import policies
 from agents.evaluation.episodes import evaluate
 from agents.recording import record
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
@@ -48,36 +45,3 @@ def test_the_axes_of_a_moving_picture_stay():
     assert len(others) == 20
     assert all(np.array_equal(first, other) for other in others)
     assert len({frame.tobytes() for frame in found.frames}) == 21
-
-
-def test_command_line(tmp_path, monkeypatch):
-    known = {name: Sine(0.3, name=name) for name in ("adaptive", "bold")}
-    monkeypatch.setattr(policies, "SCRIPTED", known)
-    monkeypatch.setattr(recording, "SCRIPTED", known)
-    gif, png = tmp_path / "a.gif", tmp_path / "a.png"
-    assert recording.main(["bold", "--gif", str(gif), "--png", str(png), "--start", "0.1", "--seconds", "0.2"]) == 0
-    with Image.open(gif) as moving:
-        assert moving.n_frames == 6
-    assert png.read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["zero"], "--gif or --png must name a file, got neither"),
-        (["nobody", "--gif", "x.gif"], "got 'nobody'"),
-        (["zero", "--gif", "/nowhere/x.gif"], "--gif must name a file in a folder that exists, got '/nowhere/x.gif'"),
-        (["zero", "--png", "/nowhere/x.png"], "--png must name a file in a folder that exists"),
-        (["zero", "--gif", "x.gif", "--start", "40"], "--start must be between 0 and 33 s, got 40.0"),
-        (["zero", "--gif", "x.gif", "--seconds", "nan"], "--seconds must be between 0 and 33 s, got nan"),
-    ],
-)
-def test_wrong_options_are_named(words, message, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as stop:
-        recording.main(words)
-    assert stop.value.code == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
-    assert not list(tmp_path.iterdir())
