@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.analysis.data import BASE, REFERENCES, SPEED, Learning, Results, difference, fronts, improvement
+from agents.analysis.data import SPEED, Learning, Results, fronts, improvement
 from agents.evaluation.statistics import Curve, estimate, performance_profile
 from agents.leaderboard.rows import Row
 from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, WIDTH, Pen, add_note, new_figure, save, style
@@ -38,7 +38,6 @@ def figures_of(results: Results) -> dict[str, Callable[[Path], Any]]:
     draw = {
         "transport": draw_transport if results.rows else None,
         "profiles": draw_profiles if results.trained else None,
-        "differences": draw_differences if results.trained else None,
         "improvement": draw_improvement if len(results.trained) > 1 else None,
         "learning": draw_learning if results.learning else None,
     }
@@ -123,39 +122,6 @@ def draw_learning(results: Results) -> Any:
         figure,
         "Horizontal: millions of agent steps. Evaluations on each run's validation plants, never on a frozen set; "
         "grey: the training seeds; blue: their interquartile mean, band: 95 %.",
-    )
-    return figure
-
-
-def draw_differences(results: Results) -> Any:
-    """Paired differences of speed to the references, a line per trained row."""
-    rows = results.trained
-    shown = [name for name in REFERENCES if any(results.reference(row, name) for row in rows)]
-    figure = new_figure(1.0 + 0.3 * len(rows))
-    grid = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
-    places = -np.arange(len(rows), dtype=np.float64)
-    for axes, name in zip(grid, shown, strict=True):
-        for k, (set_name, pen) in enumerate(zip(results.shown_sets, PENS, strict=False)):
-            for row, place in zip(rows, places, strict=True):
-                other = results.reference(row, name)
-                if other is None:
-                    continue
-                found = difference(row, other, set_name)
-                height = place + 0.14 - 0.28 * k
-                axes.plot([found.low, found.high], [height] * 2, color=pen.colour, linewidth=1.6)
-                axes.plot(found.value, height, "os"[k % 2], color=pen.colour, markersize=3.5)
-            axes.plot([], [], "os"[k % 2] + "-", color=pen.colour, markersize=3.5, label=f"on {set_name}")
-        axes.axvline(0.0, color=INK, linewidth=0.8)
-        axes.set_title("minus its base" if name == BASE else f"minus {name}")
-        axes.set_xlabel("mean speed (cm/s)")
-    grid[0].set_yticks(places, [row.name for row in rows])
-    grid[0].set_ylim(places[-1] - 0.6, 0.6)
-    handles, labels = grid[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
-    add_note(
-        figure,
-        "Interquartile means of the differences episode by episode, with 95 % intervals over training seeds. The base "
-        "of a residual is its law alone; a policy that commands the whole torque has none.",
     )
     return figure
 

@@ -1,9 +1,8 @@
-"""The limit cycle of a policy on the paper's plant, and where its speed comes from."""
+"""The limit cycle of a policy on the paper's plant."""
 
 from __future__ import annotations
 
 import itertools
-import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -171,40 +170,20 @@ def find_cycle(trajectory: Trajectory, window: float = WINDOW) -> Cycle:
     return Cycle(cycle, swings, float(gaps[swings][i]), float(speed))
 
 
-class Phase(NamedTuple):
-    """One phase of the contact, over a cycle.
-
-    Attributes:
-        time: share of the cycle.
-        travel: m, negative backwards.
-        load: mean normal force over (M + m) g; NaN without such a phase.
-        load_over_travel: the same as a mean over the travel, not over the time; NaN without travel.
-        impulse: of the friction, N s, positive forwards.
-    """
-
-    time: float
-    travel: float
-    load: float
-    load_over_travel: float
-    impulse: float
-
-
-class Balance(NamedTuple):
-    """Where the speed of a cycle comes from.
+class Summary(NamedTuple):
+    """A cycle in numbers.
 
     Attributes:
         period: s.
         speed: mean over the cycle, cm/s.
         saturated: share of the time at the torque limit.
         centre: smallest and largest speed of the centre of mass of platform and pendulum, cm/s.
-        phases: by FORWARD, STICK and BACKWARD.
     """
 
     period: float
     speed: float
     saturated: float
     centre: tuple[float, float]
-    phases: dict[int, Phase]
 
 
 def contact(trajectory: Trajectory) -> np.ndarray:
@@ -212,11 +191,8 @@ def contact(trajectory: Trajectory) -> np.ndarray:
     return np.sign(np.diff(trajectory.x)).astype(np.int64)
 
 
-def balance(trajectory: Trajectory, plant: PlantSpec = NOMINAL_PLANT) -> Balance:
-    """Sums a cycle up, phase by phase.
-
-    The impulse of friction is the change of the horizontal momentum of platform and pendulum, on which nothing else
-    acts: over a closed cycle the impulses of the phases cancel.
+def summarize(trajectory: Trajectory, plant: PlantSpec = NOMINAL_PLANT) -> Summary:
+    """Sums a cycle up.
 
     Args:
         trajectory: of a cycle, with the paper's pendulum.
@@ -224,29 +200,16 @@ def balance(trajectory: Trajectory, plant: PlantSpec = NOMINAL_PLANT) -> Balance
     """
     m, l, total = NOMINAL.m, NOMINAL.l, plant.M + NOMINAL.m
     momentum = total * trajectory.x_dot - m * l * np.cos(trajectory.theta) * trajectory.theta_dot
-    gained, moved, phase = np.diff(momentum), np.diff(trajectory.x), contact(trajectory)
-    phases = {}
-    for each in PHASES:
-        own = phase == each
-        load, way = trajectory.normal_force[1:][own] / (total * NOMINAL.g), np.abs(moved[own])
-        phases[each] = Phase(
-            time=float(own.mean()),
-            travel=float(moved[own].sum()),
-            load=float(load.mean()) if own.any() else math.nan,
-            load_over_travel=float((load * way).sum() / way.sum()) if way.sum() > 0.0 else math.nan,
-            impulse=float(gained[own].sum()),
-        )
-    return Balance(
+    return Summary(
         period=float(trajectory.t[-1]),
         speed=100.0 * float(trajectory.x[-1] / trajectory.t[-1]),
         saturated=float((np.abs(trajectory.torque[1:]) >= trajectory.torque_limit).mean()),
         centre=(100.0 * float(momentum.min()) / total, 100.0 * float(momentum.max()) / total),
-        phases=phases,
     )
 
 
 def document(policies: Sequence[str] = ()) -> Document:
-    """The tables and the figure.
+    """The table and the figure.
 
     Args:
         policies: names or paths; by default the paper's law, the fastest rows that learnt from reward, and the optimum.
@@ -255,7 +218,7 @@ def document(policies: Sequence[str] = ()) -> Document:
         ValueError: if there is no such policy, or its motion has no cycle.
     """
     cycles = [find_cycle(median_run(find_candidate(name))) for name in policies or default_policies()]
-    return Document(tables(cycles), {"figures/limit_cycle": write_with(draw, cycles)})
+    return Document({"shapes": table(cycles)}, {"figures/limit_cycle": write_with(draw, cycles)})
 
 
 def default_policies() -> list[str]:
@@ -280,19 +243,17 @@ def median_run(candidate: Candidate) -> Trajectory:
     return replace(found[chosen], name=f"{candidate.name} (seed {candidate.trained[chosen].training_seed})")
 
 
-def tables(cycles: Sequence[Cycle]) -> dict[str, str]:
-    """The cycles in numbers, those of the first as the reference, and the balance of their phases."""
-    first = balance(cycles[0].trajectory)
+def table(cycles: Sequence[Cycle]) -> str:
+    """The cycles in numbers, those of the first as the reference."""
+    first = summarize(cycles[0].trajectory)
     speeds, factors = ("speed (cm/s)", f"over {WINDOW:g} s (cm/s)"), ("as often", "as far")
     head = ["policy", "period (s)", "swings", "step (cm)", *factors, *speeds, "centre of mass (cm/s)"]
-    shapes = [[*head, "at the limit", "closes within"]]
-    loads = ("N / ((M + m) g)", "the same over the way")
-    phases = [["policy", "phase", "time", "travel (cm)", "speed (cm/s)", *loads, "friction (mN s)"]]
+    lines = [[*head, "at the limit", "closes within"]]
     for cycle in cycles:
-        found, name = balance(cycle.trajectory), cycle.trajectory.name
-        shapes.append(
+        found = summarize(cycle.trajectory)
+        lines.append(
             [
-                name,
+                cycle.trajectory.name,
                 f"{found.period:.2f}",
                 str(cycle.swings),
                 f"{found.period * found.speed:.2f}",
@@ -305,13 +266,7 @@ def tables(cycles: Sequence[Cycle]) -> dict[str, str]:
                 f"{cycle.mismatch:.3f}",
             ]
         )
-        for label, key in (("forward", FORWARD), ("stick", STICK), ("backward", BACKWARD)):
-            phase = found.phases[key]
-            load = ["-" if math.isnan(each) else f"{each:.2f}" for each in (phase.load, phase.load_over_travel)]
-            speed = "-" if phase.time == 0.0 else f"{100.0 * phase.travel / (phase.time * found.period):+.2f}"
-            share, impulse = f"{100.0 * phase.time:.0f} %", f"{1e3 * phase.impulse:+.1f}"
-            phases.append([name, label, share, f"{100.0 * phase.travel:+.2f}", speed, *load, impulse])
-    return {"shapes": markdown_table(shapes), "phases": markdown_table(phases)}
+    return markdown_table(lines)
 
 
 def draw(cycles: Sequence[Cycle]) -> Any:

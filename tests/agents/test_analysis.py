@@ -93,9 +93,7 @@ def test_tables_of_the_statistics(results):
 
 def test_figures_of_the_statistics(results, tmp_path):
     found = figures_of(results)
-    assert {name.rpartition("_")[2] for name in found} == {
-        *("transport", "profiles", "differences", "improvement", "learning")
-    }
+    assert {name.rpartition("_")[2] for name in found} == {*("transport", "profiles", "improvement", "learning")}
     for name, write in found.items():
         for path in write(tmp_path / name.rpartition("/")[2]):
             assert path.stat().st_size > 5000
