@@ -29,17 +29,15 @@ class Args:
 
     Examples:
       python -m baselines.gaits --minutes 25    continue the search
-      python -m baselines.gaits --oracle        compute the map of gait-oracle
+      python -m baselines.gaits --minutes 0     only compute the map of gait-oracle
       python -m baselines.gaits --check         simulate every gait again and write nothing
       python -m baselines.gaits --families harmonics --purposes refine finish
     """
 
     check: bool = False
     """Simulate every gait again, write nothing; the exit status is 1 if one differs."""
-    oracle: bool = False
-    """Only compute the map of gait-oracle, which a search does at its end."""
     minutes: float = 25.0
-    """How long to search."""
+    """How long to search; the map of gait-oracle is computed at the end."""
     iterations: Count = 0
     """Iterations at most; 0 for as many as the time allows."""
     families: tuple[Literal["harmonics", "bang-bang", "phase-space"], ...] = ()
@@ -66,14 +64,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         stale = check(archive)
         print(*stale, f"{len(archive.everything())} gaits simulated again: {len(stale)} numbers differ", sep="\n")
         return int(bool(stale))
-    if not args.oracle:
-        command = f"{PROG} --seed {args.seed}"
-        for option, names in (("families", args.families), ("purposes", args.purposes)):
-            command += f" --{option} {' '.join(names)}" if names else ""
-        search = Search(archive, args.families, args.purposes, args.seed, command)
-        steps = search.iterations(args.minutes, args.iterations or math.inf)
-        if run_search(steps, lambda: archive.save(args.folder)):
-            return 130
+    command = f"{PROG} --seed {args.seed}"
+    for option, names in (("families", args.families), ("purposes", args.purposes)):
+        command += f" --{option} {' '.join(names)}" if names else ""
+    search = Search(archive, args.families, args.purposes, args.seed, command)
+    steps = search.iterations(args.minutes, args.iterations or math.inf)
+    if run_search(steps, lambda: archive.save(args.folder)):
+        return 130
     if not archive.gaits:
         print(f"{args.folder} holds no gait to compute the map of gait-oracle from")
         return 1

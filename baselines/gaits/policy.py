@@ -27,7 +27,7 @@ def oracle_map() -> GaitMap:
     """
     oracle = known_gaits().oracle
     if oracle is None:
-        raise ValueError("the archive of gaits must hold the oracle's map: run `python -m baselines.gaits --oracle`")
+        raise ValueError("the archive of gaits must hold the oracle's map: run `python -m baselines.gaits --minutes 0`")
     return oracle
 
 
