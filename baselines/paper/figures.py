@@ -1,14 +1,13 @@
-"""Figures 1 to 9 of the paper from our own runs, with the published numbers.
+"""Figures 1 to 9 of the paper from our own runs, with the published numbers, and two of our own.
 
-`FIGURES` names them all; each is a function of `Runs`. `draw_all` also draws the figures of `study_figures`, of the
-gaits and of the optimum.
+`FIGURES` names them all; each is a function of `Runs`. `draw_all` also draws the figures of the gaits and the optimum.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +38,10 @@ from baselines.laws.profiles import PROPOSED
 from baselines.paper import published
 from baselines.paper.adaptive import CORRECTED_LAW, REGULARISED_LAW
 from baselines.paper.principles import RESTORING_PHASES
+from baselines.paper.proofs import swing_envelope
 from baselines.paper.selection import ROMAN
-from baselines.paper.tracking import CYCLES, PROFILES, Trajectory, simulate
+from baselines.paper.tracking import CYCLES, PROFILES, Trajectory, grid, simulate, speed_map, speed_ratio
+from baselines.tables import printed_above
 from capsule_gym.parameters import LAW_DT, NOMINAL
 from capsule_gym.task import TORQUE_LIMIT
 
@@ -60,6 +61,7 @@ DOTTED = f"{NO_CURVES}: dotted are the numbers of its text."
 # Figures 6 to 9: nominal, lightest with least friction, heaviest with most.
 PLANTS = ((NOMINAL.M, NOMINAL.mu), *zip(published.M_RANGE, published.MU_RANGE, strict=True))
 PLANT_PENS = (Pen(INK), Pen(GREEN, (0.0, (5.0, 1.6))), Pen(PURPLE, (0.0, (2.5, 1.2))))
+TOP_RATE = 13.5  # of the phase planes, rad/s
 ARROW: dict[str, Any] = {"arrowstyle": "-|>", "shrinkA": 0.0, "shrinkB": 0.0, "mutation_scale": 9.0, "lw": 1.2}
 
 
@@ -204,15 +206,15 @@ def draw_phases(runs: Runs) -> Any:
 
 def _split_axes(figure: Any, rows: int) -> list[tuple[Any, Any]]:
     """Rows of two axes over one cycle whose time axis changes its scale at `SPLIT`: a quick stage, then a slow one."""
-    grid = figure.subplots(rows, 2, sharey="row", sharex="col", width_ratios=(1.5, 1.0), squeeze=False)
-    for left, right in grid:
+    panels = figure.subplots(rows, 2, sharey="row", sharex="col", width_ratios=(1.5, 1.0), squeeze=False)
+    for left, right in panels:
         left.set_xlim(0.0, SPLIT)
         right.set_xlim(SPLIT, PERIOD)
         right.spines["left"].set_visible(False)
         right.tick_params(axis="y", length=0.0)
-    grid[-1][0].set_xlabel("time in the cycle (s)")
-    grid[-1][1].set_xlabel("time in the cycle (s), compressed")
-    return [(left, right) for left, right in grid]
+    panels[-1][0].set_xlabel("time in the cycle (s)")
+    panels[-1][1].set_xlabel("time in the cycle (s), compressed")
+    return [(left, right) for left, right in panels]
 
 
 def draw_tracking(runs: Runs) -> Any:
@@ -451,6 +453,77 @@ def draw_sliding_variable(runs: Runs) -> Any:
     return _two_panels(runs, title, label, lambda run: 1e3 * sliding_variable(run), note)
 
 
+def draw_phase_plane(runs: Runs) -> Any:
+    """The upper envelopes of the published torques with the published profiles."""
+    figure = new_figure(3.7)
+    panels = figure.subplots(1, 2, sharey=True)
+    peaks, anywhere, stated = [], [], []
+    for axes, profile in zip(panels, PROFILES, strict=True):
+        pen, numbers = PENS[profile.name], published.RUNS[profile.name]
+        torque, peak = numbers["peak_torque"].value, numbers["peak_velocity"].value
+        swing = math.radians(numbers["swing"].value)
+        envelope = swing_envelope(torque, profile.start, swing)
+        degrees, fastest = np.degrees(envelope.theta[::200]), envelope.theta_dot[::200]
+        axes.fill_between(degrees, fastest, TOP_RATE, color="#eef1f5", linewidth=0.0)
+        axes.plot(degrees, fastest, color=INK, lw=1.6, label="upper envelope for the published torque")
+        peaks.append(printed_above(envelope.fastest, 3))
+        anywhere.append(printed_above(swing_envelope(torque, -swing, swing).fastest, 3))
+        stated.append(peak)
+        angle, rate, _ = profile.evaluate(np.linspace(0.0, profile.period, 4001))
+        axes.plot(np.degrees(angle), rate, **pen.line(label=f"{profile.name} profile"))
+        mark_published(axes, peak, f"published largest rate: {peak:g} rad/s", pen)
+        axes.text(0.0, 12.3, "out of reach", ha="center", va="center", fontsize=8.0, color=MUTED, style="italic")
+        axes.set(xlabel="angle θ (deg)", xlim=(-62.0, 90.0), ylim=(-1.0, TOP_RATE))
+        axes.set_title(f"{profile.name}: |u| ≤ {torque:g} N m")
+    panels[0].set_ylabel("rate θ' (rad/s)")
+    handles, labels = panels[0].get_legend_handles_labels()
+    others, names = panels[1].get_legend_handles_labels()
+    figure.legend([*handles, others[1]], [*labels, names[1]], loc="outside upper left", ncols=3)
+    add_note(
+        figure,
+        "With the published torques the pendulum, from rest at the profiles' start, stays below "
+        f"{' and '.join(peaks)} rad/s, in any contact and under any law; from rest anywhere within the swing to either "
+        f"side below {' and '.join(anywhere)} rad/s (certified, rounded up). Published are "
+        f"{listed(stated, 1, 'rad/s')}.",
+    )
+    return figure
+
+
+def draw_speed_map(runs: Runs) -> Any:
+    """Mean speed over mass and friction for both profiles, and the ratio of the two."""
+    figure = new_figure(3.3)
+    panels = figure.subplots(1, 3, sharey=True)
+    maps = [speed_map(profile, *grid()) for profile in PROFILES]
+    M, mu, ratio = maps[0].M, maps[0].mu, speed_ratio(*maps)
+    speeds, ratios = np.arange(-0.25, 2.76, 0.25), np.arange(-0.4, 0.91, 0.1)
+    columns = (
+        (maps[0].profile, maps[0].speed, speeds, "mean speed (cm/s)", (0, 1, 2)),
+        (maps[1].profile, maps[1].speed, speeds, "mean speed (cm/s)", (0, 1, 2)),
+        ("Ratio of the speeds", ratio, ratios, "proposed / EPC", (-0.4, 0, 0.4, 0.8)),
+    )
+    for axes, (title, values, levels, label, ticks) in zip(panels, columns, strict=True):
+        drawn = axes.contourf(mu, M, values, levels=levels, cmap="cividis")
+        figure.colorbar(drawn, ax=axes, location="bottom", aspect=30, shrink=0.95, label=label, ticks=ticks)
+        axes.plot(NOMINAL.mu, NOMINAL.M, "*", color="white", mec=INK, mew=0.7, ms=9)
+        axes.set(title=title, xscale="log", xlabel="friction coefficient μ")
+        axes.grid(False)
+    fits = []
+    for axes, each, value in zip(panels, maps, _stated("mean_speed"), strict=False):
+        axes.contour(mu, M, each.speed, levels=(value,), colors=INK, linestyles="dashed", linewidths=1.2)
+        fits.append(each.friction_for(value)[0])
+    hatched = {"facecolor": "none", "edgecolor": "white", "hatch": "////", "linewidth": 0.0}
+    panels[1].fill_between(mu, M[0], maps[1].least_mass_in_contact, **hatched)
+    panels[0].set(ylabel="mass of the platform M (kg)")
+    add_note(
+        figure,
+        "Exact tracking, five cycles; star: nominal plant; dashed: the published speed, which M = 0.5 kg gives at μ = "
+        f"{listed(fits, 3, '').strip()}. EPC is faster on all of it (the order turns nowhere; largest "
+        f"ratio {np.nanmax(ratio):.2f}); hatched, below M = {maps[1].least_mass_in_contact:.2f} kg, it lifts the "
+        f"platform off the floor. White: both all but at rest.",
+    )
+    return figure
+
+
 FIGURES: dict[str, Callable[[Runs], Any]] = {
     "fig1_capsule": draw_capsule,
     "fig2_phases": draw_phases,
@@ -461,6 +534,8 @@ FIGURES: dict[str, Callable[[Runs], Any]] = {
     "fig7_adaptive_error": draw_adaptive_error,
     "fig8_adaptive_torque": draw_adaptive_torque,
     "fig9_sliding_variable": draw_sliding_variable,
+    "phase_plane": draw_phase_plane,
+    "speed_map": draw_speed_map,
 }
 
 
@@ -479,11 +554,11 @@ def draw_all(directory: Path, progress: Callable[[str], None]) -> list[Path]:
     """
     from baselines.dynamic_programming.figure import draw_optimum
     from baselines.gaits.figure import draw_gaits
-    from baselines.paper.study_figures import STUDIES
 
     directory.mkdir(parents=True, exist_ok=True)
-    runs, others = Runs(), {**STUDIES, "gaits": draw_gaits, "optimum": draw_optimum}
-    figures = {name: lambda draw=draw: draw(runs) for name, draw in FIGURES.items()} | others
+    runs = Runs()
+    figures: dict[str, Callable[[], Any]] = {name: partial(draw, runs) for name, draw in FIGURES.items()}
+    figures |= {"gaits": draw_gaits, "optimum": draw_optimum}
     written: list[Path] = []
     with style():
         for name, draw in figures.items():

@@ -11,7 +11,7 @@ import pytest
 from baselines import drawing
 from baselines.laws.profiles import PROPOSED
 from baselines.paper import __main__ as paper
-from baselines.paper import adaptive, figures, published, report, study_figures, tracking
+from baselines.paper import adaptive, figures, published, report, tracking
 from baselines.paper.adaptive import CORRECTED_LAW, RATES, REGULARISED_LAW
 
 pytest.importorskip("matplotlib")
@@ -65,7 +65,7 @@ def test_command_prints_and_writes_every_published_number(made, monkeypatch, cap
         shown = f" {number.value:.{number.digits}f} "
         assert any(number.quantity in line and shown in line for line in text.splitlines())
     words = " ".join(text.split())
-    assert all(claim.text in words for claim in published.CLAIMS.values())
+    assert all(text in words for text, _ in published.CLAIMS.values())
 
     def refuse(constant):
         raise AssertionError(f"{constant} is not JSON")
@@ -89,9 +89,10 @@ def test_report_rounds_bounds_outwards(made):
         assert needed <= rate.torque_needed and enough >= rate.torque_enough
 
 
-def test_figures_show_the_numbers_of_the_table(made, runs):
+def test_figures_show_the_numbers_of_the_table(made, runs, monkeypatch):
+    monkeypatch.setattr(figures, "grid", lambda: tracking.grid(4, 5))
     with drawing.style():
-        texts = {name: text_of(draw(runs)) for name, draw in figures.FIGURES.items()}
+        texts = {name: text_of(draw(runs)) for name, draw in figures.FIGURES.items() if name != "phase_plane"}
     assert [name[:4] for name in texts][:9] == [f"fig{n}" for n in range(1, 10)]
     for name, key, digits in (
         ("fig3_tracking", "peak_velocity", 2),
@@ -118,9 +119,9 @@ def test_curves_are_those_of_the_runs(runs):
     np.testing.assert_allclose(figures.sliding_variable(run), run.rate_error + 12.0 * run.error, atol=1e-15)
 
 
-def test_figures_beyond_the_papers_state_the_numbers_of_the_report(rates):
+def test_phase_plane_states_the_bounds_rounded_up(rates, runs):
     with drawing.style():
-        text = text_of(study_figures.draw_phase_plane())
+        text = text_of(figures.draw_phase_plane(runs))
     found = re.search(r"below ([\d.]+) and ([\d.]+) rad/s, in any contact.* below ([\d.]+) and ([\d.]+) rad/s", text)
     proposed, epc = rates
     bounds = (proposed.from_start, epc.from_start, proposed.bound, epc.bound)
@@ -133,8 +134,6 @@ def test_every_figure_is_written_twice_and_identically_at_every_run(runs, tmp_pa
     monkeypatch.setattr(drawing, "DPI", 60)
     monkeypatch.setattr(figures, "Runs", lambda: runs)
     monkeypatch.setattr(figures, "FIGURES", {"fig4_displacement": figures.draw_displacement})
-    monkeypatch.setattr(study_figures, "STUDIES", {"speed_map": study_figures.draw_speed_map})
-    monkeypatch.setattr(study_figures, "grid", lambda: tracking.grid(4, 5))
     for module, draw in (("gaits", "draw_gaits"), ("dynamic_programming", "draw_optimum")):
         monkeypatch.setattr(f"baselines.{module}.figure.{draw}", lambda: drawing.new_figure(1.0))
     written = figures.draw_all(tmp_path / "made", lambda name: None)
@@ -144,12 +143,3 @@ def test_every_figure_is_written_twice_and_identically_at_every_run(runs, tmp_pa
     with drawing.style():
         for path in drawing.save(figures.draw_displacement(runs), tmp_path / "fig4_displacement"):
             assert path.read_bytes() == (tmp_path / "made" / path.name).read_bytes()
-
-
-def test_failed_drawing_leaves_no_partial_file(tmp_path, monkeypatch):
-    with drawing.style():
-        figure = drawing.new_figure(1.0)
-        monkeypatch.setattr(figure, "savefig", lambda path, **_: (path.write_bytes(b"half"), 1 / 0))
-        with pytest.raises(ZeroDivisionError):
-            drawing.save(figure, tmp_path / "figure")
-    assert list(tmp_path.iterdir()) == []
