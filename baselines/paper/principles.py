@@ -1,4 +1,4 @@
-"""Property 3, Principles 1 to 4 (Eqs. 5 to 8) and Lemmas 1 and 2 of the paper.
+"""Principles 1 to 4 (Eqs. 5 to 8) and Lemmas 1 and 2 of the paper.
 
 A principle or lemma is evaluated as load and limit over a cycle of a profile, or over samples of any motion: it is met
 where the load does not exceed the limit. Cycles are sampled phase by phase with both ends, so that the acceleration's
@@ -18,8 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.laws.profiles import EPC, PROPOSED, Profile
-from baselines.paper import published
-from capsule_gym import dynamics
 from capsule_gym.parameters import NOMINAL, NormalForce, Plant
 
 SAMPLES_PER_PHASE = 2001
@@ -285,37 +283,3 @@ def check_lemmas(states: int = 200_000, seed: int = 0) -> list[Implication]:
             row = (int(met.sum()), int((ratio > 1.0).sum()), float(ratio.max()))
             rows.append(Implication(names[sufficient], label, equation, *row))
     return rows
-
-
-def check_linearity(samples: int = 1000, seed: int = 0) -> dict[str, float]:
-    """Evaluates Property 3, Eq. (4), on random motions, each on a random plant.
-
-    Returns:
-        `residual`: largest |M q'' + C q' + G - Y alpha| over the largest term, alpha = [m l^2, m l, M + m, m g l];
-        `products`: the same for the friction mu N as a linear function of [mu (M + m), mu m l]; `defect`: relative
-        difference between the friction at the middle of the paper's ranges of M and mu and the mean of two opposite
-        corners, since it is not linear in M and mu.
-    """
-    rng = np.random.default_rng(seed)
-    scales = np.array([1.5, 10.0, 100.0, 5.0])  # rad, rad/s, rad/s^2, m/s^2
-    residual = products = 0.0
-    for _ in range(samples):
-        theta, theta_dot, theta_ddot, x_ddot = scales * rng.uniform(-1.0, 1.0, 4)
-        p = NOMINAL.plant(*np.array([NOMINAL.M, NOMINAL.mu]) * rng.uniform(0.5, 2.0, 2))
-        p = p._replace(m=NOMINAL.m * rng.uniform(0.5, 2.0))
-        ml, sin, cos = p.m * p.l, math.sin(theta), math.cos(theta)
-        # Rows of Y alpha, term by term, compared with the matrices under Eq. (1).
-        rows = [[ml * p.l * theta_ddot, -ml * cos * x_ddot, -ml * p.g * sin]]
-        rows += [[ml * (sin * theta_dot**2 - cos * theta_ddot), (p.M + p.m) * x_ddot]]
-        inertia = np.array([[ml * p.l, -ml * cos], [-ml * cos, p.M + p.m]])
-        left = inertia @ [theta_ddot, x_ddot] + [-ml * p.g * sin, ml * sin * theta_dot * theta_dot]
-        largest = max(abs(term) for row in rows for term in row)
-        residual = max(residual, *(abs(float(a) - sum(row)) / largest for a, row in zip(left, rows, strict=True)))
-        lift = theta_ddot * sin + theta_dot**2 * cos
-        terms = (p.mu * (p.M + p.m) * p.g, -p.mu * ml * lift)
-        friction = p.mu * dynamics.normal_force(theta, theta_dot, theta_ddot, p)
-        products = max(products, abs(friction - sum(terms)) / max(map(abs, terms)))
-    corners = zip(published.M_RANGE, published.MU_RANGE, strict=True)
-    light, heavy = (mu * (M + NOMINAL.m) for M, mu in corners)
-    middle = sum(published.MU_RANGE) / 2.0 * (sum(published.M_RANGE) / 2.0 + NOMINAL.m)
-    return {"residual": residual, "products": float(products), "defect": 0.5 * (light + heavy) / middle - 1.0}

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -217,8 +216,6 @@ class Solution:
         backward_ratio: of the worst plant; None where the platform only moves backwards.
         shares: load over limit by demand, on the worst plant.
         found_by: the problem and the seed of the search that found it.
-        evaluations: number of profiles that the problem's own search evaluated.
-        seconds: duration of that search.
     """
 
     problem: Problem
@@ -232,8 +229,6 @@ class Solution:
     backward_ratio: float | None
     shares: dict[str, float]
     found_by: str = ""
-    evaluations: int = 0
-    seconds: float = 0.0
 
     @property
     def rank(self) -> tuple[float, float]:
@@ -288,16 +283,12 @@ def search(
         from scipy.optimize import differential_evolution
     except ImportError as error:
         raise ImportError('the search needs scipy: pip install "capsule-gym[paper]"') from error
-    evaluations = 0
 
     def objective(z: np.ndarray) -> float:
-        nonlocal evaluations
-        evaluations += 1
         found = assess(seven_phases(*_decode(z, problem)), problem, GRID, reserve=True)
         # Speeds in m/s are far below 1, where infeasible profiles begin.
         return -found.mean_speed if found.excess == 0.0 else 1.0 + min(found.excess, 1e9)
 
-    began = perf_counter()
     # Durations and P2 / V1 by their logarithm.
     bounds = np.array([*np.log10(DURATIONS), V1_RANGE, np.log10(P2_SHARE)])
     candidates = [(PROPOSED.times, V1, P2), *((each.times, each.V1, each.P2) for each in known)]
@@ -314,14 +305,14 @@ def search(
         solutions = [make_solution(problem, *_decode(result.population[i], problem)) for i in order]
         best = next((each for each in solutions if each.feasible), solutions[0])
         found.append(replace(best, found_by=f"{problem.label}, seed {restart}"))
-    return replace(min(found, key=lambda each: each.rank), evaluations=evaluations, seconds=perf_counter() - began)
+    return min(found, key=lambda each: each.rank)
 
 
 def exchange(solutions: Sequence[Solution]) -> list[Solution]:
     """Gives each problem the best profile that any search found, so that no slack of a search looks like an effect.
 
     Args:
-        solutions: one per problem; evaluations and seconds stay those of the problem's own search.
+        solutions: one per problem.
     """
     exchanged = []
     for own in solutions:
@@ -329,7 +320,7 @@ def exchange(solutions: Sequence[Solution]) -> list[Solution]:
         for other in solutions:
             candidate = make_solution(own.problem, other.times, other.V1, other.P2)
             if candidate.rank < best.rank:
-                best = replace(candidate, found_by=other.found_by, evaluations=own.evaluations, seconds=own.seconds)
+                best = replace(candidate, found_by=other.found_by)
         exchanged.append(best)
     return exchanged
 

@@ -32,19 +32,6 @@ class Number:
     where: str
 
 
-@dataclass(frozen=True)
-class Claim:
-    """A published statement that is no number of its own.
-
-    Attributes:
-        text: the statement.
-        where: its place in the paper.
-    """
-
-    text: str
-    where: str
-
-
 _COMPARISON = "Sect. 5, second paragraph"
 _ADAPTIVE = "Sect. 5, third paragraph"
 
@@ -79,21 +66,20 @@ BASE_PARAMETERS = (
     Number("alpha_x: m l", "kg m", 0.0414, 4, _ADAPTIVE),
 )
 
+# Published statements that are no numbers of their own, with their places.
 CLAIMS = {
-    "faster": Claim("the proposed profile is faster than EPC", _COMPARISON),
-    "torque": Claim("its largest torque is lower than EPC's", _COMPARISON),
-    "energy": Claim("its energy efficacy is superior", _COMPARISON),
-    "backward": Claim("backward motions are sufficiently suppressed", f"{_COMPARISON}, Fig. 4"),
-    "adaptive": Claim("the adaptive law tracks exactly for every M and mu of the ranges", _ADAPTIVE),
-    "finite_time": Claim(
-        "it matches the reference in finite time under parametric uncertainty", "Abstract and Sect. 1"
-    ),
-    "rate": Claim("the angular velocity (its error) will eventually converge to zero", f"{_ADAPTIVE}, Fig. 7"),
-    "sliding": Claim("the sliding variable delta_theta converges to zero", f"{_ADAPTIVE}, Fig. 9"),
-    "stable": Claim("the system is globally asymptotically stabilized", "Theorem 1 (1)"),
-    "bounded": Claim("all signals in the closed loop are bounded and uniformly continuous", "Theorem 1 (2)"),
-    "convergence": Claim("the collocated error signals converge asymptotically", "Theorem 1 (3)"),
-    "lyapunov": Claim("the Lyapunov function (40) never rises", "Theorem 1, Eq. (41)"),
+    "faster": ("the proposed profile is faster than EPC", _COMPARISON),
+    "torque": ("its largest torque is lower than EPC's", _COMPARISON),
+    "energy": ("its energy efficacy is superior", _COMPARISON),
+    "backward": ("backward motions are sufficiently suppressed", f"{_COMPARISON}, Fig. 4"),
+    "adaptive": ("the adaptive law tracks exactly for every M and mu of the ranges", _ADAPTIVE),
+    "finite_time": ("it matches the reference in finite time under parametric uncertainty", "Abstract and Sect. 1"),
+    "rate": ("the angular velocity (its error) will eventually converge to zero", f"{_ADAPTIVE}, Fig. 7"),
+    "sliding": ("the sliding variable delta_theta converges to zero", f"{_ADAPTIVE}, Fig. 9"),
+    "stable": ("the system is globally asymptotically stabilized", "Theorem 1 (1)"),
+    "bounded": ("all signals in the closed loop are bounded and uniformly continuous", "Theorem 1 (2)"),
+    "convergence": ("the collocated error signals converge asymptotically", "Theorem 1 (3)"),
+    "lyapunov": ("the Lyapunov function (40) never rises", "Theorem 1, Eq. (41)"),
 }
 
 # "Uncertain with known bounds"; the environment draws its plants from them, too.

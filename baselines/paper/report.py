@@ -41,7 +41,6 @@ class Report:
         adaptive: the law (39).
         proof_1: the torque at the peak.
         proof_2: the upper envelope.
-        property_3: linearity of the model.
         profile_as_printed: the phases of (9).
         table_1: what each equation of Sect. 3.2 gives.
         boundary_condition: what theta(t3) = +theta_0 would take.
@@ -56,7 +55,6 @@ class Report:
     adaptive: AdaptiveStudy
     proof_1: list[proofs.PeakTorque]
     proof_2: list[proofs.LargestRate]
-    property_3: dict[str, float]
     profile_as_printed: list[selection.PrintedPhase]
     table_1: list[selection.Selected]
     boundary_condition: selection.BoundaryCondition
@@ -92,7 +90,6 @@ def make_report(progress: Callable[[str], None]) -> Report:
         study,
         peaks,
         rates,
-        principles.check_linearity(),
         selection.printed_profile(),
         selection.evaluate_selection(),
         selection.boundary_condition(),
@@ -155,8 +152,8 @@ def claims_text(report: Report) -> str:
     """Claims without a number of their own."""
     lines = []
     for verdict in report.claims:
-        claim, word = published.CLAIMS[verdict.claim], "reproduced" if verdict.reproduced else "NOT reproduced"
-        lines.append(f"- {claim.text} ({claim.where}): {word}. Found: {verdict.found}.")
+        (text, where), word = published.CLAIMS[verdict.claim], "reproduced" if verdict.reproduced else "NOT reproduced"
+        lines.append(f"- {text} ({where}): {word}. Found: {verdict.found}.")
     return _section("What the paper claims", *lines)
 
 
@@ -221,14 +218,8 @@ def sensitivity_text(report: Report) -> str:
 
 
 def derivation_text(report: Report) -> str:
-    """Property 3, the profile (9) and the origin of Table 1."""
-    found, condition = report.property_3, report.boundary_condition
-    linearity = (
-        f"The left side of (4) is Y alpha with alpha = [m l^2, m l, M + m, m g l], to {found['residual']:.0e} of its "
-        "terms on random motions and plants. The friction mu N sign(x'), which (4) leaves out, is linear in mu (M + m) "
-        f"and mu m l ({found['products']:.0e}) and not in mu and the masses: in the middle of the paper's ranges it "
-        f"lies {100.0 * found['defect']:.1f} % off the straight line between two opposite corners."
-    )
+    """The profile (9) and the origin of Table 1."""
+    condition = report.boundary_condition
     phases = [["phase", "as printed", "begins", "ends", "turns, deg", "built: begins", "ends", "turns, deg", ""]]
     for phase in report.profile_as_printed:
         values = [v for a, b, angle in (phase.printed, phase.built) for v in (a, b, math.degrees(angle))]
@@ -250,7 +241,6 @@ def derivation_text(report: Report) -> str:
     )
     follows = "Follows: the two agree within the digits of Table 1, all its times varied by half a last digit."
     sections = [
-        _section("Property 3: the model is linear in its constants", linearity),
         _section("The profile (9) as printed, and as built (rad/s)", phases, turns, left=2, last_left=True),
         _section("What Table 1 follows from (Sect. 3.2)", table, follows, boundary, left=2, last_left=True),
     ]

@@ -114,12 +114,6 @@ def eq_22_swing(omega: float, t: Times = TABLE_1, V1: float = V1, P2: float = P2
     return rise + V1 * (t2 - t1) + fall - 0.5 * P2 * (N * math.pi / omega + t2 - t3)
 
 
-def eq_22_v1(omega: float, t: Times = TABLE_1) -> float:
-    """Eq. (22) solved for V1, rad/s, in which it is linear."""
-    offset = eq_22_swing(omega, t, 0.0)
-    return (2.0 * THETA_0 - offset) / (eq_22_swing(omega, t, 1.0) - offset)
-
-
 def eq_23_p3(P2: float, t: Times = TABLE_1) -> float:
     """Eq. (23): the P3, rad/s, whose return covers phase IV and 2 theta_0.
 
@@ -132,11 +126,6 @@ def eq_23_p3(P2: float, t: Times = TABLE_1) -> float:
 def eq_24_t1(V1: float = V1, p: Plant = PLANT) -> float:
     """Eq. (24): t1 in s, from Lemma 1 at t1 with theta(t1) = V1 t1, which leaves out the start at -theta_0."""
     return (_lemma_1_bound(p) / V1**3 - p.c) / p.k
-
-
-def eq_24_v1(t1: float, p: Plant = PLANT) -> float:
-    """Eq. (24) solved for V1, rad/s."""
-    return float((_lemma_1_bound(p) / (p.k * t1 + p.c)) ** (1.0 / 3.0))
 
 
 def eq_25_t2(omega: float, t3: float = TABLE_1[2], V1: float = V1, P2: float = P2, *, falling: bool = False) -> float:
@@ -220,9 +209,7 @@ def evaluate_selection() -> list[Selected]:
         ("(22)", "swing", "rad", lambda t: (eq_22_swing(OMEGA_N, t), 2 * THETA_0), "omega = omega_n"),
         ("(22)", "swing", "rad", lambda t: (eq_22_swing(eq_26_omega(t[2]), t), 2 * THETA_0), "omega of (26)"),
         ("(22)", "swing", "rad", lambda t: (eq_22_swing(_quarter(t), t), 2 * THETA_0), "omega = pi / (2 t1)"),
-        ("(22)", "V1", "rad/s", lambda t: (eq_22_v1(_quarter(t), t), V1), "closes; omega = pi / (2 t1)"),
         ("(24)", "t1", "s", lambda t: (eq_24_t1(), t[0]), f"at V1 = {V1} rad/s"),
-        ("(24)", "V1", "rad/s", lambda t: (eq_24_v1(t[0]), V1), "solved for V1"),
         ("(25)", "t2", "s", lambda t: (eq_25_t2(_quarter(t), t[2]), t[1]), "radians as seconds, as printed"),
         ("(25)", "t2", "s", lambda t: (eq_25_t2(_quarter(t), t[2], falling=True), t[1]), "on the falling branch"),
         ("(26)", "omega", "rad/s", lambda t: (eq_26_omega(t[2]), _quarter(t)), "against pi / (2 t1) of phase I"),

@@ -106,12 +106,12 @@ def test_unregularised_law_fails_on_most_of_the_ranges(laws):
     _, corrected, limited = laws
     # Which plants fail is chaotic at the edge; that nearly all do is not.
     assert corrected.failures >= 7 and limited.failures >= 3
-    assert not corrected.runs[4]["ending"] and corrected.runs[4]["M"] == 0.5
+    assert not corrected.runs[4]["failed"] and corrected.runs[4]["M"] == 0.5
     plants = [(run["M"], run["mu"]) for run in corrected.runs]
     # Both ways to run it agree, to the millisecond.
     for law, limit in ((corrected, corrected.torque_limit), (limited, TORQUE_LIMIT)):
         again = run_cycles(varied(regularised=False), plants, torque_limit=limit)
-        assert again.failed.tolist() == [bool(run["ending"]) for run in law.runs]
+        assert again.failed.tolist() == [run["failed"] for run in law.runs]
         assert again.until == pytest.approx([run["until"] for run in law.runs], abs=2e-3)
     # eta only grows, and on some plant up to its bound.
     assert limited.worst("eta")["eta"] == pytest.approx(UNREGULARISED.eta_bound)

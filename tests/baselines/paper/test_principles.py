@@ -1,4 +1,4 @@
-"""Property 3, Principles 1 to 4 and both Lemmas: values computed by hand, and what implies what."""
+"""Principles 1 to 4 and both Lemmas: values computed by hand, and what implies what."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from baselines.laws.profiles import EPC, PROPOSED
 from baselines.paper.principles import (
     Cycle,
     check_lemmas,
-    check_linearity,
     evaluate_demands,
     lemma_1,
     lemma_2,
@@ -116,10 +115,3 @@ def test_demands_on_the_profiles(profile, swing):
     largest = [row.progressive for (demand, _), row in rows.items() if demand.startswith("Principle 2")]
     expected = [1.0, 1.0] if profile == "proposed" else [11.0 / 7.8, 11.0 * math.pi / 0.2 / 129.627]
     assert largest == pytest.approx(expected, rel=1e-5)
-
-
-def test_property_3_holds_and_friction_is_linear_in_products_alone():
-    found = check_linearity(200)
-    assert found["residual"] < 1e-14 and found["products"] < 1e-14
-    # Half of the sum of (1 - a)(1 - b) and (1 + a)(1 + b) is 1 + a b, with a = 0.05 / 0.638 and b = 0.1.
-    assert found["defect"] == pytest.approx(0.05 / 0.638 * 0.1, rel=1e-9)

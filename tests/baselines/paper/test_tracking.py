@@ -63,15 +63,6 @@ def test_epc_is_faster_wherever_it_moves(maps):
     assert np.isnan(ratio[maps[1].speed <= 0.01]).all()
 
 
-def test_speed_falls_with_friction_and_with_mass(maps):
-    for speeds in maps:
-        # Below, the platform slides on through the slow return, and the profiles gain from a little friction.
-        rough = speeds.speed[:, speeds.mu > 0.02]
-        assert (np.diff(rough, axis=1)[rough[:, 1:] > 0.01] < 0.0).all()
-        both = np.minimum(speeds.speed[:-1], speeds.speed[1:]) > 0.01
-        assert (np.diff(speeds.speed, axis=0)[both] < 0.0).all()
-
-
 def test_mirrored_profile_goes_backwards_at_the_same_speed():
     segments = tuple(replace(s, amplitude=-s.amplitude, offset=-s.offset, slope=-s.slope) for s in PROPOSED.segments)
     mirrored, plants = replace(PROPOSED, segments=segments, start=-PROPOSED.start), ([0.35, 0.7], [0.0, 0.05, 0.4])
@@ -107,15 +98,6 @@ def test_no_friction_gives_both_published_speeds(maps):
     assert maps[0].friction_for(5.0) == []
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: speed_map(PROPOSED, [0.5], [-0.1]), "mu must be"),
-        (lambda: speed_map(PROPOSED, [0.0], [0.1]), "M must be"),
-        (lambda: speed_map(PROPOSED, [0.5], [0.1], h=7e-3), "divide the profile's period"),
-        (lambda: speed_map(PROPOSED, [0.05], [10.0]), "Painlev"),
-    ],
-)
-def test_bad_arguments_raise_errors_that_name_them(call, message):
-    with pytest.raises(ValueError, match=message):
-        call()
+def test_step_must_divide_the_period():
+    with pytest.raises(ValueError, match="divide the profile's period"):
+        speed_map(PROPOSED, [0.5], [0.1], h=7e-3)
