@@ -64,7 +64,7 @@ class Result:
 
 
 def key_of(problem: Problem) -> str:
-    """The name under which a problem is stored; the capsule's constants and the torque limit are the default ones."""
+    """The name under which a problem is stored; the capsule's constants are the default ones."""
     numbers = (problem.M, problem.mu, problem.energy_weight, problem.control_dt, problem.margin)
     return " ".join(f"{number:g}" for number in numbers)
 

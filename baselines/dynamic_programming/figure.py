@@ -12,6 +12,7 @@ from baselines.dynamic_programming.problem import Problem, Transitions
 from baselines.dynamic_programming.solver import Solution
 from baselines.dynamic_programming.trajectory import ACTIONS, Cycle, cycle
 from capsule_gym.parameters import NOMINAL
+from capsule_gym.task import TORQUE_LIMIT
 
 # Points of the maps along either axis, and the rates they reach to, rad/s.
 POINTS = 141
@@ -30,7 +31,7 @@ def draw_optimum() -> Any:
     figure = new_figure(5.6)
     (value, torque), (motion, force) = figure.subplots(2, 2, height_ratios=(1.35, 1.0))
     values, torques = _maps(solution, w)
-    top, limit, failing = float(values.max()), solution.problem.torque_limit, values < FAILING
+    top, limit, failing = float(values.max()), TORQUE_LIMIT, values < FAILING
     _draw_map(figure, value, np.where(failing, np.nan, values), own, "viridis", "value (cm)", (top - SHOWN, top))
     value.set_title("Value of a state, relative to the start")
     _draw_map(figure, torque, np.where(failing, np.nan, torques), own, "RdBu_r", "torque (N m)", (-limit, limit))
@@ -64,7 +65,7 @@ def _maps(solution: Solution, w: float) -> tuple[np.ndarray, np.ndarray]:
     for action in ACTIONS[::3]:
         ends, rewards, failed = model.step(states, np.full(best.size, action))
         scores = np.where(failed, -np.inf, rewards + solution.at(ends))
-        torques = np.where(scores > best, solution.problem.torque_limit * action, torques)
+        torques = np.where(scores > best, TORQUE_LIMIT * action, torques)
         best = np.maximum(best, scores)
     return best.reshape(theta.shape), torques.reshape(theta.shape)
 

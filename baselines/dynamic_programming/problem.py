@@ -11,7 +11,7 @@ import numpy as np
 from capsule_gym.layout import Row
 from capsule_gym.parameters import DIRECT_PHYSICS_DT, NOMINAL, EnvConfig, check_number
 from capsule_gym.simulation import Simulation
-from capsule_gym.task import CONTROL_DT, TORQUE_LIMIT
+from capsule_gym.task import CONTROL_DT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +23,6 @@ class Problem:
         mu: friction coefficient.
         energy_weight: cm/J.
         control_dt: control interval, over which the torque is constant, s.
-        torque_limit: N m.
         margin: normal force that must be left, N; a smaller one counts as a failure.
 
     Raises:
@@ -35,7 +34,6 @@ class Problem:
     mu: float = NOMINAL.mu
     energy_weight: float = 0.0
     control_dt: float = CONTROL_DT
-    torque_limit: float = TORQUE_LIMIT
     margin: float = 0.0
 
     def __post_init__(self) -> None:
@@ -51,7 +49,6 @@ class Problem:
             control_dt=self.control_dt,
             # The environment's own where that divides the control interval.
             physics_dt=self.control_dt / math.ceil(self.control_dt / DIRECT_PHYSICS_DT - 1e-9),
-            torque_limit=self.torque_limit,
             energy_weight=self.energy_weight,
             termination_penalty=0.0,
             randomization="none",

@@ -14,7 +14,7 @@ from baselines.dynamic_programming.solver import Solution
 from capsule_gym.layout import Row
 from capsule_gym.parameters import DIRECT_PHYSICS_DT
 from capsule_gym.simulation import Simulation
-from capsule_gym.task import HORIZON, START_THETA
+from capsule_gym.task import HORIZON, START_THETA, TORQUE_LIMIT
 
 # Torques over their limit from which a policy chooses; their indices fit into a byte.
 ACTIONS = np.linspace(-1.0, 1.0, 121)
@@ -167,7 +167,7 @@ def cycle(problem: Problem | None = None) -> Cycle:
         x=x - x[0],
         x_dot=x_dot,
         normal_force=fine.normal_forces[part, 0],
-        torque=problem.torque_limit * ACTIONS[fine.choices[part, 0]],
+        torque=TORQUE_LIMIT * ACTIONS[fine.choices[part, 0]],
         stick=(np.diff(fine.stuck[:, 0], prepend=0.0)[part] > 0.5 * dt).astype(np.float64),
         period=period,
         speed=float(100.0 * (fine.states[part.stop, 2, 0] - x[0]) / period),
