@@ -30,9 +30,9 @@ WINDOW = 20.0
 MAX_SWINGS, NEARLY = 6, 1.25
 # States closer than this, in standard deviations, count as the same: the error of a section between samples.
 SAME = 0.02
-FORWARD, STICK, BACKWARD = 1, 0, -1
-PHASES = {FORWARD: "slips forward", STICK: "sticks", BACKWARD: "slips backward"}
-SHADES = {FORWARD: "#dcebf5", STICK: "#c9ced6", BACKWARD: "#fbe3d3"}
+# Phases of the contact by the sign of the displacement.
+PHASES = {1: "slips forward", 0: "sticks", -1: "slips backward"}
+SHADES = {1: "#dcebf5", 0: "#c9ced6", -1: "#fbe3d3"}
 # Trained policies that are shown by default, and characters of a title in a panel of a fifth of the width.
 TRAINED, TITLE = 3, 17
 
@@ -186,11 +186,6 @@ class Summary(NamedTuple):
     centre: tuple[float, float]
 
 
-def contact(trajectory: Trajectory) -> np.ndarray:
-    """The phase of the contact between one sample and the next, shape (n - 1,): FORWARD, STICK or BACKWARD."""
-    return np.sign(np.diff(trajectory.x)).astype(np.int64)
-
-
 def summarize(trajectory: Trajectory, plant: PlantSpec = NOMINAL_PLANT) -> Summary:
     """Sums a cycle up.
 
@@ -280,7 +275,7 @@ def draw(cycles: Sequence[Cycle]) -> Any:
         angle, speed, load, torque, portrait = column
         t, degrees = trajectory.t, np.degrees(trajectory.theta)
         begin = 0
-        for phase, group in itertools.groupby(contact(trajectory).tolist()):
+        for phase, group in itertools.groupby(np.sign(np.diff(trajectory.x)).tolist()):
             end = begin + len(list(group))
             for axes in column[:-1]:
                 axes.axvspan(t[begin], t[end], color=SHADES[phase], linewidth=0.0)
