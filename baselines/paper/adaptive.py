@@ -64,7 +64,6 @@ class LawTerms(NamedTuple):
         delta_x: m/s.
         T_c: N m.
         T_n: N m.
-        power: w = delta_x Y_x alpha^_x, whose sign decides whether V falls.
         estimates: of alpha_theta and alpha_x before the call, shape (n, 9).
         eta: before the call.
     """
@@ -74,7 +73,6 @@ class LawTerms(NamedTuple):
     delta_x: np.ndarray
     T_c: np.ndarray
     T_n: np.ndarray
-    power: np.ndarray
     estimates: np.ndarray
     eta: np.ndarray
 
@@ -89,14 +87,14 @@ def recompute(
         memories: the law's memories in a row, shape (CELLS n,).
         references: rows of the reference table in a row, shape (ENTRIES n,).
         constants: of the law.
-        found: the first six fields of `LawTerms`, shape (n, 6); written.
+        found: the first five fields of `LawTerms`, shape (n, 5); written.
     """
     for i in range(len(found)):
         theta, theta_dot, x, x_dot = load(states, 4 * i, 1, 4)
         memory, reference = load(memories, CELLS * i, 1, CELLS), load(references, ENTRIES * i, 1, ENTRIES)
         terms = adaptive_terms(theta, theta_dot, x, x_dot, memory, reference, constants)
         found[i, 0], found[i, 1], found[i, 2] = terms.e_x, terms.delta_theta, terms.delta_x
-        found[i, 3], found[i, 4], found[i, 5] = terms.T_c, terms.T_n, terms.power
+        found[i, 3], found[i, 4] = terms.T_c, terms.T_n
 
 
 @lru_cache(maxsize=1)
@@ -119,10 +117,10 @@ def law_terms(run: Trajectory, *, regularised: bool) -> LawTerms:
     before = np.vstack([initial_memory(constants, REGULARISED.eta_0), run.memory[:-1]])
     before[:, MEMORY.index("x_anchor")] = run.memory[:, MEMORY.index("x_anchor")]
     states = np.stack([run.theta, run.theta_dot, run.x, run.x_dot], axis=1)
-    found = np.empty((len(states), 6))
+    found = np.empty((len(states), 5))
     _recompute()(states.ravel(), before.ravel(), run.reference.ravel(), constants, found)
-    error_x, delta_theta, delta_x, T_c, T_n, power = found.T
-    return LawTerms(error_x, delta_theta, delta_x, T_c, T_n, power, before[:, :9], eta_of(before))
+    error_x, delta_theta, delta_x, T_c, T_n = found.T
+    return LawTerms(error_x, delta_theta, delta_x, T_c, T_n, before[:, :9], eta_of(before))
 
 
 def lyapunov(terms: LawTerms, theta: np.ndarray, plant: Plant) -> np.ndarray:
@@ -135,44 +133,19 @@ def lyapunov(terms: LawTerms, theta: np.ndarray, plant: Plant) -> np.ndarray:
     return kinetic + 0.5 * wrong + (2.0 * n + 1.0) / (2.0 * n) * terms.eta ** (2.0 * n / (2.0 * n + 1.0))  # Eq. (40)
 
 
-def lyapunov_derivative(terms: LawTerms, beta: float) -> np.ndarray:
-    """V' of Eq. (41) before its last two steps, with sgn as printed: the effect of the law on (38) in slip.
-
-    With s = delta_theta^2 / (delta_theta^2 + beta), w = delta_x Y_x alpha^_x and W = |w|, the terms of (39) leave
-
-        V' = -K1 delta_theta^2 - |delta_theta delta_x| (eta + K2) - s K3 delta_x^2 + s W - w
-
-    if (39d) has the norm that (41) uses, and s (W - eta (W - w)) in place of s W as (39d) is printed. The paper drops
-    the terms after the third as <= 0. That holds for w >= 0. For w < 0 they are (1 + s) W > 0 with the norm, and
-    (1 + s - 2 eta s) W as printed: then V can rise.
-    """
-    d, dx = terms.delta_theta, terms.delta_x
-    share = d**2 / (d**2 + beta)
-    falling = -PUBLISHED.K1 * d**2 - np.abs(d * dx) * (terms.eta + PUBLISHED.K2) - share * PUBLISHED.K3 * dx**2
-    return falling + share * np.abs(terms.power) - terms.power
-
-
 def evaluate_lyapunov(run: Trajectory, M: float, mu: float, *, regularised: bool) -> dict[str, float]:
     """Whether the Lyapunov function (40) falls along a run on a plant.
 
     Returns:
-        V at the first and last call and its largest value (`start`, `end`, `highest`); the fraction of the time in
-        which it rises (`rising`) and the sums of all rises and falls (`rise`, `fall`); the fraction of the slipping
-        time in which the right side of (41) as derived is positive (`positive`); the share of the rise in slip with
-        delta_x Y_x alpha^_x < 0 (`negative_power`).
+        V at the first and last call (`start`, `end`), the fraction of the time in which it rises (`rising`), and the
+        sums of all rises and falls (`rise`, `fall`).
     """
-    terms = law_terms(run, regularised=regularised)
-    V = lyapunov(terms, run.theta, NOMINAL.plant(M, mu))
+    V = lyapunov(law_terms(run, regularised=regularised), run.theta, NOMINAL.plant(M, mu))
     change = np.diff(V)
     rises = np.where(change > 1e-12, change, 0.0)  # below is rounding
-    # V jumps where x_d starts anew, and in stick (38) fails: f is the reaction, not mu N sign(x').
-    slipping = (run.x_dot[:-1] != 0.0) & (run.reference[1:, COLUMNS.index("cycle_start")] == 0.0)
-    positive = lyapunov_derivative(terms, (REGULARISED if regularised else UNREGULARISED).beta)[:-1] > 0.0
-    negative_power = slipping & (terms.power[:-1] < 0.0)
-    values = {"start": V[0], "end": V[-1], "highest": V.max(), "rising": (rises > 0.0).mean(), "rise": rises.sum()}
-    values |= {"fall": np.abs(change[change < 0.0]).sum(), "positive": positive[slipping].mean()}
-    values["negative_power"] = rises[negative_power].sum() / rises.sum()
-    return {"M": M, "mu": mu} | {name: float(value) for name, value in values.items()}
+    values = {"M": M, "mu": mu, "start": V[0], "end": V[-1], "rising": (rises > 0.0).mean(), "rise": rises.sum()}
+    values["fall"] = np.abs(change[change < 0.0]).sum()
+    return {name: float(value) for name, value in values.items()}
 
 
 @dataclass(frozen=True)
@@ -183,7 +156,7 @@ class LawStudy:
         law: `REGULARISED_LAW` or `CORRECTED_LAW`.
         torque_limit: N m.
         runs: one per plant, M the slower index: `M` (kg), `mu`, `until` (duration, s), `failed` (whether it ended
-            early), `error_rms` and `error_max` of theta - theta_d (rad), `peak_velocity` (rad/s),
+            early), `error_rms` of theta - theta_d (rad), `peak_velocity` (rad/s),
             `peak_torque` (N m), `mean_speed` (cm/s), `drift` (largest |x - x_d|, m), `auxiliary_torque` (largest
             |T_n|, N m), and `eta` at its end.
         lyapunov: see `evaluate_lyapunov`, on the nominal plant and the corners of the ranges.
@@ -226,7 +199,6 @@ def study_law(regularised: bool, torque_limit: float = UNLIMITED) -> LawStudy:
                     "until": float(run.t[-1]),
                     "failed": not run.completed,
                     "error_rms": run.error_rms,
-                    "error_max": float(np.abs(run.error).max()),
                     "peak_velocity": float(run.theta_dot.max()),
                     "peak_torque": run.metrics["peak_torque"],
                     "mean_speed": 100.0 * run.metrics["distance"] / run.metrics["duration"],

@@ -204,23 +204,18 @@ def draw_phases(runs: Runs) -> Any:
     return figure
 
 
-def _split_axes(figure: Any, rows: int) -> list[tuple[Any, Any]]:
-    """Rows of two axes over one cycle whose time axis changes its scale at `SPLIT`: a quick stage, then a slow one."""
-    panels = figure.subplots(rows, 2, sharey="row", sharex="col", width_ratios=(1.5, 1.0), squeeze=False)
+def draw_tracking(runs: Runs) -> Any:
+    """Fig. 3: rate and angle of the pendulum under feedback linearisation along both profiles."""
+    figure = new_figure(4.6)
+    # The time axis changes its scale at SPLIT: a quick stage, then a slow one.
+    panels = rate, angle = figure.subplots(2, 2, sharey="row", sharex="col", width_ratios=(1.5, 1.0))
     for left, right in panels:
         left.set_xlim(0.0, SPLIT)
         right.set_xlim(SPLIT, PERIOD)
         right.spines["left"].set_visible(False)
         right.tick_params(axis="y", length=0.0)
-    panels[-1][0].set_xlabel("time in the cycle (s)")
-    panels[-1][1].set_xlabel("time in the cycle (s), compressed")
-    return [(left, right) for left, right in panels]
-
-
-def draw_tracking(runs: Runs) -> Any:
-    """Fig. 3: rate and angle of the pendulum under feedback linearisation along both profiles."""
-    figure = new_figure(4.6)
-    rate, angle = _split_axes(figure, 2)
+    angle[0].set_xlabel("time in the cycle (s)")
+    angle[1].set_xlabel("time in the cycle (s), compressed")
     for run, profile in zip(runs.profiles, PROFILES, strict=True):
         pen, one = PENS[profile.name], slice(0, CYCLE + 1)
         for axes in rate:

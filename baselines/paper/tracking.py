@@ -150,7 +150,7 @@ def make_simulation(
     return simulation
 
 
-def track(profile: Profile, contact: NormalForce = "newton", physics_dt: float = LAW_DT) -> dict[str, float]:
+def track(profile: Profile, contact: NormalForce = "newton") -> dict[str, float]:
     """Five cycles of a profile under (35) at 1 kHz, with one option for the normal force in both plant and law.
 
     Returns:
@@ -159,7 +159,7 @@ def track(profile: Profile, contact: NormalForce = "newton", physics_dt: float =
         `backward_ratio` (over travel forwards) and `error` (rms of theta - theta_d, rad).
     """
     capsule = Capsule(normal_force=contact)
-    (run,) = simulate(feedback_linearising(profile, nominal=capsule), capsule=capsule, physics_dt=physics_dt)
+    (run,) = simulate(feedback_linearising(profile, nominal=capsule), capsule=capsule)
     m, ratio = run.metrics, run.metrics["backward_ratio"]
     return {
         "peak_velocity": m["largest_theta_dot"],
@@ -332,7 +332,6 @@ class Reproduction:
 
     Attributes:
         tracking: see `track`, by profile and normal force.
-        refined: mean speed with ten times smaller physics steps, cm/s.
         frictions: friction coefficients that give the published speed.
         ratio: smallest and largest speed of the proposed profile over EPC's at the nominal mass, over mu.
         maps: speed of both profiles over M and mu.
@@ -341,7 +340,6 @@ class Reproduction:
     """
 
     tracking: dict[tuple[str, str], dict[str, float]]
-    refined: dict[str, float]
     frictions: dict[str, list[float]]
     ratio: tuple[float, float]
     maps: list[SpeedMap]
@@ -356,7 +354,6 @@ def reproduce() -> Reproduction:
     pairs = [(profile, force) for profile in PROFILES for force in NORMAL_FORCES]
     return Reproduction(
         {(a.name, b): track(a, b) for a, b in pairs},
-        {profile.name: track(profile, physics_dt=1e-4)["mean_speed"] for profile in PROFILES},
         {m.profile: m.friction_for(published.RUNS[m.profile]["mean_speed"].value) for m in fine},
         (float(np.nanmin(ratio)), float(np.nanmax(ratio))),
         [speed_map(profile, *grid()) for profile in PROFILES],
