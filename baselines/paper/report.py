@@ -199,11 +199,9 @@ def proofs_text(report: Report) -> str:
 
 
 def sensitivity_text(report: Report) -> str:
-    """Other plants, normal force and steps."""
+    """Other plants and steps."""
     runs = report.runs
     ratio, M, mu = tracking.speed_ratio(*runs.maps), tracking.M_RANGE, tracking.MU_RANGE
-    contact = [["normal force", *(f"mu = {mu:g}" for mu in tracking.CONTACT_MU)]]
-    contact += [[f"{a}, {b}, cm/s", *(f"{v:.3f}" for v in speeds)] for (a, b), speeds in runs.contacts.items()]
     note = (
         f"Over M = {M[0]:g} to {M[1]:g} kg, mu = {mu[0]:g} to {mu[1]:g}: proposed / EPC {np.nanmin(ratio):.3f} to "
         f"{np.nanmax(ratio):.3f}. EPC loses contact below M = {runs.maps[1].least_mass_in_contact:.3f} kg."
@@ -212,7 +210,7 @@ def sensitivity_text(report: Report) -> str:
     for n, step in enumerate(STEPS):
         steps.append([f"{1e3 * step:g}", *(f"{values[n]:.5f}" for study in runs.steps.values() for values in study)])
     last = "Law and physics at the same step; the law runs at 1 kHz everywhere else."
-    return _section("Sensitivity", contact, note, steps, last)
+    return _section("Sensitivity", note, steps, last)
 
 
 def derivation_text(report: Report) -> str:
