@@ -24,7 +24,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from capsule_gym.command_line import parse
+from capsule_gym.command_line import Count, parse
 
 ROOT = Path(__file__).resolve().parents[1]
 AGENTS = ("training", "fast_ppo", "evaluation", "leaderboard")
@@ -39,23 +39,25 @@ SWAPS: dict[type, type] = {
 
 @dataclass(frozen=True)
 class Args:
-    """Measure how many random faults the tests find.
+    """Measures how many random faults the tests find.
 
-    Attributes:
-        count: Mutants.
-        seed: Seed of their draw.
-        first: Number of the first mutant of the draw to run.
-        jobs: Mutants that run side by side.
-        whole: Run all tests on a mutant that survives those of its folder.
-        seconds: Time limit of one run of tests, s; a mutant that exceeds it is killed.
+    Examples:
+      python -m tests.mutants --count 150 --jobs 2
+      python -m tests.mutants --whole
     """
 
-    count: int = 150
+    count: Count = 150
+    """Mutants."""
     seed: int = 0
+    """Of their draw."""
     first: int = 0
-    jobs: int = 1
+    """Number of the first mutant of the draw to run."""
+    jobs: Count = 1
+    """Mutants that run side by side."""
     whole: bool = False
+    """Run all tests on a mutant that survives those of its folder."""
     seconds: float = 1800.0
+    """Time limit of one run of tests; a mutant that exceeds it is killed."""
 
 
 @dataclass(frozen=True)

@@ -8,49 +8,14 @@ runs on fixed episodes; the best of these means replaces the parameters on file 
 
 from __future__ import annotations
 
-import json
-import math
-import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
-from typing import Any
 
-import numpy as np
-from gymnasium.vector import AutoresetMode
-
-from baselines.archive import run_search
-from baselines.gaits.policy import tolerant_nominal
-from baselines.gaits.search import cma_strategy, score
-from baselines.laws.gait import FILE, LIGHTEST, NO_REFERENCE, PARAMETERS, guarded_torque
-from capsule_gym import CapsuleVectorEnv
 from capsule_gym.command_line import Count, parse
-from capsule_gym.controller import Controller
-from capsule_gym.files import write_atomically
-from capsule_gym.layout import ROWS
-from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
-from capsule_gym.resets import plant_at, plant_ranges
-from capsule_gym.task import HORIZON
 
 PROG = "python -m baselines.gaits.law_search"
-# The search's unit of every parameter.
-UNITS = (*(1.0 for _ in PARAMETERS[:-2]), 0.03, 20.0)
-FIRST_STEP = 0.2
-# The guard starts with 0.05 N m for every 1/s^2 beyond 0.8 of what lifts the lightest platform of `wide`.
-START_GUARD = (0.05, 0.8 * (LIGHTEST + NOMINAL.m) * NOMINAL.g / (NOMINAL.m * NOMINAL.l))
-POPULATION = 24
-PLANTS = 64
-TRIAL = 12.0
-# Plants of an episode, one after the other.
-PLANTS_PER_EPISODE = 3
-CONTROL_DT = 0.1
-# N m; of the random residual torque, constant over an agent step.
-RESIDUAL_LIMIT = 0.3
-TEST_INTERVAL = 50
-TEST_EPISODES = 512
-TEST_SEED = (20186, 1)
 
 
 @dataclass(frozen=True)
@@ -68,156 +33,20 @@ class Args:
     """Of the search."""
     generations: Count = 700
     """Of the CMA-ES."""
-    file: Path = FILE
-    """Of the parameters."""
-
-
-def candidate(
-    theta: float, theta_dot: float, x: float, x_dot: float, memory: tuple[float, ...], reference: tuple[float, ...]
-) -> tuple[float, tuple[float, ...]]:
-    """The law with its parameters in its memory, so that one kernel serves all candidates."""
-    return guarded_torque(theta, theta_dot, x_dot, memory), memory
-
-
-class Candidates:
-    """A batch of candidates, each on a plant of its own.
-
-    Args:
-        count: of environments.
-    """
-
-    def __init__(self, count: int) -> None:
-        # The first millisecond has no torque: a reset calls the law before its memory can be written.
-        self.env = CapsuleVectorEnv(
-            count,
-            controller=Controller("candidate", candidate, NO_REFERENCE, memory=(0.0,) * len(PARAMETERS)),
-            residual_limit=RESIDUAL_LIMIT,
-            randomization="wide",
-            control_dt=CONTROL_DT,
-            max_episode_steps=round(HORIZON / CONTROL_DT),
-            autoreset_mode=AutoresetMode.DISABLED,
-            threads=os.cpu_count() or 1,
-        )
-
-    def run(self, parameters: np.ndarray, plants: np.ndarray, actions: np.ndarray) -> dict[str, np.ndarray]:
-        """The metrics of one episode each, and their scores, shape (n,).
-
-        Args:
-            parameters: shape (n, size), in the order of `PARAMETERS`.
-            plants: M in kg and mu in every part of the episode, shape (parts, 2, n).
-            actions: shape (steps, n).
-        """
-        steps = len(actions)
-        times = [steps * CONTROL_DT * part / len(plants) for part in range(1, len(plants))]
-        changes = [
-            [{"t": t, "M": M, "mu": mu} for t, (M, mu) in zip(times, jumps, strict=True)]
-            for jumps in plants[1:].transpose(2, 0, 1).tolist()
-        ]
-        self.env.reset(seed=0, options={"M": plants[0, 0], "mu": plants[0, 1], "changes": changes})
-        simulation = self.env.simulation
-        for cell, column in enumerate(parameters.T):
-            simulation.write(ROWS + cell, column)
-        for row in actions.astype(np.float32):
-            self.env.step(row[:, None])
-        metrics = simulation.metrics(np.arange(simulation.num_envs), steps)
-        metrics["late_speed"] = metrics["mean_speed"]
-        return {**metrics, "score": score(metrics, steps * CONTROL_DT)}
-
-
-def draw_episodes(
-    rng: np.random.Generator, count: int, horizon: float, repeats: int = 1
-) -> tuple[np.ndarray, np.ndarray]:
-    """Draws plants and actions as `Candidates.run` takes them; every second episode has random actions.
-
-    Args:
-        rng: of the draws.
-        count: of different sequences of plants, each a Latin hypercube in M and log(mu) over `wide`.
-        horizon: length of an episode, s.
-        repeats: of the sequences; the actions differ.
-    """
-    ranges = plant_ranges(RANDOMIZATIONS["wide"], NOMINAL)
-
-    def draw_plants() -> np.ndarray:
-        shares = [(rng.permutation(count) + rng.random(count)) / count for _ in range(2)]
-        return np.array([plant_at(ranges, *pair) for pair in np.transpose(shares).tolist()]).T
-
-    plants = np.tile([draw_plants() for _ in range(PLANTS_PER_EPISODE)], repeats)
-    disturbed = np.tile(np.arange(count) % 2, repeats)
-    return plants, disturbed * rng.uniform(-1.0, 1.0, (round(horizon / CONTROL_DT), disturbed.size))
-
-
-class Search:
-    """The search; writes the parameters whenever the mean of its distribution beats those on file.
-
-    Args:
-        args: of the command.
-    """
-
-    def __init__(self, args: Args) -> None:
-        self.args, self.began = args, perf_counter()
-        self.rng = np.random.default_rng([args.seed, 3])
-        start = np.array([*tolerant_nominal().parameters, *START_GUARD]) / UNITS
-        self.strategy = cma_strategy(start, FIRST_STEP, POPULATION, self.rng)
-        self.trials, self.tests = Candidates(POPULATION * PLANTS), Candidates(TEST_EPISODES)
-        self.best = -math.inf
-        if args.file.is_file():
-            known = json.loads(args.file.read_text(encoding="utf-8"))["parameters"]
-            self.best = self.test(np.array([known[name] for name in PARAMETERS]))["score"]
-        self.found: dict[str, Any] | None = None
-
-    @staticmethod
-    def parameters(point: np.ndarray) -> np.ndarray:
-        """The parameters of a point of the search, as they are written; the guard's gain is not negative."""
-        values = np.array([float(f"{value:.9g}") for value in point * UNITS])
-        values[-2] = abs(values[-2])
-        return values
-
-    def test(self, parameters: np.ndarray) -> dict[str, Any]:
-        """The mean score and speed of parameters, and their failures, in the fixed episodes."""
-        episodes = draw_episodes(np.random.default_rng(TEST_SEED), TEST_EPISODES, HORIZON)
-        metrics = self.tests.run(np.tile(parameters, (TEST_EPISODES, 1)), *episodes)
-        speed, failures = round(float(metrics["mean_speed"].mean()), 4), int(metrics["failed"].sum())
-        score = float(metrics["score"].mean())
-        return {"mean_speed": speed, "failures": failures, "episodes": TEST_EPISODES, "score": score}
-
-    def advance(self) -> np.ndarray:
-        """Runs one generation; returns the mean scores of its candidates."""
-        points = self.strategy.ask()
-        parameters = np.repeat([self.parameters(point) for point in points], PLANTS, axis=0)
-        scores = self.trials.run(parameters, *draw_episodes(self.rng, PLANTS, TRIAL, POPULATION))["score"]
-        means: np.ndarray = scores.reshape(POPULATION, PLANTS).mean(axis=1)
-        self.strategy.tell(points, (-means).tolist())
-        return means
-
-    def generations(self) -> Iterator[None]:
-        """Runs the generations as it is iterated, and tests the mean of the distribution at intervals."""
-        for generation in range(1, self.args.generations + 1):
-            self.advance()
-            if generation % TEST_INTERVAL == 0 or generation == self.args.generations:
-                parameters = self.parameters(self.strategy.mean)
-                result = self.test(parameters)
-                seconds, score = round(perf_counter() - self.began), result.pop("score")
-                print(f"generation {generation}, {seconds} s: score {score:.3f}, best {self.best:.3f}", flush=True)
-                if score > self.best:
-                    self.best = score
-                    command = f"{PROG} --seed {self.args.seed} --generations {self.args.generations}"
-                    origin = {"command": command, "generation": generation, "seconds": seconds, **result}
-                    named = dict(zip(PARAMETERS, parameters.tolist(), strict=True))
-                    self.found = {"parameters": named, "found": origin}
-            yield
-
-    def save(self) -> None:
-        """Writes the parameters if better ones have been found since the last call."""
-        if self.found is not None:
-            write_atomically(self.args.file, json.dumps(self.found, indent=1) + "\n")
-            print(f"wrote {self.args.file}", flush=True)
-            self.found = None
+    file: Path | None = None
+    """Of the parameters; default: the file of `baselines:gait`."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, PROG, arguments)
-    search = Search(args)
+    # After the options, so that the help comes without numba.
+    from baselines.archive import run_search
+    from baselines.gaits.law_candidates import Search
+    from baselines.laws.gait import FILE
+
+    command = f"{PROG} --seed {args.seed} --generations {args.generations}"
+    search = Search(args.seed, args.generations, args.file or FILE, command)
     return 130 if run_search(search.generations(), search.save) else 0
 
 

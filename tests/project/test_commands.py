@@ -43,7 +43,8 @@ def commands() -> list[str]:
     for package in ("capsule_gym", "baselines", "agents", "benchmarks", "tests", "web"):
         for path in (ROOT / package).rglob("*.py"):
             guards = (node for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.If))
-            if any(ast.unparse(guard.test) == "__name__ == '__main__'" for guard in guards):
+            guarded = any(ast.unparse(guard.test) == "__name__ == '__main__'" for guard in guards)
+            if guarded and not path.name.startswith("test_"):
                 found.add(".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__main__"))
     return sorted(found - INNER)
 

@@ -11,9 +11,9 @@ import pytest
 
 from baselines.archive import run_search
 from baselines.gaits import __main__ as command
-from baselines.gaits import archive, law_search, search, simulation
+from baselines.gaits import archive, law_candidates, law_search, search, simulation
 from baselines.gaits.archive import Archive, GaitMap, load_archive
-from baselines.gaits.law_search import Candidates, draw_episodes
+from baselines.gaits.law_candidates import Candidates, draw_episodes
 from baselines.gaits.search import PURPOSES, Search
 from baselines.gaits.simulation import compute_map
 from baselines.laws.gait import PARAMETERS, known_parameters
@@ -134,7 +134,7 @@ def quick_law(monkeypatch):
     pytest.importorskip("cma")
     sizes = {"POPULATION": 4, "PLANTS": 4, "TEST_EPISODES": 4, "TRIAL": 0.4, "HORIZON": 0.4, "TEST_INTERVAL": 2}
     for name, value in sizes.items():
-        monkeypatch.setattr(law_search, name, value)
+        monkeypatch.setattr(law_candidates, name, value)
 
 
 def test_episodes_draw_plants_evenly_and_disturb_every_second_one():
@@ -160,7 +160,7 @@ def test_a_law_search_writes_better_parameters_only(quick_law, tmp_path, monkeyp
     # The same seed finds the same parameters, which are not better.
     assert law_search.main(arguments) == 0
     assert json.loads(path.read_text(encoding="utf-8")) == content
-    advance, path = law_search.Search.advance, tmp_path / "interrupted.json"
+    advance, path = law_candidates.Search.advance, tmp_path / "interrupted.json"
     done = []
 
     def interrupted(self):
@@ -169,6 +169,6 @@ def test_a_law_search_writes_better_parameters_only(quick_law, tmp_path, monkeyp
             raise KeyboardInterrupt
         return advance(self)
 
-    monkeypatch.setattr(law_search.Search, "advance", interrupted)
+    monkeypatch.setattr(law_candidates.Search, "advance", interrupted)
     assert law_search.main(["--generations", "9", "--file", str(path)]) == 130
     assert json.loads(path.read_text(encoding="utf-8"))["found"]["generation"] == 2

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from baselines.gaits.families import FAMILIES
-from baselines.gaits.law_search import CONTROL_DT, Candidates
+from baselines.gaits.law_candidates import CONTROL_DT, Candidates
 from baselines.laws import gait as module
 from baselines.laws.gait import COEFFICIENTS, LIGHTEST, PARAMETERS, gait, gait_identifying, known_parameters
 from capsule_gym import CapsuleVectorEnv
