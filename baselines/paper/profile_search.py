@@ -344,17 +344,34 @@ def check(solutions: Sequence[Solution]) -> list[str]:
     return wrong
 
 
+def partial_path(path: Path) -> Path:
+    """Where an interrupted search leaves its solutions: it does not replace a complete file."""
+    return path.with_name(f"{path.stem}-partial.json")
+
+
 def solve(path: Path, seed: int, generations: int) -> list[Solution]:
-    """Solves all problems, writes the solutions with their command and returns them."""
+    """Solves all problems, writes the solutions with their command and returns them.
+
+    Raises:
+        KeyboardInterrupt: after writing the solutions so far to `partial_path(path)`.
+    """
+
+    def write(to: Path, solutions: Sequence[Solution]) -> None:
+        document = {
+            "command": f"{PROG} --seed {seed} --generations {generations}",
+            "bounds": dict(zip(("theta_0", "v_theta", "a_theta"), published_bounds(), strict=True)),
+            "solutions": [asdict(each) for each in solutions],
+        }
+        write_atomically(to, to_json(document))
+
     solutions: list[Solution] = []
-    for problem in problems():
-        solutions.append(search(problem, solutions, seed=seed, generations=generations))
-        print(f"{problem.label}: {solutions[-1].mean_speed:.5f} m/s", flush=True)
+    try:
+        for problem in problems():
+            solutions.append(search(problem, solutions, seed=seed, generations=generations))
+            print(f"{problem.label}: {solutions[-1].mean_speed:.5f} m/s", flush=True)
+    except KeyboardInterrupt:
+        write(partial_path(path), solutions)
+        raise
     solutions = exchange(solutions)
-    document = {
-        "command": f"{PROG} --seed {seed} --generations {generations}",
-        "bounds": dict(zip(("theta_0", "v_theta", "a_theta"), published_bounds(), strict=True)),
-        "solutions": [asdict(each) for each in solutions],
-    }
-    write_atomically(path, to_json(document))
+    write(path, solutions)
     return solutions

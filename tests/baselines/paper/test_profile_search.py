@@ -106,12 +106,15 @@ def test_command_solves_and_checks(tmp_path, monkeypatch, capsys):
         main(["--json", str(path)])
     assert "--overwrite" in capsys.readouterr().err
 
-    def interrupt(*arguments, **options):
-        raise KeyboardInterrupt
+    def interrupt(problem, solutions, **options):
+        if len(solutions) == 2:
+            raise KeyboardInterrupt
+        return SOLUTIONS[problem]
 
     monkeypatch.setattr(profile_search, "search", interrupt)
     written = path.read_text()
     assert main(["--json", str(path), "--overwrite"]) == 130 and path.read_text() == written
+    assert load(tmp_path / "found-partial.json") == list(SOLUTIONS.values())[:2]
     document = json.loads(written)
     document["solutions"] = document["solutions"][:1]
     for factor, status in ((1.0, 0), (1.01, 1)):
