@@ -39,7 +39,7 @@ class Args:
         """Raises an error for paths that cannot be written, before the computation."""
         check_output("--json", self.json, overwrite=self.overwrite)
         if self.figures is not None:
-            if self.figures.exists() and not self.figures.is_dir():
+            if not next(path for path in (self.figures, *self.figures.absolute().parents) if path.exists()).is_dir():
                 raise ValueError(f"--figures must name a folder, got {str(self.figures)!r}")
             if find_spec("matplotlib") is None:
                 raise ValueError("--figures needs matplotlib: pip install 'capsule-gym[paper]'")
