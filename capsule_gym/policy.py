@@ -137,11 +137,11 @@ class Policy:
 
     name: str
     algorithm: str
-    layers: tuple[Layer, ...]
+    layers: tuple[Layer, ...] = field(repr=False)
     activation: str
     squashing: str
-    mean: np.ndarray
-    variance: np.ndarray
+    mean: np.ndarray = field(repr=False)
+    variance: np.ndarray = field(repr=False)
     clip: float
     epsilon: float
     env_kwargs: dict[str, Any]
