@@ -21,7 +21,7 @@ PERTURBATION = 1e-3
 PERTURBED = np.array(
     [(1.0, 1.0, 0.0), *((1.0 + a, 1.0 + b, c) for a, b, c in product((-PERTURBATION, PERTURBATION), repeat=3))]
 )
-# Likewise of a tolerant gait: the plant and four corners around it.
+# Changes of a tolerant gait: the plant and four corners around it.
 TOLERATED = np.array([(1.0, 1.0, 0.0), (0.9, 0.8, 0.0), (0.9, 1.25, 0.0), (1.1, 1.0 / 1.25, 0.0), (1.1, 1.25, 0.0)])
 STARTS = np.array([(1.0, 1.0, 0.0), (1.0, 1.0, PERTURBATION)])
 # The oracle's map covers the evaluation sets: M in kg, evenly spaced, and mu, evenly spaced in its logarithm.
