@@ -76,8 +76,8 @@ regression: $(STAMP)  ## Fail where a kernel has become slower against what it i
 faults: $(STAMP)  ## Kill, stop and starve trainings, and damage caches; fail where something is lost
 	$(BIN)/python -m tests.faults --short
 
-fuzz: $(STAMP)  ## Throw anything at the environments; fail where something breaks
-	$(BIN)/python -m tests.fuzz --short
+fuzz: $(STAMP)  ## Call the environments with many random and invalid arguments; fail where something breaks
+	$(BIN)/python -m pytest -n 2 --hypothesis-profile fuzz tests/capsule_gym/test_arguments.py
 
 bits-check: $(STAMP)  ## Compare the bits of whole episodes with the committed ones
 	$(BIN)/python -m tests.bits

@@ -73,7 +73,6 @@ def test_help_shows_examples_and_needs_nothing_heavy(name: str) -> None:
         ["agents.evaluate", "nobody"],
         ["web.build", "--output", "/dev/null/site"],
         ["baselines.paper", "--figures", "/dev/null/figures"],
-        ["tests.fuzz", "--jobs", "0"],
         ["benchmarks.regression", "--json", "/dev/null/x.json"],
     ],
     ids=lambda words: words[0],

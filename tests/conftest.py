@@ -1,0 +1,11 @@
+"""Hypothesis: the same few examples in every run of the tests, many and other ones with `--hypothesis-profile fuzz`."""
+
+from __future__ import annotations
+
+from hypothesis import HealthCheck, settings
+
+settings.register_profile("seeded", derandomize=True, deadline=None, database=None, max_examples=20)
+settings.register_profile(
+    "fuzz", deadline=None, database=None, max_examples=300, suppress_health_check=list(HealthCheck), print_blob=True
+)
+settings.load_profile("seeded")
