@@ -28,24 +28,17 @@ from capsule_gym.files import to_json, write_atomically
 from capsule_gym.parameters import NOMINAL, Plant
 
 TORQUE_LIMITS = (0.54, 1.0, 1.5)
-# Readings of Principle 4: the first phase, counted from 1, in which (8) bounds the force, and the first in which the
-# platform must be at rest. Each applies to the end of the cycle.
-STANDSTILLS = {
-    # What the published profile satisfies: it enters phase V at 1.1 cm/s backwards and comes to rest within it.
-    "return": (5, 6),
-    # Definition 4: the restoring stage begins with phase IV.
-    "restoring": (4, 4),
-}
+# Principle 4 as a demand on the return of the pendulum, which the published profile meets: (8) bounds the force from
+# phase V on, which the platform enters at 1.1 cm/s backwards, and the platform rests from phase VI on.
+FORCE_FROM, REST_FROM = 5, 6
 # Speed in m/s that counts as a violation of 1 where the platform must be at rest.
 SPEED_SCALE = 0.1
 ROUNDING = 1e-9
 
 # The search integrates the platform's motion in steps of 1 ms, the final assessment in finer ones: hence the reserves.
 TORQUE_RESERVE = 0.01
-REST_RESERVE, BRAKING_REST_RESERVE = 0.005, 0.001  # s; the latter where the platform must rest from phase IV on
+REST_RESERVE = 0.005  # s
 MEMBERS_PER_PARAMETER = 10
-# The reading "restoring" leaves a narrow feasible set, which a single search often misses.
-RESTARTS = {"return": 1, "restoring": 4}
 GRID = 1e-3  # s, of the times
 # Shortest and longest duration of each phase, s; V1 in rad/s; P2 / V1.
 DURATIONS = ((0.01, 1.0), (0.001, 1.0), (0.005, 1.0), (0.005, 2.0), (0.01, 3.0), (0.001, 6.0), (0.01, 3.0))
@@ -60,21 +53,17 @@ class Problem:
         torque_limit: N m.
         plants: "nominal", or "ranges" for the worst plant of the paper's ranges.
         dropped: number of the principle that is left out, 0 for none.
-        standstill: reading of Principle 4, a key of `STANDSTILLS`.
     """
 
     torque_limit: float
     plants: str = "nominal"
     dropped: int = 0
-    standstill: str = "return"
 
     @property
     def label(self) -> str:
         """The problem in words."""
-        parts = [f"{self.torque_limit:g} N m", self.plants]
-        parts += [f"without Principle {self.dropped}"] if self.dropped else []
-        parts += [f"Principle 4: {self.standstill}"] if self.standstill != "return" else []
-        return ", ".join(parts)
+        dropped = f", without Principle {self.dropped}" if self.dropped else ""
+        return f"{self.torque_limit:g} N m, {self.plants}{dropped}"
 
     def plant_list(self) -> list[Plant]:
         """The plants on which a profile is assessed."""
@@ -86,33 +75,49 @@ class Problem:
 
 def problems() -> list[Problem]:
     """All problems, each after those from whose solutions it can start."""
-    variants: list[dict[str, Any]] = [{}, *({"dropped": n} for n in (2, 3, 4))]
-    variants += [{"plants": "ranges"}, {"standstill": "restoring"}]
+    variants: list[dict[str, Any]] = [{}, *({"dropped": n} for n in (2, 3, 4)), {"plants": "ranges"}]
     return [Problem(limit, **variant) for variant in variants for limit in TORQUE_LIMITS]
 
 
 @dataclass(frozen=True)
-class Assessment:
-    """A profile under exact tracking on the plants of a problem; the worst value over the plants of each number.
+class Solution:
+    """A profile (9) under exact tracking on the plants of a problem; the worst value over the plants of each number.
 
     Attributes:
+        problem: the problem.
+        times: t1 to t7, s.
+        V1: rad/s.
+        P2: rad/s.
+        feasible: whether it meets every demand.
         mean_speed: m/s, from rest, over the cycle, or over five cycles where the platform still moves after the first.
-        cost_of_transport: integral of |u theta'| over (M + m) g and distance; infinite without progress.
+        cost_of_transport: integral of |u theta'| over (M + m) g and distance; None without progress.
         peak_torque: N m.
-        backward_ratio: distance backwards over forwards; infinite where the platform only moves backwards.
+        backward_ratio: distance backwards over forwards; None where the platform only moves backwards.
         shares: load over limit of each demand; above 1 it is violated.
+        found_by: the problem and the seed of the search that found it.
     """
 
+    problem: Problem
+    times: tuple[float, ...]
+    V1: float
+    P2: float
+    feasible: bool
     mean_speed: float
-    cost_of_transport: float
+    cost_of_transport: float | None
     peak_torque: float
-    backward_ratio: float
+    backward_ratio: float | None
     shares: dict[str, float]
+    found_by: str = ""
 
     @property
     def excess(self) -> float:
         """The sum of all violations; 0.0 where every demand is met."""
         return sum(share - 1.0 for share in self.shares.values() if share > 1.0 + ROUNDING)
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Sorts solutions of one problem, the best first: by violations, then by speed."""
+        return self.excess, -self.mean_speed
 
 
 @lru_cache(maxsize=1)
@@ -129,20 +134,25 @@ def _platform_motion() -> Any:
     return compile_cached(platform_motion)
 
 
-def assess(profile: Profile, problem: Problem, h: float = 1e-4, *, reserve: bool = False) -> Assessment:
+def assess(
+    problem: Problem, times: Sequence[float], V1: float, P2: float, h: float = 1e-4, *, reserve: bool = False
+) -> Solution:
     """Evaluates a profile under exact tracking.
 
     The platform's motion follows from the second row of Eq. (1), and the torque from the first.
 
     Args:
-        profile: the profile.
         problem: its demands and plants.
+        times: t1 to t7, s.
+        V1: rad/s.
+        P2: rad/s.
         h: step of the platform's motion, s; divides every phase.
         reserve: apply the reserves of the search.
 
     Raises:
         ValueError: if the phases are no multiples of h.
     """
+    profile = seven_phases(times, V1, P2)
     durations = np.array([segment.duration for segment in profile.segments])
     counts = np.rint(durations / h).astype(np.int64)
     if np.abs(counts * h - durations).max() > 1e-9:
@@ -152,20 +162,17 @@ def assess(profile: Profile, problem: Problem, h: float = 1e-4, *, reserve: bool
     steps = Cycle(t, np.repeat(np.arange(len(counts)), counts), *profile.evaluate(t))
     ends = sample(profile, 2)
     cycle = Cycle(*(np.concatenate(pair) for pair in zip(vars(steps).values(), vars(ends).values(), strict=True)))
-    rows = [_assess_plant(profile, problem, steps, cycle, h, reserve, p) for p in problem.plant_list()]
-    shares = {name: max(row.shares[name] for row in rows) for name in rows[0].shares}
-    return Assessment(
-        min(row.mean_speed for row in rows),
-        max(row.cost_of_transport for row in rows),
-        max(row.peak_torque for row in rows),
-        max(row.backward_ratio for row in rows),
-        shares,
-    )
+    rows = [_assess_plant(problem, profile, steps, cycle, h, reserve, p) for p in problem.plant_list()]
+    speeds, costs, peaks, backward, loads = zip(*rows, strict=True)
+    shares = {name: max(row[name] for row in loads) for name in loads[0]}
+    cost, back = (max(values) if math.isfinite(max(values)) else None for values in (costs, backward))
+    found = Solution(problem, tuple(times), V1, P2, False, min(speeds), cost, max(peaks), back, shares)
+    return replace(found, feasible=found.excess == 0.0)
 
 
 def _assess_plant(
-    profile: Profile, problem: Problem, steps: Cycle, cycle: Cycle, h: float, reserve: bool, p: Plant
-) -> Assessment:
+    problem: Problem, profile: Profile, steps: Cycle, cycle: Cycle, h: float, reserve: bool, p: Plant
+) -> tuple[float, float, float, float, dict[str, float]]:
     """The assessment on one plant; `steps` are integrated, and the demands are evaluated at the samples of `cycle`."""
     t, theta, theta_dot, theta_ddot = steps.t, steps.theta, steps.theta_dot, steps.theta_ddot
     x, x_dot, x_ddot = _platform_motion()(theta, theta_dot, theta_ddot, h, p)
@@ -191,64 +198,11 @@ def _assess_plant(
     if problem.dropped != 3:
         shares["principle_3"] = max(0.0, float(principle_3(cycle, p).ratio.max()))
     if problem.dropped != 4:
-        force_from, rest_from = STANDSTILLS[problem.standstill]
-        shares["principle_4_force"] = float(principle_4(cycle, p).ratio[cycle.phase >= force_from - 1].max())
-        early = (BRAKING_REST_RESERVE if problem.standstill == "restoring" else REST_RESERVE) * reserve
-        restless = float(np.abs(x_dot[t >= float(profile.times[rest_from - 2]) - early]).max())
+        shares["principle_4_force"] = float(principle_4(cycle, p).ratio[cycle.phase >= FORCE_FROM - 1].max())
+        restless = float(np.abs(x_dot[t >= float(profile.times[REST_FROM - 2]) - REST_RESERVE * reserve]).max())
         # In the later cycles as well: t repeats with them.
         shares["principle_4_rest"] = 1.0 + restless / SPEED_SCALE if restless > 0.0 else 0.0
-    return Assessment(distance / (h * len(x)), cost, peak, back, shares)
-
-
-@dataclass(frozen=True)
-class Solution:
-    """The result of a search.
-
-    Attributes:
-        problem: the problem.
-        times: t1 to t7, s.
-        V1: rad/s.
-        P2: rad/s.
-        feasible: whether it meets every demand; otherwise it is the nearest profile that the search found.
-        mean_speed: of the worst plant, m/s.
-        cost_of_transport: of the worst plant; None without progress.
-        peak_torque: of the worst plant, N m.
-        backward_ratio: of the worst plant; None where the platform only moves backwards.
-        shares: load over limit by demand, on the worst plant.
-        found_by: the problem and the seed of the search that found it.
-    """
-
-    problem: Problem
-    times: tuple[float, ...]
-    V1: float
-    P2: float
-    feasible: bool
-    mean_speed: float
-    cost_of_transport: float | None
-    peak_torque: float
-    backward_ratio: float | None
-    shares: dict[str, float]
-    found_by: str = ""
-
-    @property
-    def rank(self) -> tuple[float, float]:
-        """Sorts solutions of one problem, the best first: by violations, then by speed."""
-        return (
-            0.0 if self.feasible else sum(max(0.0, share - 1.0) for share in self.shares.values())
-        ), -self.mean_speed
-
-    @property
-    def profile(self) -> Profile:
-        """The profile."""
-        return seven_phases(self.times, self.V1, self.P2, "optimal" if self.feasible else "infeasible")
-
-
-def make_solution(problem: Problem, times: tuple[float, ...], V1: float, P2: float) -> Solution:
-    """A profile with its final assessment, in steps finer than those of the search."""
-    found = assess(seven_phases(times, V1, P2), problem)
-    cost, back = (v if math.isfinite(v) else None for v in (found.cost_of_transport, found.backward_ratio))
-    numbers = (found.excess == 0.0, found.mean_speed, cost, found.peak_torque, back, found.shares)
-    return Solution(problem, times, V1, P2, *numbers)
+    return distance / (h * len(x)), cost, peak, back, shares
 
 
 def _decode(z: np.ndarray, problem: Problem) -> tuple[tuple[float, ...], float, float]:
@@ -272,7 +226,7 @@ def search(
     Args:
         problem: the problem.
         known: solutions of other problems; the best of them and of the published profile joins the first generation.
-        seed: of the first search; the best of `RESTARTS` searches with successive seeds counts.
+        seed: of the search.
         generations: number of generations.
         members: of a generation, per parameter.
 
@@ -285,9 +239,9 @@ def search(
         raise ImportError('the search needs scipy: pip install "capsule-gym[paper]"') from error
 
     def objective(z: np.ndarray) -> float:
-        found = assess(seven_phases(*_decode(z, problem)), problem, GRID, reserve=True)
+        found = assess(problem, *_decode(z, problem), GRID, reserve=True)
         # Speeds in m/s are far below 1, where infeasible profiles begin.
-        return -found.mean_speed if found.excess == 0.0 else 1.0 + min(found.excess, 1e9)
+        return -found.mean_speed if found.feasible else 1.0 + min(found.excess, 1e9)
 
     # Durations and P2 / V1 by their logarithm.
     bounds = np.array([*np.log10(DURATIONS), V1_RANGE, np.log10(P2_SHARE)])
@@ -296,16 +250,13 @@ def search(
         np.clip([*np.log10(np.diff([0.0, *times])), peak, math.log10(second / peak)], *bounds.T)
         for times, peak, second in candidates
     ]
-    found = []
-    for restart in range(seed, seed + RESTARTS[problem.standstill]):
-        settings = {"x0": min(points, key=objective), "maxiter": generations, "popsize": members, "seed": restart}
-        result = differential_evolution(objective, bounds, **settings, tol=0.0, init="sobol", polish=False)
-        # In finer steps a member of the last generation may be infeasible: then the next best is taken.
-        order = np.argsort(result.population_energies)
-        solutions = [make_solution(problem, *_decode(result.population[i], problem)) for i in order]
-        best = next((each for each in solutions if each.feasible), solutions[0])
-        found.append(replace(best, found_by=f"{problem.label}, seed {restart}"))
-    return min(found, key=lambda each: each.rank)
+    settings = {"x0": min(points, key=objective), "maxiter": generations, "popsize": members, "seed": seed}
+    result = differential_evolution(objective, bounds, **settings, tol=0.0, init="sobol", polish=False)
+    # In finer steps a member of the last generation may be infeasible: then the next best is taken.
+    order = np.argsort(result.population_energies)
+    solutions = [assess(problem, *_decode(result.population[i], problem)) for i in order]
+    best = next((each for each in solutions if each.feasible), solutions[0])
+    return replace(best, found_by=f"{problem.label}, seed {seed}")
 
 
 def exchange(solutions: Sequence[Solution]) -> list[Solution]:
@@ -318,7 +269,7 @@ def exchange(solutions: Sequence[Solution]) -> list[Solution]:
     for own in solutions:
         best = own
         for other in solutions:
-            candidate = make_solution(own.problem, other.times, other.V1, other.P2)
+            candidate = assess(own.problem, other.times, other.V1, other.P2)
             if candidate.rank < best.rank:
                 best = replace(candidate, found_by=other.found_by)
         exchanged.append(best)
@@ -334,44 +285,23 @@ def load(path: Path = DATA) -> list[Solution]:
     ]
 
 
-def check(solutions: Sequence[Solution]) -> list[str]:
-    """Assesses solutions again and lists the differences from what they record."""
-    wrong = []
-    for each in solutions:
-        again = assess(each.profile, each.problem)
-        if (again.excess == 0.0) != each.feasible or not math.isclose(again.mean_speed, each.mean_speed, rel_tol=1e-6):
-            wrong.append(f"{each.problem.label}: {again}, recorded {each.mean_speed} m/s, feasible {each.feasible}")
-    return wrong
+def solve(path: Path, seed: int, generations: int) -> None:
+    """Solves all problems and writes the solutions with their command.
 
-
-def partial_path(path: Path) -> Path:
-    """Where an interrupted search leaves its solutions: it does not replace a complete file."""
-    return path.with_name(f"{path.stem}-partial.json")
-
-
-def solve(path: Path, seed: int, generations: int) -> list[Solution]:
-    """Solves all problems, writes the solutions with their command and returns them.
-
-    Raises:
-        KeyboardInterrupt: after writing the solutions so far to `partial_path(path)`.
+    An interrupted search does not replace a complete file: its solutions are written next to it, as `-partial.json`.
     """
-
-    def write(to: Path, solutions: Sequence[Solution]) -> None:
+    solutions: list[Solution] = []
+    target = path.with_name(f"{path.stem}-partial.json")
+    try:
+        for problem in problems():
+            solutions.append(search(problem, solutions, seed=seed, generations=generations))
+            print(f"{problem.label}: {solutions[-1].mean_speed:.5f} m/s", flush=True)
+        solutions, target = exchange(solutions), path
+    finally:
         document = {
             "command": f"{PROG} --seed {seed} --generations {generations}",
             "bounds": dict(zip(("theta_0", "v_theta", "a_theta"), published_bounds(), strict=True)),
             "solutions": [asdict(each) for each in solutions],
         }
-        write_atomically(to, to_json(document))
-
-    solutions: list[Solution] = []
-    try:
-        for problem in problems():
-            solutions.append(search(problem, solutions, seed=seed, generations=generations))
-            print(f"{problem.label}: {solutions[-1].mean_speed:.5f} m/s", flush=True)
-    except KeyboardInterrupt:
-        write(partial_path(path), solutions)
-        raise
-    solutions = exchange(solutions)
-    write(path, solutions)
-    return solutions
+        write_atomically(target, to_json(document))
+        print(f"{len(solutions)} solutions written to {target}")

@@ -64,9 +64,9 @@ class Report:
 
     def text(self) -> str:
         """The whole text for a terminal."""
-        sections = (numbers_text, claims_text, tracking_text, proofs_text, sensitivity_text, derivation_text)
-        last = (principles_text(self), optimal_profiles_text(self.optimal_profiles), adaptive_text(self.adaptive))
-        return "\n\n".join([*(section(self) for section in sections), *last])
+        before = (numbers_text, claims_text, tracking_text, proofs_text, sensitivity_text, derivation_text)
+        sections = (*before, principles_text, optimal_profiles_text)
+        return "\n\n".join([*(section(self) for section in sections), adaptive_text(self.adaptive)])
 
     def to_dict(self) -> dict[str, Any]:
         """All numbers as plain types, for JSON."""
@@ -272,10 +272,14 @@ def principles_text(report: Report) -> str:
     )
 
 
-def optimal_profiles_text(solutions: Sequence[Solution]) -> str:
+def optimal_profiles_text(report: Report) -> str:
     """The optima of the family of profiles (9)."""
     cells = [["torque limit, plants, changes", "cm/s", "cost of transport", "N m", "back", "binding"]]
-    cells += [_optimum(solution) for solution in sorted(solutions, key=lambda each: each.problem.torque_limit)]
+    for each in sorted(report.optimal_profiles, key=lambda each: each.problem.torque_limit):
+        names = (name for name, share in each.shares.items() if share >= BINDING)
+        binding = ", ".join(name.replace("principle_", "P").replace("_", " ") for name in names)
+        numbers = [f"{each.cost_of_transport:.2f}", f"{each.peak_torque:.3f}", f"{each.backward_ratio:.1%}"]
+        cells.append([each.problem.label, printed_below(100.0 * each.mean_speed, 3), *numbers, binding])
     return _section(
         "The optimum of the paper's own family of profiles, exact tracking, Principles 1 to 4",
         cells,
@@ -284,17 +288,6 @@ def optimal_profiles_text(solutions: Sequence[Solution]) -> str:
         "searches found.",
         last_left=True,
     )
-
-
-def _optimum(solution: Solution) -> list[str]:
-    """A row of the table of optima."""
-    if not solution.feasible:
-        return [solution.problem.label, "-", "-", "-", "-", "no profile meets all demands"]
-    cost, back = (math.nan if v is None else v for v in (solution.cost_of_transport, solution.backward_ratio))
-    binding = (name for name, share in solution.shares.items() if share >= BINDING)
-    names = ", ".join(name.replace("principle_", "P").replace("_", " ") for name in binding)
-    numbers = [f"{cost:.2f}", f"{solution.peak_torque:.3f}", f"{100.0 * back:.1f} %"]
-    return [solution.problem.label, printed_below(100.0 * solution.mean_speed, 3), *numbers, names]
 
 
 def adaptive_text(study: AdaptiveStudy) -> str:
