@@ -20,6 +20,9 @@ from hypothesis.extra import numpy as arrays
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization
 from capsule_gym.simulation import CHANGE, MOST_ENVS
 
+# That the imaginary parts of complex actions are discarded may be said.
+pytestmark = pytest.mark.filterwarnings("ignore::numpy.exceptions.ComplexWarning")
+
 # Infinite in an episode without forward travel, or in one that has not been stepped.
 INFINITE = ("cost_of_transport", "backward_ratio", "smallest_normal_ratio")
 
