@@ -24,11 +24,15 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
+import pytest
+
 from capsule_gym.command_line import Count, parse
 
 ROOT = Path(__file__).resolve().parents[1]
 AGENTS = ("training", "fast_ppo", "evaluation", "leaderboard")
 FOLDERS = ("capsule_gym", "baselines/laws", *(f"agents/{name}" for name in AGENTS))
+# Where the tests of a folder are, if not in the folder of that name.
+TESTS = {"agents/fast_ppo": "agents/training"}
 SWAPS: dict[type, type] = {
     **{ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult},
     **{ast.Mod: ast.Mult, ast.Pow: ast.Mult, ast.And: ast.Or, ast.Or: ast.And},
@@ -105,9 +109,9 @@ def walk(node: ast.AST) -> Iterator[ast.AST]:
                     yield from walk(child)
 
 
-def find_mutants() -> Iterator[Mutant]:
-    """Every mutant of the tree."""
-    for file in sorted(file for folder in FOLDERS for file in (ROOT / folder).rglob("*.py")):
+def find_mutants(root: Path) -> Iterator[Mutant]:
+    """Every mutant of a clone."""
+    for file in sorted(file for folder in FOLDERS for file in (root / folder).rglob("*.py")):
         source = file.read_bytes()
         starts = [0]
         for line in source.splitlines(keepends=True):
@@ -118,11 +122,15 @@ def find_mutants() -> Iterator[Mutant]:
                 start = starts[node.lineno - 1] + node.col_offset
                 stop = starts[(node.end_lineno or 0) - 1] + (node.end_col_offset or 0)
                 before = " ".join(source[start:stop].decode().split())
-                yield Mutant(str(file.relative_to(ROOT)), node.lineno, start, stop, before, after)
+                yield Mutant(str(file.relative_to(root)), node.lineno, start, stop, before, after)
 
 
 def passes(clone: Path, tests: list[Path], seconds: float) -> bool:
-    """Whether the tests pass in time."""
+    """Whether the tests pass in time.
+
+    Raises:
+        FileNotFoundError: if there are none.
+    """
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *map(str, tests)]
     environment = {**os.environ, "PYTHONPATH": str(clone), "OMP_NUM_THREADS": "1"}
     # A test that ends its process group must not end this command.
@@ -130,7 +138,10 @@ def passes(clone: Path, tests: list[Path], seconds: float) -> bool:
         command, cwd=clone, env=environment, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT
     )
     try:
-        return process.wait(seconds) == 0
+        code = process.wait(seconds)
+        if code == pytest.ExitCode.NO_TESTS_COLLECTED:
+            raise FileNotFoundError(f"no tests in {tests}")
+        return code == pytest.ExitCode.OK
     except subprocess.TimeoutExpired:
         return False
     finally:
@@ -141,10 +152,11 @@ def passes(clone: Path, tests: list[Path], seconds: float) -> bool:
 
 def find_killer(mutant: Mutant, clone: Path, args: Args) -> str:
     """The tests that kill a mutant: "module", "folder", "whole", or "" if it survives."""
-    folder = clone / "tests" / Path(mutant.path).parent
+    parent = str(Path(mutant.path).parent)
+    folder = clone / "tests" / TESTS.get(parent, parent)
     tests = {
         "module": sorted(folder.glob(f"test_{Path(mutant.path).stem}*.py")),
-        "folder": [folder] if folder.is_dir() else [],
+        "folder": [folder],
         "whole": [clone / "tests"] if args.whole else [],
     }
     file = clone / mutant.path
@@ -159,13 +171,13 @@ def find_killer(mutant: Mutant, clone: Path, args: Args) -> str:
 def main() -> int:
     """Runs the command; its status is 1 if less than nine tenths of the mutants are killed."""
     args = parse(Args, "python -m tests.mutants")
-    drawn = random.Random(args.seed).sample(list(find_mutants()), args.count)[args.first :]
     killers: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(args.jobs) as pool:
         clones: SimpleQueue[Path] = SimpleQueue()
         for job in range(args.jobs):
             subprocess.run(["git", "clone", "-q", ROOT, f"{folder}/{job}"], check=True)
             clones.put(Path(folder, str(job)))
+        drawn = random.Random(args.seed).sample(list(find_mutants(Path(folder, "0"))), args.count)[args.first :]
 
         def run(mutant: Mutant) -> None:
             clone, start = clones.get(), time.monotonic()
