@@ -4,8 +4,8 @@
 over the environments of a block and are vectorised; an environment in which an event happens (a change of the contact
 phase, the end of the episode) is left out of the loop over its substep and integrated by itself.
 
-The control law is a global of the kernel. `build` copies the kernel, binds that global, and compiles the copy under a
-name that holds a hash of everything compiled: numba's disk cache serves built-in and user laws, and no stale code.
+The step is compiled once for all control laws. `build` compiles `evaluate_law` with a law in it, which takes about a
+second, and the step calls it once per law period and block by its address, which stands beside the settings.
 """
 
 from __future__ import annotations
@@ -17,9 +17,12 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.core.errors import NumbaError
 from numba.core.registry import CPUDispatcher
+from numba.extending import intrinsic
 
 from capsule_gym import dynamics, task
 from capsule_gym.compilation import (
@@ -30,7 +33,6 @@ from capsule_gym.compilation import (
     inner,
     jitable,
     kernel,
-    rebound,
     use_widest_vectors,
 )
 from capsule_gym.elementary import clip
@@ -40,6 +42,7 @@ from capsule_gym.layout import (
     ENDING,
     HALTED,
     LANES,
+    LAW,
     MEMORY,
     UNDER_WAY,
     StepSettings,
@@ -69,7 +72,7 @@ def no_law(
 # A table for a task without a law.
 NO_REFERENCE = np.zeros((1, 2))
 
-# `bind` gives these the values of a law.
+# `build` gives these the values of a law, and `build_advance` the last one its own.
 law: Callable[..., Any] = no_law
 MEMORY_SIZE = 1
 REFERENCE_SIZE = NO_REFERENCE.shape[1]
@@ -206,10 +209,17 @@ def step_with_events(block: np.ndarray, j: int, plant: Plant, h: float, elapsed:
 
 
 @inlined
-def call_controller(
-    block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, settings: StepSettings, tick: float
-) -> None:
-    """Calls the law with the present state, `tick` rows further in its reference of `cycle` rows."""
+def evaluate_law(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, torque_limit: float, tick: float) -> None:
+    """Calls the law with the present state of a block's environments, `tick` rows further in its reference.
+
+    Args:
+        block: one block of `world`; changed.
+        n: environments in it.
+        fixed: from `capsule_gym.layout.pack`; holds the reference.
+        cycle: rows of the reference.
+        torque_limit: N m.
+        tick: 1.0, or 0.0 for the first call of an episode.
+    """
     use_widest_vectors()
     for j in range(n):
         clock = block[AT.clock + j] + (tick if block[AT.halt + j] != HALTED else 0.0)
@@ -236,7 +246,7 @@ def call_controller(
         halt = block[AT.halt + j]
         called = halt != HALTED
         # Infinity must not pass for a clipped torque: infinity minus itself is NaN. The state stays as the law saw it.
-        clipped = clip(torque, settings.torque_limit) + (torque - torque)
+        clipped = clip(torque, torque_limit) + (torque - torque)
         block[AT.law_torque + j] = clipped if called else block[AT.law_torque + j]
         store(block, MEMORY + j, LANES, renewed if called else memory)
         elapsed = block[AT.elapsed + j] if called else 0.0
@@ -244,6 +254,27 @@ def call_controller(
         block[AT.duration + j] += tick * elapsed
         block[AT.torque_squared + j] += tick * elapsed * torque * torque
         block[AT.halt + j] = UNDER_WAY if halt == UNDER_WAY and clipped == clipped else HALTED
+
+
+LAW_SIGNATURE = (types.float64[::1], types.int64, types.float64[::1], types.int64, types.float64, types.float64)
+
+
+@intrinsic
+def call_law(typing_context: Any, block: Any, n: Any, fixed: Any, cycle: Any, torque_limit: Any, tick: Any) -> Any:
+    """Calls a compiled `evaluate_law`, whose address `fixed` holds, with these arguments."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        convention = context.call_conv
+        table = context.make_array(signature.args[2])(context, builder, arguments[2])
+        number = ir.IntType(64)
+        address = builder.load(builder.bitcast(builder.gep(table.data, [number(LAW)]), number.as_pointer()))
+        function = builder.inttoptr(address, convention.get_function_type(types.none, signature.args).as_pointer())
+        status, _ = convention.call_function(builder, function, types.none, signature.args, arguments)
+        with cgutils.if_unlikely(builder, status.is_error):
+            convention.return_status_propagate(builder, status)
+        return context.get_dummy_value()
+
+    return types.none(*LAW_SIGNATURE), generate
 
 
 @inlined
@@ -276,6 +307,8 @@ def observe(
     block: np.ndarray, n: int, begin: bool, settings: StepSettings, cycle: int, observations: np.ndarray
 ) -> None:
     """Writes the observations of a block's environments that take part."""
+    # The present line of the reference is the last part of a block.
+    reference = block.size - settings.reference_size * LANES
     for j in range(n):
         if block[AT.active + j] != 0.0:
             write_observation(
@@ -283,8 +316,8 @@ def observe(
                 (block[AT.theta + j], block[AT.theta_dot + j], block[AT.x_dot + j]),
                 0.0 if begin else block[AT.action + j],
                 (
-                    block[MEMORY + MEMORY_SIZE * LANES + j],
-                    block[MEMORY + (MEMORY_SIZE + 1) * LANES + j],
+                    block[reference + j],
+                    block[reference + LANES + j],
                     block[AT.clock + j] / cycle,
                 ),
                 block[AT.law_torque + j],
@@ -316,7 +349,7 @@ def step(
         observations: of the block's environments; written.
     """
     h = settings.physics_dt
-    cycle = (fixed.size - CONSTANTS) // REFERENCE_SIZE
+    cycle = (fixed.size - CONSTANTS) // settings.reference_size
     # The action is clipped to [-1, 1].
     if begin_step(block, n, plant, begin) == 0 and begin:
         return
@@ -334,7 +367,8 @@ def step(
                     if block[AT.eventful + j] != 0.0:
                         # Stick, slip, and the end of the episode (`task.termination`).
                         sticking += step_with_events(block, j, plant, h, (substep + 1) * h)
-        call_controller(block, n, fixed, cycle, settings, 0.0 if begin else 1.0)
+        # `evaluate_law`: the torque until the next call.
+        call_law(block, n, fixed, cycle, settings.torque_limit, 0.0 if begin else 1.0)
     if not begin:
         # The reward (`task.reward_terms`) and the sums of the episode.
         finish_step(block, n, plant, settings)
@@ -378,56 +412,53 @@ SIGNATURE = (
 )
 
 
-def bind(
-    law_function: Callable[..., Any], digest: str, memory_size: int, reference_size: int, pivot_torque_on_contact: float
-) -> dict[str, Any]:
-    """The globals that `advance` needs to have another value with a law.
+def build_advance(pivot_torque_on_contact: float) -> Any:
+    """`advance` as a numba dispatcher, compiled or loaded from the disk cache; says so where it has to compile.
 
     Args:
-        law_function: the law, plain.
+        pivot_torque_on_contact: 1.0 for the paper's normal force, 0.0 for Newton's.
+    """
+    digest = hashlib.sha256(f"{pivot_torque_on_contact}:{_own_fingerprint()}".encode()).hexdigest()[:16]
+    if digest not in _built:
+        built = kernel(advance, digest, {"PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact})
+        compile_now(built, SIGNATURE, "the physics")
+        _built[digest] = built
+    return _built[digest]
+
+
+def bind_law(law_function: Callable[..., Any], digest: str, memory_size: int, reference_size: int) -> dict[str, Any]:
+    """The globals of `evaluate_law` for a law.
+
+    Args:
+        law_function: the law, plain or jitted.
         digest: for the names of what is compiled: no two laws may have the same.
         memory_size: number of its memory cells.
         reference_size: number of columns of its reference table.
-        pivot_torque_on_contact: 1.0 for the paper's normal force, 0.0 for Newton's.
     """
-    bindings: dict[str, Any] = {
-        "law": inner(distinct(law_function, digest)),
-        "MEMORY_SIZE": memory_size,
-        "REFERENCE_SIZE": reference_size,
-        "PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact,
-    }
-    for function in (call_controller, observe, step):
-        bindings[function.__name__] = inlined(rebound(function, f"{function.__name__}_{digest}", bindings))
-    return bindings
+    source = law_function.py_func if isinstance(law_function, CPUDispatcher) else law_function
+    compiled = inner(distinct(source, digest), forceinline=True)
+    return {"law": compiled, "MEMORY_SIZE": memory_size, "REFERENCE_SIZE": reference_size}
 
 
-def build(
-    law_function: Callable[..., Any],
-    memory_size: int,
-    reference_size: int,
-    pivot_torque_on_contact: float,
-    name: str = "a law",
-) -> Any:
-    """Compiles `advance` for one law, or loads it from numba's disk cache; says so where it has to compile.
+def build(law_function: Callable[..., Any], memory_size: int, reference_size: int, name: str = "a law") -> Any:
+    """`evaluate_law` with a law in it as a numba dispatcher, compiled or loaded from the disk cache.
 
     Args:
         law_function: the law, plain or jitted.
         memory_size: number of its memory cells.
         reference_size: number of columns of its reference table.
-        pivot_torque_on_contact: 1.0 for the paper's normal force, 0.0 for Newton's.
         name: of the law, for the messages.
 
     Raises:
         TypeError: if the law is nothing that numba compiles.
     """
     source = law_function.py_func if isinstance(law_function, CPUDispatcher) else law_function
-    shape = f"{memory_size}:{reference_size}:{pivot_torque_on_contact}"
-    key = f"{fingerprint(source)}:{shape}:{_own_fingerprint()}"
+    key = f"{fingerprint(source)}:{memory_size}:{reference_size}:{_law_fingerprint()}"
     digest = hashlib.sha256(key.encode()).hexdigest()[:16]
     if digest not in _built:
-        built = kernel(advance, digest, bind(source, digest, memory_size, reference_size, pivot_torque_on_contact))
+        built = kernel(evaluate_law, digest, bind_law(source, digest, memory_size, reference_size))
         try:
-            compile_now(built, SIGNATURE, f"the physics with {name}")
+            compile_now(built, LAW_SIGNATURE, name)
         except (NumbaError, NotImplementedError, ValueError) as error:
             raise TypeError(
                 f"{name} must be a function that numba compiles, of numbers and tuples of numbers, and return "
@@ -437,10 +468,23 @@ def build(
     return _built[digest]
 
 
+def address(compiled: Any) -> int:
+    """Where the machine code of what `build` returns lies; it stays there as long as that is referred to."""
+    result = next(iter(compiled.overloads.values()))
+    found: int = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
+    return found
+
+
 _built: dict[str, Any] = {}
 
 
 @lru_cache(maxsize=1)
 def _own_fingerprint() -> str:
-    """The part of the fingerprint that all laws share: the kernel, the task and the physics."""
+    """A hash of the step and everything in it."""
     return fingerprint(advance)
+
+
+@lru_cache(maxsize=1)
+def _law_fingerprint() -> str:
+    """The part of a law's fingerprint that all laws share."""
+    return fingerprint(evaluate_law)

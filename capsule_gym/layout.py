@@ -106,15 +106,19 @@ class StepSettings(NamedTuple):
     termination_penalty: float
     with_reference: bool
     with_parameters: bool
+    # Columns of the controller's table.
+    reference_size: int
 
 
-def pack(plant: Plant, settings: StepSettings, reference: np.ndarray) -> np.ndarray:
-    """Plant, settings and the controller's table in one array, shape (CONSTANTS + table.size,).
+def pack(plant: Plant, settings: StepSettings, reference: np.ndarray, law: int = 0) -> np.ndarray:
+    """Plant, settings, the law's address and the controller's table in one array, shape (CONSTANTS + table.size,).
 
     Numbers in a tuple, and every array more, would take longer to enter compiled code than a substep takes.
     """
     # Named, since numpy makes objects of integers that fit none of its own: to the kernel these would be addresses.
-    return np.concatenate([np.array([*plant, *settings], np.float64), reference.ravel()], dtype=np.float64)
+    constants = np.array([*plant, *settings, 0.0], np.float64)
+    constants.view(np.int64)[LAW] = law
+    return np.concatenate([constants, reference.ravel()], dtype=np.float64)
 
 
 def check_arrays(**arrays: tuple[Any, type, tuple[int | None, ...]]) -> None:
@@ -134,9 +138,10 @@ def check_arrays(**arrays: tuple[Any, type, tuple[int | None, ...]]) -> None:
             raise TypeError(f"{name} must be a contiguous array of {dtype.__name__} of shape {shape}, got {got}")
 
 
-# Where `pack` begins with the settings, and with the controller's table.
+# Where `pack` begins with the settings, with the bits of the law's address, and with the controller's table.
 SETTINGS = len(Plant._fields)
-CONSTANTS = SETTINGS + len(StepSettings._fields)
+LAW = SETTINGS + len(StepSettings._fields)
+CONSTANTS = LAW + 1
 
 
 def _places(context: Any, builder: Any, kind: Any, array: Any, start: Any, stride: int, count: int) -> Iterator[Any]:

@@ -124,13 +124,11 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
     changes = np.array(
         [(i, *change) for i, schedule in simulation._changes.items() for change in schedule], np.float64
     ).reshape(-1, 4)
-    fixed = layout.pack(simulation.capsule.plant(), simulation.settings, simulation.reference)
     memory = policy.new_memory(simulation.num_envs)
     inputs = np.empty((simulation.num_envs, len(policy.mean)), np.float32)
     blocks = simulation.world.reshape(len(simulation.world), -1)
     layout.check_arrays(
         world=(blocks, np.float64, (None, simulation.world[0].size)),
-        fixed=(fixed, np.float64, (layout.CONSTANTS + simulation.reference.size,)),
         observations=(simulation.observations, np.float32, (simulation.num_envs, entries)),
         network=(policy._network, np.float64, (None,)),
         changes=(changes, np.float64, (None, 4)),
@@ -145,7 +143,7 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
             last,
             steps,
             simulation.options.control_dt,
-            fixed,
+            simulation.fixed,
             simulation.observations,
             policy._network,
             memory,

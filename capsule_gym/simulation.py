@@ -140,6 +140,7 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> layout.S
         termination_penalty=options.termination_penalty,
         with_reference=controller is not None,
         with_parameters=options.observe_parameters,
+        reference_size=(controller or NO_CONTROLLER).reference.shape[1],
     )
 
 
@@ -202,6 +203,7 @@ class Simulation:
         world: shape (blocks, rows, LANES): environment i is lane i % LANES of block i // LANES; the rows are those of
             `Row`, the law's memory and its line of the reference. `row` and `columns` read it by environments.
         observations: shape (num_envs, entries), float32, of the present state.
+        fixed: what the kernel reads besides, from `layout.pack`.
 
     Raises:
         TypeError: if an option is of the wrong type.
@@ -280,15 +282,12 @@ class Simulation:
         acting = self.controller or NO_CONTROLLER
         self.reference, self.memory = acting.reference, acting.memory
         plant = self.capsule.plant()
-        self._kernel = kernels.build(
-            acting.law,
-            len(self.memory),
-            self.reference.shape[1],
-            plant.pivot_torque_on_contact,
-            f"the control law {self.controller.name!r}" if self.controller else "no control law",
-        )
+        self._kernel = kernels.build_advance(plant.pivot_torque_on_contact)
+        name = f"the control law {self.controller.name!r}" if self.controller else ""
+        # Kept, since the step calls it by its address.
+        self._law = kernels.build(acting.law, len(self.memory), self.reference.shape[1], name)
         blocks, observations = self.world.reshape(len(self.world), -1), self.observations
-        fixed = layout.pack(plant, self.settings, self.reference)
+        self.fixed = fixed = layout.pack(plant, self.settings, self.reference, kernels.address(self._law))
         layout.check_arrays(
             world=(blocks, np.float64, (None, self.world[0].size)),
             fixed=(fixed, np.float64, (layout.CONSTANTS + self.reference.size,)),

@@ -22,7 +22,7 @@ from web.fused import fused
 TRIPLE = "wasm32-unknown-unknown"
 # What every engine has had since 2021.
 FEATURES = "+bulk-memory,+mutable-globals,+nontrapping-fptoint,+sign-ext"
-LLVM_TYPES = {types.float64: "double", types.int32: "i32", types.uint64: "i64"}
+LLVM_TYPES = {types.float64: "double", types.int32: "i32", types.int64: "i64", types.uint64: "i64"}
 
 # Calls that count the references to an array.
 COUNTING = re.compile(r"^ *(tail )?call void @NRT_(incref|decref)\(.*$", re.MULTILINE)
@@ -46,6 +46,8 @@ define double @numba_frexp(double %x, ptr %exponent) {{
 PREAMBLE = 8
 CUSTOM, EXPORT, DATA = 0, 7, 11
 FUNCTION_KIND = 0
+# Of an object's section "linking": its symbol table, and the flag of a symbol that is an import.
+SYMBOL_TABLE, UNDEFINED = 8, 16
 
 
 class Entry(NamedTuple):
@@ -64,33 +66,51 @@ class Entry(NamedTuple):
     arguments: tuple[Any, ...]
 
 
-def assemble(entries: Sequence[Entry]) -> bytes:
-    """The module that exports these functions, and imports nothing but its memory and the pointer to its stack.
+def optimise(entries: Sequence[Entry]) -> Any:
+    """LLVM's module of these functions, optimised for WebAssembly; all else in it is internal.
 
     Raises:
-        RuntimeError: if numba's optimiser is on, or the functions need data.
+        RuntimeError: if numba's optimiser is on.
     """
     if numba.config.OPT != 0:
         raise RuntimeError(f"NUMBA_OPT must be 0, got {numba.config.OPT}: the module would depend on this processor")
-    llvm.initialize_all_targets()
-    llvm.initialize_all_asmprinters()
-    machine = llvm.Target.from_triple(TRIPLE).create_target_machine(features=FEATURES, opt=3)
     linked = _lower(Entry("fused", fused.py_func, types.float64, (types.float64,) * 3))
     linked.link_in(llvm.parse_assembly(RUNTIME))
     for entry in entries:
         linked.link_in(_lower(entry))
+    machine = _machine()
     module = llvm.parse_assembly(_adapted(str(linked)))
     module.triple, module.data_layout = TRIPLE, str(machine.target_data)
-    names = [entry.name for entry in entries]
-    for function in module.functions:
-        if not function.is_declaration:
-            function.linkage = "external" if function.name in names else "internal"
-    for variable in module.global_variables:
-        if not variable.is_declaration:
-            variable.linkage = "internal"
-    _optimise(module, machine)
-    exported = [function.name for function in module.functions if not function.is_declaration]
-    return _module(machine.emit_object(module), {name: exported.index(name) for name in names})
+    _hide(module, [entry.name for entry in entries])
+    # No vectors are made of loops.
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    options.loop_vectorization = options.slp_vectorization = False
+    builder = llvm.create_pass_builder(machine, options)
+    builder.getModulePassManager().run(module, builder)
+    return module
+
+
+def assemble(module: Any, names: Sequence[str]) -> bytes:
+    """The WebAssembly module that exports these functions, and imports nothing but its memory and its stack's pointer.
+
+    Raises:
+        RuntimeError: if the functions need data.
+    """
+    _hide(module, names)
+    return _module(_machine().emit_object(module), names)
+
+
+def _machine() -> Any:
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    return llvm.Target.from_triple(TRIPLE).create_target_machine(features=FEATURES, opt=3)
+
+
+def _hide(module: Any, names: Sequence[str]) -> None:
+    """Makes all but these functions internal."""
+    for symbol in (*module.functions, *module.global_variables):
+        if not symbol.is_declaration:
+            symbol.linkage = "external" if symbol.name in names else "internal"
 
 
 def _adapted(text: str) -> str:
@@ -128,14 +148,6 @@ def _lower(entry: Entry) -> Any:
     return module
 
 
-def _optimise(module: Any, machine: Any) -> None:
-    """LLVM's passes, without those that make vectors of loops."""
-    options = llvm.create_pipeline_tuning_options(speed_level=3)
-    options.loop_vectorization = options.slp_vectorization = False
-    builder = llvm.create_pass_builder(machine, options)
-    builder.getModulePassManager().run(module, builder)
-
-
 def _number(value: int) -> bytes:
     """An unsigned number as WebAssembly writes it: seven bits a byte."""
     out = bytearray()
@@ -170,12 +182,38 @@ def _section(number: int, content: bytes) -> bytes:
     return bytes([number]) + _number(len(content)) + content
 
 
-def _module(built: bytes, exports: dict[str, int]) -> bytes:
+def _functions(built: bytes) -> dict[str, int]:
+    """The indices of an object's functions, from its symbol table (WebAssembly/tool-conventions, Linking.md)."""
+    (content,) = (
+        content for number, content in _sections(built) if number == CUSTOM and content.startswith(b"\x07linking")
+    )
+    _, at = _read_number(content, len(b"\x07linking"))
+    while content[at] != SYMBOL_TABLE:
+        size, start = _read_number(content, at + 1)
+        at = start + size
+    _, start = _read_number(content, at + 1)
+    count, at = _read_number(content, start)
+    functions = {}
+    for _ in range(count):
+        kind = content[at]
+        flags, at = _read_number(content, at + 1)
+        index, at = _read_number(content, at)
+        # An import has no name of its own.
+        if flags & UNDEFINED:
+            continue
+        size, at = _read_number(content, at)
+        name, at = content[at : at + size].decode(), at + size
+        if kind == FUNCTION_KIND:
+            functions[name] = index
+    return functions
+
+
+def _module(built: bytes, names: Sequence[str]) -> bytes:
     """The object file as a module: with its exports, without what only a linker reads.
 
     Args:
         built: the object. It holds no data, so that all indices in it are final.
-        exports: names and indices of functions.
+        names: of the functions to export.
 
     Raises:
         RuntimeError: if it does hold data.
@@ -183,8 +221,7 @@ def _module(built: bytes, exports: dict[str, int]) -> bytes:
     sections = dict(pair for pair in _sections(built) if pair[0] != CUSTOM)
     if DATA in sections:
         raise RuntimeError("the functions must need no data")
-    listed = [
-        _number(len(name)) + name.encode() + bytes([FUNCTION_KIND]) + _number(index) for name, index in exports.items()
-    ]
+    functions = _functions(built)
+    listed = [_number(len(name)) + name.encode() + bytes([FUNCTION_KIND]) + _number(functions[name]) for name in names]
     sections[EXPORT] = _number(len(listed)) + b"".join(listed)
     return built[:PREAMBLE] + b"".join(_section(number, sections[number]) for number in sorted(sections))

@@ -312,7 +312,7 @@ export class Capsule {
   #advance(begin) {
     const { address, call, view } = this.#place;
     const { world, fixed, observations } = address;
-    const broken = call.advance(world, begin ? 1 : 0, fixed, view.fixed.length, observations);
+    const broken = call.advance(world, view.world.length, begin ? 1 : 0, fixed, view.fixed.length, observations);
     if (broken >= 0) throw new Error("the control law returned a torque that is not finite");
   }
 }

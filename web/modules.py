@@ -1,11 +1,13 @@
 """The functions of the package that go into WebAssembly: `build` returns their modules.
 
-One module for each control law holds the agent step with that law in it; one more holds what they share, the networks
-of trained policies and the beginning of an episode. All work in one memory that the page supplies: arrays are pointers.
+One module for each control law holds the agent step, compiled once, and that law; one more holds what they share, the
+networks of trained policies and the beginning of an episode. All work in one memory that the page supplies: arrays are
+pointers.
 """
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import os
 import platform
@@ -13,19 +15,22 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import llvmlite
+import llvmlite.binding as llvm
 import numba
+from llvmlite import ir
 from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
 from numba.np.arrayobj import get_cfarray_intrinsic
 
 from agents.controllers import find_law
 from baselines.gaits import families
 from capsule_gym import kernels, layout, resets
-from capsule_gym.compilation import fingerprint, inner, rebound
+from capsule_gym.compilation import fingerprint, inlined, inner, rebound
 from capsule_gym.controller import Controller
 from capsule_gym.elementary import logarithm
 from capsule_gym.files import write_atomically
@@ -34,13 +39,15 @@ from capsule_gym.layout import LANES
 from capsule_gym.network import act_lanes
 from capsule_gym.observation import observation_names
 from capsule_gym.parameters import NOMINAL
-from capsule_gym.simulation import NO_CONTROLLER, count_rows
+from capsule_gym.simulation import NO_CONTROLLER
 from web import assembly
-from web.assembly import Entry, assemble
+from web.assembly import Entry, assemble, optimise
 from web.fused import fused
 
 # The module that all tasks need besides their own, which has the task's name.
 COMMON = "common"
+# The name under which a law is linked to the step.
+LAW = "evaluate_law"
 
 ROOT = Path(__file__).resolve().parents[1]
 # Modules that have been built before, each under a hash of all that it is made of.
@@ -54,22 +61,49 @@ NUMBERS, FLOATS, INTEGERS = types.CPointer(types.float64), types.CPointer(types.
 array = get_cfarray_intrinsic("C", None)
 
 
-def law_entries(law: Controller | None) -> list[Entry]:
-    """What the module of a law exports: `advance`, which takes an environment a step further or begins its episode."""
-    controller = law or NO_CONTROLLER
-    memory_size, reference_size = len(controller.memory), controller.reference.shape[1]
-    digest = hashlib.sha256(controller.name.encode()).hexdigest()[:16]
-    pivot = NOMINAL.plant().pivot_torque_on_contact
-    bindings = kernels.bind(controller.law, digest, memory_size, reference_size, pivot)
-    compiled = inner(rebound(kernels.advance, "advance", bindings))
-    size, to_int = count_rows(law) * LANES, types.int32
+@intrinsic
+def call_linked_law(typing_context: Any, block: Any, n: Any, fixed: Any, cycle: Any, limit: Any, tick: Any) -> Any:
+    """`kernels.call_law` for a law that is linked to the step under the name LAW."""
 
-    def advance(world, begin, fixed, fixed_size, observations):  # type: ignore[no-untyped-def]
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        rows, table = (context.make_array(signature.args[n])(context, builder, arguments[n]) for n in (0, 2))
+        given = [rows.data, rows.nitems, arguments[1], table.data, table.nitems, *arguments[3:]]
+        kind = ir.FunctionType(ir.IntType(32), [value.type for value in given])
+        builder.call(cgutils.get_or_insert_function(builder.module, kind, LAW), given)
+        return context.get_dummy_value()
+
+    return types.none(*kernels.LAW_SIGNATURE), generate
+
+
+def step_entry() -> Entry:
+    """`advance`, which takes an environment a step further or begins its episode; its law is linked to it."""
+    step = inlined(rebound(kernels.step, "step_of_linked_law", {"call_law": call_linked_law}))
+    bindings = {"step": step, "PIVOT_TORQUE_ON_CONTACT": NOMINAL.plant().pivot_torque_on_contact}
+    compiled = inner(rebound(kernels.advance, "advance", bindings))
+    to_int = types.int32
+
+    def advance(world, size, begin, fixed, fixed_size, observations):  # type: ignore[no-untyped-def]
         blocks, shown = array(world, (1, size)), array(observations, (1, ENTRIES))
         return to_int(compiled(blocks, 0, 1, begin != 0, array(fixed, (fixed_size,)), shown))
 
-    arguments = (NUMBERS, types.int32, NUMBERS, types.int32, FLOATS)
-    return [Entry("advance", advance, types.int32, arguments)]
+    count = types.int32
+    return Entry("advance", advance, count, (NUMBERS, count, count, NUMBERS, count, FLOATS))
+
+
+def law_entry(law: Controller | None) -> Entry:
+    """What `call_linked_law` calls."""
+    controller = law or NO_CONTROLLER
+    digest = hashlib.sha256(controller.name.encode()).hexdigest()[:16]
+    bindings = kernels.bind_law(controller.law, digest, len(controller.memory), controller.reference.shape[1])
+    compiled = inner(rebound(kernels.evaluate_law, f"evaluate_law_{digest}", bindings))
+    to_int = types.int32
+
+    def evaluate_law(block, size, n, fixed, fixed_size, cycle, torque_limit, tick):  # type: ignore[no-untyped-def]
+        compiled(array(block, (size,)), n, array(fixed, (fixed_size,)), cycle, torque_limit, tick)
+        return to_int(0)
+
+    number, count = types.float64, types.int64
+    return Entry(LAW, evaluate_law, types.int32, (NUMBERS, count, count, NUMBERS, count, count, number, number))
 
 
 def common_entries() -> list[Entry]:
@@ -108,11 +142,6 @@ def common_entries() -> list[Entry]:
     ]
 
 
-def find_entries(name: str) -> list[Entry]:
-    """What the module of that name exports: `COMMON`, or one of `agents.controllers.TASKS`."""
-    return common_entries() if name == COMMON else law_entries(find_law(name))
-
-
 def build(names: Sequence[str], cache: Path | None = CACHE) -> dict[str, bytes]:
     """The modules of these names.
 
@@ -129,37 +158,43 @@ def build(names: Sequence[str], cache: Path | None = CACHE) -> dict[str, bytes]:
         # Laws that differ in their tables alone have one module.
         files = {name: folder / f"{_digest(name)}.wasm" for name in names}
         missing = {file: name for name, file in files.items() if not file.is_file()}
-        # numba's optimiser looks at this processor, and its disk cache does not know whether it was on.
-        environment = {**os.environ, "NUMBA_OPT": "0", "NUMBA_CACHE_DIR": str(Path(temporary) / "cache")}
-
-        def run(file: Path) -> None:
-            # Without the optimiser numba refuses to keep some functions on disk, and warns of each.
-            command = [sys.executable, "-W", "ignore", "-m", "web.modules", missing[file], str(file)]
-            subprocess.run(command, cwd=ROOT, env=environment, check=True)
-            print(f"  {missing[file]}", file=sys.stderr, flush=True)
-
         if missing:
             print(f"compiling {len(missing)} modules to WebAssembly, once; a minute or two:", file=sys.stderr)
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            list(pool.map(run, missing))
+            # numba's optimiser looks at this processor.
+            environment = {**os.environ, "NUMBA_OPT": "0"}
+            # Without the optimiser numba refuses to keep some functions on disk, and warns of each.
+            command = [sys.executable, "-W", "ignore", "-m", "web.modules", str(folder), *missing.values()]
+            subprocess.run(command, cwd=ROOT, env=environment, check=True)
         return {name: file.read_bytes() for name, file in files.items()}
 
 
 def _digest(name: str) -> str:
     """A hash of all that a module is made of, and made with."""
+    entries = common_entries() if name == COMMON else [step_entry(), law_entry(find_law(name))]
     parts: list[Any] = [platform.python_version(), numba.__version__, llvmlite.__version__]
     parts += [Path(assembly.__file__).read_bytes(), fingerprint(fused)]
-    parts += [(entry.name, entry.arguments, fingerprint(entry.function)) for entry in find_entries(name)]
+    parts += [(entry.name, entry.arguments, fingerprint(entry.function)) for entry in entries]
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
 
 
 def main() -> int:
-    """Builds a module in this process, in which numba's optimiser is off; its arguments are its name and its file."""
-    if len(sys.argv) != 3:
-        print("web.modules: started by python -m web.build, for each of the modules", file=sys.stderr)
+    """Builds modules in this process, in which numba's optimiser is off; its arguments are a folder and their names."""
+    if len(sys.argv) < 3:
+        print("web.modules: started by python -m web.build", file=sys.stderr)
         return 2
-    name, file = sys.argv[1:]
-    write_atomically(Path(file), assemble(find_entries(name)))
+    folder, *names = sys.argv[1:]
+    # numba asks for the address of all that is called.
+    llvm.add_symbol(LAW, ctypes.cast(ctypes.pythonapi.Py_IsInitialized, ctypes.c_void_p).value)
+    step = None if names == [COMMON] else optimise([step_entry()])
+    for name in names:
+        if step is None or name == COMMON:
+            module = optimise(common_entries())
+        else:
+            module = step.clone()
+            module.link_in(optimise([law_entry(find_law(name))]))
+        exports = [entry.name for entry in common_entries()] if name == COMMON else ["advance"]
+        write_atomically(Path(folder) / f"{_digest(name)}.wasm", assemble(module, exports))
+        print(f"  {name}", file=sys.stderr, flush=True)
     return 0
 
 

@@ -336,7 +336,6 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         if chances is None:
             chances = np.zeros((0, count, 3))
         blocks = simulation.world.reshape(len(simulation.world), -1)
-        fixed = layout.pack(simulation.capsule.plant(), simulation.settings, simulation.reference)
         layout.check_arrays(
             network=(network, np.float64, (None,)),
             noise=(noise, np.float64, (steps, count)),
@@ -357,7 +356,7 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
                 blocks,
                 first,
                 last,
-                fixed,
+                simulation.fixed,
                 simulation.observations,
                 episode_config,
                 lines,

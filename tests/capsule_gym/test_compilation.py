@@ -54,13 +54,20 @@ def test_fingerprint_follows_globals_and_modules(monkeypatch):
         *((dynamics, name) for name in ("EVENT_TOLERANCE", "EVENT_LIMIT")),
         *((task, name) for name in ("THETA_LIMIT", "RATE_LIMIT")),
         *((observation, name) for name in ("THETA_DOT_BOUND", "X_DOT_BOUND")),
-        *((kernels, name) for name in ("LANES", "MEMORY", "HALTED", "MEMORY_SIZE", "PIVOT_TORQUE_ON_CONTACT")),
+        *((kernels, name) for name in ("LANES", "HALTED", "LAW", "PIVOT_TORQUE_ON_CONTACT")),
     ],
 )
 def test_an_edit_of_a_constant_changes_the_fingerprint_of_the_kernel(module, name, monkeypatch):
     before = fingerprint(kernels.advance)
     monkeypatch.setattr(module, name, getattr(module, name) * 1.0000001 + 1e-300)
     assert fingerprint(kernels.advance) != before
+
+
+@pytest.mark.parametrize("name", ["LANES", "MEMORY", "HALTED", "CONSTANTS", "MEMORY_SIZE", "REFERENCE_SIZE"])
+def test_an_edit_of_a_constant_changes_the_fingerprint_of_a_law(name, monkeypatch):
+    before = fingerprint(kernels.evaluate_law)
+    monkeypatch.setattr(kernels, name, getattr(kernels, name) + 1)
+    assert fingerprint(kernels.evaluate_law) != before
 
 
 def test_an_edit_of_the_layout_changes_the_fingerprint_of_the_kernel(monkeypatch):
@@ -175,22 +182,22 @@ def test_where_no_cache_can_be_written_to_everything_is_compiled(tmp_path, monke
     assert compiled() == compiled() == (1.125, False)
 
 
-def test_the_kernel_of_a_law_is_compiled_once_and_no_two_laws_share_a_symbol(monkeypatch):
+def test_a_law_is_compiled_once_and_no_two_laws_share_a_symbol(monkeypatch):
     monkeypatch.setattr(kernels, "compile_now", lambda *arguments: None)
 
-    def build(gain, memory_size=1, pivot=0.0):
-        return kernels.build(make_law(gain, numba.njit(helper)), memory_size, 2, pivot)
+    def build(gain, memory_size=1, reference_size=2):
+        return kernels.build(make_law(gain, numba.njit(helper)), memory_size, reference_size)
 
     one = build(0.71)
-    others = build(0.72), build(0.71, memory_size=2), build(0.71, pivot=1.0)
+    others = build(0.72), build(0.71, memory_size=2), build(0.71, reference_size=3)
     assert build(0.71) is one
-    assert len({id(kernel) for kernel in (one, *others)}) == 4
+    assert len({id(law) for law in (one, *others)}) == 4
 
     # Symbols hold the name and a counter of the process: of two equal ones the linker would use the first.
-    def names(kernel):
-        law = kernel.py_func.__globals__["call_controller"].__globals__["law"].py_func
-        inner = next(c.cell_contents for c in law.__closure__ if hasattr(c.cell_contents, "py_func")).py_func
-        return {kernel.py_func.__name__, law.__name__, law.__qualname__, inner.__name__, inner.__qualname__}
+    def names(law):
+        own = law.py_func.__globals__["law"].py_func
+        inner = next(c.cell_contents for c in own.__closure__ if hasattr(c.cell_contents, "py_func")).py_func
+        return {law.py_func.__name__, own.__name__, own.__qualname__, inner.__name__, inner.__qualname__}
 
     assert not names(one) & names(others[0])
 
@@ -228,7 +235,7 @@ def test_checked_code_has_its_own_place_in_the_cache(monkeypatch, tmp_path):
 
 
 def test_plant_and_settings_survive_packing():
-    settings = StepSettings(1.5, 3.0, 1e-3, 7, 20, 0.1, 10.0, True, False)
+    settings = StepSettings(1.5, 3.0, 1e-3, 7, 20, 0.1, 10.0, True, False, 2)
     fixed = pack(PLANT, settings, np.zeros((3, 2)))
     assert numba.njit(unpack)(fixed, PLANT.pivot_torque_on_contact) == (PLANT, settings)
     # numpy makes objects of integers that fit none of its types: to the kernel these would be addresses.

@@ -27,7 +27,7 @@ def test_a_module_is_the_same_bytes_again_and_for_another_processor(monkeypatch)
 
 def test_numbas_optimiser_must_be_off() -> None:
     with pytest.raises(RuntimeError, match="NUMBA_OPT must be 0, got"):
-        assembly.assemble([])
+        assembly.optimise([])
 
 
 # --- fused multiply-add ----------------------------------------------------------------------------------------------
