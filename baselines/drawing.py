@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -127,8 +127,3 @@ def save(figure: Any, stem: Path) -> list[Path]:
             figure.savefig(temporary, format=suffix[1:], dpi=DPI, metadata=metadata)
         written.append(path)
     return written
-
-
-def listed(values: Sequence[float], digits: int, unit: str) -> str:
-    """Numbers as in "7.81 and 11.02 rad/s"."""
-    return " and ".join(f"{value:.{digits}f}" for value in values) + f" {unit}"

@@ -29,11 +29,6 @@ def made(laws, rates):
         return report.make_report(lambda name: None)
 
 
-@pytest.fixture(scope="module")
-def runs():
-    return figures.Runs()
-
-
 def text_of(figure):
     """Everything written in a figure, one line."""
     from matplotlib.text import Text
@@ -89,10 +84,10 @@ def test_report_rounds_bounds_outwards(made):
         assert needed <= rate.torque_needed and enough >= rate.torque_enough
 
 
-def test_figures_show_the_numbers_of_the_table(made, runs, monkeypatch):
+def test_figures_show_the_numbers_of_the_table(made, monkeypatch):
     monkeypatch.setattr(figures, "grid", lambda: tracking.grid(4, 5))
     with drawing.style():
-        texts = {name: text_of(draw(runs)) for name, draw in figures.FIGURES.items() if name != "phase_plane"}
+        texts = {name: text_of(draw()) for name, draw in figures.FIGURES.items()}
     assert [name[:4] for name in texts][:9] == [f"fig{n}" for n in range(1, 10)]
     for name, key, digits in (
         ("fig3_tracking", "peak_velocity", 2),
@@ -105,34 +100,25 @@ def test_figures_show_the_numbers_of_the_table(made, runs, monkeypatch):
     assert all(f"{number:.3g}" in texts["fig2_phases"] for number in (*PROPOSED.times, PROPOSED.restoring_speed))
     for name in ("fig6_adaptive_tracking", "fig7_adaptive_error", "fig8_adaptive_torque", "fig9_sliding_variable"):
         assert "1 of 3 runs loses contact with the floor, at 0.10 s" in texts[name]
-    assert [run.completed for run in runs.adaptive[CORRECTED_LAW]] == [True, False, True]
+    assert [run.completed for run in figures.adaptive_runs()[CORRECTED_LAW]] == [True, False, True]
+    for rate in made.proof_2:
+        (printed,) = re.findall(rf"{rate.torque:g} N m: θ' stays below ([\d.]+)", texts["phase_plane"])
+        assert rate.from_start <= float(printed) < rate.from_start + 0.001
 
 
-def test_curves_are_those_of_the_runs(runs):
+def test_curves_are_those_of_the_runs():
     with drawing.style():
-        errors, torque = figures.draw_adaptive_error(runs), figures.draw_torque(runs)
+        errors, torque = figures.draw_adaptive_error(), figures.draw_torque()
     drawn = {line.get_label(): line.get_ydata() for line in errors.axes[2].lines}
-    nominal = runs.adaptive[REGULARISED_LAW][0]
-    np.testing.assert_allclose(drawn["M = 0.5 kg, μ = 0.01"], 1e3 * (nominal.theta_dot - nominal.reference[:, 1]))
-    np.testing.assert_array_equal(torque.axes[2].lines[0].get_ydata(), runs.profiles[1].torque[1:])
-    run = runs.profiles[0]
-    np.testing.assert_allclose(figures.sliding_variable(run), run.rate_error + 12.0 * run.error, atol=1e-15)
+    nominal = figures.adaptive_runs()[REGULARISED_LAW][0]
+    expected = 1e3 * (nominal.theta_dot - nominal.reference[:, 1])
+    np.testing.assert_allclose(drawn["M = 0.5 kg, μ = 0.01"], expected[1:])
+    np.testing.assert_array_equal(torque.axes[2].lines[0].get_ydata(), figures.profile_runs()[1].torque[1:])
 
 
-def test_phase_plane_states_the_bounds_rounded_up(rates, runs):
-    with drawing.style():
-        text = text_of(figures.draw_phase_plane(runs))
-    found = re.search(r"below ([\d.]+) and ([\d.]+) rad/s, in any contact.* below ([\d.]+) and ([\d.]+) rad/s", text)
-    proposed, epc = rates
-    bounds = (proposed.from_start, epc.from_start, proposed.bound, epc.bound)
-    for printed, bound in zip(found.groups(), bounds, strict=True):
-        assert bound <= float(printed) < bound + 0.001
-
-
-def test_every_figure_is_written_twice_and_identically_at_every_run(runs, tmp_path, monkeypatch):
+def test_every_figure_is_written_twice_and_identically_at_every_run(tmp_path, monkeypatch):
     # Coarse pictures: what is drawn does not depend on the resolution, the time does.
     monkeypatch.setattr(drawing, "DPI", 60)
-    monkeypatch.setattr(figures, "Runs", lambda: runs)
     monkeypatch.setattr(figures, "FIGURES", {"fig4_displacement": figures.draw_displacement})
     for module, draw in (("gaits", "draw_gaits"), ("dynamic_programming", "draw_optimum")):
         monkeypatch.setattr(f"baselines.{module}.figure.{draw}", lambda: drawing.new_figure(1.0))
@@ -141,5 +127,5 @@ def test_every_figure_is_written_twice_and_identically_at_every_run(runs, tmp_pa
     for path in written:
         assert path.read_bytes().startswith({".svg": b"<?xml", ".png": b"\x89PNG"}[path.suffix])
     with drawing.style():
-        for path in drawing.save(figures.draw_displacement(runs), tmp_path / "fig4_displacement"):
+        for path in drawing.save(figures.draw_displacement(), tmp_path / "fig4_displacement"):
             assert path.read_bytes() == (tmp_path / "made" / path.name).read_bytes()
