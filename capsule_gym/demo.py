@@ -7,7 +7,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -18,7 +18,7 @@ from tyro.conf import arg
 
 from capsule_gym.command_line import Count, Positional, check_output, parse, refuse
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, SET_NAMES, PlantSpec, load_set
-from capsule_gym.parameters import check_number, nearest
+from capsule_gym.parameters import NOMINAL, check_number, nearest
 from capsule_gym.policy import load_policy, policy_names, pretrained
 from capsule_gym.rendering import FRAME_SECONDS, Ghost, Overlay, Renderer, write_gif
 from capsule_gym.task import HORIZON, Termination
@@ -70,17 +70,16 @@ def find_agent(option: str, name_or_path: str) -> Agent:
 
     Args:
         option: of the command line, for errors.
-        name_or_path: one of `agent_names()`; a law also by its name in Python, as "gait" or "baselines:gait", one run
-            of a policy as "residual-ppo/seed-2"; or the path of a policy file or of a training run's folder.
+        name_or_path: one of `agent_names()`; one run of a policy as "residual-ppo/seed-2"; or the path of a policy
+            file or of a training run's folder.
 
     Raises:
         ValueError: if there is no such agent, or its file is broken.
     """
-    name, laws = name_or_path.removeprefix("baselines:"), control_laws()
-    own = f"baselines:{name.replace('-', '_')}"
-    law = laws.get(name, own if own in laws.values() else None)
-    if law is not None or name == ZERO:
-        return Agent(name, {"controller": law}, lambda: lambda observation: np.zeros(1, np.float32))
+    laws = control_laws()
+    if name_or_path in laws or name_or_path == ZERO:
+        kwargs = {"controller": laws.get(name_or_path)}
+        return Agent(name_or_path, kwargs, lambda: lambda observation: np.zeros(1, np.float32))
     if name_or_path in pretrained() or Path(name_or_path).exists():
         policy = load_policy(name_or_path)
         return Agent(policy.name, policy.env_kwargs, lambda: policy.start([0]))
@@ -171,8 +170,18 @@ class PlantArgs:
         self.plants()
 
     def plants(self) -> tuple[PlantSpec, ...]:
-        """The plants of the set, the chosen one first."""
-        return load_set(self.set).from_seed(self.seed, M=self.M, mu=self.mu)
+        """The plants of the set, the chosen one first; with M or mu given, all have these and none jumps."""
+        plants = load_set(self.set).plants
+        seeds = [plant.seed for plant in plants]
+        if self.seed not in seeds:
+            raise ValueError(f"--seed must be one of the set's, {min(seeds)} to {max(seeds)}, got {self.seed}")
+        first = seeds.index(self.seed)
+        given: dict[str, Any] = {name: value for name in ("M", "mu") if (value := getattr(self, name)) is not None}
+        changed = given and {**given, "changes": ()}
+        chosen = tuple(replace(plant, **changed) for plant in plants[first:] + plants[:first])
+        for plant in chosen:
+            NOMINAL.check_plant(plant.M, plant.mu)
+        return chosen
 
 
 @dataclass(frozen=True, kw_only=True)

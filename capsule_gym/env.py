@@ -286,20 +286,11 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
             gym.logger.warn("render() draws nothing without a render_mode: gym.make(.., render_mode='rgb_array')")
             return None
         if self._renderer is None:
+            torque_limit = self.simulation.settings.torque_limit
             self._renderer = Renderer(
-                self.simulation.capsule,
-                self.render_mode,
-                self.metadata["render_fps"],
-                self.simulation.settings.torque_limit,
+                self.simulation.capsule, self.render_mode, self.metadata["render_fps"], torque_limit
             )
         return self._renderer.draw(**shown_state(self.simulation, 0))
-
-    def get_keys_to_action(self) -> dict[tuple[str, ...], np.ndarray]:
-        """The keys of gymnasium's own `play`: the key a swings the ball to the left, d to the right, at full torque.
-
-        `gymnasium.utils.play.play(env, noop=np.zeros(1, np.float32))` plays; without a `noop` its own is no action here.
-        """
-        return {("a",): np.ones(1, np.float32), ("d",): -np.ones(1, np.float32)}
 
     def close(self) -> None:
         """Closes the window, if there is one."""
@@ -341,14 +332,9 @@ def describe(rows: np.ndarray, termination: Any) -> dict[str, Any]:
 
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:
     """The action and the observation space of one environment."""
-    settings = simulation.settings
-    low, high = observation_bounds(
-        settings.with_reference,
-        settings.with_parameters,
-        simulation.capsule,
-        simulation.randomization,
-        settings.torque_limit,
-    )
+    settings, plants = simulation.settings, (simulation.capsule, simulation.randomization)
+    switches = settings.with_reference, settings.with_parameters
+    low, high = observation_bounds(*switches, *plants, settings.torque_limit)
     return spaces.Box(-1.0, 1.0, (1,), np.float32), spaces.Box(low, high, dtype=np.float32)
 
 
@@ -377,14 +363,6 @@ def shown_state(simulation: Simulation, i: int) -> dict[str, Any]:
     row = simulation.columns(np.array([i]))[:, 0]
     # Laws that follow none, the gaits and no law at all, carry a table of zeros.
     reference = float(simulation.reference[int(row[Row.clock]), 0]) if simulation.reference.any() else None
-    return {
-        "theta": float(row[Row.theta]),
-        "theta_dot": float(row[Row.theta_dot]),
-        "x": float(row[Row.x]),
-        "x_dot": float(row[Row.x_dot]),
-        "torque": float(row[Row.torque]),
-        "time": float(row[Row.duration]),
-        "M": float(row[Row.M]),
-        "mu": float(row[Row.mu]),
-        "theta_reference": reference,
-    }
+    names = ("theta", "theta_dot", "x", "x_dot", "torque", "M", "mu")
+    shown = {name: float(row[getattr(Row, name)]) for name in names}
+    return {**shown, "time": float(row[Row.duration]), "theta_reference": reference}

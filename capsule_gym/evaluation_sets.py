@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -89,33 +89,6 @@ class EvaluationSet:
         """The sha256 of the content in canonical JSON; the file's layout does not matter."""
         return canonical_hash(self.to_dict())
 
-    def from_seed(self, seed: int, *, M: float | None = None, mu: float | None = None) -> tuple[PlantSpec, ...]:
-        """The plants in their order, begun with the one of that seed, behind whose last the first follows.
-
-        Args:
-            seed: of a plant of the set.
-            M: mass of the platform of all of them, kg, in place of their own; then none jumps.
-            mu: friction coefficient of all of them, in place of their own; then none jumps.
-
-        Raises:
-            TypeError: if M or mu is no number.
-            ValueError: if the set has no such plant, or M and mu are those of no plant.
-        """
-        seeds = [plant.seed for plant in self.plants]
-        if seed not in seeds:
-            raise ValueError(f"seed must be one of the set {self.name!r}, {min(seeds)} to {max(seeds)}, got {seed!r}")
-        first = seeds.index(seed)
-        plants = self.plants[first:] + self.plants[:first]
-        if M is None and mu is None:
-            return plants
-        changed = tuple(
-            replace(plant, M=plant.M if M is None else M, mu=plant.mu if mu is None else mu, changes=())
-            for plant in plants
-        )
-        for plant in changed:
-            NOMINAL.check_plant(plant.M, plant.mu)
-        return changed
-
     def to_dict(self) -> dict[str, Any]:
         """The content of the set's file."""
         return {"name": self.name, "plants": [plant.to_dict() for plant in self.plants]}
@@ -195,11 +168,6 @@ def parse_set(content: Any) -> EvaluationSet:
     return EvaluationSet(name, tuple(_parse_plant(f"set.plants[{i}]", plant) for i, plant in enumerate(plants)))
 
 
-def frozen_folder() -> Path:
-    """Where the files of the frozen sets lie."""
-    return next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[-1])
-
-
 def load_set(name_or_path: str | Path) -> EvaluationSet:
     """Loads an evaluation set.
 
@@ -209,7 +177,8 @@ def load_set(name_or_path: str | Path) -> EvaluationSet:
     Raises:
         ValueError: if there is no such set, or its file is malformed.
     """
-    path = frozen_folder() / f"{name_or_path}.json" if name_or_path in SET_NAMES else Path(name_or_path)
+    frozen = next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[-1])
+    path = frozen / f"{name_or_path}.json" if name_or_path in SET_NAMES else Path(name_or_path)
     if not path.is_file():
         raise ValueError(
             f"set must be one of {', '.join(SET_NAMES)}, or the path of a JSON file, got {str(name_or_path)!r}"

@@ -14,10 +14,8 @@ from capsule_gym.command_line import parse, refuse
 from capsule_gym.demo import FPS, TERMINATIONS, Agent, Episode, PlantArgs, agent_names, find_agent, renderer_of
 from capsule_gym.evaluation_sets import PlantSpec
 from capsule_gym.rendering import Overlay, Renderer
-from capsule_gym.task import CONTROL_DT, Termination
 
 PROG = "python -m capsule_gym.play"
-SPEEDS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 STRENGTHS = (0.2, 0.4, 0.6, 0.8, 1.0)
 # At full strength a key that is held ends the episode in a third of a second.
 FIRST_STRENGTH = 1
@@ -37,18 +35,15 @@ class Game:
         action: of the player, in [-1, 1].
         episode: the player's.
         rival: the rival's.
-        shows_ghost: whether the rival is seen.
         paused: whether time stands still.
         over: whether the player has asked to end.
-        best: the fastest whole episode so far, cm/s; None before the first.
     """
 
     def __init__(self, plants: Sequence[PlantSpec], rival: Agent, speed: float = 1.0) -> None:
         self.plants, self.speed, self.action = plants, speed, 0.0
         player = Agent("you", {}, lambda: lambda observation: np.array([self.action], np.float32))
         self.episode, self.rival = Episode(player, plants[0]), Episode(rival, plants[0])
-        self.shows_ghost, self.paused, self.over = True, False, False
-        self.best: float | None = None
+        self.paused, self.over = False, False
         self._number, self._time, self._strength = 0, 0.0, FIRST_STRENGTH
         self._held: list[str] = []
 
@@ -80,55 +75,38 @@ class Game:
                 self.begin(self._number + 1)
             case "r":
                 self.begin(self._number)
-            case "g":
-                self.shows_ghost = not self.shows_ghost
             case "space":
                 self.paused = not self.paused
-            case ".":
-                self.paused = True
-                self._advance(CONTROL_DT)
             case "up":
                 self._strength = min(self._strength + 1, len(STRENGTHS) - 1)
             case "down":
                 self._strength = max(self._strength - 1, 0)
-            case "+" | "=" | "[+]":
-                self.speed = min((speed for speed in SPEEDS if speed > self.speed), default=self.speed)
-            case "-" | "[-]":
-                self.speed = max((speed for speed in SPEEDS if speed < self.speed), default=self.speed)
             case "q" | "escape":
                 self.over = True
 
     def tick(self, seconds: float) -> None:
         """Advances the game by that much time of the player, s."""
-        if not self.paused:
-            self._advance(self.speed * seconds)
-
-    def _advance(self, seconds: float) -> None:
-        if self.episode.end is not None:
+        if self.paused or self.episode.end is not None:
             return
-        self._time += seconds
+        self._time += self.speed * seconds
         self.episode.advance(self._time)
         # Seen at the same instant, also where the player's episode has ended within.
         self.rival.advance(self.episode.time)
-        if self.episode.end == Termination.none:
-            self.best = max(self.best or -np.inf, self.episode.mean_speed)
 
     def overlay(self) -> Overlay:
         """What is drawn over the picture of the player's robot."""
-        pace = "paused" if self.paused else f"speed {self.speed:g}"
         note = (
-            f"A D torque   up down {STRENGTHS[self._strength]:.0%}   N next plant   R again   G ghost   + - {pace}   "
-            "space pause   . step   Q end"
+            f"A D torque   up down {STRENGTHS[self._strength]:.0%}   N next plant   R again   space pause   Q end   "
+            f"{'paused' if self.paused else f'speed {self.speed:g}'}"
         )
-        return Overlay(self.rival.ghost() if self.shows_ghost else None, note, self.banner())
+        return Overlay(self.rival.ghost(), note, self.banner())
 
     def banner(self) -> str:
         """How the episode has ended; empty while it goes on."""
         if self.episode.end is None:
             return ""
         speeds = f"{self.episode.mean_speed:.2f} cm/s, {self.rival.agent.name} {self.rival.mean_speed:.2f}"
-        best = "" if self.best is None else f", your best {self.best:.2f}"
-        return f"{TERMINATIONS[self.episode.end].capitalize()} after {self.episode.time:.1f} s: {speeds}{best}"
+        return f"{TERMINATIONS[self.episode.end].capitalize()} after {self.episode.time:.1f} s: {speeds}"
 
     def run(self, renderer: Renderer, seconds: float) -> None:
         """Draws and plays until the player ends the game or closes the window.
@@ -149,8 +127,7 @@ class Args(PlantArgs):
     """Lets you drive the capsule by keys, with a control law or a trained policy as a ghost on the same plant.
 
     Left and right, or A and D, swing the ball; up and down set how strongly. N takes the next plant, R begins again on
-    this one, G shows or hides the ghost, + and - change the speed, space pauses, a full stop makes one step, Q or
-    Escape ends.
+    this one, space pauses, Q or Escape ends.
 
     Examples:
       python -m capsule_gym.play

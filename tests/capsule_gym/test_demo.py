@@ -29,24 +29,11 @@ def agent(name: str) -> Agent:
     return find_agent("NAME_OR_PATH", name)
 
 
-@pytest.mark.parametrize(
-    ("name", "shown", "controller"),
-    [
-        ("adaptive", "adaptive", "baselines:adaptive"),
-        ("baselines:adaptive", "adaptive", "baselines:adaptive"),
-        ("feedback-linearising", "feedback-linearising", "baselines:feedback_linearising"),
-        ("gait-guarded", "gait-guarded", "baselines:gait"),
-        ("gait", "gait", "baselines:gait"),
-        ("zero", "zero", None),
-    ],
-)
-def test_a_law_is_found_by_the_leaderboards_name_and_by_pythons(name, shown, controller):
-    assert agent(name)[:2] == (shown, {"controller": controller})
-
-
 def test_every_agent_and_every_law_has_one_name():
     assert {"zero", "adaptive", "gait-guarded", "direct-ppo"} <= set(agent_names())
     assert len(agent_names()) == len(set(agent_names()))
+    for name, law in (("zero", None), ("gait-guarded", "baselines:gait"), ("epc", "baselines:epc")):
+        assert agent(name)[:2] == (name, {"controller": law})
     assert sorted(control_laws().values()) == sorted(f"baselines:{name}" for name in baselines.__all__)
 
 
@@ -54,13 +41,6 @@ def test_every_agent_and_every_law_has_one_name():
 def test_a_name_that_is_neither_law_nor_trained_is_refused(name):
     with pytest.raises(ValueError, match=f"NAME_OR_PATH must be one of zero, .*gait-guarded.* got '{name}'"):
         agent(name)
-
-
-def test_a_broken_policy_file_is_refused_by_its_path(tmp_path):
-    path = tmp_path / "policy.safetensors"
-    path.write_bytes(b"no policy")
-    with pytest.raises(ValueError, match=r"policy\.safetensors is no policy"):
-        agent(str(path))
 
 
 def test_an_episode_is_the_environments_and_stands_still_at_its_end():
@@ -133,11 +113,14 @@ def test_a_failure_ends_the_picture_and_is_named(tmp_path, capsys):
 
 
 def test_the_plants_are_those_of_the_set_from_the_seed_on(tmp_path):
-    path = tmp_path / "own.json"
+    path, drift = tmp_path / "own.json", load_set("drift").plants
     path.write_text(load_set("drift").to_json(), encoding="utf-8")
     assert demo.PlantArgs().plants() == load_set("paper").plants
-    assert demo.PlantArgs(set=str(path), seed=7).plants() == load_set("drift").from_seed(7)
-    assert demo.PlantArgs(seed=7, M=0.6, mu=0.05).plants() == load_set("paper").from_seed(7, M=0.6, mu=0.05)
+    assert demo.PlantArgs(set=str(path), seed=42).plants() == drift[42:] + drift[:42]
+    changed = demo.PlantArgs(set="drift", seed=3, mu=0.25).plants()
+    assert {(plant.mu, plant.changes) for plant in changed} == {(0.25, ())}
+    assert [plant.M for plant in changed[:97]] == [plant.M for plant in drift[3:]]
+    assert {plant.M for plant in demo.PlantArgs(M=0.6).plants()} == {0.6}
     for speed in (0.1, 20.0):
         demo.PlantArgs(speed=speed).check()
 
@@ -148,16 +131,14 @@ def test_the_plants_are_those_of_the_set_from_the_seed_on(tmp_path):
         (["direct-po"], "did you mean 'direct-ppo'?"),
         (["zero", "--rival", "nobody-at-all"], "--rival must be one of"),
         (["zero", "--set", "papr"], "got 'papr'; did you mean 'paper'?"),
-        (["zero", "--seed", "100"], "seed must be one of the set 'paper', 0 to 99, got 100"),
+        (["zero", "--seed", "100"], "--seed must be one of the set's, 0 to 99, got 100"),
         (["zero", "--seed", "-1"], "must be an integer >= 0, got '-1'"),
         (["zero", "--mu", "9"], "mu=9"),
         (["zero", "--M", "0"], "M must be a finite number"),
         (["zero", "--speed", "0.09"], "--speed must be a number from 0.1 to 20, got 0.09"),
-        (["zero", "--speed", "nan"], "--speed must be a number from 0.1 to 20, got nan"),
         (["zero", "--start", "34"], "--start"),
         (["zero", "--seconds", "0"], "--seconds"),
         (["zero", "-o", "out.mp4"], "--output must name a GIF"),
-        (["zero", "-o", "nowhere/out.gif"], "--output"),
         (["zero", "-o", "out.gif", "--seconds", "33", "--speed", "0.1"], "at most 1000 pictures, got 8250"),
     ],
 )

@@ -30,23 +30,13 @@ JUMP = {"t": 1.0, "M": 0.5, "mu": 0.01}
 
 
 @pytest.mark.parametrize("kwargs", VARIANTS)
-def test_checker_is_silent(kwargs):
+def test_the_checker_is_silent_and_observations_lie_within_tight_bounds(kwargs):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        env = gym.make(ENV_ID, **kwargs)
-        check_env(env.unwrapped)
-
-
-@pytest.mark.parametrize("kwargs", VARIANTS)
-def test_observations_lie_within_tight_finite_bounds(kwargs):
-    env = CapsuleEnv(**kwargs)
-    space = env.observation_space
-    assert space.dtype == np.float32
-    assert np.isfinite(space.low).all()
-    assert np.isfinite(space.high).all()
-    rng = np.random.default_rng(0)
+        env = gym.make(ENV_ID, **kwargs).unwrapped
+        check_env(env)
+    space, rng, seen = env.observation_space, np.random.default_rng(0), []
     env.reset(seed=0)
-    seen = []
     for _ in range(800):
         # Full torque in long stretches: the extremes of the state space.
         observation, _, terminated, _, _ = env.step(np.sign(rng.uniform(-1, 1, 1)).astype(np.float32))
@@ -55,9 +45,8 @@ def test_observations_lie_within_tight_finite_bounds(kwargs):
         if terminated:
             env.reset()
     # Clipping would show as values that sit exactly on the bounds of the rates.
-    seen = np.abs(np.array(seen))
-    assert seen[:, 1].max() < space.high[1]
-    assert seen[:, 2].max() < space.high[2]
+    largest = np.abs(np.array(seen)).max(axis=0)
+    assert largest[1] < space.high[1] and largest[2] < space.high[2]
 
 
 @pytest.mark.parametrize(
@@ -170,7 +159,7 @@ def test_termination_pendulum_and_contact_are_named():
         env.unwrapped.step(np.array([0.0], np.float32))
 
 
-@pytest.mark.parametrize("signs", [(1, 1, 1), (-1, 1, -1), (1, -1, -1)])
+@pytest.mark.parametrize("signs", [(1, 1, 1), (-1, 1, -1)])
 def test_the_largest_states_of_a_reset_stay_finite(signs):
     env = CapsuleEnv(randomization="none")
     state = [1.5, *np.array([1e3, 1e6, 1e3]) * signs]
@@ -297,6 +286,8 @@ def test_residual_torque_formula():
 def test_observation_entries():
     env = gym.make(ENV_ID, controller="baselines:adaptive", observe_parameters=True, residual_limit=1.0)
     env.reset(seed=0)
+    bounds = [np.pi / 2, 20.0, 2.0, 1.0, 1.0, np.pi / 2, 20.0, 1.0, 1.0, 1.5, 2.0, 1.0]
+    assert env.observation_space.high.tolist() == np.float32(bounds).tolist()
     table = env.unwrapped.simulation.reference
     for n in range(1, 400):
         observation, _, _, _, info = env.step(np.array([0.125], np.float32))
@@ -345,6 +336,8 @@ COPIES = {"deepcopy": copy.deepcopy, "pickle": lambda env: pickle.loads(pickle.d
 @pytest.mark.parametrize("kwargs", [*VARIANTS[1:], {"controller": baselines.adaptive}])
 def test_a_copy_goes_on_with_the_episode_bit_for_bit_and_on_its_own(kwargs, make_copy):
     env = gym.make(ENV_ID, max_episode_steps=60, **kwargs)
+    with pytest.raises(gym.error.ResetNeeded):
+        make_copy(env).step(np.ones(1, np.float32))
     env.reset(seed=3)
     # In the middle of the second episode, with a jump to come.
     env.reset(options={"changes": [{**JUMP, "t": 0.05}, JUMP]})
@@ -358,21 +351,6 @@ def test_a_copy_goes_on_with_the_episode_bit_for_bit_and_on_its_own(kwargs, make
     assert course(twin, np.random.default_rng(1), 100) == one
     assert twin.unwrapped.np_random.random() == env.unwrapped.np_random.random()
     assert course(twin, np.random.default_rng(2), 5) != course(env, np.random.default_rng(3), 5)
-
-
-@pytest.mark.parametrize("make_copy", COPIES.values(), ids=COPIES)
-def test_a_copy_is_where_the_original_is_before_and_after_an_episode(make_copy):
-    env = CapsuleEnv()
-    action = np.ones(1, np.float32)
-    with pytest.raises(gym.error.ResetNeeded):
-        make_copy(env).step(action)
-    env.reset(seed=0, options={"state": [1.55, 10.0, 0.0, 0.0]})
-    twin = make_copy(env)
-    assert twin.step(action)[2] and env.step(action)[2]
-    for ended in (env, twin, make_copy(env)):
-        with pytest.raises(gym.error.ResetNeeded):
-            ended.step(action)
-        assert ended.reset()[1]["M"] == env.simulation.world[0, Row.M, 0]
 
 
 def test_a_law_that_cannot_be_pickled_is_picklings_error_and_no_obstacle_to_deepcopy():
@@ -404,27 +382,17 @@ def test_spawned_workers_know_the_environment():
 
 
 @pytest.mark.parametrize(
-    ("kwargs", "error", "message"),
+    ("kwargs", "message"),
     [
-        ({"controller": "baselines"}, ValueError, "module:attribute"),
-        ({"controller": 3}, TypeError, "controller must be"),
-        ({"residual_limit": 0.0}, ValueError, "residual_limit must be > 0 .*, got 0.0: the action would do nothing"),
-        ({"residual_limit": 0, "controller": "baselines:adaptive"}, ValueError, "residual_limit must be > 0"),
-        ({"randomization": "some"}, ValueError, "randomization must be"),
-        ({"randomization": 1}, TypeError, "randomization must be"),
-        ({"randomization": Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))}, ValueError, "Painleve"),
-        ({"physics_dt": 0.003}, ValueError, "physics_dt must divide"),
-        (
-            {"controller": "baselines:adaptive", "control_dt": 0.0015, "physics_dt": 0.0005},
-            ValueError,
-            "dt must divide",
-        ),
-        ({"render_mode": "ascii"}, ValueError, "render_mode must be"),
-        ({"render_mode": np.array(["human", "human"])}, ValueError, "render_mode must be"),
+        ({"residual_limit": 0.0}, "residual_limit must be > 0 .*, got 0.0: the action would do nothing"),
+        ({"randomization": Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))}, "Painleve"),
+        ({"physics_dt": 0.003}, "physics_dt must divide"),
+        ({"controller": "baselines:adaptive", "control_dt": 0.0015, "physics_dt": 0.0005}, "dt must divide"),
+        ({"render_mode": np.array(["human", "human"])}, "render_mode must be"),
     ],
 )
-def test_bad_arguments_are_named(kwargs, error, message):
-    with pytest.raises(error, match=message):
+def test_bad_arguments_are_named(kwargs, message):
+    with pytest.raises(ValueError, match=message):
         CapsuleEnv(**kwargs)
 
 
@@ -435,19 +403,13 @@ def test_bad_arguments_are_named(kwargs, error, message):
         ([1.0], TypeError, "options must be a dict"),
         ({"M": 0.0}, ValueError, "M must be"),
         ({"mu": float("inf")}, ValueError, "mu must be"),
-        ({"mu": 500.0}, ValueError, "Painleve"),
-        ({"state": [0.0, 0.0]}, ValueError, "state"),
-        ({"state": [2.0, 0.0, 0.0, 0.0]}, ValueError, "state"),
         ({"state": "here"}, TypeError, "state"),
         ({"state": [0.3, 1e120, 0.0, 0.0]}, ValueError, r"\|theta_dot\| <= 1000 rad/s"),
         ({"state": [0.3, 0.0, -1.1e6, 0.0]}, ValueError, r"\|x\| <= 1e\+06 m"),
         ({"state": [0.3, 0.0, 0.0, 1001.0]}, ValueError, r"\|x_dot\| <= 1000 m/s"),
         ({"changes": 1.0}, TypeError, r"options\['changes'\] must be a list of dicts .*, got 1.0"),
-        ({"changes": JUMP}, TypeError, r"options\['changes'\] must be a list of dicts"),
         ({"changes": [1.0]}, TypeError, r"options\['changes'\]\[0\].*, got 1.0"),
         ({"changes": [{"t": 1.0, "M": 0.5}]}, ValueError, r"options\['changes'\]\[0\] must have the keys"),
-        ({"changes": [JUMP, {"M": 0.5, "mu": 0.1}]}, ValueError, r"options\['changes'\]\[1\] must have the keys"),
-        ({"changes": [{**JUMP, "m": 0.1}]}, ValueError, r"options\['changes'\]\[0\] must have the keys"),
         ({"changes": [{**JUMP, "t": -1.0}]}, ValueError, r"options\['changes'\]\[0\]\['t'\] must be"),
         (
             {"changes": [JUMP, {**JUMP, "t": 0.5}]},

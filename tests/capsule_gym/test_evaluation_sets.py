@@ -74,39 +74,3 @@ def test_unknown_sets_and_broken_files(tmp_path):
 def test_a_sets_file_gives_back_the_set(name):
     found = load_set(name)
     assert parse_set(json.loads(found.to_json())) == found
-
-
-def test_the_plants_begin_with_the_one_of_that_seed_and_none_is_lost():
-    drift = load_set("drift")
-    begun = drift.from_seed(42)
-    assert begun[0].seed == 42 and begun[0].changes
-    assert begun == drift.plants[42:] + drift.plants[:42]
-
-
-def test_a_given_mass_or_friction_is_every_plants_and_does_not_jump():
-    drift = load_set("drift")
-    begun = drift.from_seed(3, mu=0.25)
-    assert {(plant.mu, plant.changes) for plant in begun} == {(0.25, ())}
-    assert [plant.M for plant in begun[:97]] == [plant.M for plant in drift.plants[3:]]
-    assert {plant.M for plant in drift.from_seed(3, M=0.6)} == {0.6}
-
-
-@pytest.mark.parametrize(
-    ("given", "error", "message"),
-    [
-        ({"seed": 100}, ValueError, "seed must be one of the set 'drift', 0 to 99, got 100"),
-        ({"seed": 0, "M": 0.0}, ValueError, r"\bM must be a finite number.*got 0\.0"),
-        ({"seed": 0, "M": 0.05, "mu": 2.0}, ValueError, "Painleve"),
-        ({"seed": 0, "mu": "rough"}, TypeError, "mu must be a finite number.*'rough'"),
-    ],
-)
-def test_a_plant_that_there_is_not_is_refused(given, error, message):
-    with pytest.raises(error, match=message):
-        load_set("drift").from_seed(**given)
-
-
-def test_reset_is_told_all_that_makes_the_episode():
-    (spec,) = parse_set(plant(theta=-0.25)).plants
-    assert spec.reset_options() == {"M": 0.5, "mu": 0.01, "state": [-0.25, 0.0, 0.0, 0.0], "changes": []}
-    (spec,) = parse_set(change((5.0, 0.6, 0.02))).plants
-    assert spec.reset_options()["changes"] == [{"t": 5.0, "M": 0.6, "mu": 0.02}]

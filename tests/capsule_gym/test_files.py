@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import math
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capsule_gym.files import canonical_hash, file_hash, naming, replacing, to_json, write_atomically
+from capsule_gym.files import canonical_hash, file_hash, replacing, to_json, write_atomically
 
 
 def test_a_file_appears_whole_and_replaces_what_was_there(tmp_path: Path):
@@ -31,13 +30,6 @@ def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path: Path):
         raise RuntimeError
     assert path.read_text(encoding="utf-8") == "old"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_an_error_of_the_system_names_the_file():
-    with pytest.raises(OSError, match=r"No space left on device.*full\.json"), naming(Path("full.json")):
-        raise OSError(errno.ENOSPC, "No space left on device")
-    with pytest.raises(OSError, match="other"), naming(Path("full.json")):
-        raise FileNotFoundError(errno.ENOENT, "missing", "other")
 
 
 def test_json_has_null_where_a_number_is_not_finite():

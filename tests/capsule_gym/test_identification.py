@@ -82,17 +82,6 @@ def test_the_balance_of_momentum_holds_in_every_slip(M, mu):
     assert checked > 40
 
 
-@pytest.mark.parametrize("s", [1.0, -1.0])
-def test_the_slopes_are_those_of_the_balance(s):
-    at, h = (0.5, -3.0), 1e-6
-    _, *slopes = balance(*at, 2.0, -1.5, s, **PLANT)
-    for n, slope in enumerate(slopes):
-        shifted = [
-            balance(*(value + d * (k == n) for k, value in enumerate(at)), 2.0, -1.5, s, **PLANT) for d in (h, -h)
-        ]
-        assert slope == pytest.approx((shifted[0][0] - shifted[1][0]) / (2.0 * h), rel=1e-7)
-
-
 @pytest.mark.parametrize(("M", "mu"), PLANTS)
 def test_both_are_found_in_slip(M, mu):
     rows = states(M, mu)

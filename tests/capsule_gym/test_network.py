@@ -12,16 +12,13 @@ import numpy as np
 import pytest
 
 from capsule_gym import network
-from capsule_gym.compilation import fingerprint
 from capsule_gym.layout import LANES
 from capsule_gym.network import (
     FEW,
     SATURATION,
     TILE,
     Header,
-    act_batch,
     compiled_act_batch,
-    input_names,
     pack,
     to_action,
 )
@@ -104,25 +101,6 @@ def test_a_row_is_the_same_alone_and_in_any_batch(relu):
             assert run(packed, observations[first : first + n]).tobytes() == whole[first : first + n].tobytes()
 
 
-def test_interpreted_and_compiled_network_agree_bit_for_bit():
-    packed = make_network(make_layers((5, 12, 1)), tanh_squashing=True)
-    observations = np.random.default_rng(3).normal(size=(2, 5)).astype(np.float32)
-    by_hand = []
-    for observation in observations.astype(np.float64):
-        values = list(observation)
-        for n, (weights, bias) in enumerate(make_layers((5, 12, 1))):
-            sums = []
-            for row, start in zip(weights.astype(np.float64), bias.astype(np.float64), strict=True):
-                total = float(start)
-                for weight, value in zip(row.tolist(), values, strict=True):
-                    total = network.fma(weight, float(value), total)
-                sums.append(network.tanh(total))
-            values = sums
-            assert len(values) == (12, 1)[n]
-        by_hand.append(values)
-    assert run(packed, observations).tobytes() == np.array(by_hand, np.float32).tobytes()
-
-
 def test_one_environment_that_is_no_number_leaves_the_others_alone():
     packed = make_network(make_layers((5, 64, 64, 1)), relu=True, tanh_squashing=True)
     observations = np.random.default_rng(4).normal(size=(LANES, 5)).astype(np.float32)
@@ -151,26 +129,6 @@ def test_a_wanted_torque_is_reached_within_the_residual_limit():
     # An output that is an action is clipped and no more.
     for output, action in ((0.3, 0.3), (0.95, 0.95), (1.7, 1.0), (-1e300, -1.0)):
         assert to_action(make_header(make_layers((5, 1))), output, 0.7) == action
-
-
-def test_an_edit_of_what_it_calls_changes_its_fingerprint(monkeypatch):
-    before = fingerprint(act_batch)
-    with monkeypatch.context() as patch:
-        patch.setattr(network, "TILE", network.TILE + 1)
-        assert fingerprint(act_batch) != before
-    for function in (network.affine.py_func, network.fma.py_func):
-        with monkeypatch.context() as patch:
-            code = function.__code__
-            patch.setattr(function, "__code__", code.replace(co_consts=(*code.co_consts, "edited")))
-            assert fingerprint(act_batch) != before, function.__name__
-    assert fingerprint(act_batch) == before
-
-
-def test_inputs_are_the_observation_then_what_is_identified_then_the_weight():
-    added = ("M_estimate", "log_mu_estimate", "M_deviation", "log_mu_deviation", "log_energy_weight")
-    assert input_names(("theta",), True, True) == ("theta", *added)
-    assert input_names(("theta",), True, False) == ("theta", *added[:-1])
-    assert input_names(("theta",), False, True) == ("theta", added[-1])
 
 
 # Prints a hash of what every pretrained policy and a network of odd widths answer, alone and in batches.

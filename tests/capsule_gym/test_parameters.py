@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import math
-import pickle
 import re
 
 import numpy as np
@@ -25,7 +24,6 @@ from capsule_gym.simulation import Simulation
 
 POSITIVE = ("M", "m", "l", "g", "backward_ratio")
 NON_NEGATIVE = ("k", "c", "mu")
-NUMBERS = (*POSITIVE, *NON_NEGATIVE, "static_ratio")
 
 
 def test_the_defaults_are_the_papers():
@@ -34,79 +32,41 @@ def test_the_defaults_are_the_papers():
     assert Capsule().plant() == Plant(**own, **ratios, pivot_torque_on_contact=0.0)
 
 
-@pytest.mark.parametrize("field", NUMBERS)
-@pytest.mark.parametrize("value", [math.nan, math.inf, -0.1, 1e13, 10**400])
-def test_values_out_of_range_are_refused_by_name_value_and_what_is_accepted(field, value):
-    with pytest.raises(ValueError) as caught:
-        Capsule(**{field: value})
-    message = str(caught.value)
+@pytest.mark.parametrize("field", [*POSITIVE, *NON_NEGATIVE, "static_ratio"])
+def test_constants_out_of_range_are_refused_by_name_value_and_what_is_accepted(field):
     lowest = "1" if field == "static_ratio" else "1e-12" if field in POSITIVE else "0"
-    assert f"Capsule.{field} must be a finite number from {lowest} to 1e+12, got {value!r}" in message
-
-
-@pytest.mark.parametrize("field", NUMBERS)
-@pytest.mark.parametrize("value", ["0.3", None, True, np.True_, np.array(0.3)])
-def test_what_is_no_number_is_refused_with_its_type(field, value):
-    with pytest.raises(TypeError) as caught:
-        Capsule(**{field: value})
-    message = str(caught.value)
-    assert message.startswith(f"Capsule.{field} must be a finite number")
-    assert repr(value) in message
-    assert type(value).__name__ in message
-
-
-def test_the_edges_of_the_ranges():
-    for field in POSITIVE:
-        for value in (0.0, 9e-13):
-            with pytest.raises(ValueError, match=rf"Capsule\.{field} .*from 1e-12 .*, got {value}"):
-                Capsule(**{field: value})
-    for field in NON_NEGATIVE:
+    below = 0.999 if field == "static_ratio" else 9e-13 if field in POSITIVE else -5e-324
+    for value in (math.nan, math.inf, below, 1.1e12, 10**400):
+        said = f"Capsule.{field} must be a finite number from {lowest} to 1e+12, got {value!r}"
+        with pytest.raises(ValueError, match=re.escape(said)):
+            Capsule(**{field: value})
+    for value in ("0.3", None, True, np.True_, np.array(0.3)):
+        said = f"Capsule.{field} must be a finite number from {lowest} to 1e+12, got {value!r} of type"
+        with pytest.raises(TypeError, match=re.escape(said)):
+            Capsule(**{field: value})
+    if field in NON_NEGATIVE:
         assert getattr(Capsule(**{field: 0}).plant(), field) == 0.0
-    assert Capsule(static_ratio=1).static_ratio == 1
-    with pytest.raises(ValueError, match=r"Capsule\.static_ratio .*from 1 .*, got 0\.999"):
-        Capsule(static_ratio=0.999)
-
-
-def test_the_sizes_hold_for_drawn_and_given_plants_too():
-    for arguments in ((1e300, 0.1), (1e-300, 0.0), (0.5, 1e300)):
-        with pytest.raises(ValueError, match="must be a finite number from"):
-            Capsule().check_plant(*arguments)
-    for randomization in (
-        Randomization(M=(0.1, 1e300)),
-        Randomization(M=(1e-300, 0.1)),
-        Randomization(mu=(0.0, 1e300)),
-    ):
-        with pytest.raises(ValueError, match=r"^Randomization\(.* must be a finite number from"):
-            randomization.check(Capsule())
 
 
 def test_what_is_worked_out_of_narrow_numbers_is_not_narrow():
     narrow = {"M": np.float16(0.5), "m": np.float16(0.1), "l": np.float32(0.3), "c": np.float16(0.01)}
     wide = {name: float(value) for name, value in narrow.items()}
     assert Capsule(**narrow).plant() == Capsule(**wide).plant()
-    assert Capsule(**narrow).fastest_rate(0.5, 0.1) == Capsule(**wide).fastest_rate(0.5, 0.1)
 
 
-@pytest.mark.parametrize("value", ["Newton", "", None, 1, np.array(["newton"] * 2)])
+@pytest.mark.parametrize("value", ["Newton", None, np.array(["newton"] * 2)])
 def test_an_unknown_normal_force_is_refused(value):
-    with pytest.raises(ValueError) as caught:
+    with pytest.raises(ValueError, match=re.escape(f"Capsule.normal_force must be 'newton' or 'paper', got {value!r}")):
         Capsule(normal_force=value)
-    assert "Capsule.normal_force must be 'newton' or 'paper'" in str(caught.value)
-    assert repr(value) in str(caught.value)
-
-
-def singular_angle_exists(M: float, m: float, mu: float) -> bool:
-    """Whether the determinant of the slip equations vanishes at some angle."""
-    theta = np.linspace(-math.pi, math.pi, 200_001)
-    return bool(np.any(M + m * np.sin(theta) ** 2 - mu * m * np.sin(theta) * np.cos(theta) <= 0.0))
 
 
 def test_painleves_paradox_is_refused_exactly_where_the_slip_equations_can_be_singular():
-    rng = np.random.default_rng(3)
+    rng, theta = np.random.default_rng(3), np.linspace(-math.pi, math.pi, 200_001)
     outcomes = set()
     for _ in range(60):
         M, m, mu = rng.uniform(0.01, 1.0), rng.uniform(0.1, 2.0), rng.uniform(0.0, 6.0)
-        singular = singular_angle_exists(M, m, mu)
+        # Whether the determinant of the slip equations vanishes at some angle.
+        singular = bool(np.any(M + m * np.sin(theta) ** 2 - mu * m * np.sin(theta) * np.cos(theta) <= 0.0))
         outcomes.add(singular)
         if singular:
             with pytest.raises(ValueError, match="Painleve"):
@@ -116,43 +76,33 @@ def test_painleves_paradox_is_refused_exactly_where_the_slip_equations_can_be_si
     assert outcomes == {True, False}
 
 
-def test_the_message_says_up_to_which_friction_the_masses_are_valid():
+def test_painleves_paradox_counts_the_largest_coefficient_that_can_act_and_names_the_limit():
     with pytest.raises(ValueError, match=r"M=0\.05.*mu=2\.0.*must stay below") as caught:
         Capsule(M=0.05, mu=2.0)
     largest = float(str(caught.value).rsplit(" ", 1)[1])
     Capsule(M=0.05, mu=largest * 0.9999)
     with pytest.raises(ValueError, match="Painleve"):
         Capsule(M=0.05, mu=largest * 1.0001)
-
-
-@pytest.mark.parametrize("ratios", [{"backward_ratio": 4.0}, {"static_ratio": 4.0}])
-def test_painleves_paradox_counts_the_largest_coefficient_that_can_act(ratios):
-    Capsule(M=0.2, mu=1.5)
-    with pytest.raises(ValueError, match=r"mu=6\.0"):
-        Capsule(M=0.2, mu=1.5, **ratios)
     Capsule(M=0.2, mu=1.5, backward_ratio=0.25)
+    for ratios in ({"backward_ratio": 4.0}, {"static_ratio": 4.0}):
+        with pytest.raises(ValueError, match=r"mu=6\.0"):
+            Capsule(M=0.2, mu=1.5, **ratios)
 
 
 def test_the_plant_takes_another_mass_and_friction_and_checks_them():
-    plant = Capsule().plant(M=0.7, mu=0.2)
-    assert plant == Capsule(M=0.7, mu=0.2).plant()
-    assert Capsule().plant(mu=0.0).mu == 0.0
-    for arguments in ({"M": 0.0}, {"M": math.nan}, {"mu": -1.0}, {"M": 0.01, "mu": 3.0}):
-        with pytest.raises(ValueError, match=r"must be|Painleve"):
-            Capsule().plant(**arguments)
-        with pytest.raises(ValueError, match=r"must be|Painleve"):
-            Capsule().check_plant(arguments.get("M", 0.5), arguments.get("mu", 0.01))
-    with pytest.raises(TypeError, match="mu must be a finite number"):
-        Capsule().check_plant(0.5, "rough")
+    assert Capsule().plant(M=0.7, mu=0.2) == Capsule(M=0.7, mu=0.2).plant()
+    for M, mu in ((0.0, 0.1), (math.nan, 0.1), (0.5, -1.0), (0.01, 3.0), (1e300, 0.1), (0.5, 1e300)):
+        for check in (Capsule().plant, Capsule().check_plant):
+            with pytest.raises(ValueError, match=r"must be|Painleve"):
+                check(M, mu)
 
 
 def eigenvalue(theta: float, slip: float, plant: Plant) -> float:
     """The larger one, by size, of the pendulum linearised at rest at that angle, where a torque holds it."""
+    mu = dynamics.kinetic_friction(slip, plant)
 
     def turn(theta: float, theta_dot: float, u: float) -> float:
-        return dynamics.pressed_accelerations(theta, theta_dot, slip, dynamics.kinetic_friction(slip, plant), u, plant)[
-            0
-        ]
+        return dynamics.pressed_accelerations(theta, theta_dot, slip, mu, u, plant)[0]
 
     free = turn(theta, 0.0, 0.0)
     u = -free / (turn(theta, 0.0, 1.0) - free)
@@ -178,86 +128,71 @@ def test_the_fastest_rate_bounds_every_eigenvalue_closely(normal_force, close):
         angles = np.linspace(-1.57, 1.57, 50).tolist()
         found = max(eigenvalue(theta, slip, capsule.plant()) for theta in angles for slip in (1.0, -1.0))
         assert close * rate < found < rate * (1.0 + 1e-4), fields
-
-
-def test_the_fastest_rate_grows_with_a_lighter_platform_and_a_rougher_floor():
-    for capsule in (Capsule(), Capsule(c=20.0), Capsule(k=400.0), Capsule(k=0.0, c=0.0)):
-        rates = [[capsule.fastest_rate(M, mu) for M in (0.75, 0.5, 0.1)] for mu in (0.0, 0.3, 1.0)]
-        assert (np.diff(rates, axis=0) > 0.0).all() and (np.diff(rates, axis=1) > 0.0).all()
+        # A lighter platform and a rougher floor are faster: of ranges one corner has to be checked.
+        assert capsule.fastest_rate(1.1 * capsule.M, capsule.mu) < rate
+        assert capsule.fastest_rate(capsule.M, 0.9 * capsule.mu) < rate
 
 
 # Randomization
 
 
 @pytest.mark.parametrize("field", ["M", "mu"])
-@pytest.mark.parametrize("value", [(0.2, 0.1), (math.nan, 1.0), (0.1, math.inf), (-0.1, 0.2)])
-def test_ranges_out_of_order_or_not_finite_are_refused(field, value):
-    with pytest.raises(ValueError) as caught:
-        Randomization(**{field: value})
-    message = str(caught.value)
-    assert message.startswith(f"Randomization.{field}")
-    assert "a pair (low, high) of finite numbers with" in message
-    assert any(repr(part) in message for part in (value, *value))
-
-
-@pytest.mark.parametrize("field", ["M", "mu"])
-@pytest.mark.parametrize("value", [0.1, "ab", (0.1,), (0.1, 0.2, 0.3), ("0.1", "0.2"), (True, 2.0), (None, 0.2)])
-def test_what_is_no_pair_of_numbers_is_refused(field, value):
-    with pytest.raises(TypeError, match=rf"^Randomization\.{field}.*a pair \(low, high\)"):
-        Randomization(**{field: value})
+def test_ranges_that_are_none_are_refused_by_name(field):
+    for value in ((0.2, 0.1), (math.nan, 1.0), (0.1, math.inf), (-0.1, 0.2)):
+        with pytest.raises(ValueError, match=rf"^Randomization\.{field}.*a pair \(low, high\) of finite numbers with"):
+            Randomization(**{field: value})
+    for value in (0.1, "ab", (0.1,), (0.1, 0.2, 0.3), ("0.1", "0.2"), (True, 2.0), (None, 0.2)):
+        with pytest.raises(TypeError, match=rf"^Randomization\.{field}.*a pair \(low, high\)"):
+            Randomization(**{field: value})
 
 
 def test_zero_is_a_friction_coefficient_but_no_mass_and_has_no_logarithm():
     Randomization(mu=(0.0, 0.1))
-    with pytest.raises(ValueError, match=r"Randomization\.M\[0\].*0 < low"):
-        Randomization(M=(0.0, 1.0))
-    with pytest.raises(ValueError, match=r"Randomization\.mu\[0\].*0 < low"):
-        Randomization(mu=(0.0, 0.1), log_mu=True)
-    with pytest.raises(ValueError, match=r"Randomization\.mu must span at most a factor of 1e\+300 .*5e-324"):
-        Randomization(mu=(5e-324, 0.1), log_mu=True)
+    for fields, message in (
+        ({"M": (0.0, 1.0)}, r"Randomization\.M\[0\].*0 < low"),
+        ({"mu": (0.0, 0.1), "log_mu": True}, r"Randomization\.mu\[0\].*0 < low"),
+        ({"mu": (5e-324, 0.1), "log_mu": True}, r"Randomization\.mu must span at most a factor of 1e\+300 .*5e-324"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Randomization(**fields)
     with pytest.raises(TypeError, match=r"Randomization\.log_mu must be True or False, got 1"):
         Randomization(log_mu=1)
 
 
-def test_ranges_become_tuples_of_floats():
-    randomization = Randomization(M=[1, 2], mu=np.array([0.1, 0.2]))
-    assert randomization.M == (1.0, 2.0)
-    assert randomization.mu == (0.1, 0.2)
-    assert randomization.to_dict() == {"M": (1.0, 2.0), "mu": (0.1, 0.2), "log_mu": False}
-    assert Randomization(**randomization.to_dict()) == randomization
-
-
-def test_every_corner_of_the_ranges_is_checked_for_painleves_paradox():
+def test_every_corner_of_the_ranges_is_checked():
     light_and_rough = Randomization(M=(0.05, 1.0), mu=(0.0, 2.0))
     with pytest.raises(ValueError, match=r"Randomization\(M=\(0\.05, 1\.0\), mu=\(0\.0, 2\.0\)\).*Painleve"):
         light_and_rough.check(Capsule())
-    Randomization(M=(0.05, 1.0)).check(Capsule())
-    Randomization(mu=(0.0, 2.0)).check(Capsule())
-    with pytest.raises(ValueError, match="Painleve"):
-        Randomization(M=(0.05, 1.0)).check(Capsule(mu=2.0))
-    with pytest.raises(ValueError, match="Painleve"):
-        Randomization(mu=(0.0, 2.0)).check(Capsule(M=0.05))
-    for randomization in RANDOMIZATIONS.values():
+    for randomization, capsule in (
+        (Randomization(M=(0.05, 1.0)), Capsule(mu=2.0)),
+        (Randomization(mu=(0.0, 2.0)), Capsule(M=0.05)),
+        (Randomization(M=(0.1, 1e300)), Capsule()),
+        (Randomization(M=(1e-300, 0.1)), Capsule()),
+        (Randomization(mu=(0.0, 1e300)), Capsule()),
+    ):
+        with pytest.raises(ValueError, match=r"^Randomization\(.*(Painleve|must be a finite number from)"):
+            randomization.check(capsule)
+    for randomization in (*RANDOMIZATIONS.values(), Randomization(M=(0.05, 1.0)), Randomization(mu=(0.0, 2.0))):
         randomization.check(Capsule())
 
 
-def test_names():
+def test_named_ranges():
     assert Randomization.named("none") == Randomization()
     assert Randomization.named("paper") == Randomization(M=(0.45, 0.55), mu=(0.009, 0.011))
-    assert Randomization.named("wide") == Randomization(M=(0.35, 0.75), mu=(0.005, 0.3), log_mu=True)
+    assert Randomization.named("wide") == Randomization(M=[0.35, 0.75], mu=np.array([0.005, 0.3]), log_mu=True)
     assert Randomization.named("broad") == Randomization(M=(0.25, 1.2), mu=(0.002, 0.6), log_mu=True)
     own = Randomization(M=(0.4, 0.5))
     assert Randomization.named(own) is own
-    with pytest.raises(ValueError, match=r"\['broad', 'none', 'paper', 'wide'\], got 'Wide'"):
-        Randomization.named("Wide")
-    with pytest.raises(TypeError, match=r"\['broad', 'none', 'paper', 'wide'\], got None"):
-        Randomization.named(None)
+    for name, error in (("Wide", ValueError), (None, TypeError)):
+        with pytest.raises(error, match=rf"\['broad', 'none', 'paper', 'wide'\], got {name!r}"):
+            Randomization.named(name)
 
 
 # Options
 
 
 FIELDS = {field.name: field for field in dataclasses.fields(EnvConfig)}
+NUMBERS = [name for name, field in FIELDS.items() if "float" in field.type]
 
 
 def test_the_signature_and_the_page_of_the_environment_list_the_options():
@@ -265,31 +200,15 @@ def test_the_signature_and_the_page_of_the_environment_list_the_options():
     assert list(parameters) == [name for name in FIELDS if name != "threads"]
     page = inspect.getdoc(CapsuleEnv)
     for name, parameter in parameters.items():
-        assert parameter.kind is inspect.Parameter.KEYWORD_ONLY
-        assert parameter.annotation == FIELDS[name].type
         assert parameter.default is FIELDS[name].default or parameter.default == FIELDS[name].default
         assert re.search(rf"^\| `{name}` \| .* \| {re.escape(DOCS[name])} \|$", page, re.MULTILINE), name
 
 
-def test_what_is_given_is_kept_as_plain_types():
-    options = EnvConfig(torque_limit=np.float32(2.0), observe_parameters=np.True_, threads=np.int64(2), control_dt=1)
-    assert (options.torque_limit, options.observe_parameters, options.threads) == (2.0, True, 2)
-    assert [type(value) for value in (options.torque_limit, options.observe_parameters)] == [float, bool]
-    assert (type(options.threads), type(options.control_dt)) == (int, float)
-    assert pickle.loads(pickle.dumps(options)) == options
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        options.torque_limit = 1.0
-
-
-NUMBERS = [name for name, field in FIELDS.items() if "float" in field.type]
-
-
 @pytest.mark.parametrize("name", NUMBERS)
-@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 10**400, -(10**400)])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 10**400])
 def test_numbers_out_of_range_are_refused_by_name_and_value(name, value):
-    with pytest.raises(ValueError, match=rf"^{name} must be a .*number.*, got ") as caught:
+    with pytest.raises(ValueError, match=rf"^{name} must be a .*number.*, got {value!r}"):
         EnvConfig(**{name: value})
-    assert repr(value) in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["torque_limit", "residual_limit", "energy_weight", "termination_penalty"])
@@ -299,10 +218,10 @@ def test_numbers_whose_sums_would_be_infinite_are_refused(name):
 
 
 @pytest.mark.parametrize("name", [*NUMBERS, "observe_parameters", "capsule", "randomization", "threads"])
-@pytest.mark.parametrize("value", [[1.0], 1j, b"1"])
-def test_wrong_types_are_refused_by_name(name, value):
-    with pytest.raises(TypeError, match=rf"^{name} must be "):
-        EnvConfig(**{name: value})
+def test_wrong_types_are_refused_by_name(name):
+    for value in ([1.0], 1j, b"1"):
+        with pytest.raises(TypeError, match=rf"^{name} must be "):
+            EnvConfig(**{name: value})
 
 
 def test_what_is_none_follows_from_the_others():
@@ -310,8 +229,6 @@ def test_what_is_none_follows_from_the_others():
     assert (direct.residual_limit, direct.physics_dt, direct.physics_steps, direct.law_steps) == (2.0, 2e-3, 10, 1)
     law = Simulation(1, EnvConfig(controller="baselines:adaptive")).settings
     assert (law.residual_limit, law.physics_dt, law.physics_steps, law.law_steps) == (1.5, 1e-3, 1, 20)
-    assert Simulation(1).capsule == Capsule()
-    assert Simulation(1).randomization == Randomization.named("paper")
 
 
 @pytest.mark.parametrize("name", FIELDS)

@@ -110,26 +110,6 @@ def falling() -> Policy:
     return make_policy(layers=((weights, bias),), env_kwargs={"torque_limit": 1.5, "randomization": "wide"})
 
 
-def test_episodes_end_where_they_end_in_python():
-    policy, n = falling(), LANES + 6
-    # Half of them come to their end early: the wide plants differ little here, the state at the start a lot.
-    states = np.zeros((n, 4))
-    states[:, 0] = np.linspace(-1.4, 1.4, n)
-    simulations = []
-    for roll in (False, True):
-        env, _ = begun(policy, n)
-        observations, _ = env.reset(options={"state": states})
-        if roll:
-            rollout(env.simulation, policy, 30)
-        else:
-            stepped(env, policy, observations, 30)
-        simulations.append(env.simulation)
-    assert_same(*simulations)
-    ended = simulations[1].row(Row.termination) != 0.0
-    assert ended.sum() > 10
-    assert len(set(simulations[1].row(Row.steps)[ended])) > 3
-
-
 def test_a_rollout_goes_on_from_where_it_is_and_steps_go_on_from_there():
     policy, n = load_policy("direct-ppo"), 70
     looped, observations = begun(policy, n, jumps(n))

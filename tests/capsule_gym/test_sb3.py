@@ -64,10 +64,6 @@ def test_options_of_the_next_reset_reach_each_environment_and_only_that_reset():
     assert observations[:, 0].tolist() == pytest.approx([0.1, 0.2])
     env.reset()
     assert (env.batch.simulation.row(Row.M) <= 0.55).all()
-
-
-def test_options_with_different_keys_are_refused():
-    env = CapsuleSB3VecEnv(2, seed=0)
     env.set_options([{"M": 0.6}, {}])
     with pytest.raises(ValueError, match="same keys"):
         env.reset()

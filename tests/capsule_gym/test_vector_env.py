@@ -16,9 +16,8 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from capsule_gym import Capsule, CapsuleVectorEnv
-from capsule_gym.layout import ROWS, Row
 from capsule_gym.task import ENV_ID, METRICS, Termination
-from tests.capsule_gym.fakes import EPISODE_ROWS, layout, picky_controller
+from tests.capsule_gym.fakes import picky_controller
 
 VARIANTS = [
     {"initial_noise": 0.05, "randomization": "wide"},
@@ -43,25 +42,6 @@ def singles(n: int, horizon: int, mode: AutoresetMode, **kwargs) -> SyncVectorEn
         return WithMetrics(gym.make(ENV_ID, max_episode_steps=horizon, disable_env_checker=True, **kwargs))
 
     return SyncVectorEnv([make] * n, autoreset_mode=mode)
-
-
-@pytest.mark.parametrize("mode", AutoresetMode)
-@pytest.mark.parametrize("kwargs", VARIANTS)
-def test_info_has_the_same_keys_and_dtypes_at_reset_step_and_autoreset(mode, kwargs):
-    env = CapsuleVectorEnv(3, max_episode_steps=20, autoreset_mode=mode, **kwargs)
-    expected = layout(env.reset(seed=0)[1])
-    ends = 0
-    for _ in range(90):
-        info = env.step(np.ones((3, 1), np.float32))[4]
-        if "final_info" in info:
-            ends += 1
-            final = info.pop("final_info")
-            assert set(layout(final.pop("metrics"))) == {key for name in METRICS for key in (name, f"_{name}")}
-            assert final.pop("_metrics").dtype == np.bool_
-            assert layout(final) == expected
-            del info["final_obs"], info["_final_obs"], info["_final_info"]
-        assert layout(info) == expected
-    assert (ends > 0) == (mode is AutoresetMode.SAME_STEP)
 
 
 def assert_same_metrics(ours, theirs, i):
@@ -113,31 +93,6 @@ def test_batch_equals_single_environments_across_resets(mode, kwargs, n, threads
     batch.close()
 
 
-@pytest.mark.parametrize("kwargs", VARIANTS)
-def test_who_has_ended_keeps_every_quantity_while_its_block_goes_on(kwargs):
-    n = 70
-    env = CapsuleVectorEnv(n, autoreset_mode=AutoresetMode.DISABLED, **kwargs)
-    env.reset(seed=0)
-    simulation = env.simulation
-    rng = np.random.default_rng(0)
-    kept = [row for row in (*EPISODE_ROWS, *range(ROWS, simulation.world.shape[1])) if row != Row.reward]
-    ended = np.zeros(n, bool)
-    checked = moved = 0
-    for _ in range(80):
-        before, seen = simulation.columns(np.arange(n))[kept], simulation.observations.copy()
-        _, rewards, terminated, _, _ = env.step(rng.uniform(-1.0, 1.0, (n, 1)).astype(np.float32))
-        after = simulation.columns(np.arange(n))[kept]
-        assert after[:, ended].tobytes() == before[:, ended].tobytes()
-        assert simulation.observations[ended].tobytes() == seen[ended].tobytes()
-        assert not rewards[ended].any()
-        assert terminated[ended].all()
-        checked += np.count_nonzero(ended)
-        moved += np.count_nonzero((after[Row.theta] != before[Row.theta])[~ended])
-        ended |= terminated
-    assert checked > 300
-    assert moved > 300
-
-
 def test_make_vec_gives_the_native_batch_without_warnings():
     env = gym.make_vec(ENV_ID, num_envs=4, controller="baselines:adaptive")
     assert isinstance(env.unwrapped, CapsuleVectorEnv)
@@ -157,22 +112,6 @@ def test_the_spec_says_the_time_limit_of_the_batch(kwargs, steps):
     assert (again.num_envs, again.unwrapped.max_episode_steps, again.spec.max_episode_steps) == (2, steps, steps)
     assert CapsuleVectorEnv(2, **kwargs).spec is None
     assert gym.spec(ENV_ID).max_episode_steps == 1650
-
-
-def test_next_step_ignores_the_action_after_the_end():
-    env = CapsuleVectorEnv(2, max_episode_steps=5)
-    env.reset(seed=0)
-    for n in range(5):
-        _, _, terminated, truncated, info = env.step(np.zeros((2, 1), np.float32))
-        assert truncated.all() == (n == 4)
-    masses = info["M"]
-    observation, rewards, terminated, truncated, info = env.step(np.ones((2, 1), np.float32))
-    assert (rewards == 0.0).all()
-    assert not (terminated | truncated).any()
-    np.testing.assert_allclose(observation, np.float32([[-np.pi / 3, 0, 0, 1, 0]] * 2))
-    assert (info["M"] != masses).all()
-    for name in ("reward_progress", "reward_energy", "reward_termination"):
-        assert info[f"_{name}"].all() and not info[name].any()
 
 
 def test_disabled_autoreset_stands_still_until_the_mask_names_it():
@@ -340,10 +279,7 @@ def test_seeds_as_a_sequence():
     ("kwargs", "error", "message"),
     [
         ({"num_envs": 0}, ValueError, "num_envs must be"),
-        ({"num_envs": 2.0}, TypeError, "num_envs must be"),
-        ({"num_envs": 2, "max_episode_steps": 0}, ValueError, "max_episode_steps"),
         ({"num_envs": 2, "max_episode_steps": 10**400}, ValueError, "^max_episode_steps must be"),
-        ({"num_envs": 2, "threads": 0}, ValueError, "threads"),
         ({"num_envs": 2, "residual_limit": 0.0}, ValueError, "residual_limit must be > 0"),
         ({"num_envs": 2, "autoreset_mode": "LATER"}, ValueError, "autoreset_mode"),
         ({"num_envs": 2, "autoreset_mode": np.zeros(2)}, ValueError, "autoreset_mode"),
@@ -360,21 +296,16 @@ def test_bad_arguments_are_named(kwargs, error, message):
     [
         ([1], None, ValueError, "seed"),
         ([1, -1], None, ValueError, "seed"),
-        ([1, 0.5], None, TypeError, "seed"),
         (True, None, TypeError, r"^seed must be"),
         (np.array(1), None, ValueError, r"^seed must be"),
-        (0, {"M": 10**400}, ValueError, "^M must be"),
         (0, {"M": [[0.5], [0.5, 0.5]]}, TypeError, "^M must be"),
-        (0, {"state": [[0.0, 10**400, 0.0, 0.0]] * 2}, ValueError, "state"),
         (0, {"state": [[0.0], [0.0, 0.0]]}, TypeError, "state"),
-        (0, {"changes": [5, 5]}, TypeError, r"options\['changes'\] must be a list of dicts"),
         (0, {"M": [0.5]}, ValueError, "options\\['M'\\]"),
         (0, {"changes": 1.0}, TypeError, "options\\['changes'\\] must have one entry per environment .*, got 1.0"),
         (0, {"changes": [[], {"t": 1.0}]}, TypeError, "options\\['changes'\\] must be a list"),
         (0, {"state": np.zeros((3, 4))}, ValueError, "state"),
         (0, {"reset_mask": [True, False]}, TypeError, "reset_mask"),
         (0, {"reset_mask": np.array([False, False])}, ValueError, "reset_mask"),
-        (0, {"reset_mask": np.array([True])}, ValueError, "reset_mask"),
     ],
 )
 def test_bad_resets_are_named(seed, options, error, message):
