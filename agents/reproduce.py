@@ -27,8 +27,6 @@ from capsule_gym.evaluation_sets import load_set
 PROG = "python -m agents.reproduce"
 # Trained with reinforcement learning, or distilled from the optimum.
 PUBLISHED = (*ROWS, *(name for name, student in STUDENTS.items() if not student.observe_parameters))
-# Student's t at 97.5 % with 1, 2, .. degrees of freedom; the last value, which is conservative, serves for all others.
-STUDENT_T = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262)
 HEADER = ["row", "set", "published cm/s (runs)", "expected", "now", "failed", "one core (min)", "verdict"]
 
 
@@ -75,19 +73,14 @@ def prediction_interval(values: Sequence[float]) -> tuple[float, float]:
     >>> round(high - 10.0, 2), round(10.0 - low, 2)
     (4.97, 4.97)
     """
+    # Slow to import, and --help does not need it.
+    from scipy.stats import t
+
     count = len(values)
     if count < 2:
         return -math.inf, math.inf
-    half = STUDENT_T[min(count - 1, len(STUDENT_T)) - 1] * float(np.std(values, ddof=1)) * math.sqrt(1.0 + 1.0 / count)
+    half = float(t.ppf(0.975, count - 1)) * float(np.std(values, ddof=1)) * math.sqrt(1.0 + 1.0 / count)
     return float(np.mean(values)) - half, float(np.mean(values)) + half
-
-
-def verdict(speed: float, published: Sequence[float]) -> str:
-    """Where a speed lies with respect to the prediction interval of the published runs."""
-    low, high = prediction_interval(published)
-    if math.isinf(low):
-        return f"{len(published)} published: no comparison"
-    return "below" if speed < low else "above" if speed > high else "within"
 
 
 def compare(row: str, run: Path, seconds: float) -> list[str]:
@@ -102,21 +95,16 @@ def compare(row: str, run: Path, seconds: float) -> list[str]:
     evaluation_set = load_set("wide" if randomization == "wide" else "paper")
     episodes = evaluate(run, evaluation_set)
     speed = float(interquartile_mean(scores(episodes, "mean_speed"))[0])
-    published: list[float] = []
+    known, expected, verdict = "", "", "no comparison"
     if row in checkpoint_names():
-        speeds = scores(evaluate(row, evaluation_set), "mean_speed")
-        published = interquartile_mean(speeds).tolist()
-    low, high = prediction_interval(published)
-    return [
-        row,
-        evaluation_set.name,
-        f"{min(published):.2f} to {max(published):.2f} ({len(published)})" if published else "",
-        "" if math.isinf(low) else f"{low:.2f} to {high:.2f}",
-        f"{speed:.2f}",
-        f"{failures(episodes)}/{len(episodes)}",
-        f"{seconds / 60.0:.1f}",
-        verdict(speed, published),
-    ]
+        published = interquartile_mean(scores(evaluate(row, evaluation_set), "mean_speed")).tolist()
+        known = f"{min(published):.2f} to {max(published):.2f} ({len(published)})"
+        if len(published) > 1:
+            low, high = prediction_interval(published)
+            expected = f"{low:.2f} to {high:.2f}"
+            verdict = "below" if speed < low else "above" if speed > high else "within"
+    failed = f"{failures(episodes)}/{len(episodes)}"
+    return [row, evaluation_set.name, known, expected, f"{speed:.2f}", failed, f"{seconds / 60.0:.1f}", verdict]
 
 
 def train(args: Args) -> tuple[list[list[str]], dict[str, str]]:
@@ -130,11 +118,9 @@ def train(args: Args) -> tuple[list[list[str]], dict[str, str]]:
 
     jobs = plan({row: row_settings(row) for row in args.rows if row not in STUDENTS}, [args.seed], args.runs)
     failed = {job.row: reason for job, reason in train_all(jobs, args.jobs).items()}
-    lines = []
-    for job in (job for job in jobs if job.row not in failed):
-        last = evaluations(job.run)[-1]
-        # Old runs did not measure their processor time.
-        lines.append(compare(job.row, job.run, last.get("core_seconds", last["seconds"])))
+    lines = [
+        compare(job.row, job.run, evaluations(job.run)[-1]["core_seconds"]) for job in jobs if job.row not in failed
+    ]
     for row in (row for row in args.rows if row in STUDENTS):
         folder = args.runs / row / f"seed-{args.seed}"
         if not distil_all(row, {args.seed: folder}, STUDENTS[row].budget):

@@ -8,32 +8,19 @@ import shutil
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from agents import reproduce
 from agents.distillation import dagger
 from agents.distillation.config import STUDENTS
 from agents.evaluation.policies import CHECKPOINTS, checkpoint_names
-from agents.reproduce import STUDENT_T, prediction_interval, verdict
-
-
-def test_the_quantiles_are_students():
-    assert STUDENT_T == tuple(round(float(stats.t.ppf(0.975, n)), 3) for n in range(1, len(STUDENT_T) + 1))
+from agents.reproduce import prediction_interval
 
 
 def test_one_more_value_lies_in_its_prediction_interval_19_times_of_20():
-    draws = np.random.default_rng(0).normal(16.0, 0.3, size=(4000, 6))
+    draws = np.random.default_rng(0).normal(16.0, 0.3, size=(1000, 6))
     inside = [low <= value <= high for *known, value in draws for low, high in [prediction_interval(known)]]
-    assert np.mean(inside) == pytest.approx(0.95, abs=0.012)
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.025)
     assert prediction_interval([3.0]) == (-math.inf, math.inf)
-
-
-@pytest.mark.parametrize(
-    ("speed", "words"), [(9.0, "within"), (4.0, "below"), (16.0, "above"), (14.9, "within"), (5.1, "within")]
-)
-def test_the_verdict_says_where_a_run_lies(speed, words):
-    assert verdict(speed, (9.0, 10.0, 11.0)) == words
-    assert verdict(speed, (9.0,)) == "1 published: no comparison"
 
 
 def test_every_checkpoint_is_reproduced():
@@ -44,7 +31,7 @@ def train_again(jobs, *_):
     """Runs that have learned what published ones have learned."""
     for job in jobs:
         shutil.copytree(CHECKPOINTS / job.row / "seed-0", job.run / "best")
-        (job.run / "evaluations.csv").write_text("steps,seconds\n100,120.0\n")
+        (job.run / "evaluations.csv").write_text("steps,core_seconds\n100,120.0\n")
     return {}
 
 
