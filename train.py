@@ -139,7 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = read_args(arguments)
     # After the command line is known to be right: importing torch takes seconds.
-    from agents import comparison
+    from agents.report.comparison import compare
     from agents.training import algorithms, loop
 
     config, run = args.hyperparameters, args.resume
@@ -169,7 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"Trained; the best policy on validation plants is {run / BEST / (POLICY if has_file else MODEL)}.")
     if not (args.no_comparison or config.wrapper):
         QUIET_EXIT.message = "Stopped. The run is complete; its comparison is not."
-        comparison.compare(run)
+        compare(run)
     return 0
 
 

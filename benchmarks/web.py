@@ -24,12 +24,12 @@ import numpy as np
 from tqdm import tqdm
 
 import capsule_gym
-from agents.controllers import is_trained
 from baselines.tables import markdown_table, text_table
 from benchmarks.measurement import OutputArgs, Rate, describe, machine
 from capsule_gym.command_line import Count, parse, refuse
 from capsule_gym.task import EPISODE_STEPS
 from web import build
+from web.controllers import is_trained
 from web.episodes import env_kwargs
 
 COMMAND = "python -m benchmarks.web"

@@ -15,17 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from agents.controllers import (
-    LIGHTEST,
-    RECORDED,
-    TASKS,
-    controller_names,
-    describe_policy,
-    describe_settings,
-    find_law,
-    is_trained,
-    task_of,
-)
 from agents.training.presets import ROWS, PPOConfig
 from baselines.dynamic_programming.policy import TORQUES
 from baselines.gaits import families
@@ -40,6 +29,17 @@ from capsule_gym.network import Header
 from capsule_gym.observation import M_BOUND, MU_BOUND
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, EnvConfig
 from capsule_gym.simulation import NO_CONTROLLER, count_rows
+from web.controllers import (
+    LIGHTEST,
+    RECORDED,
+    TASKS,
+    controller_names,
+    describe_policy,
+    describe_settings,
+    find_law,
+    is_trained,
+    task_of,
+)
 from web.episodes import FILE, describe_plant, env_kwargs
 from web.modules import COMMON, ENTRIES, STARTS, build
 from web.recordings import OVER, known_recordings

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 
 import capsule_gym
-from agents.controllers import controller_names, is_trained
 from baselines.policies import SCRIPTED
 from capsule_gym.command_line import parse
 from capsule_gym.evaluation_sets import PlantSpec, load_set
 from capsule_gym.files import write_atomically
 from capsule_gym.task import CONTROL_DT, HORIZON
+from web.controllers import controller_names, is_trained
 
 FILE = Path(__file__).with_name("episodes.json")
 # Random actions and for how many steps each holds, or nothing would move.

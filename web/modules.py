@@ -27,7 +27,6 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.arrayobj import get_cfarray_intrinsic
 
-from agents.controllers import find_law
 from baselines.gaits import families
 from capsule_gym import kernels, layout, resets
 from capsule_gym.compilation import fingerprint, inlined, inner, rebound
@@ -42,6 +41,7 @@ from capsule_gym.parameters import NOMINAL
 from capsule_gym.simulation import NO_CONTROLLER
 from web import assembly
 from web.assembly import Entry, assemble, optimise
+from web.controllers import find_law
 from web.fused import fused
 
 # The module that all tasks need besides their own, which has the task's name.
@@ -146,7 +146,7 @@ def build(names: Sequence[str], cache: Path | None = CACHE) -> dict[str, bytes]:
     """The modules of these names.
 
     Args:
-        names: `COMMON`, or of `agents.controllers.TASKS`.
+        names: `COMMON`, or of `web.controllers.TASKS`.
         cache: a folder of modules that were built before; None builds all.
 
     Raises:

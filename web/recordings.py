@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from agents.controllers import RECORDED
 from baselines.policies import SCRIPTED, Act
 from capsule_gym.command_line import parse
 from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, PlantSpec, load_set
 from capsule_gym.files import write_atomically
 from capsule_gym.task import CONTROL_DT, EPISODE_STEPS
+from web.controllers import RECORDED
 
 FILE = Path(__file__).with_name("recordings.npz")
 # Behind the last action of an episode.

@@ -3,59 +3,35 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import arg
 
-from agents.analysis import gallery, limit_cycle, pareto, residual_limit, tables
-from agents.analysis.data import Document, gather
-from agents.analysis.figures import figures_of
-from agents.evaluation import policies as evaluation_policies
-from agents.leaderboard.rows import RESULTS, load_rows
+from agents.analysis import limit_cycle, pareto, recording, residual_limit, statistics
+from agents.analysis.data import Document
 from capsule_gym.command_line import Positional, parse, refuse
-from capsule_gym.evaluation_sets import SET_NAMES, load_set
 from capsule_gym.files import write_atomically
 
 COMMAND = "python -m agents.analysis"
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def statistics(policies: Sequence[str] = ()) -> Document:
-    """Tables and figures of the leaderboard's results; nothing is evaluated.
-
-    Args:
-        policies: rows; all by default.
-
-    Raises:
-        ValueError: if a policy has no results, or results on other sets.
-    """
-    names = policies or [candidate.name for candidate in evaluation_policies.all_candidates()]
-    rows = load_rows(ROOT / RESULTS, names)
-    results = gather(rows, [load_set(name) for name in SET_NAMES], evaluation_policies.CHECKPOINTS)
-    sections = {
-        "failures": tables.failures(results),
-        "differences": tables.differences(results),
-        "improvement": tables.improvements(results),
-        "learning": tables.learning(results),
-    }
-    return Document(sections, figures_of(results))
-
-
-DOCUMENTS: dict[str, Callable[[Sequence[str]], Document]] = {
+# Each has a function `document`, which takes the names of policies.
+DOCUMENTS = {
     "statistics": statistics,
-    "limit_cycle": limit_cycle.document,
-    "pareto": pareto.document,
-    "residual_limit": residual_limit.document,
-    "gallery": gallery.document,
+    "limit_cycle": limit_cycle,
+    "pareto": pareto,
+    "residual_limit": residual_limit,
+    "gallery": recording,
 }
 
 
 @dataclass(frozen=True)
 class Args:
-    """Writes docs/NAME_tables.md, docs/figures/NAME*.png and .svg, and the animations of the gallery in docs/media.
+    """Writes docs/NAME_tables.md, docs/figures/NAME*.png and .svg; the gallery also its animations, in docs/media.
 
     Examples:
       python -m agents.analysis
@@ -72,8 +48,6 @@ class Args:
     """Policies that are shown, as for python -m agents.evaluate; those of the documentation by default."""
     output: Annotated[Path, arg(metavar="DIR", aliases=["-o"])] = ROOT / "docs"
     """Folder of the files, which are replaced."""
-    train: bool = False
-    """First train the agents of residual_limit again; the same command resumes."""
 
 
 def render(document: Document) -> str:
@@ -92,10 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         refuse(COMMAND, f"NAME must be one of {', '.join(DOCUMENTS)}, got {unknown[0]!r}")
     stale = False
     try:
-        if args.train:
-            residual_limit.train()
         for name in args.names or DOCUMENTS:
-            document, path = DOCUMENTS[name](args.policies), args.output / f"{name}_tables.md"
+            document, path = DOCUMENTS[name].document(args.policies), args.output / f"{name}_tables.md"
             if args.check:
                 if document.sections and (not path.is_file() or path.read_text(encoding="utf-8") != render(document)):
                     print(f"{path} is not up to date: run `{COMMAND} {name}` and commit what it writes.")

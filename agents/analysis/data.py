@@ -5,32 +5,22 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from agents.evaluation.policies import BASELINE
-from agents.evaluation.statistics import (
-    Curve,
-    Estimate,
-    estimate,
-    learning_curve,
-    paired_difference,
-    probability_of_improvement,
-)
+from agents.evaluation.statistics import estimate
 from agents.leaderboard.page import RANKING_SET
 from agents.leaderboard.rows import Row
 from agents.training.presets import EVALUATED, EVALUATIONS
 from capsule_gym.evaluation_sets import EvaluationSet
 
 SPEED = "mean_speed"
-# What a policy is compared with: a row by its name, or the law that its residual is added to.
-BASE = "its base"
-REFERENCES = (BASELINE, "direct-ppo", BASE)
 # The sets whose plants are drawn and constant: the paper's ranges and the wide ones.
 SHOWN_SETS = ("paper", "wide")
+# The evaluations of a row's runs during training, on validation plants, by training seed: steps and mean speeds (cm/s).
+Learning = dict[int, tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -44,22 +34,6 @@ class Document:
 
     sections: dict[str, str] = field(default_factory=dict)
     figures: dict[str, Callable[[Path], Any]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Learning:
-    """Evaluations of a row's runs during training, on validation plants.
-
-    Attributes:
-        seeds: steps and mean speeds (cm/s), by training seed.
-    """
-
-    seeds: dict[int, tuple[np.ndarray, np.ndarray]]
-
-    @cached_property
-    def curve(self) -> Curve:
-        """The interquartile mean over the seeds."""
-        return learning_curve(list(self.seeds.values()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,16 +60,6 @@ class Results:
         """The sets of the comparisons."""
         return [each.name for each in self.sets if each.name in SHOWN_SETS]
 
-    def reference(self, row: Row, reference: str) -> Row | None:
-        """The row that another is compared with; None if there is no such row, or it is the same.
-
-        Args:
-            row: of a trained policy.
-            reference: one of `REFERENCES`.
-        """
-        name = row.header["base"] if reference == BASE else reference
-        return next((each for each in self.rows if each.name == name != row.name), None)
-
 
 def gather(rows: Sequence[Row], sets: Sequence[EvaluationSet], checkpoints: Path) -> Results:
     """Ranks rows and reads their learning curves.
@@ -113,7 +77,7 @@ def gather(rows: Sequence[Row], sets: Sequence[EvaluationSet], checkpoints: Path
             row.check_set(each)
     ranked = sorted(rows, key=lambda row: (-estimate(row.score(RANKING_SET, SPEED)).value, row.name))
     learning = {row.name: read_learning(checkpoints / row.name) for row in ranked if row.trained}
-    return Results(tuple(ranked), tuple(sets), {name: each for name, each in learning.items() if each.seeds})
+    return Results(tuple(ranked), tuple(sets), {name: each for name, each in learning.items() if each})
 
 
 def read_learning(folder: Path) -> Learning:
@@ -126,7 +90,7 @@ def read_learning(folder: Path) -> Learning:
         ValueError: if a file is not what a training run writes.
     """
     paths = {int(path.parent.name.removeprefix("seed-")): path for path in folder.glob(f"seed-*/{EVALUATIONS}")}
-    return Learning({seed: read_evaluations(paths[seed]) for seed in sorted(paths)})
+    return {seed: read_evaluations(paths[seed]) for seed in sorted(paths)}
 
 
 def read_evaluations(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -143,16 +107,6 @@ def read_evaluations(path: Path) -> tuple[np.ndarray, np.ndarray]:
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} must be what a training run writes, got {type(error).__name__}: {error}") from error
     return steps, speeds
-
-
-def difference(row: Row, reference: Row, set_name: str) -> Estimate:
-    """The paired difference of the mean speed, cm/s."""
-    return paired_difference(row.score(set_name, SPEED), reference.score(set_name, SPEED))
-
-
-def improvement(row: Row, other: Row, set_name: str) -> Estimate:
-    """The probability that one row is faster than another on the same episode."""
-    return probability_of_improvement(row.score(set_name, SPEED), other.score(set_name, SPEED))
 
 
 def fronts() -> dict[str, list[tuple[float, float]]]:

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+import textwrap
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from agents.analysis.data import SPEED, Learning, Results, fronts, improvement
-from agents.evaluation.statistics import Curve, estimate, performance_profile
+from agents.analysis.data import SPEED, Learning, Results, fronts
+from agents.evaluation.statistics import (
+    Curve,
+    estimate,
+    learning_curve,
+    performance_profile,
+    probability_of_improvement,
+)
 from agents.leaderboard.rows import Row
-from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, WIDTH, Pen, add_note, new_figure, save, style
+from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, Pen, add_note, new_figure, save, style
 
 # By the order of the sets shown.
 PENS = (Pen(BLUE), Pen(VERMILION, (0.0, (5.0, 1.6))))
@@ -21,6 +28,8 @@ FRONT_PENS = (Pen(MUTED), Pen(GREEN, (0.0, (5.0, 1.6))))
 FAINT = "#c5ccd6"
 # Between the labels next to a scatter plot, in parts of its height.
 LABEL_SPACING = 0.048
+# Letters of a title that fit above a panel, with the blanks that break it behind its hyphens.
+TITLE = 24
 
 
 def write_with(draw: Callable[..., Any], *arguments: Any) -> Callable[[Path], list[Path]]:
@@ -35,33 +44,33 @@ def write_with(draw: Callable[..., Any], *arguments: Any) -> Callable[[Path], li
 
 def figures_of(results: Results) -> dict[str, Callable[[Path], Any]]:
     """The figures that there is data for, by their path in docs/."""
-    draw = {
-        "transport": draw_transport if results.rows else None,
-        "profiles": draw_profiles if results.trained else None,
-        "improvement": draw_improvement if len(results.trained) > 1 else None,
-        "learning": draw_learning if results.learning else None,
-    }
-    return {f"figures/statistics_{name}": write_with(each, results) for name, each in draw.items() if each}
+    trained = results.trained
+    found = {"transport": write_with(draw_transport, results.rows)}
+    if trained:
+        found["profiles"] = write_with(draw_profiles, trained, results.shown_sets)
+    if len(trained) > 1:
+        found["improvement"] = write_with(draw_improvement, trained, results.shown_sets)
+    if results.learning:
+        found["learning"] = write_with(draw_learning, results.learning)
+    return {f"figures/statistics_{name}": write for name, write in found.items()}
 
 
-def panels(
-    names: Sequence[str], top: float, *, columns: int = 4, height: float = 1.3, width: float = WIDTH
-) -> tuple[Any, Iterator[Any]]:
+def panels(names: Sequence[str], top: float, columns: int = 4, height: float = 1.3) -> tuple[Any, Iterator[Any]]:
     """A figure with a panel per name, all with the same axes, and the panels in order.
 
     Args:
-        names: the panels' titles.
+        names: the panels' titles, which are broken behind hyphens.
         top: height outside of the panels, in.
         columns: the largest number of panels in a line.
         height: of a line of panels, in.
-        width: of the figure, in.
     """
     columns = min(columns, len(names))
     lines = math.ceil(len(names) / columns)
-    figure = new_figure(top + height * lines, width)
+    figure = new_figure(top + height * lines)
     grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     for axes, name in zip(grid.flat, names, strict=False):
-        axes.set_title(name)
+        # The name of a run contains its date.
+        axes.set_title("\n".join(textwrap.wrap(name.replace("-", "- "), TITLE)).replace("- ", "-"))
     for n in range(len(names), grid.size):
         grid.flat[n].set_visible(False)
         # The panel above an empty place has the numbers of the axis.
@@ -75,25 +84,17 @@ def plot_curve(axes: Any, curve: Curve, pen: Pen, **more: Any) -> None:
     axes.plot(curve.x, curve.value, **pen.line(**more))
 
 
-def plot_profiles(
-    places: Iterator[Any], rows: Sequence[Row], set_names: Sequence[str], points: int, **more: int
-) -> Any:
-    """The share of episodes faster than a speed (cm/s), a panel per row; returns the last panel."""
+def draw_profiles(rows: Sequence[Row], set_names: Sequence[str]) -> Any:
+    """Performance profiles: the share of episodes faster than a speed, a panel per row."""
+    figure, places = panels([row.name for row in rows], 0.9)
     fastest = max(float(row.score(name, SPEED).max()) for row in rows for name in set_names)
     for row, axes in zip(rows, places, strict=False):
         for name, pen in zip(set_names, PENS, strict=False):
-            curve = performance_profile(row.score(name, SPEED), np.linspace(0.0, fastest, points), **more)
+            curve = performance_profile(row.score(name, SPEED), np.linspace(0.0, fastest, 101))
             plot_curve(axes, curve, pen, label=f"on {name}")
         axes.set(xlim=(0.0, fastest), ylim=(0.0, 1.02))
     handles, labels = axes.get_legend_handles_labels()
-    axes.figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
-    return axes
-
-
-def draw_profiles(results: Results) -> Any:
-    """Performance profiles of the trained rows."""
-    figure, places = panels([row.name for row in results.trained], 0.9)
-    plot_profiles(places, results.trained, results.shown_sets, 101)
+    figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
     figure.supylabel("share of episodes that are faster", fontsize=8.0)
     add_note(
         figure,
@@ -103,20 +104,16 @@ def draw_profiles(results: Results) -> Any:
     return figure
 
 
-def plot_learning(places: Iterator[Any], learning: Sequence[Learning]) -> None:
-    """The speeds of all seeds over millions of steps, and their interquartile mean, a panel per row."""
-    for each, axes in zip(learning, places, strict=False):
-        for steps, speeds in each.seeds.values():
+def draw_learning(learning: Mapping[str, Learning]) -> Any:
+    """Learning curves: the speeds of all seeds over steps, and their interquartile mean, a panel per row."""
+    figure, places = panels(list(learning), 0.75)
+    for runs, axes in zip(learning.values(), places, strict=False):
+        for steps, speeds in runs.values():
             # A run that was evaluated once is a point.
             axes.plot(steps / 1e6, speeds, "." if len(speeds) == 1 else "-", color=MUTED, linewidth=0.5, alpha=0.6)
-        plot_curve(axes, replace(each.curve, x=each.curve.x / 1e6), PENS[0])
+        curve = learning_curve(list(runs.values()))
+        plot_curve(axes, replace(curve, x=curve.x / 1e6), PENS[0])
     axes.set(xlim=(0.0, None), ylim=(0.0, None))
-
-
-def draw_learning(results: Results) -> Any:
-    """Learning curves of the trained rows."""
-    figure, places = panels(list(results.learning), 0.75)
-    plot_learning(places, list(results.learning.values()))
     figure.supylabel("mean speed (cm/s)", fontsize=8.0)
     add_note(
         figure,
@@ -126,17 +123,17 @@ def draw_learning(results: Results) -> Any:
     return figure
 
 
-def draw_improvement(results: Results) -> Any:
+def draw_improvement(rows: Sequence[Row], set_names: Sequence[str]) -> Any:
     """The probability that one policy is faster than another on the same episode: a triangle of a matrix per set."""
-    rows, count = results.trained, len(results.trained)
-    names = [row.name for row in rows]
-    above, below = results.shown_sets[0], results.shown_sets[-1]
+    names, count = [row.name for row in rows], len(rows)
+    above, below = set_names[0], set_names[-1]
     figure = new_figure(2.2 + 0.27 * count)
     axes = figure.subplots()
     values = np.full((count, count), np.nan)
     for i, j in np.argwhere(~np.eye(count, dtype=bool)).tolist():
         # Each pair is computed once; below the diagonal it is the other way round.
-        found = improvement(rows[min(i, j)], rows[max(i, j)], above if j > i else below)
+        scores = [rows[k].score(above if j > i else below, SPEED) for k in sorted((i, j))]
+        found = probability_of_improvement(*scores)
         values[i, j] = found.value if j > i else 1.0 - found.value
         text = f"({values[i, j]:.2f})" if found.low <= 0.5 <= found.high else f"{values[i, j]:.2f}"
         axes.text(j, i, text, ha="center", va="center", fontsize=7.0, color=INK)
@@ -164,17 +161,11 @@ def plot_fronts(axes: Any) -> None:
         axes.plot(x, y, **pen.line(marker=".", markersize=4.0, linewidth=1.0, label=f"front of the {name}"))
 
 
-def plot_transport(figure: Any, rows: Sequence[Row], columns: int) -> tuple[Any, list[str]]:
-    """Speed against cost of transport on the nominal plant, with the known fronts and a legend above.
-
-    Args:
-        figure: an empty one.
-        rows: one or more.
-        columns: of the legend.
-
-    Returns:
-        The axes, and the names of the rows that make no progress and so have no cost.
-    """
+def draw_transport(rows: Sequence[Row]) -> Any:
+    """Speed against cost of transport on the nominal plant, with the known fronts and a legend above."""
+    figure = new_figure(max(4.4, 1.4 + 0.145 * len(rows)))
+    # Room for the labels on the right, whose width the layout underestimates.
+    figure.get_layout_engine().set(rect=(0.0, 0.0, 0.985, 1.0))
     axes = figure.subplots()
     plot_fronts(axes)
     marks, absent = [], []
@@ -195,16 +186,7 @@ def plot_transport(figure: Any, rows: Sequence[Row], columns: int) -> tuple[Any,
     axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)", xlim=(0.0, None), ylim=(-0.5, None))
     _label_marks(axes, marks)
     # Inside the axes every corner has a front, a policy or a label's line.
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=columns)
-    return axes, absent
-
-
-def draw_transport(results: Results) -> Any:
-    """Speed against cost of transport of all rows."""
-    figure = new_figure(max(4.4, 1.4 + 0.145 * len(results.rows)))
-    # Room for the labels on the right, whose width the layout underestimates.
-    figure.get_layout_engine().set(rect=(0.0, 0.0, 0.985, 1.0))
-    axes, absent = plot_transport(figure, results.rows, 4)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=4)
     axes.set_title("Speed against cost of transport, the paper's plant from 100 starts")
     no_progress = f" Without forward progress, and so without a cost: {', '.join(absent)}." if absent else ""
     add_note(

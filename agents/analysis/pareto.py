@@ -23,14 +23,7 @@ SPEED, COST = TABLE_METRICS["mean_speed"], TABLE_METRICS["cost_of_transport"]
 
 
 class Point(NamedTuple):
-    """A policy at one energy weight.
-
-    Attributes:
-        weight: cm/J.
-        speed: cm/s.
-        cost: of transport.
-        failures: failed episodes over all episodes of all seeds.
-    """
+    """A policy at one energy weight (cm/J): mean speed (cm/s), cost of transport, failed episodes over all episodes."""
 
     weight: float
     speed: Estimate

@@ -2,30 +2,102 @@
 
 from __future__ import annotations
 
+import base64
 import html
+import io
 import json
-import math
 import re
-import subprocess
-import sys
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
-from urllib.parse import urlencode
+from typing import Any, NamedTuple
 
-from agents.analysis.data import SPEED
-from agents.controllers import controller_names, describe_policy
-from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TableMetric
-from agents.evaluation.policies import BASELINE
-from agents.leaderboard.page import RANKING_SET
-from agents.leaderboard.rows import Row
-from agents.report import COMMAND, figures
-from agents.report.data import ROOT, Data, collect
+import numpy as np
+from tabulate import tabulate
+
+from agents.analysis.data import SPEED, Learning, Results, gather, read_evaluations, read_learning
+from agents.analysis.figures import draw_learning, draw_profiles, draw_transport, panels
+from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS
+from agents.evaluation.policies import BASELINE, CHECKPOINTS, Candidate, all_candidates, find_candidate
+from agents.leaderboard.page import RANKING_SET, build
+from agents.leaderboard.rows import RESULTS, Row, evaluate_run, load_row, make_row, path_of
+from agents.report import COMMAND
+from agents.training.presets import BEST, EVALUATIONS, MODEL
+from baselines.drawing import DPI, VERMILION, add_note, style
+from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, load_set
 from capsule_gym.files import write_atomically
-from capsule_gym.policy import Policy
+from capsule_gym.policy import POLICY
+from capsule_gym.task import HORIZON
 
-# The live page, as `make web` builds it.
-LIVE = ROOT / "site" / "live" / "index.html"
+ROOT = Path(__file__).resolve().parents[2]
+# In the folder of a run that `agents.report.comparison` has compared.
+ANIMATION = "animation.gif"
+
+
+class Data(NamedTuple):
+    """What a report shows: the rows, the entries of leaderboard.json by row and set, and GIFs by the row's name."""
+
+    results: Results
+    summaries: dict[str, dict[str, Any]]
+    animations: dict[str, bytes]
+
+    @property
+    def subjects(self) -> list[Row]:
+        """The rows that the report is about: all but the paper's controller, unless there is no other."""
+        return [row for row in self.results.rows if row.name != BASELINE] or list(self.results.rows)
+
+
+def collect(names: Sequence[str], *, trust_controller: bool = False) -> Data:
+    """Reads the rows of the leaderboard, and evaluates other runs.
+
+    Args:
+        names: rows of the leaderboard, or paths of runs, of folders with runs seed-0, seed-1, .. inside, or of policy
+            files; none means all rows.
+        trust_controller: as for `capsule_gym.load_policy`.
+
+    Raises:
+        OSError: if a file cannot be read.
+        ValueError: if there is no such policy, two have one name, or a file is broken.
+    """
+    board = json.loads((ROOT / "leaderboard.json").read_text(encoding="utf-8"))
+    published = {row["policy"]: row["results"] for row in board["rows"]}
+    sets = [load_set(name) for name in SET_NAMES]
+    rows: list[Row] = []
+    curves: dict[str, Learning] = {}
+    animations: dict[str, bytes] = {}
+    for name in dict.fromkeys([*(names or [each.name for each in all_candidates()]), BASELINE]):
+        if name in published:
+            rows.append(load_row(path_of(ROOT / RESULTS, name)))
+            continue
+        path, candidate = Path(name), _candidate(name, trust_controller)
+        row = make_row(candidate, sets, [evaluate_run(policy, sets, HORIZON) for policy in candidate.policies], {})
+        # A recurrent policy has no file that says its seed.
+        seeds = row.header["training_seeds"] or list(range(len(candidate.policies)))
+        rows.append(replace(row, header={**row.header, "training_seeds": seeds}))
+        one = path / EVALUATIONS
+        if learning := {0: read_evaluations(one)} if one.is_file() else read_learning(path):
+            curves[row.name] = learning
+        if (path / ANIMATION).is_file():
+            animations[row.name] = (path / ANIMATION).read_bytes()
+    twins = [name for name, count in Counter(row.name for row in rows).items() if count > 1]
+    if twins:
+        raise ValueError(f"policies of a report must have different names, got {', '.join(twins)} more than once")
+    results = gather(rows, sets, CHECKPOINTS)
+    own = build([row for row in rows if row.name not in published], sets)
+    summaries = published | {row["policy"]: row["results"] for row in own["rows"]}
+    return Data(replace(results, learning=results.learning | curves), summaries, animations)
+
+
+def _candidate(name: str, trust_controller: bool) -> Candidate:
+    """A policy, named by the last part of its path."""
+    path = Path(name)
+    if (path / BEST / MODEL).is_file() and not (path / BEST / POLICY).is_file():
+        # Imports torch, which takes seconds.
+        from agents.training.export import load_best
+
+        return Candidate(path.name, (load_best(path),), "a recurrent agent")
+    return replace(find_candidate(name, trust_controller=trust_controller), name=path.resolve().name)
 
 
 def write(path: Path, names: Sequence[str] = (), *, trust_controller: bool = False) -> None:
@@ -33,7 +105,7 @@ def write(path: Path, names: Sequence[str] = (), *, trust_controller: bool = Fal
 
     Args:
         path: the page.
-        names: as for `agents.report.data.collect`.
+        names: as for `collect`.
         trust_controller: as for `capsule_gym.load_policy`.
 
     Raises:
@@ -41,78 +113,63 @@ def write(path: Path, names: Sequence[str] = (), *, trust_controller: bool = Fal
         ValueError: if there is no such policy, or a file is broken.
     """
     data = collect(names, trust_controller=trust_controller)
-    if not LIVE.is_file():
-        # As a command, since web imports agents; takes a minute. If it fails, the report says what is missing.
-        build = [sys.executable, "-m", "web.build", "--output", str(LIVE.parent)]
-        subprocess.run(build, cwd=ROOT, stdout=subprocess.DEVNULL, check=False)
     title = ", ".join(row.name for row in data.subjects) if names else "Leaderboard of capsule_gym"
-    write_atomically(path, render(data, title, LIVE))
+    write_atomically(path, render(data, title))
 
 
-def render(data: Data, title: str, live: Path) -> str:
+def render(data: Data, title: str) -> str:
     """The whole page as HTML.
 
     Args:
         data: what it shows.
         title: of the page.
-        live: the live page; left out if the file does not exist.
     """
     results = data.results
-    costs = {row.name: data.summaries[row.name]["nominal"]["cost_of_transport"]["iqm"] for row in results.rows}
-    absent = ", ".join(name for name, cost in costs.items() if cost is None or not math.isfinite(cost))
     parts = [
         f"<h1>{html.escape(title)}</h1>",
         f"<p>{_sentence(data, data.subjects[0])}</p>",
-        _motion(live, data),
-        _figure(
-            "learning",
-            "Learning curve",
-            "Evaluations on each run's validation plants, never on a frozen set. Grey: the training seeds; blue: their "
-            "interquartile mean; band: 95 %.",
-            figures.draw_learning,
-            results,
-        )
-        if results.learning
-        else "",
-        f"<h2>On every set</h2>\n{_table(data)}",
-        '<div class="figures">',
-        _figure(
-            "transport",
-            "Speed against cost of transport",
-            "Interquartile means over the episodes on nominal; bars: 95 % over training seeds. The fronts are found, "
-            f"not proved: they hold one start.{f' Without progress, so without a cost: {absent}.' if absent else ''}",
-            figures.draw_transport,
-            results.rows,
-        ),
-        _figure(
-            "profiles",
-            "Performance profile",
-            "The share of episodes that are faster, of all training seeds; bands: 95 %, whole seeds resampled, of a "
-            "single seed its episodes.",
-            figures.draw_profiles,
-            results,
-        ),
-        _figure(
-            "plants",
-            "On which plants",
-            "A point per episode of the sets with constant parameters: its mean speed, averaged over the training "
-            "seeds. A cross: an episode that failed with at least one of them.",
-            figures.draw_plants,
-            results.rows,
-            results.sets,
-        ),
-        "</div>",
-        *(_settings(name, config) for name, config in data.configs.items()),
+        *(_image(f"{name} in motion", "gif", content) for name, content in data.animations.items()),
+        _figure("Learning curve", draw_learning, results.learning) if results.learning else "",
+        f"<h2>On every set</h2>\n{_tables(data)}",
+        _figure("Speed against cost of transport", draw_transport, results.rows),
+        _figure("Performance profile", draw_profiles, results.rows, results.shown_sets),
+        _figure("On which plants", draw_plants, results.rows, results.sets),
         _footer(data),
     ]
     body = "\n".join(part for part in parts if part)
-    css, script = (Path(__file__).with_name(f"page.{kind}").read_text(encoding="utf-8") for kind in ("css", "js"))
+    css = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{html.escape(title)}</title>\n<style>\n{css}</style>\n</head>\n<body>\n<main>\n{body}\n</main>\n"
-        f"<script>\n{script}</script>\n</body>\n</html>\n"
+        f"<title>{html.escape(title)}</title>\n<style>\n{css}</style>\n</head>\n<body>\n<main>\n{body}\n</main>\n</body>\n</html>\n"
     )
+
+
+def draw_plants(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> Any:
+    """The mean speed on every plant with constant parameters, and where episodes fail."""
+    constant = [each for each in sets if not any(plant.changes for plant in each.plants)]
+    M, mu = (np.array([getattr(plant, name) for each in constant for plant in each.plants]) for name in ("M", "mu"))
+    speeds, failed = (
+        {row.name: np.concatenate([row.score(each.name, metric).mean(axis=0) for each in constant]) for row in rows}
+        for metric in (SPEED, "failed")
+    )
+    top = max(1e-9, *(float(values.max()) for values in speeds.values()))
+    figure, places = panels(list(speeds), 1.2, columns=3, height=1.7)
+    used = []
+    for name, axes in zip(speeds, places, strict=False):
+        marks = axes.scatter(M, mu, c=speeds[name], s=9.0, vmin=0.0, vmax=top, linewidths=0.0)
+        lost = failed[name] > 0.0
+        axes.plot(M[lost], mu[lost], "x", color=VERMILION, markersize=4.5, markeredgewidth=0.9)
+        axes.set_yscale("log")
+        used.append(axes)
+    figure.colorbar(marks, ax=used, aspect=30.0).set_label("mean speed (cm/s)")
+    figure.supylabel("friction coefficient μ", fontsize=8.0)
+    add_note(
+        figure,
+        "Horizontal: mass of the platform M (kg). A point per episode of the sets with constant parameters: its mean "
+        "speed, averaged over the training seeds. A cross: an episode that failed with at least one of them.",
+    )
+    return figure
 
 
 def _sentence(data: Data, row: Row) -> str:
@@ -127,61 +184,34 @@ def _sentence(data: Data, row: Row) -> str:
     )
 
 
-def _figure(name: str, heading: str, caption: str, draw: Any, *arguments: Any) -> str:
-    svg = figures.to_svg(draw, name, *arguments)
-    svg = svg.replace("<svg", f'<svg role="img" aria-label="{html.escape(heading)}"', 1)
-    return (
-        f"<section>\n<h2>{html.escape(heading)}</h2>\n<figure>\n{svg}\n"
-        f"<figcaption>{html.escape(caption)}</figcaption>\n</figure>\n</section>"
-    )
+def _image(heading: str, kind: str, content: bytes) -> str:
+    """A picture inside of the page under its heading."""
+    source = f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+    return f'<h2>{html.escape(heading)}</h2>\n<img class="{kind}" src="{source}" alt="{html.escape(heading)}">'
 
 
-def _table(data: Data) -> str:
-    """All measures of all policies on all sets."""
-    sets = [each.name for each in data.results.sets]
-    heads = ["policy", "set", *(metric.label for metric in TABLE_METRICS.values()), SHARE_OF_OPTIMUM.label, "failed"]
-    options = [f'<option value="{name}"{" selected" * (name == RANKING_SET)}>{name}</option>' for name in sets]
-    lines = [_line(row.name, name, data.summaries[row.name][name]) for row in data.results.rows for name in sets]
-    return (
-        '<p><label for="set">Set</label> <select id="set"><option value="">all</option>'
-        + "".join(options)
-        + '</select></p>\n<div class="wide" tabindex="0" role="region" aria-label="Measures on every set">\n<table>\n'
-        + "<thead><tr>"
-        + "".join(f'<th scope="col"><button>{html.escape(head)}</button></th>' for head in heads)
-        + "</tr></thead>\n<tbody>\n"
-        + "\n".join(lines)
-        + "\n</tbody>\n</table>\n</div>"
-    )
+def _figure(heading: str, draw: Callable[..., Any], *arguments: Any) -> str:
+    content = io.BytesIO()
+    with style():
+        draw(*arguments).savefig(content, format="png", dpi=DPI)
+    return _image(heading, "png", content.getvalue())
 
 
-def _line(policy: str, set_name: str, summary: Mapping[str, Any]) -> str:
-    failed = summary["failures"] / summary["episodes"]
-    cells = [
-        f'<th scope="row">{html.escape(policy)}</th>',
-        f"<td>{set_name}</td>",
-        *(_number(metric, summary[metric.name]) for metric in TABLE_METRICS.values()),
-        _number(SHARE_OF_OPTIMUM, summary.get(SHARE_OF_OPTIMUM.name, {"iqm": None, "low": None, "high": None})),
-        f'<td data-value="{failed:.6g}">{summary["failures"]}/{summary["episodes"]}</td>',
-    ]
-    return f'<tr data-set="{set_name}">{"".join(cells)}</tr>'
-
-
-def _number(metric: TableMetric, summary: Mapping[str, Any]) -> str:
-    value = summary["iqm"]
-    number, _, interval = metric.with_interval(summary).partition(" ")
-    # A missing value is NaN in JavaScript.
-    key = f"{value:.6g}" if value is not None and math.isfinite(value) else "NaN"
-    return f'<td data-value="{key}">{number} <span class="low">{interval}</span></td>'
-
-
-def _settings(name: str, config: Mapping[str, Any]) -> str:
-    """The settings of a run, folded."""
-    shown = {key: config[key] for key in ("algo", "task", "seed", "revision") if key in config}
-    shown |= config.get("hyperparameters", {})
-    entries = "".join(f"<dt>{html.escape(key)}</dt><dd>{html.escape(str(value))}</dd>" for key, value in shown.items())
-    return (
-        f"<h2>Settings of {html.escape(name)}</h2>\n<details><summary>All of them</summary><dl>{entries}</dl></details>"
-    )
+def _tables(data: Data) -> str:
+    """All measures of all policies, a table per set."""
+    metrics = (*TABLE_METRICS.values(), SHARE_OF_OPTIMUM)
+    tables = []
+    for name in (each.name for each in data.results.sets):
+        rows = [["policy", *(each.label for each in metrics), "failed"]]
+        for row in data.results.rows:
+            summary = data.summaries[row.name][name]
+            cells = [
+                metric.with_interval(summary[metric.name]) if metric.name in summary else "-" for metric in metrics
+            ]
+            rows.append([row.name, *cells, f"{summary['failures']}/{summary['episodes']}"])
+        table = tabulate(rows, headers="firstrow", tablefmt="html", disable_numparse=True, stralign="right")
+        tables.append(f'<h3>{name}</h3>\n<div class="wide">\n{table}\n</div>')
+    return "\n".join(tables)
 
 
 def _footer(data: Data) -> str:
@@ -193,52 +223,3 @@ def _footer(data: Data) -> str:
         "a single seed over its episodes. The mean speed of a failed episode is its distance over the whole "
         f"33 s. Written by <code>{COMMAND}</code> with {html.escape(versions)}. Sets: {hashes}.</p></footer>"
     )
-
-
-def _motion(live: Path, data: Data) -> str:
-    """The live page with the fastest policy that it can run, compared with the paper's controller."""
-    if not live.is_file():
-        return "<p>After <code>make web</code> a report shows its policy in motion, in a page inside of this one.</p>"
-    own, known = own_controllers(data.policies), controller_names()
-    # The rows are sorted: the first is the fastest.
-    shown = [row.name for row in data.subjects if row.name in own or (row.header["disturbed"] and row.name in known)]
-    if not shown:
-        return ""
-    name = shown[0]
-    added = [own[name]] if name in own else []
-    driver = added[0]["name"] if added else name
-    scene = urlencode({"driver": driver, "rival": BASELINE, "set": RANKING_SET, "plant": 0})
-    return f"<h2>In motion</h2>\n{embed(live.read_text(encoding='utf-8'), scene, f'{name} and {BASELINE}', added)}"
-
-
-def own_controllers(policies: Mapping[str, Policy]) -> dict[str, dict[str, Any]]:
-    """Policies as the live page takes them, by name; without those whose law, capsule or numbers it does not know."""
-    found: dict[str, dict[str, Any]] = {}
-    for name, policy in policies.items():
-        try:
-            # The names of committed policies are in use.
-            described = describe_policy(f"own-{name}" if name in controller_names() else name, policy)
-            controller = {**described, "network": described["network"].tolist()}
-            # JSON has no infinite numbers.
-            json.dumps(controller, allow_nan=False)
-        except ValueError:
-            continue
-        found[name] = controller
-    return found
-
-
-def embed(page: str, scene: str, title: str, controllers: Sequence[Mapping[str, Any]] = ()) -> str:
-    """A self-contained page as an iframe.
-
-    Args:
-        page: its HTML.
-        scene: fragment of its address.
-        title: for screen readers.
-        controllers: policies that are added to the live page, as `addDriver` of web/capsule.mjs takes them.
-    """
-    begin = f"<script>location.hash = {json.dumps(scene)}</script>"
-    if controllers:
-        data = json.dumps(controllers).replace("<", r"\u003c")
-        begin += f'<script type="application/json" id="own-drivers">{data}</script>'
-    whole = html.escape(page.replace("<head>", f"<head>{begin}", 1))
-    return f'<iframe title="{html.escape(title)}" loading="lazy" srcdoc="{whole}"></iframe>'

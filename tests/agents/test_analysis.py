@@ -1,4 +1,4 @@
-"""The documents of the analysis: statistics of the leaderboard, Pareto front, residual limit and gallery."""
+"""Analysis: recordings and limit cycles, statistics of the leaderboard, Pareto front, residual limit and gallery."""
 
 import csv
 import dataclasses
@@ -9,18 +9,21 @@ import pytest
 from PIL import Image
 
 from agents.analysis import __main__ as analysis
-from agents.analysis import gallery, pareto, residual_limit
+from agents.analysis import limit_cycle, pareto, recording, residual_limit
 from agents.analysis.data import fronts, gather, read_learning
 from agents.analysis.figures import draw_improvement, figures_of
-from agents.analysis.residual_limit import Agent, Results
+from agents.analysis.limit_cycle import find_cycle, median_run
+from agents.analysis.recording import Recording, record
+from agents.analysis.residual_limit import Agent
 from agents.evaluation import policies as evaluation_policies
+from agents.evaluation.episodes import evaluate
+from agents.evaluation.policies import Candidate, find_candidate
 from agents.leaderboard.rows import COLUMNS, Row
-from agents.training.callbacks import SELECTION_SEED
-from agents.training.presets import ROWS as TRAINED
 from baselines import drawing
-from capsule_gym.evaluation_sets import SET_NAMES, load_set
+from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
+from capsule_gym.rendering import CHART_BOTTOM, CHART_LEFT, CHART_TOP
 from capsule_gym.task import TORQUE_LIMIT
-from tests.agents.fakes import Sine
+from tests.agents.fakes import Sine, make_policy
 from tests.agents.leaderboard.world import make_set
 
 SETS = tuple(make_set(name, *[(0.5, 0.01)] * 4) for name in ("nominal", "paper", "wide"))
@@ -69,17 +72,16 @@ def cells(table):
 
 
 def test_tables_of_the_statistics(results):
-    failures = cells(analysis.tables.failures(results))
+    failures = cells(analysis.statistics.failures(results))
     assert failures[0][2:] == ["nominal", "paper", "wide"]
     assert failures[2] == ["direct-ppo", "3", *["2/12 (16.7 %, worst seed 2)"] * 3]
     assert failures[4] == ["adaptive", "-", *["0/4"] * 3]
-    differences = {(row[0], row[1]): row[2:] for row in cells(analysis.tables.differences(results))}
+    differences = {(row[0], row[1]): row[2:] for row in cells(analysis.statistics.differences(results))}
     assert differences["direct-ppo", "paper"] == ["+16.50 [+16.00, +17.00]", "-", "-", "-"]
     against, direct, base, name = differences["residual", "wide"]
     assert against == base == "+8.25 [+8.00, +8.50]"
     assert direct.startswith("-8.25 [") and name == "adaptive"
-    assert cells(analysis.tables.improvements(results))[2] == ["direct-ppo", "residual", *["1.00 [1.00, 1.00]"] * 2]
-    learning = analysis.tables.learning(results)
+    learning = analysis.statistics.learning(results)
     assert cells(learning)[2] == ["residual", "2", "300", "9.50 [9.00, 10.00]", "300"]
     assert "Without committed evaluations: direct-ppo." in learning
 
@@ -93,7 +95,7 @@ def test_figures_of_the_statistics(results, tmp_path, monkeypatch):
             assert path.stat().st_size > 5000
     scripted = gather([row for row in ROWS if not row.trained], SETS, tmp_path)
     assert list(figures_of(scripted)) == ["figures/statistics_transport"]
-    (axes,) = draw_improvement(results).axes
+    (axes,) = draw_improvement(results.trained, results.shown_sets).axes
     assert [text.get_text() for text in axes.texts] == ["1.00", "0.00"]
 
 
@@ -110,14 +112,12 @@ def test_the_last_of_two_evaluations_at_the_same_step_counts(tmp_path):
     write_evaluations(tmp_path, 3, [1.0, 2.0])
     with (tmp_path / "seed-3" / "evaluations.csv").open("a") as file:
         file.write("200,5.0,0.0\n")
-    steps, speeds = read_learning(tmp_path).seeds[3]
+    steps, speeds = read_learning(tmp_path)[3]
     assert (steps.tolist(), speeds.tolist()) == ([100, 200], [1.0, 5.0])
 
 
-@pytest.mark.parametrize("text", ["steps,mean_speed_cm_s\n", "a,b\n1,2\n"])
-def test_broken_evaluations_are_named(tmp_path, text):
+def test_broken_evaluations_are_named(tmp_path):
     write_evaluations(tmp_path, 0, [])
-    (tmp_path / "seed-0" / "evaluations.csv").write_text(text)
     with pytest.raises(ValueError, match=r"evaluations\.csv must be what a training run writes"):
         read_learning(tmp_path)
 
@@ -155,78 +155,38 @@ DIRECT = Agent("", "paper", TORQUE_LIMIT)
 
 def sweep(agents, seeds=(0, 1, 2)):
     """Results that are known: an agent adds its limit and its seed to the speed of its law; its last episode fails."""
-    speeds = [10.0 + 0.01 * n for n in range(8)]
-    laws = dict.fromkeys(agent.alone for agent in agents if agent.base)
-    runs = [{"arm": law._asdict(), "seed": None, "speeds": speeds, "failed": [], "learning": []} for law in laws]
+    speeds = 10.0 + 0.01 * np.arange(8)
+    results = {agent.alone: (speeds[None], np.zeros((1, 8))) for agent in agents if agent.base}
     for agent in agents:
-        for seed in seeds:
-            own = [speed + agent.limit + seed for speed in speeds]
-            run = {"arm": agent._asdict(), "seed": seed, "speeds": own, "failed": [7]}
-            runs.append({**run, "learning": [[500_000, 5.0, 0.5], [1_000_000, 9.0, 0.0]]})
-    return Results({"steps": 1_000_000, "sets": {}, "versions": {}, "runs": runs})
-
-
-def test_agents_of_the_sweep_differ_in_law_limit_plants_and_recipe_alone():
-    agents = residual_limit.agents()
-    assert len(agents) == len({agent.name for agent in agents}) == 18
-    for agent in agents:
-        config = agent.config()
-        config.check()
-        row = TRAINED[residual_limit.RECIPES.get(agent.recipe) or residual_limit.DIRECT[agent.plants]]
-        names = [each.name for each in dataclasses.fields(row)]
-        changed = {name for name in names if getattr(row, name) != getattr(config, name)}
-        of_a_law = {"task", "controller", "residual_limit"}
-        assert changed <= {"total_steps", "evaluate_every", "randomization", *(of_a_law if agent.base else ())}
-        assert (config.total_steps, config.randomization) == (1_000_000, agent.plants)
-        if agent.base:
-            assert config.env_kwargs()["residual_limit"] == agent.limit in residual_limit.LIMITS
-
-
-@pytest.mark.parametrize("plants", ["paper", "wide"])
-def test_the_plants_of_the_sweep_are_of_no_other_set(plants):
-    drawn = residual_limit.evaluation_plants(plants)
-    seeds = {plant.seed for plant in drawn.plants}
-    assert len(seeds) == 256 and min(seeds) == 3_000_000 > SELECTION_SEED + 1000 * 256
-    frozen = {(plant.M, plant.mu) for name in SET_NAMES for plant in load_set(name).plants}
-    assert not {(plant.M, plant.mu) for plant in drawn.plants} & frozen
+        failed = np.zeros((len(seeds), 8))
+        failed[:, 7] = 1.0
+        results[agent] = np.array([speeds + agent.limit + seed for seed in seeds]), failed
+    return results
 
 
 def test_agents_are_compared_with_their_law_on_the_same_plants():
-    results = sweep([ON_GAIT, DIRECT])
-    assert results.speeds(ON_GAIT).shape == (3, 8)
-    assert results.failed(ON_GAIT).sum(axis=0).tolist() == [0.0] * 7 + [3.0]
-    _, _, alone, agent, direct = cells(residual_limit.speed_table(results))
+    _, _, alone, agent, direct = cells(residual_limit.table(sweep([ON_GAIT, DIRECT])))
     # Every seed is faster by its limit and its number, on every plant.
     assert agent[2] == "0.75" and agent[-2:] == ["3/24", "+1.75 [+0.75, +2.75]"]
     assert alone[-2:] == ["0/8", "-"] and direct[0] == "none (direct)"
-    assert residual_limit.describe(results).startswith("6 trainings of 1,000,000 steps, training seeds 0, 1, 2; 8")
-    assert cells(residual_limit.learning_table(results))[2] == ["gait", "paper", "cautious", *["5.00"] * 4, "9.00"]
 
 
-@pytest.mark.parametrize("agents", [residual_limit.agents(), residual_limit.agents()[:3]], ids=["all", "some"])
-def test_the_figure_of_the_sweep_shows_what_there_is(agents):
-    speed, failed = residual_limit.draw(sweep(agents)).axes[::2]
-    assert speed.get_ylim()[0] == failed.get_ylim()[0] == 0.0
-    assert len(speed.get_legend_handles_labels()[0]) == (6 if len(agents) > 3 else 4)
-
-
-def test_the_results_of_other_plants_are_refused(monkeypatch):
-    monkeypatch.setattr(residual_limit, "FIRST_SEED", 5)
-    with pytest.raises(ValueError, match="other plants of paper"):
-        residual_limit.load()
+def test_the_figure_of_the_sweep_shows_what_there_is():
+    for results, lines in ((residual_limit.load(), 6), (sweep([ON_GAIT, DIRECT]), 2)):
+        speed, failed = residual_limit.draw(results).axes[::2]
+        assert speed.get_ylim()[0] == failed.get_ylim()[0] == 0.0
+        assert len(speed.get_legend_handles_labels()[0]) == lines
 
 
 def test_the_gallery_is_drawn(tmp_path, monkeypatch):
     monkeypatch.setattr(evaluation_policies, "SCRIPTED", {name: Sine(0.3, name="sine") for name in ("one", "two")})
-    changes = {"POLICIES": ("one", "two"), "COMPARED": ("one", "two"), "CARD_POLICY": "two", "CARD_FRAME": 1}
-    for name, value in {**changes, "BEGIN": 0.1, "SECONDS": 0.4}.items():
-        monkeypatch.setattr(gallery, name, value)
+    changes = {"POLICIES": ("one", "two"), "COMPARED": ("one", "two"), "BEGIN": 0.1, "SECONDS": 0.4}
+    for name, value in changes.items():
+        monkeypatch.setattr(recording, name, value)
     assert analysis.main(["gallery", "--output", str(tmp_path)]) == 0
     with Image.open(tmp_path / "media" / "two.gif") as moving:
         assert (moving.n_frames, moving.width, moving.info["duration"]) == (6, 480, 80)
-    with Image.open(tmp_path / "media" / "card.png") as card:
-        assert card.size == (1200, 630)
-    assert {path.name for path in tmp_path.rglob("*.*")} == {"one.gif", "two.gif", "card.png", "gallery.png"}
+    assert {path.name for path in tmp_path.rglob("*.*")} == {"one.gif", "two.gif", "gallery.png"}
 
 
 def test_stale_tables_are_found(tmp_path, capsys):
@@ -238,9 +198,103 @@ def test_stale_tables_are_found(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("words", "message"),
-    [(["nothing"], "got 'nothing'"), (["limit_cycle", "--policies", "nobody"], "got 'nobody'")],
+    [
+        (["nothing"], "got 'nothing'"),
+        (["limit_cycle", "--policies", "nobody"], "got 'nobody'"),
+        (["limit_cycle", "--policies", "zero"], "must swing at least twice in its last 20 s, got zero"),
+    ],
 )
 def test_bad_options_are_named(words, message, capsys):
     with pytest.raises(SystemExit) as stop:
         analysis.main(words)
     assert stop.value.code == 2 and message in capsys.readouterr().err
+
+
+PLANT = PlantSpec(0.6, 0.05, seed=3)
+
+
+@pytest.mark.parametrize(
+    "policy",
+    [
+        Sine(0.5, env_kwargs={"control_dt": 0.01, "randomization": "wide", "num_envs": 3}),
+        Sine(0.4, env_kwargs={"controller": "baselines:adaptive", "residual_limit": 1.0}),
+    ],
+    ids=["torque", "residual"],
+)
+def test_a_recording_is_the_motion_of_the_episode(policy):
+    found = record(policy, PLANT, seconds=2.0)
+    (episode,) = evaluate(policy, EvaluationSet("one", (PLANT,)), horizon=2.0)
+    assert found.x[-1] == pytest.approx(episode["distance"], abs=1e-12)
+    assert found.t[-1] == pytest.approx(2.0)
+    assert np.abs(found.torque).max() == pytest.approx(episode["peak_torque"])
+    weight = (PLANT.M + 0.138) * 9.81
+    assert found.normal_force[1:].min() / weight == pytest.approx(episode["smallest_normal_ratio"])
+    assert not found.failed and found.frames == ()
+
+
+def test_a_recording_ends_with_its_episode():
+    policy = Sine(1.5, period=10.0, name="wild")
+    found = record(policy, PLANT, seconds=2.0)
+    (episode,) = evaluate(policy, EvaluationSet("one", (PLANT,)), horizon=2.0)
+    assert found.failed and -1e-9 <= found.t[-1] - episode["duration"] < 0.02
+    with pytest.raises(ValueError, match="must last for 20 s without failure, got wild until 0"):
+        find_cycle(found)
+
+
+def test_pictures_are_as_often_as_asked_for_and_their_axes_stay():
+    found = record(Sine(0.5), PLANT, seconds=1.0, frames_from=0.2, frame_seconds=0.08, name="mine")
+    assert len({frame.tobytes() for frame in found.frames}) == len(found.frames) == 11
+    assert found.name == "mine"
+    # The labels of the vertical axis, less what the first point covers.
+    first, *others = (frame[CHART_TOP - 6 : CHART_BOTTOM, : CHART_LEFT - 8] for frame in found.frames)
+    assert all(np.array_equal(first, other) for other in others)
+
+
+def made(period, *, sub=0.0, seconds=30.0):
+    """A motion that is known: a sine of theta, every other swing larger by a share, and a platform that follows it."""
+    t = np.arange(0.0, seconds, 1e-3)
+    angle = 2.0 * np.pi * t / period
+    theta = (1.0 + sub * np.cos(0.5 * angle)) * np.sin(angle)
+    theta_dot = np.gradient(theta, t)
+    x = 0.01 * theta + 0.01 * t
+    force = np.full_like(t, 6.0)
+    return Recording("made", t, theta, theta_dot, x, np.gradient(x, t), np.sign(theta_dot), force, 1.0, False)
+
+
+@pytest.mark.parametrize(("sub", "swings"), [(0.0, 1), (0.2, 2)])
+def test_the_cycle_of_a_sine_and_of_swings_that_differ_by_turns(sub, swings):
+    cycle, mismatch = find_cycle(made(0.8, sub=sub))
+    assert cycle.t[-1] == pytest.approx(0.8 * swings)
+    assert cycle.x[-1] / cycle.t[-1] == pytest.approx(0.01, rel=1e-2)
+    assert mismatch < 0.01
+    if not sub:
+        assert cycle.theta[0] == pytest.approx(-1.0, abs=1e-5)
+    with pytest.raises(ValueError, match="must hold two cycles"):
+        find_cycle(made(9.0))
+
+
+def test_the_papers_law_brings_the_platform_to_rest_in_every_cycle():
+    cycle, _ = find_cycle(record(find_candidate("adaptive").policies[0]))
+    assert cycle.t[-1] == pytest.approx(6.6)
+    assert cycle.x_dot[0] == 0.0 == cycle.x_dot[-1]
+
+
+def test_the_table_and_the_figure_of_cycles():
+    cycles = [find_cycle(made(0.5 + 0.1 * n)) for n in range(3)]
+    rows = cells(limit_cycle.table(cycles))[2:]
+    assert [row[1] for row in rows] == ["0.50", "0.60", "0.70"]
+    assert [row[3] for row in rows] == ["x 1.00", "x 0.83", "x 0.71"]
+    assert [row[5:7] for row in rows] == [["1.00", "100 %"]] * 3
+    assert len(limit_cycle.draw(cycles).axes) == 15
+
+
+def test_the_seed_with_the_median_speed_is_shown(monkeypatch):
+    speeds = {0: 3.0, 4: 1.0, 7: 2.0, 9: 4.0}
+
+    def recording_of(policy, name):
+        return dataclasses.replace(made(0.8), x=np.array([0.0, speeds[policy.training_seed]]), name=name)
+
+    monkeypatch.setattr(limit_cycle, "record", recording_of)
+    policies = tuple(make_policy(seed) for seed in speeds)
+    assert median_run(Candidate("learnt", policies, "")).name == "learnt (seed 7)"
+    assert median_run(Candidate("learnt", policies[:1], "")).name == "learnt"

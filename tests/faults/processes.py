@@ -26,7 +26,7 @@ HANG_SECONDS = 240.0
 
 # Modules are imported once, by a process that is forked for each child.
 CONTEXT = multiprocessing.get_context("forkserver")
-CONTEXT.set_forkserver_preload(["agents.training.loop", "agents.comparison", "train", "tests.faults.processes"])
+CONTEXT.set_forkserver_preload(["agents.training.loop", "agents.report.comparison", "train", "tests.faults.processes"])
 
 
 class Child:

@@ -19,12 +19,11 @@ from urllib.parse import parse_qs
 import numpy as np
 import pytest
 
-from agents.controllers import describe_policy
 from agents.leaderboard.rows import RESULTS, load_row, path_of
-from agents.report.page import embed, own_controllers
 from benchmarks.web import BROWSERS, find_browser, started
 from capsule_gym import CapsuleEnv, load_policy
 from web import build, data, episodes, recordings
+from web.controllers import describe_policy
 
 Node = Callable[..., Any]
 ROOT = Path(__file__).resolve().parents[2]
@@ -579,27 +578,3 @@ def test_check_replays_the_committed_episodes(open_page: Open) -> None:
     page.keyboard.press("Escape")
     assert page.locator("#checks").is_hidden()
     assert page.evaluate("document.activeElement.id") == "check"
-
-
-def test_inside_of_a_report_the_page_shows_a_policy_of_ones_own(browser: Any, site: Path, tmp_path: Path) -> None:
-    (own,) = own_controllers({"mine": load_policy("direct-ppo")}).values()
-    live = (site / "index.html").read_text("utf-8")
-    report = tmp_path / "report.html"
-    report.write_text(f"<!doctype html>{embed(live, 'driver=mine&rival=adaptive&t=2', 'x', [own])}", "utf-8")
-    assert report.stat().st_size < 3_000_000
-    page = browser.new_page()
-    said: list[str] = []
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.on("request", lambda request: said.extend([request.url] if not _own(request.url, report.as_uri()) else []))
-    page.goto(report.as_uri())
-    frame = page.frames[1]
-    frame.wait_for_function("document.getElementById('figure-time').textContent === '2.00'", timeout=PATIENCE)
-    assert frame.input_value("#driver") == "mine"
-    assert frame.locator("#trouble").is_hidden()
-    # Neither leads anywhere there.
-    assert frame.locator("#documentation").is_hidden()
-    assert frame.locator("#copy").is_hidden()
-    assert "t=2" in frame.url
-    page.close()
-    assert said == []

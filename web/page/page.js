@@ -1,6 +1,6 @@
 // The page: its controls, its lanes, and what is drawn of them.
 
-import { addDriver, check, constants, drivers, sets } from "./capsule.mjs";
+import { check, constants, drivers, sets } from "./capsule.mjs";
 import { CURVES, PhasePortrait, TimeChart } from "./charts.js";
 import { Lane } from "./lane.js";
 import { clamp, written } from "./numbers.js";
@@ -680,9 +680,6 @@ async function readLink() {
   await open({ time: scene.t ?? 0, play: scene.t === null && scene.driver !== YOURSELF && !reduced.matches });
 }
 
-// Inside of another page this one has neither an address nor the documentation beside it.
-if (location.protocol === "about:") for (const id of ["documentation", "copy"]) element(id).hidden = true;
-for (const own of JSON.parse(element("own-drivers")?.textContent ?? "[]")) addDriver(own);
 fillChoices();
 makeRows();
 bindPlayback();

@@ -1,6 +1,6 @@
 """The policies that run in the browser: their names, and their environments and networks as plain numbers.
 
-`web/data.py` packs the data of all of them; a report adds the user's own policies to its live page.
+`web/data.py` packs the data of all of them.
 """
 
 from __future__ import annotations
