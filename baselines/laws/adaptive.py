@@ -76,12 +76,6 @@ def eta_of(memory: np.ndarray, n: int = REGULARISED.n) -> np.ndarray:
     return eta_of_root(memory[..., MEMORY.index("eta_root")], n)
 
 
-def initial_memory(constants: Constants, eta_0: float) -> tuple[float, ...]:
-    """The law's memory before its first call, which begins a cycle and starts x_d from 0."""
-    anchor = 0.0 if constants.anchored else -constants.cycle_advance
-    return (*nominal_estimates(constants.plant), root_of_eta(eta_0, constants.n), anchor)
-
-
 def adaptive(
     profile: Profile = PROPOSED,
     *,
@@ -132,34 +126,22 @@ def adaptive(
     gains = Gains(**check_gains(**given._asdict()))
     if not isinstance(regularised, bool):
         raise TypeError(f"regularised must be True or False, got {regularised!r}")
-    choices = chosen(REGULARISED if regularised else UNREGULARISED, beta, n, eta_0)
+    choices = REGULARISED if regularised else UNREGULARISED
+    if beta is not None:
+        accepted = "a finite number > 0 (rad^2/s^2)"
+        choices = choices._replace(beta=check_number("beta", beta, accepted, 0.0, open_low=True))
+    if n is not None:
+        choices = choices._replace(n=check_count("n", n))
+    if eta_0 is not None:
+        accepted, bound = f"a number > 0 and <= {choices.eta_bound:g}", choices.eta_bound
+        choices = choices._replace(eta_0=check_number("eta_0", eta_0, accepted, 0.0, bound, open_low=True))
     plant = nominal.plant()
     table = reference_table(profile, plant, dt)
     constants = constants_of(gains, choices, plant, table, float(dt))
-    return Controller(name, adaptive_law(constants), table, initial_memory(constants, choices.eta_0), constants.dt)
-
-
-def chosen(form: Choices, beta: float | None = None, n: int | None = None, eta_0: float | None = None) -> Choices:
-    """The choices of a form with others in their place where they are given.
-
-    Args:
-        form: `REGULARISED` or `UNREGULARISED`.
-        beta: rad^2/s^2, > 0.
-        n: at least 1.
-        eta_0: > 0, at most the form's bound of eta.
-
-    Raises:
-        TypeError: if one is of the wrong type.
-        ValueError: if one is out of range.
-    """
-    if beta is not None:
-        form = form._replace(beta=check_number("beta", beta, "a finite number > 0 (rad^2/s^2)", 0.0, open_low=True))
-    if n is not None:
-        form = form._replace(n=check_count("n", n))
-    if eta_0 is not None:
-        accepted = f"a number > 0 and <= {form.eta_bound:g}"
-        form = form._replace(eta_0=check_number("eta_0", eta_0, accepted, 0.0, form.eta_bound, open_low=True))
-    return form
+    # The first call begins a cycle and starts x_d from 0.
+    anchor = 0.0 if constants.anchored else -constants.cycle_advance
+    memory = (*nominal_estimates(plant), root_of_eta(choices.eta_0, constants.n), anchor)
+    return Controller(name, adaptive_law(constants), table, memory, constants.dt)
 
 
 def adaptive_as_published() -> Controller:

@@ -1,8 +1,8 @@
 """The adaptive variable-structure law (37) to (39) of the paper, term by term and in one call.
 
 Symbols are the paper's; where its print is wrong the corrected equation stands, and the comment says so. The functions
-are arithmetic on scalars and tuples: compiled into the environment's step they are the law (`baselines.laws.adaptive`),
-and compiled over a recorded run they are what went on inside it (`baselines.paper.adaptive`).
+are arithmetic on scalars and tuples, compiled into the law (`baselines.laws.adaptive`); `sliding_variables` also takes
+the arrays of a recorded run.
 """
 
 from __future__ import annotations

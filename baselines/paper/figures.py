@@ -32,10 +32,9 @@ from baselines.drawing import (
 )
 from baselines.laws.adaptive import adaptive, adaptive_as_published
 from baselines.laws.feedback_linearisation import epc, feedback_linearising
-from baselines.laws.gains import PUBLISHED
 from baselines.laws.profiles import P2, PROPOSED, V1
 from baselines.paper import published
-from baselines.paper.adaptive import CORRECTED_LAW, REGULARISED_LAW
+from baselines.paper.adaptive import CORRECTED_LAW, REGULARISED_LAW, sliding
 from baselines.paper.principles import RESTORING_PHASES
 from baselines.paper.proofs import swing_envelope
 from baselines.paper.selection import ROMAN
@@ -301,16 +300,16 @@ def draw_adaptive_torque() -> Any:
 def draw_sliding_variable() -> Any:
     """Fig. 9: the collocated sliding variable delta_theta of (37b)."""
 
-    def sliding(run: Trajectory) -> np.ndarray:
-        return 1e3 * (run.rate_error + PUBLISHED.Lambda_theta * run.error)
+    def quantity(run: Trajectory) -> np.ndarray:
+        return 1e3 * sliding(run).delta_theta
 
     note = (
-        rf"Largest $|\delta_\theta|$: {REGULARISED_LAW} {_largest(sliding)[0]:.1f} mrad/s. In print: no number, "
+        rf"Largest $|\delta_\theta|$: {REGULARISED_LAW} {_largest(quantity)[0]:.1f} mrad/s. In print: no number, "
         "'convergence towards zero'. It returns towards zero after every progressive stage, and the next cycle excites "
         "it anew."
     )
     title = r"Figure 9: sliding variable $\delta_\theta$ of (37b)"
-    return _draw_law(title, {r"$\delta_\theta$ (mrad/s)": sliding}, note)
+    return _draw_law(title, {r"$\delta_\theta$ (mrad/s)": quantity}, note)
 
 
 def draw_phase_plane() -> Any:

@@ -307,7 +307,6 @@ def _ranges_text(study: AdaptiveStudy) -> str:
         ("mean speed, fastest", "mean_speed", "cm/s", ".3f"),
         ("mean speed, slowest", "mean_speed", "cm/s", ".3f"),
         ("|x - x_d|", "drift", "m", ".4f"),
-        ("|T_n|", "auxiliary_torque", "N m", ".3f"),
     ):
         worst = regularised.worst(name, smallest="slowest" in label)
         values = [format(run[name], style) for run in (nominal, worst)]

@@ -142,7 +142,6 @@ def judge_claims(result: Reproduction, study: AdaptiveStudy) -> list[Verdict]:
     angle = {cycle: study.errors("angle_error", cycle) for cycle in (1, LONG, LONGEST)}
     falls = {cycle: np.divide(angle[1], angle[cycle]).tolist() for cycle in (LONG, LONGEST)}
     steepest = max((each for each in regularised.lyapunov if each["M"] != NOMINAL.M), key=lambda each: each["rise"])
-    torque = limited.worst("auxiliary_torque")["auxiliary_torque"]
     return [
         Verdict(
             "faster",
@@ -193,8 +192,8 @@ def judge_claims(result: Reproduction, study: AdaptiveStudy) -> list[Verdict]:
         Verdict(
             "bounded",
             f"corrected, unregularised, motor of {TORQUE_LIMIT:g} N m: eta reaches {highest:.0e}, its numerical "
-            f"bound, and |T_n| {torque:.0e} N m. Nor is u continuous: where delta_theta changes sign (39c) jumps by 2 "
-            "|delta_x| (|eta| + K2). Regularised, the bounds are imposed",
+            "bound. Nor is u continuous: where delta_theta changes sign (39c) jumps by 2 |delta_x| (|eta| + K2). "
+            "Regularised, the bounds are imposed",
             highest < 0.99 * UNREGULARISED.eta_bound,
         ),
         Verdict(
