@@ -15,6 +15,7 @@ import re
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, ModuleType
 from typing import Any
@@ -200,8 +201,12 @@ class Cache(FunctionCache):
         return Path(self.cache_path) / f"{self._impl.filename_base}.{digest}.nbc"
 
 
+@cache
 def compile_cached(function: Callable[..., Any]) -> Any:
-    """Compiles a module-level function with numba; unlike numba's own, the disk cache notices edits of its callees."""
+    """Compiles a module-level function with numba; unlike numba's own, the disk cache notices edits of its callees.
+
+    The same function gives the same dispatcher.
+    """
     return kernel(function, fingerprint(function)[:16], {})
 
 

@@ -13,7 +13,6 @@ at all runs at five sixths of the speed.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -78,7 +77,7 @@ def sines_and_cosines(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`sincos` of every angle of a float64 array, in two arrays of its shape: the same bits as one by one."""
     values = np.ascontiguousarray(angles, np.float64)
     sines, cosines = np.empty_like(values), np.empty_like(values)
-    _compiled()(values.reshape(-1), sines.reshape(-1), cosines.reshape(-1))
+    compile_cached(_evaluate)(values.reshape(-1), sines.reshape(-1), cosines.reshape(-1))
     return sines.reshape(np.shape(angles)), cosines.reshape(np.shape(angles))
 
 
@@ -105,12 +104,6 @@ def _evaluate(angles: np.ndarray, sines: np.ndarray, cosines: np.ndarray) -> Non
     """Writes `sincos` of every angle."""
     for i in range(angles.size):
         sines[i], cosines[i] = sincos(angles[i])
-
-
-@lru_cache(maxsize=1)
-def _compiled() -> Any:
-    """The function above, compiled."""
-    return compile_cached(_evaluate)
 
 
 # The logarithm of 2 to twice the precision of a double.

@@ -138,7 +138,7 @@ def shifted(x: float) -> float:
 
 def compiled() -> tuple[float, bool]:
     """The function's value at 1, and whether it came from the disk."""
-    function = compile_cached(shifted)
+    function = compile_cached.__wrapped__(shifted)
     compile_now(function, (numba.float64,), "a function")
     return function(1.0), bool(function.stats.cache_hits)
 
@@ -230,7 +230,7 @@ def test_checked_code_has_its_own_place_in_the_cache(monkeypatch, tmp_path):
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     for boundscheck in (None, 1, None):
         monkeypatch.setattr(numba.config, "BOUNDSCHECK", boundscheck)
-        assert compile_cached(three_from)(np.arange(12.0), 1) == (1.0, 3.0, 5.0)
+        assert compile_cached.__wrapped__(three_from)(np.arange(12.0), 1) == (1.0, 3.0, 5.0)
     assert len(list(tmp_path.rglob("*.nbc"))) == 2
 
 
