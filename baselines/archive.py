@@ -11,7 +11,6 @@ import json
 import zipfile
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,6 +21,7 @@ from capsule_gym.files import replacing, write_atomically
 
 GRID_M = (0.35, 0.5, 0.75, 1.0)
 GRID_MU = (0.005, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5)
+LOG_MU = tuple(log(mu) for mu in GRID_MU)
 PLANTS = tuple((M, mu) for M in GRID_M for mu in GRID_MU)
 ARCHIVE, ARRAYS = "archive.json", "arrays.npz"
 
@@ -104,56 +104,27 @@ def run_search(steps: Iterable[object], save: Callable[[], None]) -> bool:
     return False
 
 
-@lru_cache(maxsize=1)
-def _log_grid() -> list[float]:
-    """The logarithms of `GRID_MU`."""
-    return [log(mu) for mu in GRID_MU]
-
-
-def _locate(M: float, mu: float) -> tuple[tuple[int, float], tuple[int, float]]:
-    """The cell of the grid that contains a plant, along M and log(mu), and the position in it from 0 to 1."""
-
-    def along(value: float, nodes: Sequence[float]) -> tuple[int, float]:
-        cell = min(bisect_right(nodes, value), len(nodes) - 1) - 1
-        return cell, (value - nodes[cell]) / (nodes[cell + 1] - nodes[cell])
-
-    return along(M, GRID_M), along(log(mu), _log_grid())
-
-
 def in_grid(M: float, mu: float) -> bool:
     """Whether a plant lies within the grid."""
     return GRID_M[0] <= M <= GRID_M[-1] and GRID_MU[0] <= mu <= GRID_MU[-1]
 
 
-def between_plants(table: Mapping[tuple[float, float], float], M: float, mu: float) -> float:
-    """Interpolates a table between the plants of the grid, linearly in M and in log(mu).
+def grid_cell(M: float, mu: float) -> tuple[list[int], float, float]:
+    """The cell of the grid that contains a plant, or the nearest one.
 
     Args:
-        table: a number for every plant of the grid.
         M: mass of the platform, kg.
         mu: friction coefficient.
 
-    Raises:
-        ValueError: if the plant lies outside the grid.
+    Returns:
+        Its four corners as indices of `PLANTS`, and the position in it along M and along log(mu), each from 0 to 1.
     """
-    if not in_grid(M, mu):
-        raise ValueError(
-            f"M must be in [{GRID_M[0]}, {GRID_M[-1]}] kg and mu in [{GRID_MU[0]}, {GRID_MU[-1]}], "
-            f"got M={M!r}, mu={mu!r}"
-        )
-    (row, share_M), (column, share_mu) = _locate(M, mu)
-    corners = [[table[GRID_M[i], GRID_MU[j]] for j in (column, column + 1)] for i in (row, row + 1)]
-    below, above = (left + share_mu * (right - left) for left, right in corners)
-    return below + share_M * (above - below)
 
+    def along(value: float, nodes: Sequence[float]) -> tuple[int, float]:
+        cell = min(max(bisect_right(nodes, value), 1), len(nodes) - 1) - 1
+        return cell, min(max((value - nodes[cell]) / (nodes[cell + 1] - nodes[cell]), 0.0), 1.0)
 
-def interpolation_weights(M: float, mu: float) -> tuple[list[int], list[float]]:
-    """The corners of a plant's cell, as indices of `PLANTS`, and their weights; outside the grid those of its edge."""
-    M = min(max(M, GRID_M[0]), GRID_M[-1])
-    mu = min(max(mu, GRID_MU[0]), GRID_MU[-1])
-    (row, share_M), (column, share_mu) = _locate(M, mu)
-    # Rounding of the logarithm may miss an edge.
-    share_mu = min(max(share_mu, 0.0), 1.0)
+    row, along_M = along(M, GRID_M)
+    column, along_mu = along(log(max(mu, GRID_MU[0])), LOG_MU)
     corners = [i * len(GRID_MU) + j for i in (row, row + 1) for j in (column, column + 1)]
-    weights = [a * b for a in (1.0 - share_M, share_M) for b in (1.0 - share_mu, share_mu)]
-    return corners, weights
+    return corners, along_M, along_mu

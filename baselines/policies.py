@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import import_module
 from typing import Any
 
@@ -28,23 +29,10 @@ def _random_actions(seeds: Sequence[int]) -> Act:
     return lambda observations: np.array([[rng.uniform(-1.0, 1.0)] for rng in generators], np.float32)
 
 
-@dataclass(frozen=True)
-class _LazyStart:
-    """A `start` that is imported when it is first called: numba takes most of a second to import.
-
-    A class, because policies are pickled.
-
-    Attributes:
-        module: of the function.
-        function: its name.
-    """
-
-    module: str
-    function: str
-
-    def __call__(self, seeds: Sequence[int]) -> Act:
-        start: Start = getattr(import_module(self.module), self.function)
-        return start(seeds)
+def _start(module: str, function: str, seeds: Sequence[int]) -> Act:
+    """Calls a `start` of a module that is imported when it is first called: importing numba takes most of a second."""
+    act: Act = getattr(import_module(module), function)(seeds)
+    return act
 
 
 @dataclass(frozen=True)
@@ -78,25 +66,25 @@ SCRIPTED = {
             "gait-nominal",
             "the tolerant gait of the nominal plant, whatever the plant; torque every 10 ms",
             {"control_dt": GAIT_DT},
-            _LazyStart("baselines.gaits.policy", "start_nominal"),
+            partial(_start, "baselines.gaits.archive", "start_nominal"),
         ),
         ScriptedPolicy(
             "gait-oracle",
             "observes M and mu and takes the known gait that was fastest around such a plant; torque every 10 ms",
             {"control_dt": GAIT_DT, "observe_parameters": True},
-            _LazyStart("baselines.gaits.policy", "start_oracle"),
+            partial(_start, "baselines.gaits.archive", "start_oracle"),
         ),
         ScriptedPolicy(
             "optimum-nominal",
             "dynamic programming for the nominal plant with a margin of normal force, whatever the plant",
             {},
-            _LazyStart("baselines.dynamic_programming.policy", "start_nominal"),
+            partial(_start, "baselines.dynamic_programming.policy", "start_nominal"),
         ),
         ScriptedPolicy(
             "optimum-oracle",
             "observes M and mu; dynamic programming for that plant",
             {"observe_parameters": True},
-            _LazyStart("baselines.dynamic_programming.policy", "start_oracle"),
+            partial(_start, "baselines.dynamic_programming.policy", "start_oracle"),
         ),
     )
 }

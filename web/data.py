@@ -17,9 +17,7 @@ import numpy as np
 
 from agents.training.presets import ROWS, PPOConfig
 from baselines.dynamic_programming.policy import TORQUES
-from baselines.gaits import families
-from baselines.gaits.archive import GaitMap
-from baselines.gaits.policy import oracle_map, tolerant_nominal
+from baselines.gaits.archive import GaitMap, encode_gaits, oracle_map, tolerant_nominal
 from baselines.policies import SCRIPTED
 from capsule_gym import load_policy, task
 from capsule_gym.evaluation_sets import SET_NAMES, load_set
@@ -45,7 +43,7 @@ from web.modules import COMMON, ENTRIES, STARTS, build
 from web.recordings import OVER, known_recordings
 
 GAITS: dict[str, Callable[[], GaitMap]] = {
-    "gait-nominal": lambda: GaitMap((NOMINAL.M,), (NOMINAL.mu,), ((tolerant_nominal(),),)),
+    "gait-nominal": lambda: GaitMap((NOMINAL.M,), (NOMINAL.mu,), (tolerant_nominal(),), ((0,),)),
     "gait-oracle": oracle_map,
 }
 RANDOM = "random"
@@ -163,9 +161,8 @@ def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
 
 def describe_gaits(gait_map: GaitMap, archive: Archive) -> dict[str, Any]:
     """Gaits with a clock, and which of them suits which plant."""
-    used, cells = gait_map.indexed()
-    table = families.encode([gait.family for gait in used], [gait.parameters for gait in used])
-    return {"M": gait_map.M, "edges": gait_map.edges().tolist(), "cells": cells, "table": archive.add_array(table)}
+    table = archive.add_array(encode_gaits(gait_map.gaits))
+    return {"M": gait_map.M, "edges": gait_map.edges().tolist(), "cells": gait_map.cells, "table": table}
 
 
 def describe_set(name: str) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Cycle", "cycle", "optimal_speed"]
+__all__ = ["cycle", "optimal_speed"]
 
 # N: the observation is coarser than the state, so that a smaller predicted force may be none.
 MIN_NORMAL_FORCE = 0.02
@@ -13,12 +13,8 @@ FOLDER = Path(__file__).with_name("data")
 
 def __getattr__(name: str) -> Any:
     """Imports what is exported when it is first used: numba takes most of a second to import."""
-    if name == "optimal_speed":
-        from baselines.dynamic_programming.archive import optimal_speed
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from baselines.dynamic_programming import archive
 
-        return optimal_speed
-    if name in ("Cycle", "cycle"):
-        from baselines.dynamic_programming import trajectory
-
-        return getattr(trajectory, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(archive, name)

@@ -1,4 +1,4 @@
-"""The archive of the results: trajectories, and values of the coarse grids.
+"""The archive of the results: trajectories, their limit cycles and speeds, and values of the coarse grids.
 
 A speed on file is that of a trajectory: `data/arrays.npz` holds its torques, one per control interval, and repeating
 them from rest gives the same speed on every machine. `gains` are what the solver found on its grids.
@@ -6,67 +6,45 @@ them from rest gives the same speed on every machine. `gains` are what the solve
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines.archive import PLANTS, between_plants, read_archive, write_archive
+from baselines.archive import GRID_M, GRID_MU, PLANTS, grid_cell, in_grid, read_archive, write_archive
 from baselines.dynamic_programming import FOLDER
 from baselines.dynamic_programming.grid import Grid
-from baselines.dynamic_programming.problem import Problem
-from baselines.dynamic_programming.refinement import GridResult
-from baselines.dynamic_programming.solver import Solution
-from baselines.dynamic_programming.trajectory import repeat
+from baselines.dynamic_programming.problem import ACTIONS, ENERGY_WEIGHTS, Problem, Trajectory, repeat
+from baselines.dynamic_programming.solver import GRIDS, Solution, solve_on_grids
+from capsule_gym.parameters import DIRECT_PHYSICS_DT
+from capsule_gym.task import CONTROL_DT, TORQUE_LIMIT
 
 # cm: values are stored in steps of this size, or of the size that two bytes can count; an interval earns half a cm.
 RESOLUTION = 0.005
 MAX_STEPS = 65535
+# rad, rad/s, m, m/s: differences of these sizes between the ends of a cycle count alike.
+SCALES = np.array([0.1, 1.0, np.inf, 0.05])
 
 
 @dataclass(frozen=True, kw_only=True)
-class Result:
+class Result(Problem):
     """What is known of one problem.
 
     Attributes:
-        M: mass of the platform, kg.
-        mu: friction coefficient.
-        energy_weight: cm/J.
-        control_dt: control interval, s.
-        margin: see `Problem`, N.
         grids: nodes along theta, s and w of every grid, from coarse to fine.
         gains: mean reward of the Markov chain on each, cm/s.
         steady: mean speed of the trajectory on each over whole cycles, cm/s.
         mean_speed: of the trajectory on file, the best of all grids', over 33 s from rest, cm/s.
-        cost_of_transport: of that trajectory; None without forward progress.
-        seconds: run time of the solver.
+        cost_of_transport: of that trajectory.
     """
 
-    M: float
-    mu: float
-    energy_weight: float
-    control_dt: float
-    margin: float
     grids: tuple[tuple[int, int, int], ...]
     gains: tuple[float, ...]
     steady: tuple[float, ...]
     mean_speed: float
-    cost_of_transport: float | None
-    seconds: float
-
-    @property
-    def problem(self) -> Problem:
-        """What was optimised."""
-        names = ("M", "mu", "energy_weight", "control_dt", "margin")
-        return Problem(**{name: getattr(self, name) for name in names})
-
-
-def key_of(problem: Problem) -> str:
-    """The name under which a problem is stored; the capsule's constants are the default ones."""
-    numbers = (problem.M, problem.mu, problem.energy_weight, problem.control_dt, problem.margin)
-    return " ".join(f"{number:g}" for number in numbers)
+    cost_of_transport: float
 
 
 @dataclass
@@ -75,50 +53,36 @@ class Archive:
 
     Attributes:
         results: by key.
-        arrays: by key and kind: `torques` of the trajectory as indices of `trajectory.ACTIONS`, uint8; the values'
+        arrays: by key and kind: `torques` of the trajectory as indices of `ACTIONS`, uint8; the values'
             `differences` and `numbers`.
     """
 
     results: dict[str, Result] = field(default_factory=dict)
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
 
-    def add(self, problem: Problem, results: list[GridResult], seconds: float, *, values: bool = True) -> Result:
-        """Adds a problem's result, in the place of an older one, with the trajectory of the largest reward.
+    def solve(self, problem: Problem) -> Result:
+        """Solves a problem and adds its result, with the trajectory of the largest reward on any of the grids."""
+        own_interval = problem.control_dt == CONTROL_DT
+        solved = solve_on_grids(problem, GRIDS[: (4 if problem == Problem() else 2) if own_interval else 3])
 
-        Args:
-            problem: what was optimised.
-            results: on its grids, from coarse to fine.
-            seconds: run time of the solver.
-            values: whether the values of the coarsest grid are stored.
-        """
-
-        def reward(result: GridResult) -> float:
-            metrics = result.trajectory.metrics
+        def reward(trajectory: Trajectory) -> float:
+            metrics = trajectory.metrics
             value = 100.0 * metrics["distance"][0] - problem.energy_weight * metrics["energy"][0]
             return float(value) - 1e9 * float(metrics["failed"][0])
 
-        best = max(results, key=reward).trajectory
-        transport = float(best.metrics["cost_of_transport"][0])
+        best = max((trajectory for _, trajectory in solved), key=reward)
         result = Result(
-            M=problem.M,
-            mu=problem.mu,
-            energy_weight=problem.energy_weight,
-            control_dt=problem.control_dt,
-            margin=problem.margin,
-            grids=tuple(each.solution.grid.shape for each in results),
-            gains=tuple(round(each.solution.gain, 4) for each in results),
-            steady=tuple(round(each.trajectory.steady_speed(problem.control_dt), 4) for each in results),
-            mean_speed=float(best.metrics["mean_speed"][0]),
-            cost_of_transport=transport if np.isfinite(transport) else None,
-            seconds=round(seconds, 1),
+            **asdict(problem),
+            grids=tuple(solution.grid.shape for solution, _ in solved),
+            gains=tuple(round(solution.gain, 4) for solution, _ in solved),
+            steady=tuple(round(trajectory.steady_speed(problem.control_dt), 4) for _, trajectory in solved),
+            **_performance(best),
         )
-        key = key_of(problem)
-        self.results[key] = result
-        self.arrays[f"{key} torques"] = best.choices[:, 0]
-        for kind in ("differences", "numbers"):
-            self.arrays.pop(f"{key} {kind}", None)
-        if values:
-            self._add_values(key, results[0].solution)
+        self.results[problem.key] = result
+        self.arrays[f"{problem.key} torques"] = best.choices[:, 0]
+        # The policies look ahead with the values of the speed problems.
+        if problem.energy_weight == 0.0 and own_interval:
+            self._add_values(problem.key, solved[0][0])
         return result
 
     def _add_values(self, key: str, solution: Solution) -> None:
@@ -132,10 +96,6 @@ class Archive:
         numbers = [low, step, *solution.grid.y, *solution.grid.w, solution.curvature, solution.gain]
         self.arrays[f"{key} numbers"] = np.array(numbers)
 
-    def choices(self, problem: Problem) -> np.ndarray:
-        """The torques of a problem's trajectory, as indices of `trajectory.ACTIONS`."""
-        return self.arrays[f"{key_of(problem)} torques"]
-
     def solution(self, problem: Problem) -> Solution:
         """The stored values of a problem.
 
@@ -143,24 +103,26 @@ class Archive:
             ValueError: if there are none.
         """
         try:
-            steps, numbers = (self.arrays[f"{key_of(problem)} {kind}"] for kind in ("differences", "numbers"))
+            steps, numbers = (self.arrays[f"{problem.key} {kind}"] for kind in ("differences", "numbers"))
         except KeyError:
             raise ValueError(f"the archive holds no values of {problem}") from None
         low, step, *limits, curvature, gain = numbers.tolist()
         for axis in range(steps.ndim):
             steps = np.cumsum(steps, axis=axis, dtype=np.uint16)
         grid = Grid(steps.shape, (limits[0], limits[1]), (limits[2], limits[3]), problem.M)
-        return Solution(problem, grid, (low + step * steps).astype(np.float32), curvature, gain, 0.0)
+        return Solution(problem, grid, (low + step * steps).astype(np.float32), curvature, gain)
+
+    def repeat(self, problem: Problem) -> Trajectory:
+        """Repeats the trajectory of a problem."""
+        return repeat(problem, self.arrays[f"{problem.key} torques"])
 
     def check(self) -> list[str]:
         """Repeats all trajectories; returns what differs from the archive, one line each."""
         stale = []
         for key, result in self.results.items():
-            metrics = repeat(result.problem, self.choices(result.problem)).metrics
-            transport = float(metrics["cost_of_transport"][0])
-            now = (float(metrics["mean_speed"][0]), transport if np.isfinite(transport) else None)
-            if now != (result.mean_speed, result.cost_of_transport) or metrics["failed"][0]:
-                stale.append(f"{key}: {result.mean_speed} cm/s at {result.cost_of_transport} on file, {now} now")
+            filed = {name: getattr(result, name) for name in ("mean_speed", "cost_of_transport")}
+            if (now := _performance(self.repeat(result))) != filed:
+                stale.append(f"{key}: {filed} on file, {now} now")
         return stale
 
     def save(self, folder: Path = FOLDER) -> None:
@@ -180,33 +142,22 @@ def load_archive(folder: Path = FOLDER) -> Archive:
 
 def _build(content: dict[str, Any], arrays: dict[str, np.ndarray]) -> Archive:
     """The archive of a JSON object and its arrays."""
-    results = [Result(**fields) for fields in content["results"]]
-    for result in results:
-        torques = arrays[f"{key_of(result.problem)} torques"]
-        if torques.dtype != np.uint8 or torques.ndim != 1:
-            raise ValueError(f"the torques of {key_of(result.problem)!r} must be a list of bytes")
-    return Archive({key_of(result.problem): result for result in results}, arrays)
+    results = {result.key: result for result in (Result(**fields) for fields in content["results"])}
+    for key in results:
+        if arrays[f"{key} torques"].dtype != np.uint8:
+            raise ValueError(f"the torques of {key!r} must be bytes")
+    return Archive(results, arrays)
+
+
+def _performance(trajectory: Trajectory) -> dict[str, float]:
+    """Mean speed, cm/s, and cost of transport of the first episode."""
+    return {name: float(trajectory.metrics[name][0]) for name in ("mean_speed", "cost_of_transport")}
 
 
 @lru_cache(maxsize=1)
 def known_results() -> Archive:
-    """The committed results, read once.
-
-    Raises:
-        ValueError: if the data lacks a plant of the grid.
-    """
-    archive = load_archive()
-    missing = [plant for plant in PLANTS if key_of(Problem(M=plant[0], mu=plant[1])) not in archive.results]
-    if missing:
-        raise ValueError(f"{FOLDER} must hold every plant of the grid, lacks {missing}")
-    return archive
-
-
-@lru_cache(maxsize=1)
-def speeds() -> dict[tuple[float, float], float]:
-    """The speed on every plant of the grid, cm/s."""
-    results = known_results().results
-    return {(M, mu): results[key_of(Problem(M=M, mu=mu))].mean_speed for M, mu in PLANTS}
+    """The committed results, read once."""
+    return load_archive()
 
 
 def optimal_speed(M: float, mu: float) -> float:
@@ -222,7 +173,16 @@ def optimal_speed(M: float, mu: float) -> float:
     Raises:
         ValueError: if the plant lies outside the grid.
     """
-    return between_plants(speeds(), M, mu)
+    if not in_grid(M, mu):
+        raise ValueError(
+            f"M must be in [{GRID_M[0]}, {GRID_M[-1]}] kg and mu in [{GRID_MU[0]}, {GRID_MU[-1]}], "
+            f"got M={M!r}, mu={mu!r}"
+        )
+    corners, along_M, along_mu = grid_cell(M, mu)
+    results = known_results().results
+    a, b, c, d = (results[Problem(M=PLANTS[i][0], mu=PLANTS[i][1]).key].mean_speed for i in corners)
+    below, above = a + along_mu * (b - a), c + along_mu * (d - c)
+    return below + along_M * (above - below)
 
 
 def optimal_front() -> list[tuple[float, float]]:
@@ -230,10 +190,60 @@ def optimal_front() -> list[tuple[float, float]]:
 
     Points that another one beats in both are left out.
     """
-    found = [
-        (result.cost_of_transport, result.mean_speed)
-        for result in known_results().results.values()
-        if result.problem == Problem(energy_weight=result.energy_weight) and result.cost_of_transport is not None
-    ]
+    results = known_results().results
+    own = [results[Problem(energy_weight=weight).key] for weight in (0.0, *ENERGY_WEIGHTS)]
+    found = [(each.cost_of_transport, each.mean_speed) for each in own]
     undominated = [(cost, speed) for cost, speed in found if not any(c <= cost and s > speed for c, s in found)]
     return sorted(undominated, key=lambda point: point[1])
+
+
+class Cycle(NamedTuple):
+    """One period of a limit cycle, sampled at every step of the integrator; arrays are float64 of shape (samples,).
+
+    It begins where the pendulum reverses to move forwards on the left.
+
+    Attributes:
+        time: s, from 0.
+        theta: rad.
+        theta_dot: rad/s.
+        x_dot: m/s.
+        normal_force: N, the smallest of the step that begins there.
+        torque: N m, during that step.
+        period: s.
+        speed: mean of the cycle, cm/s.
+    """
+
+    time: np.ndarray
+    theta: np.ndarray
+    theta_dot: np.ndarray
+    x_dot: np.ndarray
+    normal_force: np.ndarray
+    torque: np.ndarray
+    period: float
+    speed: float
+
+
+def cycle() -> Cycle:
+    """The settled period whose ends differ the least, of the trajectory on the nominal plant."""
+    problem, archive = Problem(), known_results()
+    trajectory = archive.repeat(problem)
+    starts = trajectory.cycle_starts(problem.control_dt)
+    n = int(np.abs(np.diff(trajectory.states[starts, :, 0], axis=0) / SCALES).max(axis=1).argmin())
+    begin, end = int(starts[n]), int(starts[n + 1])
+    # The same trajectory in steps of the integrator, and one control interval more, for where the cycle ends.
+    substeps = round(problem.control_dt / DIRECT_PHYSICS_DT)
+    dt = problem.control_dt / substeps
+    fine = repeat(replace(problem, control_dt=dt), np.repeat(trajectory.choices[: end + 1, 0], substeps))
+    part = slice(begin * substeps, end * substeps)
+    theta, theta_dot, x, x_dot = fine.states[part, :, 0].T
+    period = (end - begin) * problem.control_dt
+    return Cycle(
+        time=dt * np.arange(theta.size),
+        theta=theta,
+        theta_dot=theta_dot,
+        x_dot=x_dot,
+        normal_force=fine.normal_forces[part, 0],
+        torque=TORQUE_LIMIT * ACTIONS[fine.choices[part, 0]],
+        period=period,
+        speed=float(100.0 * (fine.states[part.stop, 2, 0] - x[0]) / period),
+    )

@@ -1,4 +1,4 @@
-"""Draws the solution on the nominal plant: values and best torques over the phase plane, and the limit cycle."""
+"""What the page about the optimum shows: a figure of the solution on the nominal plant, and tables of the archive."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from baselines.archive import GRID_M, GRID_MU
 from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, add_note, new_figure
-from baselines.dynamic_programming.archive import known_results
-from baselines.dynamic_programming.problem import Problem, Transitions
+from baselines.dynamic_programming.archive import Archive, Cycle, Result, cycle, known_results
+from baselines.dynamic_programming.problem import ACTIONS, CONTROL_INTERVALS, ENERGY_WEIGHTS, Problem, Transitions
 from baselines.dynamic_programming.solver import Solution
-from baselines.dynamic_programming.trajectory import ACTIONS, Cycle, cycle
+from baselines.gaits.archive import pareto_front
+from baselines.tables import markdown_table
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import TORQUE_LIMIT
 
@@ -100,3 +102,40 @@ def _draw_cycle(axes: Any, own: Cycle, title: str, limits: tuple[float, float]) 
     axes.axhline(0.0, color=MUTED, lw=0.6)
     axes.set(title=title, xlim=(0.0, own.period), ylim=limits, xlabel="time in the cycle (s)")
     axes.legend(loc="upper right", ncols=2, handlelength=1.5, columnspacing=1.2)
+
+
+def extrapolated(result: Result) -> str:
+    """The limit of the gains on ever finer grids, cm/s, for errors of second and of first order."""
+    ratio = (result.grids[-1][0] - 1) / (result.grids[-2][0] - 1)
+    before, last = result.gains[-2:]
+    return " to ".join(f"{last + (last - before) / (ratio**order - 1.0):.2f}" for order in (2, 1))
+
+
+def report(archive: Archive) -> str:
+    """All tables, with headings."""
+    results = archive.results
+    nominal = results[Problem().key]
+    grids = [["grid", "nodes", "gain (cm/s)", "steady speed of its trajectory (cm/s)"]]
+    for shape, gain, steady in zip(nominal.grids, nominal.gains, nominal.steady, strict=True):
+        nodes = shape[0] * shape[1] * shape[2]
+        grids.append([" x ".join(map(str, shape)), f"{nodes:,}", f"{gain:.2f}", f"{steady:.2f}"])
+    grids.append(["extrapolated", "", extrapolated(nominal), ""])
+
+    intervals = [
+        ["interval (ms)", "speed over 33 s (cm/s)", "steady speed (cm/s)", "gain (cm/s)", "extrapolated (cm/s)"]
+    ]
+    for each in (nominal, *(results[Problem(control_dt=control_dt).key] for control_dt in CONTROL_INTERVALS)):
+        numbers = [f"{value:.2f}" for value in (each.mean_speed, max(each.steady), each.gains[-1])]
+        intervals.append([f"{1e3 * each.control_dt:g}", *numbers, extrapolated(each)])
+
+    weights = [["energy weight (cm/J)", "speed over 33 s (cm/s)", "cost of transport", "cheapest gait of that speed"]]
+    for each in (nominal, *(results[Problem(energy_weight=weight).key] for weight in ENERGY_WEIGHTS)):
+        costs = [gait.cost_of_transport for gait in pareto_front() if gait.mean_speed >= each.mean_speed]
+        numbers = [f"{each.energy_weight:g}", f"{each.mean_speed:.2f}", f"{each.cost_of_transport:.2f}"]
+        weights.append([*numbers, f"{min(costs):.2f}" if costs else "-"])
+
+    plants = [["M (kg) \\ mu", *(f"{mu:g}" for mu in GRID_MU)]]
+    for M in GRID_M:
+        plants.append([f"{M:g}", *(f"{results[Problem(M=M, mu=mu).key].mean_speed:.2f}" for mu in GRID_MU)])
+    parts = {"Finer grids": grids, "Control intervals": intervals, "Energy weights": weights, "Plants (cm/s)": plants}
+    return "\n\n".join(f"{heading}\n\n{markdown_table(rows)}" for heading, rows in parts.items())

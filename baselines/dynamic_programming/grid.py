@@ -13,8 +13,6 @@ Stick is the plane s = 0, where the value has a kink; nodes lie on it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -102,12 +100,6 @@ def _locate_all(states: np.ndarray, q: float, axes: np.ndarray, nodes: np.ndarra
             positions[n, axis] = clamped(position[axis], nodes[axis]) if inside else FAILED
 
 
-@lru_cache(maxsize=1)
-def _compiled() -> Any:
-    """`_locate_all`, compiled."""
-    return compile_cached(_locate_all)
-
-
 @dataclass(frozen=True)
 class Grid:
     """A regular grid over (theta, s, w) for one mass of the platform; a state off the grid counts as failed.
@@ -159,5 +151,6 @@ class Grid:
     def positions(self, states: np.ndarray) -> np.ndarray:
         """Positions of states of shape (3, n) in cells from the first node, shape (n, 3), float32; else FAILED."""
         out = np.empty((states.shape[1], 3), np.float32)
-        _compiled()(np.ascontiguousarray(states, np.float64), self.q, self.axes, np.array(self.shape), out)
+        columns = np.ascontiguousarray(states, np.float64)
+        compile_cached(_locate_all)(columns, self.q, self.axes, np.array(self.shape), out)
         return out

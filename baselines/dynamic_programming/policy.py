@@ -9,16 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
-from baselines.archive import PLANTS, interpolation_weights
+from baselines.archive import PLANTS, grid_cell
 from baselines.dynamic_programming import MIN_NORMAL_FORCE
 from baselines.dynamic_programming.archive import known_results
 from baselines.dynamic_programming.grid import clamped, interpolate, locate
-from baselines.dynamic_programming.problem import Problem, Transitions
-from baselines.dynamic_programming.solver import Solution, cell_curvature
+from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem, Transitions
+from baselines.dynamic_programming.solver import cell_curvature
 from capsule_gym.compilation import compile_cached
 from capsule_gym.parameters import NOMINAL
 
@@ -29,8 +28,6 @@ NUM_TORQUES = 41
 TORQUES = np.linspace(-1.0, 1.0, NUM_TORQUES).astype(np.float32)
 # cm: the score of a torque that fails.
 FAILURE_SCORE = -1e6
-# N: `optimum-nominal` leaves so much normal force, for platforms that are lighter than it assumes.
-NOMINAL_MARGIN = 1.6
 
 
 def _score(
@@ -44,7 +41,6 @@ def _score(
     shapes: np.ndarray,
     axes: np.ndarray,
     curvatures: np.ndarray,
-    failure: float,
     scores: np.ndarray,
 ) -> None:
     """Writes the scores of every environment's torques.
@@ -60,7 +56,6 @@ def _score(
         shapes: of the tables, and in a fourth column where each begins.
         axes: shape (tables, 3, 2).
         curvatures: of the tables, `cell_curvature`, cm.
-        failure: the score of a torque that fails, cm.
         scores: cm, shape (environments, torques); written.
     """
     count = scores.shape[1]
@@ -69,7 +64,7 @@ def _score(
             lane = n * count + a
             score = rewards[lane]
             if failed[lane]:
-                score = failure
+                score = FAILURE_SCORE
             else:
                 for c in range(corners.shape[1]):
                     t = corners[n, c]
@@ -83,14 +78,10 @@ def _score(
             scores[n, a] = score
 
 
-@lru_cache(maxsize=1)
-def _compiled() -> Any:
-    """`_score`, compiled."""
-    return compile_cached(_score)
-
-
-def _tables(solutions: Sequence[Solution]) -> tuple[np.ndarray, ...]:
+@lru_cache(maxsize=2)
+def _tables(*problems: Problem) -> tuple[np.ndarray, ...]:
     """The values of solutions as `_score` takes them: values, shapes, axes and curvatures."""
+    solutions = [known_results().solution(problem) for problem in problems]
     begins = np.cumsum([0, *(solution.values.size for solution in solutions[:-1])])
     return (
         np.concatenate([solution.values.reshape(-1) for solution in solutions]),
@@ -105,12 +96,12 @@ class Lookahead:
 
     Args:
         count: environments.
-        tables: of `_tables`.
         margin: normal force that a torque must leave, N.
+        problems: whose values are interpolated; with one these are taken as they are.
     """
 
-    def __init__(self, count: int, tables: tuple[np.ndarray, ...], margin: float) -> None:
-        self._tables = tables
+    def __init__(self, count: int, margin: float, *problems: Problem) -> None:
+        self._tables = _tables(*problems)
         self._transitions = Transitions(Problem(margin=margin), count * NUM_TORQUES)
         self._actions = np.tile(TORQUES.astype(np.float64), count)
         self._scores = np.empty((count, NUM_TORQUES))
@@ -129,7 +120,7 @@ class Lookahead:
         states = np.repeat(observations[:, :3].T.astype(np.float64), NUM_TORQUES, axis=1)
         outcome = self._transitions.step(states, self._actions)
         plants = self._q, self._corners, self._weights
-        _compiled()(*outcome, *plants, *self._tables, FAILURE_SCORE, self._scores)
+        compile_cached(_score)(*outcome, *plants, *self._tables, self._scores)
         return self._scores
 
     def act(self, observations: np.ndarray) -> np.ndarray:
@@ -146,7 +137,7 @@ class Oracle(Lookahead):
     """
 
     def __init__(self, count: int, margin: float = MIN_NORMAL_FORCE) -> None:
-        super().__init__(count, _oracle_tables(), margin)
+        super().__init__(count, margin, *(Problem(M=M, mu=mu) for M, mu in PLANTS))
         self._observed = np.zeros((count, 2), np.float32)
 
     def scores(self, observations: np.ndarray) -> np.ndarray:
@@ -158,21 +149,16 @@ class Oracle(Lookahead):
             M, mu = plants.T.astype(np.float64)
             self._transitions.set_plants(np.repeat(M, NUM_TORQUES), np.repeat(mu, NUM_TORQUES))
             self._q = NOMINAL.m * NOMINAL.l / (M + NOMINAL.m)
-            cells = [interpolation_weights(*plant) for plant in zip(M.tolist(), mu.tolist(), strict=True)]
-            self._corners, self._weights = (np.array(each) for each in zip(*cells, strict=True))
+            cells = [grid_cell(*plant) for plant in zip(M.tolist(), mu.tolist(), strict=True)]
+            corners, a, b = (np.array(each) for each in zip(*cells, strict=True))
+            self._corners = corners
+            self._weights = np.stack([(1.0 - a) * (1.0 - b), (1.0 - a) * b, a * (1.0 - b), a * b], axis=1)
         return super().scores(observations)
-
-
-@lru_cache(maxsize=1)
-def _oracle_tables() -> tuple[np.ndarray, ...]:
-    """The values of every plant of the grid."""
-    return _tables([known_results().solution(Problem(M=M, mu=mu)) for M, mu in PLANTS])
 
 
 def start_nominal(seeds: Sequence[int]) -> Act:
     """The policy of the nominal plant that leaves `NOMINAL_MARGIN` of normal force, on every plant."""
-    tables = _tables([known_results().solution(Problem(margin=NOMINAL_MARGIN))])
-    return Lookahead(len(seeds), tables, NOMINAL_MARGIN).act
+    return Lookahead(len(seeds), NOMINAL_MARGIN, Problem(margin=NOMINAL_MARGIN)).act
 
 
 def start_oracle(seeds: Sequence[int]) -> Act:

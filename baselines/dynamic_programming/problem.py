@@ -1,17 +1,31 @@
-"""The problem that dynamic programming solves, and its transitions, which are steps of the environment itself."""
+"""The problem that dynamic programming solves, its transitions, steps of the environment, and trajectories."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from baselines.archive import PLANTS
 from capsule_gym.layout import Row
-from capsule_gym.parameters import DIRECT_PHYSICS_DT, NOMINAL, EnvConfig, check_number
+from capsule_gym.parameters import DIRECT_PHYSICS_DT, NOMINAL, EnvConfig
 from capsule_gym.simulation import Simulation
-from capsule_gym.task import CONTROL_DT
+from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
+
+# Torques over their limit from which a policy chooses; their indices fit into a byte.
+ACTIONS = np.linspace(-1.0, 1.0, 121)
+# s: by then every trajectory is close to its limit cycle.
+SETTLED = HORIZON / 2.0
+# s
+CONTROL_INTERVALS = (0.01, 0.005)
+# cm/J
+ENERGY_WEIGHTS = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
+# N: `optimum-nominal` leaves so much normal force, for platforms that are lighter than it assumes.
+NOMINAL_MARGIN = 1.6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,10 +38,6 @@ class Problem:
         energy_weight: cm/J.
         control_dt: control interval, over which the torque is constant, s.
         margin: normal force that must be left, N; a smaller one counts as a failure.
-
-    Raises:
-        TypeError: if a value is of the wrong type.
-        ValueError: if a value is out of range.
     """
 
     M: float = NOMINAL.M
@@ -36,11 +46,11 @@ class Problem:
     control_dt: float = CONTROL_DT
     margin: float = 0.0
 
-    def __post_init__(self) -> None:
-        NOMINAL.check_plant(self.M, self.mu)
-        check_number("control_dt", self.control_dt, "a finite number > 0 (s)", 0.0, open_low=True)
-        check_number("margin", self.margin, "a finite number >= 0 (N)", 0.0)
-        _ = self.options
+    @property
+    def key(self) -> str:
+        """The name under which the archive holds the problem; the capsule's constants are the default ones."""
+        numbers = (self.M, self.mu, self.energy_weight, self.control_dt, self.margin)
+        return " ".join(f"{number:g}" for number in numbers)
 
     @cached_property
     def options(self) -> EnvConfig:
@@ -53,6 +63,16 @@ class Problem:
             termination_penalty=0.0,
             randomization="none",
         )
+
+
+# All that are solved: every plant of the grid, the nominal one with a margin by which the weight of the platform may be
+# smaller, with energy weights in cm/J, and with shorter control intervals.
+PROBLEMS = (
+    *(Problem(M=M, mu=mu) for M, mu in PLANTS),
+    Problem(margin=NOMINAL_MARGIN),
+    *(Problem(energy_weight=weight) for weight in ENERGY_WEIGHTS),
+    *(Problem(control_dt=control_dt) for control_dt in CONTROL_INTERVALS),
+)
 
 
 class Transitions:
@@ -93,3 +113,67 @@ class Transitions:
         simulation.step(actions)
         failed = (simulation.row(Row.termination) != 0.0) | (simulation.row(Row.normal_force) <= self.margin)
         return simulation.rows(Row.theta, Row.x_dot + 1)[[0, 1, 3]], simulation.row(Row.reward), failed
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Episodes side by side.
+
+    Attributes:
+        metrics: of `capsule_gym.task.Metrics`, each of shape (episodes,).
+        states: theta (rad), theta_dot (rad/s), x (m), x_dot (m/s) at the beginning of every step, shape (steps, 4,
+            episodes).
+        choices: the torques as indices of `ACTIONS`, shape (steps, episodes), uint8.
+        normal_forces: the smallest of each step, N, shape (steps, episodes).
+    """
+
+    metrics: dict[str, np.ndarray]
+    states: np.ndarray
+    choices: np.ndarray
+    normal_forces: np.ndarray
+
+    def cycle_starts(self, control_dt: float) -> np.ndarray:
+        """The steps after `SETTLED` at which the first episode's pendulum reverses to move forwards, left of upright.
+
+        Args:
+            control_dt: length of a step, s.
+        """
+        theta, theta_dot = self.states[:, 0, 0], self.states[:, 1, 0]
+        starts = np.flatnonzero((theta_dot[:-1] <= 0.0) & (theta_dot[1:] > 0.0) & (theta[1:] < 0.0)) + 1
+        return starts[starts >= round(SETTLED / control_dt)]
+
+    def steady_speed(self, control_dt: float) -> float:
+        """The first episode's mean speed over whole cycles after `SETTLED`, cm/s, or without cycles over that time."""
+        starts = self.cycle_starts(control_dt)
+        begin, end = starts[[0, -1]] if starts.size > 1 else (round(SETTLED / control_dt), len(self.states) - 1)
+        x = self.states[:, 2, 0]
+        return float(100.0 * (x[end] - x[begin]) / ((end - begin) * control_dt))
+
+
+def record(problem: Problem, thetas: np.ndarray, steps: int, choose: Callable[[int, np.ndarray], Any]) -> Trajectory:
+    """Runs episodes from rest.
+
+    Args:
+        problem: with the plant and the control interval.
+        thetas: where the episodes start, rad.
+        steps: their length.
+        choose: from the number of a step and the states, shape (4, episodes), to the torques as indices of `ACTIONS`.
+    """
+    count = thetas.size
+    simulation = Simulation(count, problem.options)
+    starts = np.zeros((count, 4))
+    starts[:, 0] = thetas
+    simulation.reset(np.arange(count), [problem.M] * count, [problem.mu] * count, starts)
+    states, choices = np.empty((steps, 4, count)), np.empty((steps, count), np.uint8)
+    normal_forces = np.empty((steps, count))
+    for step in range(steps):
+        states[step] = simulation.rows(Row.theta, Row.x_dot + 1)
+        choices[step] = choose(step, states[step])
+        simulation.step(ACTIONS[choices[step]], simulation.row(Row.termination) == 0.0)
+        normal_forces[step] = simulation.row(Row.normal_force)
+    return Trajectory(simulation.metrics(np.arange(count), steps), states, choices, normal_forces)
+
+
+def repeat(problem: Problem, choices: np.ndarray) -> Trajectory:
+    """Repeats the torques of one episode from the task's start; `choices` are indices of `ACTIONS`, shape (steps,)."""
+    return record(problem, np.array([START_THETA]), choices.size, lambda step, states: choices[step])

@@ -1,4 +1,4 @@
-"""The solver: policy iteration for the mean reward per step, on a grid of states.
+"""The solver: policy iteration for the mean reward per step, on grids of states from coarse to fine.
 
 The optimal gain g (cm per step) and the relative value h (cm) solve
 
@@ -15,20 +15,19 @@ function. The parabola of that `curvature` is therefore excluded from the interp
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from baselines.dynamic_programming.grid import FAILED, Grid, interpolate
-from baselines.dynamic_programming.problem import Problem, Transitions
+from baselines.dynamic_programming.grid import FAILED, INITIAL_Y, MIN_COSINE, Grid, interpolate
+from baselines.dynamic_programming.problem import ACTIONS, SETTLED, Problem, Trajectory, Transitions, record
 from capsule_gym.compilation import compile_cached
-from capsule_gym.task import START_THETA
+from capsule_gym.task import HORIZON, START_THETA
 
 # cm: a loss larger than the distance of any policy in two seconds.
 FAILURE_VALUE = -50.0
+# Torques at every node, evenly spaced within the limits.
 TORQUES = 9
 # How often torques around the best are added at every node, and their places in spacings of the previous ones.
 REFINEMENTS = 2
@@ -40,6 +39,14 @@ EVALUATION_TIME = 0.8
 MAX_ITERATIONS = 60
 # cm/s: converged where the span of the values' changes is smaller.
 TOLERANCE = 0.02
+# Nodes along theta, s and w. The first grid is also that of the policies' values.
+GRIDS = ((31, 51, 16), (46, 76, 24), (61, 101, 32), (91, 151, 48))
+# Ratio of the nodes of s and w over that of the ranges of y and w, and its limits.
+NODE_RATIO, MIN_RATIO, MAX_RATIO = 0.7, 0.25, 3.2
+# Angles from which trajectories start: the task's own first, then others up to 0.1 rad from it.
+STARTS = START_THETA + np.array([0.0, *np.linspace(-0.1, 0.1, 6)])
+# The grid extends beyond the trajectories by this share of their range of y and w, and by at least so much, rad/s.
+ROOM, MIN_ROOM = 0.3, 1.0
 
 
 @dataclass(frozen=True)
@@ -52,7 +59,6 @@ class Solution:
         values: h at the nodes, cm, shape of the grid, float32; 0 at the start of an episode.
         curvature: half the second derivative of the values along w, in cm / (rad/s)^2.
         gain: mean reward of the Markov chain, cm/s.
-        span: difference of the largest and the smallest change of a value in an iteration, cm/s; 0 if solved exactly.
     """
 
     problem: Problem
@@ -60,7 +66,6 @@ class Solution:
     values: np.ndarray
     curvature: float
     gain: float
-    span: float
 
     def at(self, states: np.ndarray) -> np.ndarray:
         """The values of states of shape (3, n), cm; `FAILURE_VALUE` off the grid."""
@@ -100,124 +105,162 @@ def transitions(problem: Problem, grid: Grid, torques: np.ndarray) -> tuple[np.n
     return positions, rewards
 
 
-def _improve(
-    values: np.ndarray,
-    out: np.ndarray,
-    chosen: np.ndarray,
-    positions: np.ndarray,
-    rewards: np.ndarray,
-    gain: float,
-    curvature: float,
-    failure: float,
-) -> None:
-    """One step of value iteration from `values` to `out`, which are flat; writes the best torques to `chosen`."""
+def _backup(
+    values: np.ndarray, positions: np.ndarray, rewards: np.ndarray, gain: float, curvature: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """One step of value iteration, or of policy evaluation where there is one torque per node.
+
+    Args:
+        values: at the nodes, cm.
+        positions: of the next states on the grid, shape (nodes, torques, 3).
+        rewards: cm, shape (nodes, torques).
+        gain: cm per step.
+        curvature: `cell_curvature`, cm.
+
+    Returns:
+        The new values, cm, and the indices of the best torques, each of shape (nodes,).
+    """
+    new, chosen = np.full(rewards.shape[0], -np.inf), np.zeros(rewards.shape[0], np.int64)
     for n in range(rewards.shape[0]):
-        best = -np.inf
         for a in range(rewards.shape[1]):
             i, j, k = positions[n, a]
-            after = failure if i < 0.0 else interpolate(values, i, j, k, curvature)
-            if rewards[n, a] + after > best:
-                best = rewards[n, a] + after
+            after = FAILURE_VALUE if i < 0.0 else interpolate(values, i, j, k, curvature)
+            if rewards[n, a] + after > new[n]:
+                new[n] = rewards[n, a] + after
                 chosen[n] = a
-        out.flat[n] = best - gain
-
-
-def _evaluate(
-    values: np.ndarray,
-    other: np.ndarray,
-    chosen: np.ndarray,
-    positions: np.ndarray,
-    rewards: np.ndarray,
-    gain: float,
-    curvature: float,
-    failure: float,
-    steps: int,
-) -> None:
-    """An even number of steps of policy evaluation under the chosen torques; `values` holds the last."""
-    for step in range(steps):
-        source, target = (values, other) if step % 2 == 0 else (other, values)
-        for n in range(rewards.shape[0]):
-            a = chosen[n]
-            i, j, k = positions[n, a]
-            after = failure if i < 0.0 else interpolate(source, i, j, k, curvature)
-            target.flat[n] = rewards[n, a] + after - gain
-
-
-def _interpolate_all(
-    values: np.ndarray, positions: np.ndarray, curvature: float, failure: float, out: np.ndarray
-) -> None:
-    """Writes the values at positions of shape (n, 3)."""
-    for n in range(out.size):
-        i, j, k = positions[n]
-        out[n] = failure if i < 0.0 else interpolate(values, i, j, k, curvature)
-
-
-@cache
-def _compiled(function: Callable[..., None]) -> Any:
-    """One of the functions above, compiled."""
-    return compile_cached(function)
+    return new - gain, chosen
 
 
 def values_at(values: np.ndarray, positions: np.ndarray, curvature: float) -> np.ndarray:
     """The values at positions of shape (n, 3), from `Grid.positions`; `FAILURE_VALUE` off the grid."""
-    out = np.empty(len(positions))
-    _compiled(_interpolate_all)(values, positions, curvature, FAILURE_VALUE, out)
-    return out
+    nothing = np.zeros((len(positions), 1), np.float32)
+    interpolated: np.ndarray = compile_cached(_backup)(values, positions[:, None], nothing, 0.0, curvature)[0]
+    return interpolated
 
 
-def solve(
-    problem: Problem,
-    grid: Grid,
-    *,
-    torques: int = TORQUES,
-    refinements: int = REFINEMENTS,
-    curvature: float = 0.0,
-    start: Solution | None = None,
-    tolerance: float = TOLERANCE,
-) -> Solution:
+def solve(problem: Problem, grid: Grid, *, curvature: float = 0.0, start: Solution | None = None) -> Solution:
     """Solves a problem on a grid.
 
     Args:
         problem: what is optimised.
         grid: of the states.
-        torques: their number, evenly spaced within the limits; an odd number includes 0, and 1 is 0 alone.
-        refinements: how often every node gets, in addition, torques closer around its best.
         curvature: see `Solution`.
         start: a solution on another grid, whose values are the initial ones.
-        tolerance: of the span, cm/s.
     """
-    nodes = math.prod(grid.shape)
-    coarse = np.linspace(-1.0, 1.0, torques) if torques > 1 else np.zeros(1)
-    actions = np.tile(coarse, (nodes, 1))
+    backup, cell = compile_cached(_backup), cell_curvature(curvature, grid)
+    actions = np.tile(np.linspace(-1.0, 1.0, TORQUES), (math.prod(grid.shape), 1))
     positions, rewards = transitions(problem, grid, actions)
-    cell = cell_curvature(curvature, grid)
     values: np.ndarray = np.zeros(grid.shape, np.float32)
     if start is not None:
         values = start.at(grid.nodes()).astype(np.float32).reshape(grid.shape)
     origin = grid.positions(np.array([[START_THETA], [0.0], [0.0]]))
-    gain, span = (start.gain if start else 0.0) * problem.control_dt, np.inf
-    other = np.empty_like(values)
-    chosen = np.zeros(nodes, np.int32)
-    spacing = 2.0 / max(torques - 1, 1)
-    steps = 2 * round(0.5 * EVALUATION_TIME / problem.control_dt)
-    for refinement in range(refinements + 1):
-        if refinement > 0 and torques > 1:
-            best = np.take_along_axis(actions, chosen[:, None].astype(np.int64), axis=1)
-            around = np.clip(best + spacing * LOCAL, -1.0, 1.0)
+    gain, spacing = (start.gain if start else 0.0) * problem.control_dt, 2.0 / (TORQUES - 1)
+    steps, chosen = 2 * round(0.5 * EVALUATION_TIME / problem.control_dt), np.zeros(len(actions), np.int64)
+    for refinement in range(REFINEMENTS + 1):
+        if refinement > 0:
+            around = np.clip(np.take_along_axis(actions, chosen[:, None], axis=1) + spacing * LOCAL, -1.0, 1.0)
             spacing *= LOCAL[1] - LOCAL[0]
             more_positions, more_rewards = transitions(problem, grid, around)
-            actions = np.concatenate([actions[:, :torques], around], axis=1)
-            positions = np.concatenate([positions[:, :torques], more_positions], axis=1)
-            rewards = np.concatenate([rewards[:, :torques], more_rewards], axis=1)
+            actions = np.concatenate([actions[:, :TORQUES], around], axis=1)
+            positions = np.concatenate([positions[:, :TORQUES], more_positions], axis=1)
+            rewards = np.concatenate([rewards[:, :TORQUES], more_rewards], axis=1)
         for _ in range(MAX_ITERATIONS):
-            _compiled(_improve)(values, other, chosen, positions, rewards, gain, cell, FAILURE_VALUE)
-            values, other = other, values
-            before = values.copy()
-            _compiled(_evaluate)(values, other, chosen, positions, rewards, gain, cell, FAILURE_VALUE, steps)
+            improved, chosen = backup(values, positions, rewards, gain, cell)
+            before = values = improved.astype(np.float32).reshape(grid.shape)
+            own_positions = np.take_along_axis(positions, chosen[:, None, None], axis=1)
+            own_rewards = np.take_along_axis(rewards, chosen[:, None], axis=1)
+            for _ in range(steps):
+                evaluated, _ = backup(values, own_positions, own_rewards, gain, cell)
+                values = evaluated.astype(np.float32).reshape(grid.shape)
             change = ((values - before) / steps)[before > 0.5 * FAILURE_VALUE]
             gain += float(np.median(change))
-            values -= np.float32(values_at(values, origin, cell)[0])
-            span = float(np.ptp(change)) / problem.control_dt
-            if span < tolerance:
+            values = values - np.float32(values_at(values, origin, cell)[0])
+            if float(np.ptp(change)) / problem.control_dt < TOLERANCE:
                 break
-    return Solution(problem, grid, values, curvature, gain / problem.control_dt, span)
+    return Solution(problem, grid, values, curvature, gain / problem.control_dt)
+
+
+def run_policy(solution: Solution, thetas: np.ndarray, *, horizon: float = HORIZON) -> Trajectory:
+    """Runs the policy that takes, at every step, the torque with the largest reward plus value of the next state.
+
+    Args:
+        solution: with the values.
+        thetas: where the episodes start, at rest, rad.
+        horizon: length, s.
+    """
+    model = Transitions(solution.problem, thetas.size * ACTIONS.size)
+    actions = np.tile(ACTIONS, thetas.size)
+
+    def choose(step: int, states: np.ndarray) -> np.ndarray:
+        ends, rewards, failed = model.step(np.repeat(states[[0, 1, 3]], ACTIONS.size, axis=1), actions)
+        scores = np.where(failed, -np.inf, rewards + solution.at(ends))
+        return scores.reshape(-1, ACTIONS.size).argmax(axis=1)
+
+    return record(solution.problem, thetas, round(horizon / solution.problem.control_dt), choose)
+
+
+def ranges(trajectory: Trajectory, q: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The ranges of y and w in rad/s that trajectories use, with room around them."""
+    theta, theta_dot, _, x_dot = trajectory.states.transpose(1, 0, 2)
+    cos = np.cos(theta)
+
+    def with_room(values: np.ndarray) -> tuple[float, float]:
+        low, high = float(values.min()), float(values.max())
+        room = max(ROOM * (high - low), MIN_ROOM)
+        return round(low - room, 2), round(high + room, 2)
+
+    return with_room(x_dot / (q * np.maximum(cos, MIN_COSINE))), with_room(x_dot / q - cos * theta_dot)
+
+
+def divide_nodes(shape: tuple[int, int, int], y: tuple[float, float], w: tuple[float, float]) -> tuple[int, int, int]:
+    """Divides as many nodes between s and w by their ranges: where the platform mostly sticks, w is not slow.
+
+    Args:
+        shape: nodes along theta, s and w.
+        y: range, rad/s.
+        w: range, rad/s.
+    """
+    ratio = min(MAX_RATIO, max(MIN_RATIO, NODE_RATIO * (y[1] - y[0]) / (w[1] - w[0])))
+    product = shape[1] * shape[2]
+    along_s = round(math.sqrt(product * ratio))
+    return shape[0], along_s, round(product / along_s)
+
+
+def curvature_of(solution: Solution, trajectory: Trajectory) -> float:
+    """Half the second derivative of the values along w, median over settled states, cm / (rad/s)^2."""
+    first = round(SETTLED / solution.problem.control_dt)
+    states = trajectory.states[first:, [0, 1, 3]].transpose(1, 0, 2).reshape(3, -1)
+    positions = solution.grid.positions(states)
+    i, j, k = (positions[positions[:, 0] >= 0.0] + 0.5).astype(np.int64).T
+    k = np.clip(k, 1, solution.grid.shape[2] - 2)
+    values = solution.values.astype(np.float64)
+    second = values[i, j, k + 1] - 2.0 * values[i, j, k] + values[i, j, k - 1]
+    return round(float(np.median(second)) / (2.0 * float(solution.grid.axes[2, 1]) ** 2), 3) if i.size else 0.0
+
+
+def solve_on_grids(problem: Problem, shapes: Sequence[tuple[int, int, int]]) -> list[tuple[Solution, Trajectory]]:
+    """Solves a problem on grids from coarse to fine.
+
+    On the first grid it is solved twice: over ranges that contain any solution, and over those that its own
+    trajectories use.
+
+    Args:
+        problem: what is optimised.
+        shapes: nodes of the grids.
+
+    Returns:
+        For each grid the solution and its policy's episodes from `STARTS`.
+    """
+    friction = min(problem.mu, 0.3)
+    w = -3.0 - 25.0 * friction, 8.0 + 35.0 * friction
+    grid = Grid(shapes[0], INITIAL_Y, w, problem.M)
+    solution = solve(problem, grid)
+    trajectory = run_policy(solution, STARTS)
+    curvature = curvature_of(solution, trajectory)
+    y, w = ranges(trajectory, grid.q)
+    results = []
+    for shape in shapes:
+        finer = replace(grid, shape=divide_nodes(shape, y, w), y=y, w=w)
+        solution = solve(problem, finer, curvature=curvature, start=solution)
+        results.append((solution, run_policy(solution, STARTS)))
+    return results

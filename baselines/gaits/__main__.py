@@ -1,16 +1,16 @@
 """Searches the best-known gaits and writes them to `data/`: `python -m baselines.gaits`.
 
 An iteration takes one family of gaits and one purpose: `explore` starts from the best of random gaits, `refine` from
-the best known gaits of any plant; both maximise the speed in the second half of 12 s. `finish` does as `refine` with
-smaller steps over the whole 33 s; `front` looks, on the nominal plant, for the cheapest gait of at least a given speed;
-`tolerate` maximises the slowest run with M 10 % and mu about 20 % off. Families and purposes take turns.
+the best known gaits of any plant; both maximise the speed over 12 s. `finish` does as `refine` with smaller steps over
+33 s; `front` looks, on the nominal plant, for the cheapest gait of at least a given speed; `tolerate` maximises the
+slowest run with M 10 % and mu about 20 % off. Families and purposes take turns.
 
-The archive only improves. It is written after every iteration and on Ctrl-C, and the next call goes on from there.
+The archive only improves. It is written after every iteration, and the next call goes on from there. `--law` searches
+the parameters of the law `baselines:gait` in the same way.
 """
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,28 +18,29 @@ from pathlib import Path
 from typing import Literal
 
 from baselines.gaits import FOLDER
-from capsule_gym.command_line import Count, parse
+from capsule_gym.command_line import parse
 
 PROG = "python -m baselines.gaits"
 
 
 @dataclass(frozen=True)
 class Args:
-    """Searches the best-known gaits. Goes on from what is known; Ctrl-C keeps what has been found.
+    """Searches the best-known gaits. Goes on from what is known; Ctrl-C keeps what finished iterations have found.
 
     Examples:
       python -m baselines.gaits --minutes 25    continue the search
       python -m baselines.gaits --minutes 0     only compute the map of gait-oracle
       python -m baselines.gaits --check         simulate every gait again and write nothing
       python -m baselines.gaits --families harmonics --purposes refine finish
+      python -m baselines.gaits --law 700       search the parameters of baselines:gait
     """
 
     check: bool = False
     """Simulate every gait again, write nothing; the exit status is 1 if one differs."""
+    law: int = 0
+    """Generations of a search for the parameters of `baselines:gait`; 0 searches gaits instead."""
     minutes: float = 25.0
     """How long to search; the map of gait-oracle is computed at the end."""
-    iterations: Count = 0
-    """Iterations at most; 0 for as many as the time allows."""
     families: tuple[Literal["harmonics", "bang-bang", "phase-space"], ...] = ()
     """Families of gaits that take turns; all where none is given."""
     purposes: tuple[Literal["explore", "refine", "finish", "front", "tolerate"], ...] = ()
@@ -56,9 +57,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Imported once the command line is known to be right: the help needs none of it.
     from baselines.archive import run_search
     from baselines.gaits.archive import load_archive
-    from baselines.gaits.search import Search
-    from baselines.gaits.simulation import check, compute_map
+    from baselines.gaits.search import Search, check, compute_map
 
+    if args.law:
+        from baselines.gaits.law_search import LawSearch
+
+        return 130 if run_search(LawSearch(args.law, args.seed).generations(), lambda: None) else 0
     archive = load_archive(args.folder)
     if args.check:
         stale = check(archive)
@@ -68,8 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for option, names in (("families", args.families), ("purposes", args.purposes)):
         command += f" --{option} {' '.join(names)}" if names else ""
     search = Search(archive, args.families, args.purposes, args.seed, command)
-    steps = search.iterations(args.minutes, args.iterations or math.inf)
-    if run_search(steps, lambda: archive.save(args.folder)):
+    if run_search(search.iterations(args.minutes), lambda: archive.save(args.folder)):
         return 130
     if not archive.gaits:
         print(f"{args.folder} holds no gait to compute the map of gait-oracle from")

@@ -10,8 +10,10 @@ than 1 %. An entry is replaced by better ones only.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +21,10 @@ import numpy as np
 
 from baselines.archive import PLANTS, read_archive, write_archive
 from baselines.gaits import FOLDER
-from baselines.gaits.families import FAMILIES
+from baselines.gaits.families import FAMILIES, GAIT_DT, actions, encode
 from capsule_gym.parameters import NOMINAL
+
+Act = Callable[[np.ndarray], np.ndarray]
 
 # cm/s: the front keeps one gait in every interval of speed of this width.
 FRONT_SPACING = 0.5
@@ -39,8 +43,6 @@ class Gait:
         cost_of_transport: integral |u theta_dot| dt / ((M + m) g distance).
         sensitivity: largest relative change of the mean speed for changes of 1 part in 1000.
         seed: of the search, and the number of the iteration.
-        evaluations: candidates that the search had evaluated by the end of that iteration.
-        seconds: run time of the search until then.
         command: that ran the iteration.
         worst_speed: of a tolerant gait, the slowest mean speed with M 10 % and mu about 20 % off, cm/s; else None.
     """
@@ -53,8 +55,6 @@ class Gait:
     cost_of_transport: float
     sensitivity: float
     seed: tuple[int, int]
-    evaluations: int
-    seconds: float
     command: str
     worst_speed: float | None = None
 
@@ -80,27 +80,24 @@ class GaitMap:
     Attributes:
         M: centres of the cells, kg, ascending.
         mu: centres of the cells, ascending.
-        gaits: the gait of each cell, shape (len(M), len(mu)).
+        gaits: those that are used.
+        cells: the index of the gait of each cell, shape (len(M), len(mu)).
     """
 
     M: tuple[float, ...]
     mu: tuple[float, ...]
-    gaits: tuple[tuple[Gait, ...], ...]
+    gaits: tuple[Gait, ...]
+    cells: tuple[tuple[int, ...], ...]
 
     def find(self, M: np.ndarray, mu: np.ndarray) -> list[Gait]:
         """The gaits of plants, from the nearest cells in M and log(mu)."""
         rows = np.abs(M[:, None] - np.array(self.M)).argmin(axis=1)
         columns = np.searchsorted(self.edges(), mu * mu)
-        return [self.gaits[i][j] for i, j in zip(rows, columns, strict=True)]
+        return [self.gaits[self.cells[i][j]] for i, j in zip(rows, columns, strict=True)]
 
     def edges(self) -> np.ndarray:
         """The squares of mu between the cells: the midpoint in log(mu) is the square root of a product."""
         return np.multiply(self.mu[:-1], self.mu[1:])
-
-    def indexed(self) -> tuple[list[Gait], list[list[int]]]:
-        """The distinct gaits, and the index among them of every cell's gait."""
-        distinct = list(dict.fromkeys(gait for row in self.gaits for gait in row))
-        return distinct, [[distinct.index(gait) for gait in row] for row in self.gaits]
 
 
 @dataclass
@@ -112,16 +109,12 @@ class Archive:
         front: gaits of the nominal plant, none of which dominates another, slowest first.
         oracle: the map of `gait-oracle`; None before it has been computed.
         iterations: of the search so far.
-        evaluations: candidates evaluated so far.
-        seconds: run time of the search so far.
     """
 
     gaits: dict[tuple[str, float, float, bool], Gait] = field(default_factory=dict)
     front: list[Gait] = field(default_factory=list)
     oracle: GaitMap | None = None
     iterations: int = 0
-    evaluations: int = 0
-    seconds: float = 0.0
 
     def of_plant(self, M: float, mu: float, *, tolerant: bool = False) -> list[Gait]:
         """The gaits of one plant, the fastest, or those with the largest worst speed, first."""
@@ -158,14 +151,10 @@ class Archive:
 
     def save(self, folder: Path = FOLDER) -> None:
         """Writes the archive."""
-        oracle = None
-        if self.oracle is not None:
-            used, cells = self.oracle.indexed()
-            oracle = {"M": self.oracle.M, "mu": self.oracle.mu, "gaits": [gait.key for gait in used], "cells": cells}
-        counts = {"iterations": self.iterations, "evaluations": self.evaluations, "seconds": round(self.seconds, 1)}
+        oracle = self.oracle and {**vars(self.oracle), "gaits": [gait.key for gait in self.oracle.gaits]}
         gaits = [asdict(self.gaits[key]) for key in sorted(self.gaits)]
         front = [asdict(gait) for gait in self.front]
-        write_archive(folder, {"search": counts, "oracle": oracle, "gaits": gaits, "front": front})
+        write_archive(folder, {"iterations": self.iterations, "oracle": oracle, "gaits": gaits, "front": front})
 
 
 def load_archive(folder: Path = FOLDER) -> Archive:
@@ -180,33 +169,65 @@ def load_archive(folder: Path = FOLDER) -> Archive:
 def _build(content: dict[str, Any], arrays: dict[str, np.ndarray]) -> Archive:
     """The archive of a JSON object."""
     gaits = {gait.key: gait for gait in (Gait(**fields) for fields in content["gaits"])}
-    archive = Archive(gaits, [Gait(**fields) for fields in content["front"]], **content["search"])
+    archive = Archive(gaits, [Gait(**fields) for fields in content["front"]], None, content["iterations"])
     for gait in archive.everything():
-        if gait.family not in FAMILIES or len(gait.parameters) != len(FAMILIES[gait.family].units):
-            raise ValueError(
-                f"gaits must be of the families {', '.join(FAMILIES)} and have their number of parameters, "
-                f"got {gait.family!r} with {len(gait.parameters)}"
-            )
-    oracle = content["oracle"]
-    if oracle is not None:
-        used = [gaits[key] for key in oracle["gaits"]]
-        cells = tuple(tuple(used[index] for index in row) for row in oracle["cells"])
-        archive.oracle = GaitMap(oracle["M"], oracle["mu"], cells)
+        if len(gait.parameters) != len(FAMILIES[gait.family].units):
+            raise ValueError(f"a gait of {gait.family!r} with {len(gait.parameters)} parameters")
+    if content["oracle"] is not None:
+        oracle = {**content["oracle"], "gaits": tuple(gaits[key] for key in content["oracle"]["gaits"])}
+        archive.oracle = GaitMap(**oracle)
     return archive
 
 
 @lru_cache(maxsize=1)
 def known_gaits() -> Archive:
-    """The committed gaits, read once.
+    """The committed gaits, read once."""
+    return load_archive()
+
+
+def tolerant_nominal() -> Gait:
+    """The tolerant gait of the nominal plant; the fastest one fails where M is 5 % off."""
+    return known_gaits().of_plant(NOMINAL.M, NOMINAL.mu, tolerant=True)[0]
+
+
+def oracle_map() -> GaitMap:
+    """The committed map of `gait-oracle`.
 
     Raises:
-        ValueError: if the data lacks a plant of the grid.
+        ValueError: if the archive holds none.
     """
-    archive = load_archive()
-    missing = [plant for plant in PLANTS if plant not in archive.fastest()]
-    if missing:
-        raise ValueError(f"{FOLDER} must hold a gait for every plant of the grid, lacks {missing}")
-    return archive
+    oracle = known_gaits().oracle
+    if oracle is None:
+        raise ValueError("the archive of gaits must hold the oracle's map: run `python -m baselines.gaits --minutes 0`")
+    return oracle
+
+
+def encode_gaits(gaits: Sequence[Gait]) -> np.ndarray:
+    """Gaits as compiled code takes them; see `encode`."""
+    return encode([gait.family for gait in gaits], [gait.parameters for gait in gaits])
+
+
+def start_nominal(seeds: Sequence[int]) -> Act:
+    """The policy `gait-nominal`: the tolerant gait of the nominal plant, on every plant."""
+    gaits, steps = encode_gaits([tolerant_nominal()] * len(seeds)), count()
+    return lambda observations: actions(gaits, next(steps) * GAIT_DT, observations)
+
+
+def start_oracle(seeds: Sequence[int]) -> Act:
+    """The policy `gait-oracle`: the gait that was fastest around each plant; M and mu are observed last."""
+    gait_map, steps = oracle_map(), count()
+    gaits, observed = np.empty(0), np.empty((len(seeds), 2), np.float32)
+
+    def act(observations: np.ndarray) -> np.ndarray:
+        nonlocal gaits
+        plants = observations[:, -2:]
+        # On most steps no plant has changed.
+        if gaits.size == 0 or not np.array_equal(plants, observed):
+            observed[:] = plants
+            gaits = encode_gaits(gait_map.find(*plants.T.astype(np.float64)))
+        return actions(gaits, next(steps) * GAIT_DT, observations)
+
+    return act
 
 
 def pareto_front() -> list[Gait]:

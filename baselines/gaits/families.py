@@ -17,8 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -171,7 +169,7 @@ def actions(gaits: np.ndarray, time: float, observations: np.ndarray) -> np.ndar
         observations: one per gait, float32; theta, theta_dot and x_dot come first.
     """
     out = np.empty((len(gaits), 1), np.float32)
-    _compiled()(gaits.reshape(-1), time, observations[:, :3].astype(np.float64), out)
+    compile_cached(_act)(gaits.reshape(-1), time, observations[:, :3].astype(np.float64), out)
     return out
 
 
@@ -179,9 +177,3 @@ def _act(gaits: np.ndarray, time: float, states: np.ndarray, out: np.ndarray) ->
     """Writes `action` of every gait; its state is theta, theta_dot and x_dot."""
     for n in range(out.shape[0]):
         out[n, 0] = action(gaits, n * WIDTH, time, states[n, 0], states[n, 1], states[n, 2])
-
-
-@lru_cache(maxsize=1)
-def _compiled() -> Any:
-    """`_act`, compiled."""
-    return compile_cached(_act)

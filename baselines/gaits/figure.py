@@ -9,8 +9,8 @@ import numpy as np
 
 from baselines.archive import GRID_M, GRID_MU
 from baselines.drawing import BLUE, GREEN, INK, MUTED, PURPLE, VERMILION, add_note, new_figure
+from baselines.envelope import speed_bound
 from baselines.gaits.archive import known_gaits, pareto_front
-from baselines.gaits.bound import speed_bound
 from baselines.gaits.families import FAMILIES
 from baselines.tables import printed_above
 from capsule_gym.parameters import NOMINAL

@@ -1,54 +1,175 @@
-"""Searches the parameters of `baselines:gait`, a law that does not observe the plant, over the plants of `wide`.
+"""Searches the parameters of `baselines:gait`, a law that does not observe the plant; `baselines.gaits --law`.
 
 A CMA-ES starts from the tolerant gait of the nominal plant. Each generation runs all candidates in one batch on newly
-drawn plants, evenly over M and log(mu). Every plant jumps twice to another, and every second one has a random residual
-torque: a law must be fast, tolerate changes and support a policy. At regular intervals the mean of the distribution
-runs on fixed episodes; the best of these means replaces the parameters on file if it scores better.
+drawn plants of `wide`, evenly over M and log(mu). Every plant jumps twice to another, and every second one has a random
+residual torque: a law must be fast, tolerate changes and support a policy. At regular intervals the mean of the
+distribution runs on fixed episodes; the best of these means replaces the parameters on file if it scores better.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+import json
+import math
+import os
+from collections.abc import Iterator
+from typing import Any
 
-from capsule_gym.command_line import Count, parse
+import numpy as np
+from gymnasium.vector import AutoresetMode
 
-PROG = "python -m baselines.gaits.law_search"
+from baselines.gaits.archive import tolerant_nominal
+from baselines.gaits.search import cma_strategy, score
+from baselines.laws.gait import FILE, LIGHTEST, NO_REFERENCE, PARAMETERS, guarded_torque
+from capsule_gym import CapsuleVectorEnv
+from capsule_gym.controller import Controller
+from capsule_gym.files import write_atomically
+from capsule_gym.layout import ROWS
+from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
+from capsule_gym.resets import plant_at, plant_ranges
+from capsule_gym.task import HORIZON
+
+# The search's unit of every parameter.
+UNITS = (*(1.0 for _ in PARAMETERS[:-2]), 0.03, 20.0)
+FIRST_STEP = 0.2
+# The guard starts with 0.05 N m for every 1/s^2 beyond 0.8 of what lifts the lightest platform of `wide`.
+START_GUARD = (0.05, 0.8 * (LIGHTEST + NOMINAL.m) * NOMINAL.g / (NOMINAL.m * NOMINAL.l))
+POPULATION = 24
+PLANTS = 64
+TRIAL = 12.0
+# Plants of an episode, one after the other.
+PLANTS_PER_EPISODE = 3
+CONTROL_DT = 0.1
+# N m; of the random residual torque, constant over an agent step.
+RESIDUAL_LIMIT = 0.3
+TEST_INTERVAL = 50
+TEST_EPISODES = 512
+TEST_SEED = (20186, 1)
 
 
-@dataclass(frozen=True)
-class Args:
-    """Searches the parameters of `baselines:gait`. Ctrl-C keeps the best so far.
+def candidate(
+    theta: float, theta_dot: float, x: float, x_dot: float, memory: tuple[float, ...], reference: tuple[float, ...]
+) -> tuple[float, tuple[float, ...]]:
+    """The law with its parameters in its memory, so that one kernel serves all candidates."""
+    return guarded_torque(theta, theta_dot, x_dot, memory), memory
 
-    The file is replaced only by parameters that score better than those in it.
 
-    Examples:
-      python -m baselines.gaits.law_search
-      python -m baselines.gaits.law_search --seed 1 --generations 100 --file found.json
+def make_batch(count: int) -> CapsuleVectorEnv:
+    """A batch of environments for candidates, each on a plant of its own."""
+    # The first millisecond has no torque: a reset calls the law before its memory can be written.
+    return CapsuleVectorEnv(
+        count,
+        controller=Controller("candidate", candidate, NO_REFERENCE, memory=(0.0,) * len(PARAMETERS)),
+        residual_limit=RESIDUAL_LIMIT,
+        randomization="wide",
+        control_dt=CONTROL_DT,
+        max_episode_steps=round(HORIZON / CONTROL_DT),
+        autoreset_mode=AutoresetMode.DISABLED,
+        threads=os.cpu_count() or 1,
+    )
+
+
+def run_candidates(
+    env: CapsuleVectorEnv, parameters: np.ndarray, plants: np.ndarray, actions: np.ndarray
+) -> dict[str, np.ndarray]:
+    """The metrics of one episode of every candidate, and their scores, shape (n,).
+
+    Args:
+        env: of `make_batch`.
+        parameters: shape (n, size), in the order of `PARAMETERS`.
+        plants: M in kg and mu in every part of the episode, shape (parts, 2, n).
+        actions: shape (steps, n).
+    """
+    steps = len(actions)
+    times = [steps * CONTROL_DT * part / len(plants) for part in range(1, len(plants))]
+    changes = [
+        [{"t": t, "M": M, "mu": mu} for t, (M, mu) in zip(times, jumps, strict=True)]
+        for jumps in plants[1:].transpose(2, 0, 1).tolist()
+    ]
+    env.reset(seed=0, options={"M": plants[0, 0], "mu": plants[0, 1], "changes": changes})
+    for cell, column in enumerate(parameters.T):
+        env.simulation.write(ROWS + cell, column)
+    for row in actions.astype(np.float32):
+        env.step(row[:, None])
+    metrics = env.simulation.metrics(np.arange(env.num_envs), steps)
+    return {**metrics, "score": score(metrics, steps * CONTROL_DT)}
+
+
+def draw_episodes(
+    rng: np.random.Generator, count: int, horizon: float, repeats: int = 1
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draws plants and actions as `run_candidates` takes them; every second episode has random actions.
+
+    Args:
+        rng: of the draws.
+        count: of different sequences of plants, each a Latin hypercube in M and log(mu) over `wide`.
+        horizon: length of an episode, s.
+        repeats: of the sequences; the actions differ.
+    """
+    ranges = plant_ranges(RANDOMIZATIONS["wide"], NOMINAL)
+
+    def draw_plants() -> np.ndarray:
+        shares = [(rng.permutation(count) + rng.random(count)) / count for _ in range(2)]
+        return np.array([plant_at(ranges, *pair) for pair in np.transpose(shares).tolist()]).T
+
+    plants = np.tile([draw_plants() for _ in range(PLANTS_PER_EPISODE)], repeats)
+    disturbed = np.tile(np.arange(count) % 2, repeats)
+    return plants, disturbed * rng.uniform(-1.0, 1.0, (round(horizon / CONTROL_DT), disturbed.size))
+
+
+class LawSearch:
+    """The search; writes the parameters whenever the mean of its distribution beats those on file.
+
+    Args:
+        num_generations: of the CMA-ES.
+        seed: of the search.
     """
 
-    seed: int = 0
-    """Of the search."""
-    generations: Count = 700
-    """Of the CMA-ES."""
-    file: Path | None = None
-    """Of the parameters; default: the file of `baselines:gait`."""
+    def __init__(self, num_generations: int, seed: int) -> None:
+        self.num_generations, self.seed = num_generations, seed
+        self.rng = np.random.default_rng([seed, 3])
+        start = np.array([*tolerant_nominal().parameters, *START_GUARD]) / UNITS
+        self.strategy = cma_strategy(start, FIRST_STEP, POPULATION, self.rng)
+        self.trials, self.tests = make_batch(POPULATION * PLANTS), make_batch(TEST_EPISODES)
+        self.best = -math.inf
+        if FILE.is_file():
+            known = json.loads(FILE.read_text(encoding="utf-8"))["parameters"]
+            self.best = self.test(np.array([known[name] for name in PARAMETERS]))["score"]
 
+    @staticmethod
+    def parameters(point: np.ndarray) -> np.ndarray:
+        """The parameters of a point of the search, as they are written; the guard's gain is not negative."""
+        values = np.array([float(f"{value:.9g}") for value in point * UNITS])
+        values[-2] = abs(values[-2])
+        return values
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
-    args = parse(Args, PROG, arguments)
-    # After the options, so that the help comes without numba.
-    from baselines.archive import run_search
-    from baselines.gaits.law_candidates import Search
-    from baselines.laws.gait import FILE
+    def test(self, parameters: np.ndarray) -> dict[str, Any]:
+        """The mean score and speed of parameters, and their failures, in the fixed episodes."""
+        episodes = draw_episodes(np.random.default_rng(TEST_SEED), TEST_EPISODES, HORIZON)
+        metrics = run_candidates(self.tests, np.tile(parameters, (TEST_EPISODES, 1)), *episodes)
+        speed, failures = round(float(metrics["mean_speed"].mean()), 4), int(metrics["failed"].sum())
+        score = float(metrics["score"].mean())
+        return {"mean_speed": speed, "failures": failures, "episodes": TEST_EPISODES, "score": score}
 
-    command = f"{PROG} --seed {args.seed} --generations {args.generations}"
-    search = Search(args.seed, args.generations, args.file or FILE, command)
-    return 130 if run_search(search.generations(), search.save) else 0
+    def generations(self) -> Iterator[None]:
+        """Runs the generations as it is iterated, and tests the mean of the distribution at intervals."""
+        for generation in range(1, self.num_generations + 1):
+            points = self.strategy.ask()
+            parameters = np.repeat([self.parameters(point) for point in points], PLANTS, axis=0)
+            episodes = draw_episodes(self.rng, PLANTS, TRIAL, POPULATION)
+            scores = run_candidates(self.trials, parameters, *episodes)["score"]
+            self.strategy.tell(points, (-scores.reshape(POPULATION, PLANTS).mean(axis=1)).tolist())
+            if generation % TEST_INTERVAL == 0 or generation == self.num_generations:
+                self.keep(self.parameters(self.strategy.mean), generation)
+            yield
 
-
-if __name__ == "__main__":
-    sys.exit(main())
+    def keep(self, parameters: np.ndarray, generation: int) -> None:
+        """Tests parameters and writes them if they are better than those on file."""
+        result = self.test(parameters)
+        score = result.pop("score")
+        print(f"generation {generation}: score {score:.3f}, best {self.best:.3f}", flush=True)
+        if score > self.best:
+            self.best = score
+            command = f"python -m baselines.gaits --law {self.num_generations} --seed {self.seed}"
+            named = dict(zip(PARAMETERS, parameters.tolist(), strict=True))
+            content = {"parameters": named, "found": {"command": command, "generation": generation, **result}}
+            write_atomically(FILE, json.dumps(content, indent=1) + "\n")

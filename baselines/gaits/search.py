@@ -4,38 +4,44 @@ from __future__ import annotations
 
 import importlib
 import math
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from time import perf_counter
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
 from baselines.archive import PLANTS
-from baselines.gaits.archive import Archive, Gait
-from baselines.gaits.families import FAMILIES
-from baselines.gaits.simulation import (
-    LARGEST_SENSITIVITY,
-    PERTURBED,
-    SHORT_HORIZON,
-    TOLERATED,
-    sensitivity,
-    simulate,
-    worst_speed,
-)
+from baselines.gaits.archive import Archive, Gait, GaitMap
+from baselines.gaits.families import FAMILIES, GAIT_DT, actions, encode
+from capsule_gym import CapsuleVectorEnv
 from capsule_gym.parameters import NOMINAL
-from capsule_gym.task import HORIZON
+from capsule_gym.task import HORIZON, START_THETA
 
 POPULATION = 16
 RANDOM_STARTS = 128
-# Candidates that a run keeps for the evaluation at its end.
-FINALISTS = 3
+# Of most searches, s.
+SHORT_HORIZON = 12.0
 FAILURE = -30.0
 # Shares of the largest speed for which the front looks for the cheapest gait; cm/s while no speed is known.
 FRONT_SHARES = tuple(i / 10.0 for i in range(1, 11))
 FIRST_GOAL = 10.0
 # Missing the required speed by 1 cm/s costs more than any transport.
 FRONT_PENALTY = 3.0
+LARGEST_SENSITIVITY = 0.01
+PERTURBATION = 1e-3
+# Changes of a robust gait: factors of M and mu, and rad that are added to the first angle. The first changes nothing.
+PERTURBED = np.array(
+    [(1.0, 1.0, 0.0), *((1.0 + a, 1.0 + b, c) for a, b, c in product((-PERTURBATION, PERTURBATION), repeat=3))]
+)
+# Changes of a tolerant gait: the plant and four corners around it.
+TOLERATED = np.array([(1.0, 1.0, 0.0), (0.9, 0.8, 0.0), (0.9, 1.25, 0.0), (1.1, 1.0 / 1.25, 0.0), (1.1, 1.25, 0.0)])
+STARTS = np.array([(1.0, 1.0, 0.0), (1.0, 1.0, PERTURBATION)])
+# The oracle's map covers the evaluation sets: M in kg, evenly spaced, and mu, evenly spaced in its logarithm.
+MAP_M, MAP_MU = (0.25, 1.2, 20), (0.002, 0.6, 16)
 
 
 @dataclass(frozen=True)
@@ -46,7 +52,7 @@ class Purpose:
         generations: of its CMA-ES runs.
         restarts: runs per plant, or per required speed of the front.
         sigmas: range of the initial step sizes, in the families' units.
-        short: whether it maximises the speed in the second half of 12 s instead of that over 33 s.
+        horizon: length of the episodes, s.
         known: whether it starts from known gaits instead of random ones.
         variants: changes of the plant under all of which a candidate must do well.
     """
@@ -54,23 +60,82 @@ class Purpose:
     generations: int
     restarts: int
     sigmas: tuple[float, float]
-    short: bool
-    known: bool
+    horizon: float = SHORT_HORIZON
+    known: bool = True
     variants: np.ndarray = field(default_factory=lambda: PERTURBED[:1])
 
 
 # They take turns in this order. A heavy platform tolerates more, so three corners say nearly as much as all.
 PURPOSES = {
-    "explore": Purpose(80, 4, (0.6, 0.6), short=True, known=False),
-    "refine": Purpose(80, 4, (0.1, 0.4), short=True, known=True),
-    "finish": Purpose(40, 2, (0.03, 0.15), short=False, known=True),
-    "front": Purpose(40, 2, (0.15, 0.4), short=False, known=True),
-    "tolerate": Purpose(40, 2, (0.1, 0.4), short=True, known=True, variants=TOLERATED[1:4]),
+    "explore": Purpose(80, 4, (0.6, 0.6), known=False),
+    "refine": Purpose(80, 4, (0.1, 0.4)),
+    "finish": Purpose(40, 2, (0.03, 0.15), HORIZON),
+    "front": Purpose(40, 2, (0.15, 0.4), HORIZON),
+    "tolerate": Purpose(40, 2, (0.1, 0.4), variants=TOLERATED[1:4]),
 }
 
 
+def simulate(
+    family: str,
+    parameters: np.ndarray,
+    M: np.ndarray,
+    mu: np.ndarray,
+    *,
+    variants: np.ndarray = PERTURBED[:1],
+    horizon: float = HORIZON,
+) -> dict[str, np.ndarray]:
+    """Runs gaits of one family, each from rest on its own plant and on variants of it.
+
+    Args:
+        family: of the gaits, a name of `FAMILIES`.
+        parameters: shape (n, parameters).
+        M: masses of the platforms, kg, shape (n,).
+        mu: friction coefficients, shape (n,).
+        variants: factors of M and mu and changes of the first angle, shape (variants, 3).
+        horizon: length of an episode, s.
+
+    Returns:
+        The metrics of `capsule_gym.task.Metrics`, each of shape (variants, n).
+    """
+    count, steps = len(variants) * len(parameters), round(horizon / GAIT_DT)
+    gaits = encode([family] * count, np.tile(parameters, (len(variants), 1)).tolist())
+    states = np.zeros((count, 4))
+    states[:, 0] = START_THETA + np.repeat(variants[:, 2], len(parameters))
+    env = CapsuleVectorEnv(
+        count,
+        max_episode_steps=steps,
+        autoreset_mode=AutoresetMode.DISABLED,
+        randomization="none",
+        control_dt=GAIT_DT,
+        threads=os.cpu_count() or 1,
+    )
+    try:
+        plants = {"M": np.outer(variants[:, 0], M).reshape(-1), "mu": np.outer(variants[:, 1], mu).reshape(-1)}
+        observations, _ = env.reset(seed=0, options={**plants, "state": states})
+        for step in range(steps):
+            observations, _, terminated, _, _ = env.step(actions(gaits, step * GAIT_DT, observations))
+            if terminated.all():
+                break
+        return {name: values.reshape(len(variants), -1) for name, values in env.episode_metrics().items()}
+    finally:
+        env.close()
+
+
+def worst_speed(results: dict[str, np.ndarray]) -> np.ndarray:
+    """The slowest mean speeds over the variants, cm/s; -2 to -1 where one fails, whatever distance it had covered."""
+    speeds = np.where(results["failed"] > 0.0, -2.0 + results["duration"] / HORIZON, results["mean_speed"])
+    return speeds.min(axis=0)
+
+
+def sensitivity(results: dict[str, np.ndarray]) -> np.ndarray:
+    """The largest relative change of the mean speed over the variants, against the first; 1 where one fails."""
+    speeds = results["mean_speed"]
+    scale = np.maximum(np.abs(speeds[0]), 1e-9)
+    return np.where((results["failed"] > 0.0).any(axis=0), 1.0, np.abs(speeds - speeds[0]).max(axis=0) / scale)
+
+
 def score(results: dict[str, np.ndarray], horizon: float, goals: np.ndarray | None = None) -> np.ndarray:
-    """What the search maximises: the late speed, cm/s, or less cost of transport at a required speed.
+    """What the search maximises: the mean speed, cm/s, or less cost of transport at a required speed.
 
     Args:
         results: metrics of candidates.
@@ -80,7 +145,7 @@ def score(results: dict[str, np.ndarray], horizon: float, goals: np.ndarray | No
     Returns:
         Of the metrics' shape; failures score far below all else, and the later they fail the better.
     """
-    value = results["late_speed"]
+    value = results["mean_speed"]
     if goals is not None:
         transport = np.minimum(results["cost_of_transport"], 20.0)
         value = -transport - FRONT_PENALTY * np.maximum(0.0, goals - results["mean_speed"])
@@ -112,21 +177,6 @@ def cma_strategy(start: np.ndarray, sigma: float, population: int, rng: np.rando
     return cma.CMAEvolutionStrategy(start, sigma, options)
 
 
-@dataclass
-class Run:
-    """One CMA-ES run of an iteration.
-
-    Attributes:
-        target: M in kg and mu of its plant, and the required speed in cm/s, NaN to maximise the speed; shape (3,).
-        strategy: the CMA-ES.
-        best: the best candidates as (score, parameters in the family's units), best first.
-    """
-
-    target: np.ndarray
-    strategy: Any
-    best: list[tuple[float, np.ndarray]] = field(default_factory=list)
-
-
 class Search:
     """The search for gaits.
 
@@ -139,120 +189,89 @@ class Search:
     """
 
     def __init__(
-        self,
-        archive: Archive,
-        families: Sequence[str] = (),
-        purposes: Sequence[str] = (),
-        seed: int = 0,
-        command: str = "",
+        self, archive: Archive, families: Sequence[str], purposes: Sequence[str], seed: int, command: str
     ) -> None:
         self.archive = archive
         self.families, self.purposes = families or tuple(FAMILIES), purposes or tuple(PURPOSES)
         self.seed, self.command = seed, command
 
-    def iterations(self, minutes: float = math.inf, count: float = math.inf) -> Iterator[None]:
-        """Runs iterations as it is iterated, until the time or their number is up."""
-        deadline, done = perf_counter() + 60.0 * minutes, 0
-        while done < count and perf_counter() < deadline:
-            self._iterate(deadline)
-            done += 1
+    def iterations(self, minutes: float) -> Iterator[None]:
+        """Runs iterations as it is iterated, until the time is up."""
+        deadline = perf_counter() + 60.0 * minutes
+        while perf_counter() < deadline:
+            began, number = perf_counter(), self.archive.iterations
+            family = self.families[number % len(self.families)]
+            purpose = self.purposes[number // len(self.families) % len(self.purposes)]
+            better = self._iterate(family, purpose, number)
+            self.archive.iterations += 1
+            speeds = [gait.mean_speed for gait in self.archive.fastest().values()]
+            print(
+                f"iteration {number} ({purpose}, {family}): {better} entries better in {perf_counter() - began:.0f} s; "
+                f"mean of {len(speeds)} plants {np.mean(speeds or [0.0]):.2f} cm/s",
+                flush=True,
+            )
             yield
 
-    def _iterate(self, deadline: float) -> None:
-        """One iteration; Ctrl-C keeps what it has found so far."""
-        archive, number, began = self.archive, self.archive.iterations, perf_counter()
-        family = self.families[number % len(self.families)]
-        purpose = self.purposes[number // len(self.families) % len(self.purposes)]
-        rng = np.random.default_rng([self.seed, number])
-        archive.iterations += 1
-        runs: list[Run] = []
-        interruption = None
-        try:
-            runs = self._start(family, purpose, rng)
-            for _ in range(PURPOSES[purpose].generations):
-                if perf_counter() > deadline:
-                    break
-                self._advance(family, purpose, runs)
-        except KeyboardInterrupt as error:
-            interruption = error
-        archive.seconds += perf_counter() - began
-        better = self._keep(family, purpose, [run for run in runs if run.best], number)
-        speeds = [gait.mean_speed for gait in archive.fastest().values()]
-        print(
-            f"iteration {number} ({purpose}, {family}): {better} entries better in {perf_counter() - began:.0f} s; "
-            f"mean of {len(speeds)} plants {np.mean(speeds or [0.0]):.2f} cm/s",
-            flush=True,
-        )
-        if interruption is not None:
-            raise interruption
+    def _iterate(self, family: str, purpose: str, number: int) -> int:
+        """Runs every CMA-ES of an iteration from the best of known, or of random, gaits on its plant.
 
-    def _start(self, family: str, purpose: str, rng: np.random.Generator) -> list[Run]:
-        """The CMA-ES runs of an iteration; each starts from the best of known, or of random, gaits on its plant."""
-        units, (low, high) = np.array(FAMILIES[family].units), PURPOSES[purpose].sigmas
+        Returns:
+            The number of entries of the archive that are better.
+        """
+        rng, settings = np.random.default_rng([self.seed, number]), PURPOSES[purpose]
+        units, (low, high) = np.array(FAMILIES[family].units), settings.sigmas
         targets = np.array([(M, mu, math.nan) for M, mu in PLANTS])
         if purpose == "front":
             nominal = self.archive.of_plant(NOMINAL.M, NOMINAL.mu)
             top = nominal[0].mean_speed if nominal else FIRST_GOAL
             targets = np.array([(NOMINAL.M, NOMINAL.mu, share * top) for share in FRONT_SHARES])
         starts = np.array([gait.parameters for gait in self.archive.everything() if gait.family == family])
-        if not (len(starts) and PURPOSES[purpose].known):
+        if not (len(starts) and settings.known):
             draws = rng.standard_normal((RANDOM_STARTS, len(units)))
             starts = np.array(FAMILIES[family].start) + np.array(FAMILIES[family].spread) * draws
         count = len(starts)
+
+        def scores_of(parameters: np.ndarray, targets: np.ndarray, horizon: float) -> np.ndarray:
+            """The scores of candidates for their targets: the worst over the variants of the plant."""
+            M, mu, goals = targets.T
+            results = simulate(family, parameters, M, mu, variants=settings.variants, horizon=horizon)
+            return score(results, horizon, goals if purpose == "front" else None).min(axis=0)
+
         every = np.tile(starts, (len(targets), 1)), np.repeat(targets, count, axis=0)
-        scores = self._scores(family, PURPOSES[purpose].variants, *every, SHORT_HORIZON).reshape(-1, count)
-        runs = []
-        for target, order in zip(targets, np.argsort(-scores, axis=1), strict=True):
-            for restart in range(PURPOSES[purpose].restarts):
+        strategies = []
+        for order in np.argsort(-scores_of(*every, SHORT_HORIZON).reshape(-1, count), axis=1):
+            for restart in range(settings.restarts):
                 # Half of the restarts take the best, half the next best ones, which may lie in other basins.
                 rank = min((restart + 1) // 2 if restart % 2 else 0, count - 1)
                 sigma = low * (high / low) ** rng.random()
-                runs.append(Run(target, cma_strategy(starts[order[rank]] / units, sigma, POPULATION, rng)))
-        return runs
+                strategies.append(cma_strategy(starts[order[rank]] / units, sigma, POPULATION, rng))
+        targets = np.repeat(targets, settings.restarts, axis=0)
+        for _ in range(settings.generations):
+            points = np.array([strategy.ask() for strategy in strategies])
+            parameters = (points * units).reshape(-1, len(units))
+            scores = scores_of(parameters, np.repeat(targets, POPULATION, axis=0), settings.horizon)
+            for strategy, own, values in zip(strategies, points, scores.reshape(len(points), -1), strict=True):
+                strategy.tell(list(own), (-values).tolist())
+        found = [strategy.result for strategy in strategies]
+        finalists = np.array([point for result in found for point in (result.xbest, result.xfavorite)]) * units
+        return self._keep(family, finalists, np.repeat(targets[:, :2], 2, axis=0), number, purpose == "tolerate")
 
-    def _scores(
-        self, family: str, variants: np.ndarray, parameters: np.ndarray, targets: np.ndarray, horizon: float
-    ) -> np.ndarray:
-        """The scores of candidates for their targets: the worst over the variants of the plant."""
-        M, mu, goals = targets.T
-        results = simulate(family, parameters, M, mu, variants=variants, horizon=horizon)
-        if horizon == HORIZON:
-            results["late_speed"] = results["mean_speed"]
-        return score(results, horizon, None if np.isnan(goals).any() else goals).min(axis=0)
-
-    def _advance(self, family: str, purpose: str, runs: Sequence[Run]) -> None:
-        """One generation of all runs."""
-        points = np.array([run.strategy.ask() for run in runs])
-        parameters = (points * FAMILIES[family].units).reshape(len(runs) * POPULATION, -1)
-        targets = np.repeat([run.target for run in runs], POPULATION, axis=0)
-        horizon = SHORT_HORIZON if PURPOSES[purpose].short else HORIZON
-        scores = self._scores(family, PURPOSES[purpose].variants, parameters, targets, horizon)
-        for run, own, values in zip(runs, points, scores.reshape(len(runs), -1), strict=True):
-            run.strategy.tell(list(own), (-values).tolist())
-            candidates = [*run.best, *zip(values.tolist(), own, strict=True)]
-            run.best = sorted(candidates, key=lambda each: -each[0])[:FINALISTS]
-        self.archive.evaluations += len(parameters)
-
-    def _keep(self, family: str, purpose: str, runs: Sequence[Run], number: int) -> int:
-        """Simulates the best candidates over the whole horizon and keeps better, robust ones; returns how many."""
-        if not runs:
-            return 0
-        points = np.array([point for run in runs for _, point in run.best]) * FAMILIES[family].units
+    def _keep(self, family: str, points: np.ndarray, plants: np.ndarray, number: int, tolerant: bool) -> int:
+        """Simulates candidates over the whole horizon and keeps better, robust ones; returns how many."""
         # Rounded before the evaluation, as they are written.
         points = np.array([[float(f"{value:.9g}") for value in point] for point in points])
-        M, mu = np.array([run.target[:2] for run in runs for _ in run.best]).T
-        results = simulate(family, points, M, mu, variants=PERTURBED)
-        changes, speeds, tolerant = sensitivity(results), results["mean_speed"][0], purpose == "tolerate"
+        results = simulate(family, points, *plants.T, variants=PERTURBED)
+        changes, speeds = sensitivity(results), results["mean_speed"][0]
         if tolerant:
-            speeds = worst_speed(simulate(family, points, M, mu, variants=TOLERATED))
+            speeds = worst_speed(simulate(family, points, *plants.T, variants=TOLERATED))
         better = 0
         # The best first, so that an entry is replaced, and counted, once.
         for i in np.argsort(-speeds):
             if not changes[i] < LARGEST_SENSITIVITY:
                 continue
             gait = Gait(
-                M=float(M[i]),
-                mu=float(mu[i]),
+                M=float(plants[i, 0]),
+                mu=float(plants[i, 1]),
                 family=family,
                 parameters=tuple(points[i].tolist()),
                 mean_speed=float(results["mean_speed"][0, i]),
@@ -260,11 +279,47 @@ class Search:
                 sensitivity=float(changes[i]),
                 worst_speed=float(speeds[i]) if tolerant else None,
                 seed=(self.seed, number),
-                evaluations=self.archive.evaluations,
-                seconds=round(self.archive.seconds, 1),
                 command=self.command,
             )
             better += self.archive.offer(gait)
             if (gait.M, gait.mu) == (NOMINAL.M, NOMINAL.mu) and not tolerant:
                 self.archive.offer_front(gait)
         return better
+
+
+def check(archive: Archive) -> list[str]:
+    """Simulates every gait again; returns what differs from the archive by more than the tolerance, one line each.
+
+    Rounding differs between machines and a gait may amplify it, by as much as the search allows for a thousandth.
+    """
+    stale = []
+    for gait in archive.everything():
+        results = simulate(gait.family, np.array([gait.parameters]), np.array([gait.M]), np.array([gait.mu]))
+        for metric in ("mean_speed", "cost_of_transport"):
+            old, new = getattr(gait, metric), float(results[metric][0, 0])
+            if not abs(new - old) <= LARGEST_SENSITIVITY * abs(old):
+                stale.append(f"{gait.family} at M={gait.M}, mu={gait.mu}: {metric} is {old:.6g} on file, {new:.6g} now")
+    return stale
+
+
+def compute_map(gaits: Sequence[Gait]) -> GaitMap:
+    """Computes the map of `gait-oracle`: in every cell the gait whose slowest run is fastest.
+
+    The runs cover the cell and two starts, since a small change may lead to another, slower motion.
+
+    Args:
+        gaits: to choose from.
+    """
+    M, mu = np.linspace(*MAP_M), np.geomspace(*MAP_MU)
+    half_M, half_mu = 0.5 * (M[1] - M[0]), (mu[1] / mu[0]) ** 0.5
+    centre_M, centre_mu, steps_M, steps_mu = np.array(list(product(M, mu, (-1.0, 0.0, 1.0), (-1.0, 0.0, 1.0)))).T
+    worst = np.empty((len(gaits), len(M) * len(mu)))
+    for n, gait in enumerate(gaits):
+        parameters = np.tile(gait.parameters, (len(centre_M), 1))
+        plants = centre_M + half_M * steps_M, centre_mu * half_mu**steps_mu
+        results = simulate(gait.family, parameters, *plants, variants=STARTS)
+        worst[n] = worst_speed(results).reshape(worst.shape[1], -1).min(axis=1)
+    used, cells = np.unique(worst.argmax(axis=0), return_inverse=True)
+    rows = tuple(map(tuple, cells.reshape(len(M), len(mu)).tolist()))
+    centres = tuple(np.round(M, 6).tolist()), tuple(float(f"{value:.6g}") for value in mu)
+    return GaitMap(*centres, tuple(gaits[index] for index in used), rows)

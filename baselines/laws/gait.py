@@ -1,6 +1,6 @@
 """A gait without a clock as a `Controller`: the torque is a polynomial of the state, and a guard keeps the contact.
 
-The law does not observe the plant and follows no reference. `python -m baselines.gaits.law_search` has found the
+The law does not observe the plant and follows no reference. `python -m baselines.gaits --law` has found the
 numbers in `gait.json`. The guard of `gait_identifying` identifies a platform that is lighter than those of the search
 by the momentum that the pendulum gives it.
 """
@@ -125,7 +125,7 @@ def known_parameters() -> tuple[float, ...]:
         return tuple(float(content[name]) for name in PARAMETERS)
     except (KeyError, TypeError, ValueError, FileNotFoundError) as error:
         raise ValueError(
-            f"{FILE} must be what `python -m baselines.gaits.law_search` writes, got {type(error).__name__}: {error}"
+            f"{FILE} must be what `python -m baselines.gaits --law` writes, got {type(error).__name__}: {error}"
         ) from error
 
 

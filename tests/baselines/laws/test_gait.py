@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from baselines.gaits.families import FAMILIES
-from baselines.gaits.law_candidates import CONTROL_DT, Candidates
+from baselines.gaits.law_search import CONTROL_DT, make_batch, run_candidates
 from baselines.laws import gait as module
 from baselines.laws.gait import COEFFICIENTS, LIGHTEST, PARAMETERS, gait, gait_identifying, known_parameters
 from capsule_gym import CapsuleVectorEnv
@@ -57,8 +57,8 @@ def test_the_guard_opposes_the_rate_in_proportion_to_its_excess():
 
 def test_only_the_guard_keeps_the_contact_of_a_light_platform():
     plants = np.array([[0.36] * 6, [0.006, 0.02, 0.05, 0.1, 0.2, 0.28]])
-    candidates, actions = Candidates(6), np.zeros((round(HORIZON / CONTROL_DT), 6))
-    kept, lost = (candidates.run(np.tile(p, (6, 1)), plants[None], actions) for p in (known_parameters(), FREE))
+    batch, actions = make_batch(6), np.zeros((round(HORIZON / CONTROL_DT), 6))
+    kept, lost = (run_candidates(batch, np.tile(p, (6, 1)), plants[None], actions) for p in (known_parameters(), FREE))
     assert kept["failed"].sum() == 0.0 < lost["failed"].sum()
     assert kept["smallest_normal_ratio"].min() > 0.0
     assert (lost["smallest_normal_ratio"][lost["failed"] > 0.0] <= 0.0).all()
@@ -104,7 +104,7 @@ def test_invalid_parameters_raise_an_error(tmp_path, monkeypatch):
     (tmp_path / "gait.json").write_text(json.dumps({"parameters": {"phi_000": 1.0}}), encoding="utf-8")
     known_parameters.cache_clear()
     try:
-        with pytest.raises(ValueError, match=r"law_search` writes, got KeyError: 'phi_001'"):
+        with pytest.raises(ValueError, match=r"--law` writes, got KeyError: 'phi_001'"):
             known_parameters()
     finally:
         known_parameters.cache_clear()
