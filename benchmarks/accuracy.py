@@ -20,7 +20,7 @@ from tqdm import tqdm
 from baselines.tables import markdown_table, text_table
 from benchmarks.measurement import OutputArgs, machine
 from capsule_gym import task
-from capsule_gym.command_line import Count, parse
+from capsule_gym.command_line import parse
 from capsule_gym.parameters import Capsule
 
 COMMAND = "python -m benchmarks.accuracy"
@@ -28,6 +28,8 @@ START = (task.START_THETA, 0.0, 0.0, 0.0)
 SECONDS = 10.0
 FRICTION = (0.01, 0.1, 0.3)
 AMPLITUDES = (0.2, 0.5, 1.0, 1.5)
+# For each friction coefficient and amplitude.
+TRAJECTORIES = 16
 STEPS = (0.0005, 0.001, 0.002, 0.004, 0.005, 0.01)
 
 
@@ -38,9 +40,6 @@ class Args(OutputArgs):
     Examples:
       python -m benchmarks.accuracy --markdown docs/error_table.md
     """
-
-    trajectories: Count = 16
-    """Trajectories of random torque for each friction coefficient and amplitude."""
 
 
 class Expected(NamedTuple):
@@ -57,15 +56,15 @@ class Expected(NamedTuple):
     state: np.ndarray
 
 
-def expected_trajectories(mu: float, amplitude: float, trajectories: int) -> list[Expected]:
+def expected_trajectories(mu: float, amplitude: float) -> list[Expected]:
     """Trajectories of the reference; each is seeded by its index."""
     # scipy's solvers take a second to import, which --help need not wait for.
     from benchmarks import reference
 
     solved = []
-    for seed in range(trajectories):
+    for seed in range(TRAJECTORIES):
         torques = np.random.default_rng(seed).uniform(-amplitude, amplitude, round(SECONDS / task.CONTROL_DT))
-        found = reference.simulate(torques, START, reference.Constants(mu=mu))
+        found = reference.simulate(torques, START, Capsule(mu=mu).plant())
         ended = (np.abs(found.states[:, 0]) >= task.THETA_LIMIT) | (found.normal <= 0.0)
         last = int(np.argmax(ended)) - 1 if ended.any() else len(torques)
         solved.append(Expected(torques, last, found.states[last]))
@@ -74,12 +73,12 @@ def expected_trajectories(mu: float, amplitude: float, trajectories: int) -> lis
 
 def errors(mu: float, solved: Sequence[Expected], steps: Sequence[float]) -> np.ndarray:
     """The error of every trajectory (rows) at every step size in seconds (columns)."""
-    from benchmarks import driver
+    from benchmarks import reference
 
     plant, hold = Capsule(mu=mu).plant(), task.CONTROL_DT
     found = [
         [
-            driver.run(each.torques[: each.intervals], START, plant, hold, round(hold / step)).states[-1]
+            reference.run(each.torques[: each.intervals], START, plant, hold, round(hold / step)).states[-1]
             for step in steps
         ]
         for each in solved
@@ -93,7 +92,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found, cases = machine(), []
     table = [["mu", "torque, N m", *(f"{1e3 * step:g} ms" for step in STEPS), "length"]]
     for mu, amplitude in tqdm(list(product(FRICTION, AMPLITUDES)), desc="errors"):
-        solved = expected_trajectories(mu, amplitude, args.trajectories)
+        solved = expected_trajectories(mu, amplitude)
         deviations = errors(mu, solved, STEPS)
         length = float(np.median([task.CONTROL_DT * each.intervals for each in solved]))
         cases.append({"mu": mu, "amplitude": amplitude, "length": length, "errors": deviations.tolist()})
@@ -101,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         table.append([f"{mu:g}", f"±{amplitude:g}", *cells, f"{length:.1f} s"])
     note = (
         f"Largest (in brackets: median) error in any state after {SECONDS:g} s of random torque held for "
-        f"{1e3 * task.CONTROL_DT:g} ms, {args.trajectories} trajectories a row, against DOP853 at a relative tolerance "
+        f"{1e3 * task.CONTROL_DT:g} ms, {TRAJECTORIES} trajectories a row, against DOP853 at a relative tolerance "
         "of 1e-12. Trajectories in which the ball meets the platform or contact is lost are compared at the last "
         "torque change before that; the last column is the median length."
     )

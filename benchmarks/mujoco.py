@@ -1,8 +1,7 @@
 """Error and creep of the same capsule in MuJoCo, compared with this package: `python -m benchmarks.mujoco`.
 
-Without friction and with MuJoCo's RK4 it follows `capsule_gym` to 1e-8 over two seconds
-(tests/benchmarks/test_mujoco.py): the plant is the same, and only friction differs. MuJoCo's constraints are soft, so
-that a platform creeps below the friction limit. Needs the extra `bench`.
+Without friction and with MuJoCo's RK4 it follows `capsule_gym` to 1e-8 over two seconds: friction alone differs. The
+constraints of MuJoCo are soft, so that a platform creeps below the friction limit.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -19,14 +18,14 @@ import numpy as np
 from tqdm import tqdm
 
 from baselines.tables import markdown_table, text_table
+from benchmarks import accuracy
 from benchmarks.measurement import OutputArgs, available_cores, describe, machine
 from capsule_gym import task
-from capsule_gym.command_line import Count, parse, refuse
+from capsule_gym.command_line import parse, refuse
 from capsule_gym.parameters import DIRECT_PHYSICS_DT, Capsule, Plant
 
 COMMAND = "python -m benchmarks.mujoco"
 XML = Path(__file__).with_name("capsule.xml")
-START = (task.START_THETA, 0.0, 0.0, 0.0)
 INTEGRATORS = ("implicitfast", "RK4")
 # MuJoCo's own limits of stiffness: the largest impedance, and the time constant in steps below which it clips.
 STIFF_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
@@ -121,7 +120,7 @@ def start_data(model: Any, theta: float) -> Any:
 
 
 class Batch:
-    """Copies of a model that `mujoco.rollout` steps together from `START`.
+    """Copies of a model that `mujoco.rollout` steps together from theta = -pi/3 at rest.
 
     Args:
         model: from `build_model`.
@@ -139,7 +138,7 @@ class Batch:
         # The time, positions, velocities.
         kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
         self._start = np.empty(mujoco.mj_stateSize(model, kind))
-        mujoco.mj_getState(model, start_data(model, START[0]), self._start, kind)
+        mujoco.mj_getState(model, start_data(model, task.START_THETA), self._start, kind)
         theta, x = model.joint("theta").qposadr[0], model.joint("x").qposadr[0]
         self._columns = [1 + theta, 1 + model.nq + theta, 1 + x, 1 + model.nq + x]
         self._states = np.tile(self._start, (num_envs, 1))
@@ -162,18 +161,17 @@ class Batch:
         self._rollout.close()
 
 
-def simulate(model: Any, torques: np.ndarray, threads: int = 1) -> np.ndarray:
-    """Trajectories from `START` under torques that are held for `task.CONTROL_DT`.
+def simulate(model: Any, torques: np.ndarray) -> np.ndarray:
+    """Trajectories from theta = -pi/3 at rest under torques that are held for `task.CONTROL_DT`.
 
     Args:
         model: from `build_model`.
         torques: one trajectory per row, N m.
-        threads: number of threads that share the trajectories.
 
     Returns:
         theta, theta_dot, x, x_dot at the end of each interval: shape (trajectories, intervals, 4).
     """
-    batch = Batch(model, len(torques), threads, round(task.CONTROL_DT / model.opt.timestep), restarts=False)
+    batch = Batch(model, len(torques), available_cores(), round(task.CONTROL_DT / model.opt.timestep), restarts=False)
     states = [batch.step(column) for column in torques.T]
     batch.close()
     return np.array(states).swapaxes(0, 1)
@@ -181,19 +179,19 @@ def simulate(model: Any, torques: np.ndarray, threads: int = 1) -> np.ndarray:
 
 def load_torque(load: float, theta: float, theta_dot: float, plant: Plant) -> float:
     """The motor torque that loads a platform at rest with a share of its friction limit and swings the pendulum."""
-    from benchmarks import driver
+    from benchmarks import reference
 
-    return driver.torque_for_load(-load if theta > CENTRE else load, theta, theta_dot, plant)
+    return reference.torque_for_load(-load if theta > CENTRE else load, theta, theta_dot, plant)
 
 
 def largest_creep(load: float, timestep: float) -> float:
     """Largest |x'| of `capsule_gym` in `CREEP_SECONDS` under `load_torque`, m/s."""
-    from benchmarks import driver
+    from benchmarks import reference
 
     plant = Capsule().plant()
     state, largest = (CENTRE - SWING, 0.0, 0.0, 0.0), 0.0
     for _ in range(round(CREEP_SECONDS / timestep)):
-        motion = driver.step(*state, load_torque(load, state[0], state[1], plant), plant, timestep)
+        motion = reference.step(*state, load_torque(load, state[0], state[1], plant), plant, timestep)
         state = (motion.theta, motion.theta_dot, motion.x, motion.x_dot)
         largest = max(largest, abs(motion.x_dot))
     return largest
@@ -212,52 +210,27 @@ def median_creep(model: Any, load: float) -> float:
     return float(np.median(speeds))
 
 
-@dataclass(frozen=True)
-class Result:
-    """What was found of one model at the default step.
+def measure() -> dict[str, list[float]]:
+    """This package and every friction model and integrator of MuJoCo, at the default step.
 
-    Attributes:
-        name: friction model and integrator.
-        errors: largest error in any state, one per case.
-        creep: under `load_torque`, one per share of the limit, m/s.
+    Returns:
+        By name: the largest error in any state of each case, and the creep in m/s at each share of the limit.
     """
-
-    name: str
-    errors: list[float]
-    creep: list[float]
-
-
-def measure(trajectories: int) -> list[Result]:
-    """The results of this package and of every friction model and integrator of MuJoCo."""
-    from benchmarks import accuracy
-
     step = DIRECT_PHYSICS_DT
-    expected = [
-        accuracy.expected_trajectories(mu, amplitude, trajectories) for mu, amplitude in tqdm(CASES, desc="reference")
-    ]
-    own = [accuracy.errors(mu, known, [step]).max() for (mu, _), known in zip(CASES, expected, strict=True)]
-    results = [Result("capsule_gym", own, [largest_creep(load, step) for load in LOADS])]
+    expected = [accuracy.expected_trajectories(*case) for case in tqdm(CASES, desc="reference")]
+    own = [float(accuracy.errors(mu, known, [step]).max()) for (mu, _), known in zip(CASES, expected, strict=True)]
+    results = {"capsule_gym": [*own, *(largest_creep(load, step) for load in LOADS)]}
     variants = [(friction, integrator) for friction in ALL_FRICTIONS for integrator in INTEGRATORS]
     for friction, integrator in tqdm(variants, desc="MuJoCo"):
-        errors = []
+        numbers = results[f"MuJoCo {friction.name}, {integrator}"] = []
         for (mu, _), known in zip(CASES, expected, strict=True):
             model = build_model(friction, integrator, step, Capsule(mu=mu))
-            states = simulate(model, np.array([trajectory.torques for trajectory in known]), available_cores())
+            states = simulate(model, np.array([trajectory.torques for trajectory in known]))
             ends = [found[each.intervals - 1] for found, each in zip(states, known, strict=True)]
-            errors.append(float(np.abs(np.array(ends) - [each.state for each in known]).max()))
+            numbers.append(float(np.abs(np.array(ends) - [each.state for each in known]).max()))
         model = build_model(friction, integrator, step)
-        creep = [median_creep(model, load) for load in LOADS]
-        results.append(Result(f"MuJoCo {friction.name}, {integrator}", errors, creep))
+        numbers += [median_creep(model, load) for load in LOADS]
     return results
-
-
-def table(results: Sequence[Result]) -> list[list[str]]:
-    """The table of errors and creep."""
-    errors = (f"error, mu = {mu:g}, ±{amplitude:g} N m" for mu, amplitude in CASES)
-    rows = [["", *errors, *(f"creep, {load:.0%}" for load in LOADS)]]
-    for result in results:
-        rows.append([result.name, *(f"{value:.1e}" for value in (*result.errors, *result.creep))])
-    return rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,26 +241,27 @@ class Args(OutputArgs):
       python -m benchmarks.mujoco --markdown docs/speed_mujoco.md
     """
 
-    trajectories: Count = 16
-    """Trajectories of random torque for each error."""
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, COMMAND, arguments)
     try:
-        results = measure(args.trajectories)
+        results = measure()
     except ImportError as error:
         refuse(COMMAND, f'{error}: pip install "capsule-gym[bench]"')
+    errors = (f"error, mu = {mu:g}, ±{amplitude:g} N m" for mu, amplitude in CASES)
+    rows = [["", *errors, *(f"creep, {load:.0%}" for load in LOADS)]]
+    rows += [[name, *(f"{number:.1e}" for number in numbers)] for name, numbers in results.items()]
     note = (
-        f"Error: the largest in any state after 10 s of random torque, {args.trajectories} trajectories, against "
+        f"Error: the largest in any state after 10 s of random torque, {accuracy.TRAJECTORIES} trajectories, against "
         f"DOP853. Creep: median |x'| in m/s over {CREEP_SECONDS:g} s while the pendulum pushes the platform with that "
         "share of its friction limit mu N, forwards and backwards in turn. 'stiff': the hardest constraints that "
         f"MuJoCo allows at the step of {1e3 * DIRECT_PHYSICS_DT:g} ms. {describe(machine('mujoco'))}."
     )
-    print(text_table(table(results)), note, sep="\n\n")
-    numbers = {"machine": machine("mujoco"), "results": [asdict(result) for result in results]}
-    args.write(COMMAND, numbers, [*markdown_table(table(results)).split("\n"), "", note])
+    print(text_table(rows), note, sep="\n\n")
+    args.write(
+        COMMAND, {"machine": machine("mujoco"), "results": results}, [*markdown_table(rows).split("\n"), "", note]
+    )
     return 0
 
 

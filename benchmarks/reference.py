@@ -1,43 +1,32 @@
-"""An independent reference for the plant: adaptive eighth-order integration, one smooth phase of contact after another.
+"""An independent reference for the plant, and compiled loops around `dynamics.step` to compare with it.
 
-It shares no code with `capsule_gym`. The equations are typed again from the paper, corrected, and solved in another
-arrangement: the first row of Eq. (1) gives theta'' in terms of x'', the normal force follows as a straight line in x'',
-and the second row is left with x'' alone.
+The reference shares no equation with `capsule_gym`. They are typed again from the paper, corrected, and solved in
+another arrangement: the first row of Eq. (1) gives theta'' in terms of x'', the normal force follows as a straight line
+in x'', and the second row is left with x'' alone. `simulate` integrates one smooth phase of contact (slip = +1, -1 or 0
+for stick) after another with SciPy's DOP853, of eighth order. The end of a phase is looked for on the dense output of
+every step, which is sampled first, so that a phase that leaves and re-enters its domain inside one step is found as
+well.
 
-A phase (slip = +1, -1 or 0 for stick) is integrated with SciPy's DOP853. Where it ends is looked for on the dense
-output of every step, which is sampled first, so that a phase that leaves and re-enters its domain inside one step is
-found as well.
+The compiled loops are not cached on disk: numba's cache does not notice edits in the modules it compiles from.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from scipy.integrate import DOP853
 from scipy.optimize import brentq, minimize_scalar
+
+from capsule_gym import dynamics
+from capsule_gym.parameters import Plant
 
 RTOL = 1e-12
 ATOL = 1e-13
 SAMPLES = 9
-
-
-class Constants(NamedTuple):
-    """The plant's constants in SI units; the defaults are the paper's."""
-
-    M: float = 0.5
-    m: float = 0.138
-    l: float = 0.3
-    g: float = 9.81
-    k: float = 0.36
-    c: float = 0.0923
-    mu: float = 0.01
-    static_ratio: float = 1.0
-    backward_ratio: float = 1.0
-    paper: float = 0.0
 
 
 class Trajectory(NamedTuple):
@@ -63,13 +52,13 @@ class Trajectory(NamedTuple):
     events: list[tuple[float, float, float]]
 
 
-def rates(theta: float, omega: float, slip: float, u: float, p: Constants) -> tuple[float, float, float]:
+def rates(theta: float, omega: float, slip: float, u: float, p: Plant) -> tuple[float, float, float]:
     """theta'', x'' and the normal force in one phase of contact."""
     s = math.sin(theta)
     c = math.cos(theta)
     internal = p.k * theta + p.c * omega
     free = (u - internal + p.m * p.g * p.l * s) / (p.m * p.l**2)  # theta'' on a platform that does not accelerate
-    weight = (p.M + p.m) * p.g - p.paper * internal * s
+    weight = (p.M + p.m) * p.g - p.pivot_torque_on_contact * internal * s
     normal_rest = weight - p.m * p.l * (free * s + omega**2 * c)
     load = p.m * p.l * (free * c - omega**2 * s)
     if slip == 0.0:
@@ -85,7 +74,7 @@ def rates(theta: float, omega: float, slip: float, u: float, p: Constants) -> tu
     return free + c * x_ddot / p.l, x_ddot, normal
 
 
-def margins(theta: float, omega: float, u: float, p: Constants) -> tuple[float, float]:
+def margins(theta: float, omega: float, u: float, p: Plant) -> tuple[float, float]:
     """How far the load on a platform at rest is from the static limit, forwards and backwards, in N."""
     alpha, _, normal = rates(theta, omega, 0.0, u, p)
     load = p.m * p.l * (alpha * math.cos(theta) - omega**2 * math.sin(theta))
@@ -93,7 +82,7 @@ def margins(theta: float, omega: float, u: float, p: Constants) -> tuple[float, 
     return limit - load, p.backward_ratio * limit + load
 
 
-def phase_at_rest(theta: float, omega: float, u: float, p: Constants) -> float:
+def phase_at_rest(theta: float, omega: float, u: float, p: Plant) -> float:
     """Stick below the static limit, otherwise slip in the direction of the load."""
     forwards, backwards = margins(theta, omega, u, p)
     if forwards < 0.0:
@@ -101,13 +90,14 @@ def phase_at_rest(theta: float, omega: float, u: float, p: Constants) -> float:
     return -1.0 if backwards < 0.0 else 0.0
 
 
-def _on_dense(g: Callable[[np.ndarray], float], dense: Callable[[float], np.ndarray], t: float) -> float:
-    """The event function on the integrator's dense output."""
-    return g(dense(t))
+def _first_crossing(
+    event: Callable[[np.ndarray], float], dense: Callable[[float], np.ndarray], start: float, end: float
+) -> float | None:
+    """The first time in (start, end] at which the event function turns negative; at the start it may be zero."""
 
+    def g(t: float) -> float:
+        return event(dense(t))
 
-def _first_crossing(g: Callable[[float], float], start: float, end: float) -> float | None:
-    """The first time in (start, end] at which g turns negative; at the start itself g may be zero."""
     times = np.linspace(start, end, SAMPLES)
     values = [g(t) for t in times]
     negative = next((i for i in range(1, SAMPLES) if values[i] < 0.0), None)
@@ -133,14 +123,6 @@ def _first_crossing(g: Callable[[float], float], start: float, end: float) -> fl
     return float(brentq(g, left, right, xtol=1e-17, rtol=1e-15))
 
 
-def _integrate(f: Callable, t: float, y: np.ndarray, end: float) -> np.ndarray:
-    """The state at `end`, without looking for events."""
-    solver = DOP853(f, t, y, end, rtol=RTOL, atol=ATOL, first_step=end - t)
-    while solver.status == "running":
-        solver.step()
-    return solver.y
-
-
 def _swept(y0: np.ndarray, y1: np.ndarray, dense: Callable | None, t0: float, t1: float) -> float:
     """Integral of |theta_dot| over one step of the integrator, in which theta_dot changes sign once at most."""
     # Judged on the dense output itself: without friction the pendulum turns exactly where the platform reverses.
@@ -150,9 +132,7 @@ def _swept(y0: np.ndarray, y1: np.ndarray, dense: Callable | None, t0: float, t1
     return abs(turn - y0[0]) + abs(y1[0] - turn)
 
 
-def simulate(
-    torques: Sequence[float] | np.ndarray, state: Sequence[float], p: Constants, hold: float = 0.02
-) -> Trajectory:
+def simulate(torques: Sequence[float] | np.ndarray, state: Sequence[float], p: Plant, hold: float = 0.02) -> Trajectory:
     """Integrates the plant under a torque that is held for `hold` seconds per entry.
 
     Args:
@@ -197,7 +177,7 @@ def simulate(
 
 
 def _phase(
-    t: float, y: np.ndarray, end: float, slip: float, u: float, p: Constants
+    t: float, y: np.ndarray, end: float, slip: float, u: float, p: Plant
 ) -> tuple[float, np.ndarray, float, bool, float]:
     """Integrates one phase until it or the hold ends: time, state, smallest N, whether it ended, swept angle."""
 
@@ -226,10 +206,13 @@ def _phase(
         if slip == 0.0 or slow or y_0[1] * y_1[1] < 0.0:
             dense = solver.dense_output()
         if slip == 0.0 or slow:
-            crossing = _first_crossing(partial(_on_dense, g, dense), t_0, t_1)
+            crossing = _first_crossing(g, dense, t_0, t_1)
         if crossing is not None and crossing < t_1:
             # The dense output is one order poorer than the steps: take the step again, up to the event.
-            y_1 = _integrate(f, t_0, y_0, crossing)
+            again = DOP853(f, t_0, y_0, crossing, rtol=RTOL, atol=ATOL, first_step=crossing - t_0)
+            while again.status == "running":
+                again.step()
+            y_1 = again.y
             if slip != 0.0:
                 rate = np.array(f(crossing, y_1))
                 correction = -y_1[3] / rate[3]
@@ -240,3 +223,145 @@ def _phase(
         swept += _swept(y_0, y_1, dense, t_0, t_1)
         accel = accel_1
     return end, solver.y.copy(), normal, False, swept
+
+
+# --- compiled loops around `dynamics.step` ---
+
+step = njit(dynamics.step)
+_rates = njit(rates)
+
+
+class Run(NamedTuple):
+    """States at every multiple of the hold (rows), and the step's own integrals added up to there (rows).
+
+    Attributes:
+        states: theta, theta_dot, x, x_dot.
+        sums: forward, backward, stuck, swept.
+        normal: the smallest `Motion.normal_force` of each hold, row i for the hold that ends there.
+        events: number of events so far.
+        most_events: the most events in any one step.
+    """
+
+    states: np.ndarray
+    sums: np.ndarray
+    normal: np.ndarray
+    events: np.ndarray
+    most_events: int
+
+
+@njit
+def run(torques: np.ndarray, state: tuple, p: Plant, hold: float, steps: int) -> Run:
+    """Steps the plant through `torques`, each held for `hold` seconds in `steps` equal steps."""
+    n = torques.size
+    states, sums = np.empty((n + 1, 4)), np.zeros((n + 1, 4))
+    normal, events = np.full(n + 1, math.inf), np.zeros(n + 1, dtype=np.int64)
+    theta, theta_dot, x, x_dot = state
+    states[0] = state
+    h = hold / steps
+    most_events = 0
+    for i in range(n):
+        sums[i + 1], events[i + 1] = sums[i], events[i]
+        for _ in range(steps):
+            motion = step(theta, theta_dot, x, x_dot, torques[i], p, h)
+            theta, theta_dot, x, x_dot = motion.theta, motion.theta_dot, motion.x, motion.x_dot
+            sums[i + 1, 0] += motion.forward
+            sums[i + 1, 1] += motion.backward
+            sums[i + 1, 2] += motion.stuck
+            sums[i + 1, 3] += motion.swept
+            normal[i + 1] = min(normal[i + 1], motion.normal_force)
+            events[i + 1] += motion.events
+            most_events = max(most_events, motion.events)
+        states[i + 1] = (theta, theta_dot, x, x_dot)
+    return Run(states, sums, normal, events, most_events)
+
+
+@njit
+def _losses(state: tuple, slip: float, u: float, p: Plant) -> tuple[float, float, float]:
+    """Power of the damper, power of friction and friction force, from the independently typed equations."""
+    theta, theta_dot, _, x_dot = state
+    alpha, _, normal = _rates(theta, theta_dot, slip, u, p)
+    if slip == 0.0:
+        # At rest friction is what holds the platform: row two of Eq. (1) with x'' = 0.
+        force = p.m * p.l * (math.cos(theta) * alpha - math.sin(theta) * theta_dot**2)
+    else:
+        force = slip * (p.mu if slip > 0.0 else p.mu * p.backward_ratio) * normal
+    return p.c * theta_dot**2, force * x_dot, force
+
+
+@njit
+def audit(torques: np.ndarray, state: tuple, p: Plant, hold: float, steps: int) -> tuple[np.ndarray, np.ndarray, int]:
+    """Runs the plant in steps of hold / steps and integrates what enters and leaves it along the way.
+
+    The run goes on from the full steps alone. Each is only taken again in fine pieces for the quadrature, cut at the
+    events by bisection, so that Simpson's rule always meets smooth functions.
+
+    Returns:
+        Final state; sums of work of the torque, damper loss, friction loss, friction impulse, absolute work and
+        absolute friction impulse; number of events.
+    """
+    sums = np.zeros(6)
+    theta, theta_dot, x, x_dot = state
+    h = hold / steps
+    events = 0
+    for u in torques:
+        for _ in range(steps):
+            motion = step(theta, theta_dot, x, x_dot, u, p, h)
+            events += motion.events
+            t, piece = 0.0, 0.25 * h
+            a = (theta, theta_dot, x, x_dot)
+            while t < h:
+                piece = min(piece, h - t)
+                fine = step(a[0], a[1], a[2], a[3], u, p, piece)
+                if fine.events > 0 and piece > 1e-13:
+                    piece *= 0.5
+                    continue
+                middle = step(a[0], a[1], a[2], a[3], u, p, 0.5 * piece)
+                b = (fine.theta, fine.theta_dot, fine.x, fine.x_dot)
+                half = (middle.theta, middle.theta_dot, middle.x, middle.x_dot)
+                slip = np.sign(half[3])
+                starts, middles = _losses(a, slip, u, p), _losses(half, slip, u, p)
+                ends = _losses(b, slip, u, p)
+                for j in range(3):
+                    sums[1 + j] += piece / 6.0 * (starts[j] + 4.0 * middles[j] + ends[j])
+                sums[5] += piece * abs(middles[2])
+                t += piece
+                piece = min(2.0 * piece, 0.25 * h)
+                a = b
+            sums[0] += u * (motion.theta - theta)
+            sums[4] += abs(u * (motion.theta - theta))
+            theta, theta_dot, x, x_dot = motion.theta, motion.theta_dot, motion.x, motion.x_dot
+    return np.array((theta, theta_dot, x, x_dot)), sums, events
+
+
+@njit
+def torque_for_load(ratio: float, theta: float, theta_dot: float, p: Plant) -> float:
+    """The torque at which the load on a platform at rest is `ratio` times mu N (negative: backwards).
+
+    Row two of Eq. (1) with x'' = 0 gives theta'', row one then the torque; mu is the coefficient forwards.
+    """
+    s, c = math.sin(theta), math.cos(theta)
+    rough = ratio * p.mu
+    wanted = rough * ((p.M + p.m) * p.g / (p.m * p.l) - theta_dot**2 * c) + theta_dot**2 * s
+    alpha = wanted / (c + rough * s)
+    return p.m * p.l**2 * alpha - p.m * p.g * p.l * s + p.k * theta + p.c * theta_dot
+
+
+@njit
+def hold_load(ratio: float, state: tuple, p: Plant, h: float, n: int) -> tuple[np.ndarray, int, np.ndarray]:
+    """Holds the load at `ratio` of the limit for n steps, its sign such that the pendulum stays near -0.6 rad.
+
+    Returns:
+        Final state; number of steps at whose end the platform moved or had moved; lowest and highest angle.
+    """
+    theta, theta_dot, x, x_dot = state
+    moved = 0
+    angles = np.array((theta, theta))
+    for _ in range(n):
+        sign = -1.0 if theta + 0.6 + 0.5 * theta_dot > 0.0 else 1.0
+        u = torque_for_load(sign * ratio, theta, theta_dot, p)
+        motion = step(theta, theta_dot, x, x_dot, u, p, h)
+        theta, theta_dot, x, x_dot = motion.theta, motion.theta_dot, motion.x, motion.x_dot
+        if x_dot != 0.0 or x != state[2]:
+            moved += 1
+        angles[0], angles[1] = min(angles[0], theta), max(angles[1], theta)
+    return np.array((theta, theta_dot, x, x_dot)), moved, angles

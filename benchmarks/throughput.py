@@ -1,48 +1,35 @@
 """Environment steps per second, compared with other environments: `python -m benchmarks.throughput`.
 
 All actions are drawn beforehand. A single environment plays whole episodes, resets included. A batch of this package
-does not truncate, so that batches of every size are measured alike: an environment that fails is reset within the step,
-and the reset of all environments is measured separately.
+does not truncate, so that batches of every size are measured alike: an environment that fails is reset within the step.
 """
 
 from __future__ import annotations
 
-import math
+import statistics
 import sys
 import time
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import Annotated, Any
+from importlib.util import find_spec
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from tyro.conf import arg
+from tqdm import tqdm
 
-from baselines import drawing
 from baselines.tables import markdown_table, text_table
-from benchmarks.measurement import (
-    Contender,
-    OutputArgs,
-    Rate,
-    Stepper,
-    available_cores,
-    describe,
-    machine,
-    measure,
-    save_figure,
-    select_available,
-)
+from benchmarks.measurement import OutputArgs, available_cores, describe, machine, spread, take_turns
 from benchmarks.mujoco import FRICTIONS, FrictionModel
 from capsule_gym import ENV_ID, task
 from capsule_gym.command_line import Count, parse
 from capsule_gym.parameters import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT
 
 COMMAND = "python -m benchmarks.throughput"
-TURNS, QUICK_TURNS = 9, 3
-TURN_SECONDS = 0.2
+TURN_SECONDS, CALIBRATION_SECONDS = 0.2, 0.05
 SEED = 0
 # Random torques up to the limit would mostly measure resets; the paper's torques are rarely above this share.
 ACTION_SCALE = 0.2
@@ -50,18 +37,16 @@ LAW: dict[str, Any] = {"controller": "baselines:adaptive", "residual_limit": ACT
 # Distinct actions that are repeated.
 DRAWS = 16
 BATCHES = (1, 64, 1024, 16384, 262144)
-LARGE = 262144
 PEER_BATCH = 1024
 THREADS = (1, 2)
 SINGLE_PEER = "CartPole-v1"
 DIRECT, WITH_LAW = "capsule", "capsule with law"
 INTEGRATOR = "implicitfast"
-# The beginning of a label, the colour of its bars, and the legend; the last entry is for all others.
-KINDS = (
-    (WITH_LAW, "#56B4E9", "ours, the law inside the step"),
-    (DIRECT, drawing.BLUE, "ours, direct torque"),
-    ("MuJoCo", drawing.VERMILION, "the same capsule in MuJoCo"),
-    ("", drawing.MUTED, "other environments"),
+CONDITIONS = (
+    f"A step of ours and of MuJoCo's capsule is {1e3 * task.CONTROL_DT:g} ms; direct torque is uniform within "
+    f"±{ACTION_SCALE * task.TORQUE_LIMIT:g} N m, the law is baselines:adaptive. Ours computes observation, reward and "
+    "info too, MuJoCo's batch (mujoco.rollout) the physics alone. Ratios of batches are to its batch at the same step "
+    "and number of threads. Batches of ours never truncate here."
 )
 
 
@@ -72,20 +57,50 @@ class Args(OutputArgs):
     Peers that need another package come with the extra `bench`. Takes minutes; nothing else should run meanwhile.
 
     Examples:
-      python -m benchmarks.throughput --quick
-      python -m benchmarks.throughput --markdown docs/speed_tables.md --figure docs/figures/speed.png
+      python -m benchmarks.throughput --turns 3
+      python -m benchmarks.throughput --markdown docs/speed_tables.md
     """
 
-    turns: Annotated[Count, arg(help=f"turns of every contender; --quick takes {QUICK_TURNS} at most")] = TURNS
-    quick: Annotated[bool, arg(help=f"fewer turns, no batch of {LARGE:,}")] = False
-    figure: Path | None = None
-    """Draw the chart into this PNG file."""
+    turns: Count = 9
+    """Turns of every contender."""
 
 
-def step_single(env_id: str, scale: float = 1.0, unwrapped: bool = False, **kwargs: Any) -> Stepper:
-    """One environment: with gymnasium's default wrappers, or without any."""
-    made = gym.make(env_id, **kwargs)
-    env = made.unwrapped if unwrapped else made
+# Takes a number of steps of all environments; frees them.
+Stepper = tuple[Callable[[int], None], Callable[[], None]]
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A way to step environments whose rate is measured.
+
+    Attributes:
+        label: for the tables.
+        make: makes the environments.
+        environments: number of environments.
+        substeps: integration steps in one step of the environment.
+        threads: number of threads that share the environments.
+        peer: name of the contender that the ratio refers to.
+        package: what must be installed besides this package.
+    """
+
+    label: str
+    make: Callable[[], Stepper]
+    environments: int = 1
+    substeps: int = 1
+    threads: int = 1
+    peer: str | None = None
+    package: str = "numpy"
+
+    @property
+    def name(self) -> str:
+        """The label with batch and threads: unique among the contenders."""
+        batch = f", {self.environments} environments" if self.environments > 1 else ""
+        return f"{self.label}{batch}{f', {self.threads} threads' if self.threads > 1 else ''}"
+
+
+def step_single(env_id: str, scale: float = 1.0, **kwargs: Any) -> Stepper:
+    """One environment with gymnasium's default wrappers."""
+    env = gym.make(env_id, **kwargs)
     env.action_space.seed(SEED)
     samples = [env.action_space.sample() for _ in range(256)]
     actions = [sample if isinstance(sample, (int, np.integer)) else np.float32(scale) * sample for sample in samples]
@@ -97,11 +112,22 @@ def step_single(env_id: str, scale: float = 1.0, unwrapped: bool = False, **kwar
         for _ in range(count):
             taken += 1
             _, _, terminated, truncated, _ = env.step(actions[taken % len(actions)])
-            # Without a wrapper nothing else truncates.
-            if terminated or truncated or (unwrapped and taken % task.EPISODE_STEPS == 0):
+            if terminated or truncated:
                 env.reset()
 
-    return Stepper(step, made.close)
+    return (step, env.close)
+
+
+def _step_repeatedly(
+    step: Callable[[np.ndarray], Any], actions: Sequence[np.ndarray] | np.ndarray
+) -> Callable[[int], None]:
+    """Takes a number of steps, with the actions again and again."""
+
+    def repeat(count: int) -> None:
+        for n in range(count):
+            step(actions[n % len(actions)])
+
+    return repeat
 
 
 def step_batch(env_id: str, num_envs: int, scale: float = 1.0, **kwargs: Any) -> Stepper:
@@ -110,17 +136,8 @@ def step_batch(env_id: str, num_envs: int, scale: float = 1.0, **kwargs: Any) ->
     env.action_space.seed(SEED)
     samples = [env.action_space.sample() for _ in range(DRAWS)]
     actions = [sample if sample.dtype.kind == "i" else np.float32(scale) * sample for sample in samples]
-    if num_envs < LARGE:  # the first reset compiles; before the largest batch smaller ones have done so
-        env.reset(seed=SEED)
-    start = time.perf_counter()
     env.reset(seed=SEED)
-    seconds = time.perf_counter() - start
-
-    def step(count: int) -> None:
-        for n in range(count):
-            env.step(actions[n % DRAWS])
-
-    return Stepper(step, env.close, seconds)
+    return (_step_repeatedly(env.step, actions), env.close)
 
 
 def step_envpool(env_id: str, num_envs: int, threads: int) -> Stepper:
@@ -135,12 +152,7 @@ def step_envpool(env_id: str, num_envs: int, threads: int) -> Stepper:
         box = env.action_space
     shape = (DRAWS, num_envs, *box.shape)
     actions = np.random.default_rng(SEED).uniform(box.low, box.high, shape).astype(np.float32)
-
-    def step(count: int) -> None:
-        for n in range(count):
-            env.step(actions[n % DRAWS])
-
-    return Stepper(step, env.close)
+    return (_step_repeatedly(env.step, actions), env.close)
 
 
 def step_mujoco(friction: FrictionModel, physics_dt: float, num_envs: int, threads: int) -> Stepper:
@@ -151,12 +163,7 @@ def step_mujoco(friction: FrictionModel, physics_dt: float, num_envs: int, threa
     batch = mujoco.Batch(model, num_envs, threads, round(task.CONTROL_DT / physics_dt))
     limit = ACTION_SCALE * task.TORQUE_LIMIT
     torques = np.random.default_rng(SEED).uniform(-limit, limit, (DRAWS, num_envs))
-
-    def step(count: int) -> None:
-        for n in range(count):
-            batch.step(torques[n % DRAWS])
-
-    return Stepper(step, batch.close)
+    return (_step_repeatedly(batch.step, torques), batch.close)
 
 
 def mujoco_contender(friction: FrictionModel, physics_dt: float, threads: int = 1) -> Contender:
@@ -167,16 +174,12 @@ def mujoco_contender(friction: FrictionModel, physics_dt: float, threads: int = 
         PEER_BATCH,
         round(task.CONTROL_DT / physics_dt),
         threads,
-        packages=("mujoco",),
+        package="mujoco",
     )
 
 
-def ours(large: bool) -> list[Contender]:
-    """The environments of this package, without and with a law inside the step.
-
-    Args:
-        large: whether the largest batch is included.
-    """
+def ours() -> list[Contender]:
+    """The environments of this package, without and with a law inside the step."""
     found = []
     kinds: tuple[tuple[str, float, dict[str, Any]], ...] = (
         (DIRECT, DIRECT_PHYSICS_DT, {"scale": ACTION_SCALE}),
@@ -184,10 +187,9 @@ def ours(large: bool) -> list[Contender]:
     )
     for label, physics_dt, kwargs in kinds:
         substeps = round(task.CONTROL_DT / physics_dt)
-        for suffix, unwrapped in (("step alone", True), ("gym.make", False)):
-            single = partial(step_single, ENV_ID, unwrapped=unwrapped, **kwargs)
-            found.append(Contender(f"{label}, {suffix}", single, 1, substeps, peer=SINGLE_PEER))
-        for num_envs in BATCHES if large else BATCHES[: BATCHES.index(LARGE)]:
+        single = partial(step_single, ENV_ID, **kwargs)
+        found.append(Contender(f"{label}, gym.make", single, 1, substeps, peer=SINGLE_PEER))
+        for num_envs in BATCHES:
             for threads in THREADS if num_envs >= PEER_BATCH else THREADS[:1]:
                 endless = {"physics_dt": physics_dt, "threads": threads, "max_episode_steps": sys.maxsize}
                 batch = partial(step_batch, ENV_ID, num_envs, **endless, **kwargs)
@@ -198,121 +200,84 @@ def ours(large: bool) -> list[Contender]:
 
 def peers() -> list[Contender]:
     """Tasks of gymnasium and EnvPool of about this size, and the same capsule in MuJoCo."""
-    inverted, packages = "InvertedPendulum-v5", ("mujoco", "imageio")
+    inverted = "InvertedPendulum-v5"
     found = [
         Contender(SINGLE_PEER, partial(step_single, SINGLE_PEER)),
         Contender("Pendulum-v1", partial(step_single, "Pendulum-v1")),
         # Its frame_skip is 2.
-        Contender(inverted, partial(step_single, inverted), substeps=2, packages=packages),
+        Contender(inverted, partial(step_single, inverted), substeps=2, package="mujoco"),
         Contender(f"{SINGLE_PEER}, gym.make_vec", partial(step_batch, SINGLE_PEER, PEER_BATCH), PEER_BATCH),
     ]
     for threads in THREADS:
         make = partial(step_envpool, "Pendulum-v1", PEER_BATCH, threads)
-        found.append(Contender("EnvPool Pendulum-v1", make, PEER_BATCH, threads=threads, packages=("envpool",)))
+        found.append(Contender("EnvPool Pendulum-v1", make, PEER_BATCH, threads=threads, package="envpool"))
     for friction in FRICTIONS:
         for physics_dt in (DIRECT_PHYSICS_DT, LAW_PHYSICS_DT):
             found += [mujoco_contender(friction, physics_dt, threads) for threads in THREADS]
     return found
 
 
-def table(measured: Sequence[Contender], rates: Mapping[str, Rate]) -> list[list[str]]:
+def select_available(contenders: Sequence[Contender]) -> tuple[list[Contender], list[str]]:
+    """The contenders that this machine can measure, and a line for each one that is left out, with the reason."""
+    found, left_out = [], []
+    for contender in contenders:
+        if find_spec(contender.package) is None:
+            reason = f'{contender.package} is not installed: pip install "capsule-gym[bench]"'
+            left_out.append(f"{contender.name} is left out: {reason}")
+        elif contender.threads > available_cores():
+            left_out.append(f"{contender.name} is left out: this machine has fewer cores")
+        else:
+            found.append(contender)
+    return found, left_out
+
+
+def measure(contenders: Sequence[Contender], turns: int) -> dict[str, list[float]]:
+    """Environment steps per second of all contenders, by name, one number per turn."""
+    with ExitStack() as stack:
+        ready: dict[str, Callable[[], float]] = {}
+        for contender in tqdm(contenders, desc="preparing"):
+            step, close = contender.make()
+            stack.callback(close)
+            step(1)  # compiles
+            count = 1
+            while count / (rate := _rate(step, count)) < CALIBRATION_SECONDS:
+                count *= 2
+            ready[contender.name] = partial(_rate, step, max(1, round(rate * TURN_SECONDS)))
+        rates = take_turns(ready, turns)
+    return {each.name: [each.environments * rate for rate in rates[each.name]] for each in contenders}
+
+
+def _rate(step: Callable[[int], None], count: int) -> float:
+    """Takes so many steps; returns how many it takes per second."""
+    start = time.perf_counter()
+    step(count)
+    return count / (time.perf_counter() - start)
+
+
+def table(measured: Sequence[Contender], rates: Mapping[str, Sequence[float]]) -> list[list[str]]:
     """The table of rates; a ratio only where its peer was measured."""
-    rows = [["", "envs", "threads", "substeps", "env-steps/s", "IQR", "substeps/s", "us per env-step", "ratio", "to"]]
+    rows = [["", "envs", "threads", "substeps", "env-steps/s", "IQR", "ratio", "to"]]
     labels = {contender.name: contender.label for contender in measured}
     for contender in measured:
-        rate, peer = rates[contender.name], rates.get(contender.peer or "")
-        rows.append(
-            [
-                contender.label,
-                f"{contender.environments:,}",
-                str(contender.threads),
-                str(contender.substeps),
-                f"{rate.median:,.0f}",
-                f"{rate.spread:.0%}",
-                f"{rate.median * contender.substeps:,.0f}",
-                f"{1e6 / rate.median:.3g}",
-                f"{rate.median / peer.median:.3g}" if peer else "",
-                labels[contender.peer or ""] if peer else "",
-            ]
-        )
+        numbers = [f"{n:,}" for n in (contender.environments, contender.threads, contender.substeps)]
+        rate, peer = statistics.median(rates[contender.name]), rates.get(contender.peer or "")
+        ratio = [f"{rate / statistics.median(peer):.3g}", labels[contender.peer or ""]] if peer else ["", ""]
+        rows.append([contender.label, *numbers, f"{rate:,.0f}", f"{spread(rates[contender.name]):.0%}", *ratio])
     return rows
-
-
-def notes(measured: Sequence[Contender], rates: Mapping[str, Rate]) -> list[str]:
-    """The conditions of the measurement, and the duration of a reset of the largest batch."""
-    own = [contender for contender in measured if contender.label.startswith(DIRECT) and contender.threads == 1]
-    largest = max(own, key=lambda contender: contender.environments)
-    rate = rates[largest.name]
-    seconds = rate.reset_seconds or 0.0
-    share = seconds / largest.environments / (task.EPISODE_STEPS / rate.median)
-    return [
-        f"A step of ours and of MuJoCo's capsule is {1e3 * task.CONTROL_DT:g} ms; direct torque is uniform within "
-        f"±{ACTION_SCALE * task.TORQUE_LIMIT:g} N m, the law is baselines:adaptive. Ours computes observation, reward "
-        "and info too, MuJoCo's batch (mujoco.rollout) the physics alone. Ratios of batches are to its batch at the "
-        "same step and number of threads.",
-        f"Batches of ours never truncate here: resetting all of {largest.environments:,} environments takes "
-        f"{seconds:.2g} s, which adds {share:.1%} to the time of an episode of {task.EPISODE_STEPS} steps.",
-    ]
-
-
-def draw(measured: Sequence[Contender], rates: Mapping[str, Rate], note: str) -> Any:
-    """The chart, to be called in `drawing.style`: a bar per contender on one thread, a mark for two threads."""
-    figure = drawing.new_figure(5.2)
-    axes = figure.subplots()
-    bars = [contender for contender in measured if contender.threads == 1]
-    shared = {(c.label, c.environments): rates[c.name].median for c in measured if c.threads > 1}
-    mark: dict[str, Any] = {"marker": "D", "markersize": 3.2, "color": drawing.INK, "linestyle": "none"}
-    labelled: set[str] = set()
-    for row, contender in enumerate(bars):
-        colour, words = next(entry[1:] for entry in KINDS if contender.label.startswith(entry[0]))
-        label = None if words in labelled else words
-        labelled.add(words)
-        rate, two = rates[contender.name].median, shared.get((contender.label, contender.environments))
-        axes.barh(row, rate, height=0.72, color=colour, log=True, label=label)
-        text = f"{rate:,.0f}"
-        if two is not None:
-            axes.plot(two, row, **mark)
-            text += f" ({two:,.0f})"
-        axes.annotate(text, (1.01, row), xycoords=axes.get_yaxis_transform(), va="center", fontsize=6.5)
-    axes.plot([], [], label="two threads (bars: one)", **mark)
-    names = [f"{c.label}{f' x {c.environments:,}' if c.environments > 1 else ''}" for c in bars]
-    axes.set_yticks(range(len(bars)), names, fontsize=6.8)
-    axes.set_ylim(len(bars) - 0.4, -0.6)
-    axes.set_xlim(left=10.0 ** math.floor(math.log10(min(rate.median for rate in rates.values()))))
-    axes.set_xlabel("environment steps per second; x 1,024: a batch of that size")
-    axes.legend(loc="lower right", fontsize=6.8)
-    drawing.add_note(figure, note)
-    return figure
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, COMMAND, arguments)
     found = machine("mujoco", "envpool")
-    turns = min(args.turns, QUICK_TURNS) if args.quick else args.turns
-    contenders, left_out = select_available([*ours(large=not args.quick), *peers()], available_cores())
-    rates = measure(contenders, turns, TURN_SECONDS)
+    contenders, left_out = select_available([*ours(), *peers()])
+    rates = measure(contenders, args.turns)
     rows = table(contenders, rates)
-    note = f"{describe(found)}; medians of {turns} turns, IQR: interquartile range over it."
-    below = [*notes(contenders, rates), note, *left_out]
+    note = f"{describe(found)}; medians of {args.turns} turns, IQR: interquartile range over it."
+    below = [CONDITIONS, note, *left_out]
     print(text_table(rows), *below, sep="\n\n")
-    entries = [
-        {
-            "name": contender.name,
-            "label": contender.label,
-            "environments": contender.environments,
-            "threads": contender.threads,
-            "substeps": contender.substeps,
-            "peer": contender.peer,
-            **asdict(rates[contender.name]),
-        }
-        for contender in contenders
-    ]
-    numbers = {"machine": found, "turns": turns, "turn_seconds": TURN_SECONDS, "left_out": left_out, "rates": entries}
+    numbers = {"machine": found, "turns": args.turns, "left_out": left_out, "rates": rates}
     args.write(COMMAND, numbers, "\n\n".join([markdown_table(rows), *below]).split("\n"))
-    if args.figure is not None:
-        with drawing.style():
-            save_figure(draw(contenders, rates, note), args.figure)
     return 0
 
 

@@ -13,19 +13,20 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from tqdm import tqdm
-from tyro.conf import arg
 
-from agents.evaluation.statistics import Estimate, estimate, learning_curve, paired_difference
+from agents.evaluation.statistics import estimate, learning_curve, paired_difference
 from agents.training.presets import PRESETS, PPOConfig
 from baselines import drawing
 from baselines.tables import markdown_table, text_table
-from benchmarks.measurement import OutputArgs, describe, machine, save_figure, section
+from benchmarks.measurement import OutputArgs, describe, machine, take_turns
 from capsule_gym.command_line import Count, parse
+from capsule_gym.files import replacing
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO
@@ -36,8 +37,8 @@ EVALUATIONS = 16
 PLANTS_SEED = 4_000
 # Points of the learning curve that the table shows, as parts of the whole.
 SHOWN = (0.25, 0.5, 0.75, 1.0)
-# Steps between two updates, whatever the number of environments.
-ROLLOUT = 16_384
+# Length of a turn of a comparison of speed, about, in processor time.
+SECONDS = 2.0
 # The preset of the release before rollouts and updates were compiled; today's preset may change.
 TUNED: dict[str, Any] = {
     **{"num_envs": 64, "n_steps": 256, "batch_size": 2048, "n_epochs": 6},
@@ -61,43 +62,24 @@ class Trainer:
         name: for the table.
         config: its hyperparameters.
         stock: whether the algorithm is Stable-Baselines3's, or else that of this project.
-        native: whether the environments are the native batch, or else single ones from `gym.make` in a `DummyVecEnv`;
-            these only with `stock`.
     """
 
     name: str
     config: PPOConfig
     stock: bool = False
-    native: bool = True
 
 
-def trainer(name: str, *, stock: bool = False, native: bool = True, **changes: Any) -> Trainer:
+def trainer(name: str, *, stock: bool = False, **changes: Any) -> Trainer:
     """The preset of the direct task with some fields changed."""
     preset = PRESETS["direct", "ppo"]
     assert isinstance(preset, PPOConfig)
-    return Trainer(name, dataclasses.replace(preset, **changes), stock, native)
+    return Trainer(name, dataclasses.replace(preset, **changes), stock)
 
 
 PRESET, PEER = trainer("preset"), trainer("SB3's PPO", stock=True, **TUNED)
 LEARNERS = (PRESET, PEER, trainer("ReLU", activation="relu"), trainer("256 x 64", num_envs=256, n_steps=64))
-# What is changed, and its values; ratios refer to the first entry of each.
-AXES: dict[str, tuple[Trainer, ...]] = {
-    "environments": (
-        trainer("64 (preset)"),
-        *(trainer(str(count), num_envs=count, n_steps=ROLLOUT // count) for count in (16, 256, 1024)),
-    ),
-    "minibatch": (
-        trainer("2048 (preset)"),
-        *(trainer(str(size), batch_size=size) for size in (64, 256, 1024, 4096, 8192)),
-    ),
-    "peers": (
-        PRESET,
-        trainer("SB3's PPO, tuned", stock=True, **TUNED),
-        trainer("SB3's PPO, untuned", stock=True, **UNTUNED),
-        trainer("SB3's PPO, untuned, DummyVecEnv", stock=True, native=False, **UNTUNED),
-    ),
-}
-PARTS = ("learning", *AXES)
+# Whose speed is measured; ratios refer to the first.
+CONTENDERS = (PRESET, PEER, trainer("SB3's PPO, untuned", stock=True, **UNTUNED))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,27 +90,23 @@ class Args(OutputArgs):
 
     Examples:
       python -m benchmarks.training --markdown docs/train_fast_tables.md --figure docs/figures/training_curves.png
-      python -m benchmarks.training --parts peers --turns 3
+      python -m benchmarks.training --parts speed --turns 3
     """
 
-    parts: Annotated[tuple[str, ...], arg(help=f"what is measured, of {', '.join(PARTS)}")] = PARTS
+    parts: tuple[Literal["learning", "speed"], ...] = ("learning", "speed")
+    """What is measured."""
     seeds: Count = 5
     """Number of training seeds of each learning curve."""
     total_steps: Count = 2**20
     """Environment steps of a learning curve."""
     turns: Count = 5
-    """Turns of every contender of a comparison of speed."""
-    seconds: float = 2.0
-    """Length of a turn, about, in processor time."""
+    """Turns of every contender of the comparison of speed."""
     figure: Path | None = None
     """Draw the learning curves into this PNG file."""
 
     def check(self) -> None:
         """Raises an error for what cannot be measured or written."""
         super().check()
-        for part in self.parts:
-            if part not in PARTS:
-                raise ValueError(f"--parts must be of {', '.join(PARTS)}, got {part!r}")
         if self.seeds < 2:
             raise ValueError(f"--seeds must be at least 2, for an interval over them, got {self.seeds}")
 
@@ -137,23 +115,17 @@ class Args(OutputArgs):
 def training(entry: Trainer) -> Iterator[PPO]:
     """The agent with its environments, which are closed at the end."""
     # torch takes seconds to import, which --help need not wait for.
-    import gymnasium as gym
     import torch
     from stable_baselines3 import PPO
-    from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
+    from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
     from agents.training.algorithms import LinearSchedule, make_env, make_model
-    from capsule_gym import ENV_ID
     from capsule_gym.sb3 import CapsuleSB3VecEnv
 
-    config, kwargs = entry.config, entry.config.env_kwargs()
+    config = entry.config
     torch.set_num_threads(1)
     if entry.stock:
-        batch: VecEnv = (
-            CapsuleSB3VecEnv(config.num_envs, config.seed, **kwargs)
-            if entry.native
-            else DummyVecEnv([lambda: gym.make(ENV_ID, **kwargs) for _ in range(config.num_envs)])
-        )
+        batch = CapsuleSB3VecEnv(config.num_envs, config.seed, **config.env_kwargs())
         model = PPO(
             "MlpPolicy",
             VecNormalize(batch, norm_reward=False, gamma=config.gamma),
@@ -270,23 +242,18 @@ def learning_table(runs: Mapping[str, Sequence[Run]]) -> list[list[str]]:
     for name, own in runs.items():
         ratios = [run.rate / peer.rate for run, peer in zip(own, peers, strict=True)]
         speeds = [estimate([[run.speed_at(part)] for run in own]) for part in SHOWN]
+        speeds.append(estimate([[statistics.mean(run.mean_speed)] for run in own]))
         table.append(
             [
                 name,
                 str(len(own)),
                 f"{statistics.median(run.rate for run in own):,.0f}",
                 "" if own is peers else f"{statistics.median(ratios):.1f} ({min(ratios):.1f} to {max(ratios):.1f})",
-                *map(_interval, speeds),
-                _interval(estimate([[statistics.mean(run.mean_speed)] for run in own])),
+                *(f"{found.value:.1f} [{found.low:.1f}, {found.high:.1f}]" for found in speeds),
                 f"{100.0 * statistics.mean(run.failed[-1] for run in own):.1f} %",
             ]
         )
     return table
-
-
-def _interval(found: Estimate) -> str:
-    """A speed with its interval."""
-    return f"{found.value:.1f} [{found.low:.1f}, {found.high:.1f}]"
 
 
 def difference(runs: Mapping[str, Sequence[Run]]) -> str:
@@ -316,19 +283,15 @@ def draw(runs: Mapping[str, Sequence[Run]], note: str) -> Any:
     return figure
 
 
-def speeds(entries: Sequence[Trainer], turns: int, seconds: float) -> dict[str, list[float]]:
-    """Environment steps per second by name, updates included, one number per turn."""
-    rates: dict[str, list[float]] = {entry.name: [] for entry in entries}
+def measure_speed(turns: int) -> dict[str, list[float]]:
+    """Environment steps per second of the `CONTENDERS` by name, updates included, one number per turn."""
     with ExitStack() as stack:
-        contenders = []
-        for entry in tqdm(entries, desc="preparing"):
+        ready = {}
+        for entry in tqdm(CONTENDERS, desc="preparing"):
             model, unit = stack.enter_context(training(entry)), entry.config.num_envs * entry.config.n_steps
             _train(model, unit)  # compiles
-            contenders.append((entry.name, model, unit * max(1, round(seconds * _train(model, unit) / unit))))
-        for _ in tqdm(range(turns), desc="turns"):
-            for name, model, steps in contenders:
-                rates[name].append(_train(model, steps))
-    return rates
+            ready[entry.name] = partial(_train, model, unit * max(1, round(SECONDS * _train(model, unit) / unit)))
+        return take_turns(ready, turns)
 
 
 def _train(model: PPO, steps: int) -> float:
@@ -338,16 +301,14 @@ def _train(model: PPO, steps: int) -> float:
     return steps / (time.process_time() - start)
 
 
-def speed_table(entries: Sequence[Trainer], rates: Mapping[str, Sequence[float]]) -> list[list[str]]:
-    """A comparison of speed; ratios are medians over the turns, each to the first entry's rate in the same turn."""
-    table = [["", "env steps/s", "gradient updates/s", "ratio", "range of the ratio"]]
-    first = rates[entries[0].name]
-    for entry in entries:
-        rate, config = statistics.median(rates[entry.name]), entry.config
-        ratios = [own / other for own, other in zip(rates[entry.name], first, strict=True)]
-        updates = f"{rate * config.n_epochs / config.batch_size:,.0f}"
-        span = f"{min(ratios):.2f} to {max(ratios):.2f}" if entry is not entries[0] else ""
-        table.append([entry.name, f"{rate:,.0f}", updates, f"{statistics.median(ratios):.2f}", span])
+def speed_table(rates: Mapping[str, Sequence[float]]) -> list[list[str]]:
+    """The comparison of speed; ratios are medians over the turns, each to the first entry's rate in the same turn."""
+    table = [["", "env steps/s", "ratio", "range of the ratio"]]
+    first = next(iter(rates.values()))
+    for name, rate in rates.items():
+        ratios = [own / other for own, other in zip(rate, first, strict=True)]
+        span = f"{min(ratios):.2f} to {max(ratios):.2f}" if rate is not first else ""
+        table.append([name, f"{statistics.median(rate):,.0f}", f"{statistics.median(ratios):.2f}", span])
     return table
 
 
@@ -355,25 +316,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, COMMAND, arguments)
     found = machine("stable-baselines3", "torch")
-    numbers: dict[str, Any] = {"machine": found, "turns": args.turns, "seconds": args.seconds}
+    numbers: dict[str, Any] = {"machine": found}
     lines: list[str] = []
     for part in args.parts:
-        words: list[str] = []
         if part == "learning":
             runs = learning(args.seeds, args.total_steps)
             numbers["runs"] = [vars(run) for own in runs.values() for run in own]
-            table = learning_table(runs)
+            table, words = learning_table(runs), [difference(runs), ""]
             note = f"Interquartile means with 95 % intervals over seeds; {args.total_steps:,} steps. {describe(found)}."
-            words = [difference(runs), ""]
             if args.figure is not None:
-                with drawing.style():
-                    save_figure(draw(runs, note), args.figure)
+                with drawing.style(), replacing(args.figure) as temporary:
+                    # Half as many bytes as at the resolution of the paper's figures.
+                    draw(runs, note).savefig(temporary, format="png", dpi=130, metadata={"Software": None})
         else:
-            numbers[part] = speeds(AXES[part], args.turns, args.seconds)
-            table = speed_table(AXES[part], numbers[part])
-            note = f"{describe(found)}; {args.turns} turns of about {args.seconds:g} s of processor time."
+            numbers["rates"] = measure_speed(args.turns)
+            table, words = speed_table(numbers["rates"]), []
+            note = f"{describe(found)}; {args.turns} turns of about {SECONDS:g} s of processor time."
         print(f"\n{part}\n\n{text_table(table)}", *words, flush=True)
-        lines += section(part, [*markdown_table(table).split("\n"), "", *words, note])
+        # Sections, which docs/train_fast.md includes by their names.
+        start, end = (f"<!-- --8<-- [{mark}:{part}] -->" for mark in ("start", "end"))
+        lines += [start, *markdown_table(table).split("\n"), "", *words, note, end, ""]
         # After every part, so that nothing is lost.
         args.write(COMMAND, numbers, lines)
     return 0

@@ -8,18 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks import driver, reference
+from benchmarks import reference
 from capsule_gym import dynamics
 from capsule_gym.parameters import Capsule, Plant
 
 START = (-math.pi / 3, 0.0, 0.0, 0.0)
 HOLD = 0.02
-
-
-def constants(capsule: Capsule) -> reference.Constants:
-    """The same plant for the reference."""
-    fields = {name: getattr(capsule, name) for name in reference.Constants._fields if name != "paper"}
-    return reference.Constants(**fields, paper=float(capsule.normal_force == "paper"))
 
 
 def random_torque(amplitude: float, seed: int, seconds: float = 10.0, hold: float = HOLD) -> np.ndarray:
@@ -108,7 +102,7 @@ def test_accelerations_satisfy_both_rows_of_equation_1():
 )
 def test_energy_and_momentum_balance_over_ten_seconds(capsule, torques):
     p = capsule.plant()
-    final, sums, events = driver.audit(torques, START, p, constants(capsule), HOLD, 40)
+    final, sums, events = reference.audit(torques, START, p, HOLD, 40)
     work, damper, friction, impulse, all_work, all_impulse = sums
     assert events > 20
     assert damper > 0.0
@@ -122,7 +116,7 @@ def test_without_friction_the_centre_of_mass_keeps_its_velocity():
     p = Capsule(mu=0.0).plant()
     velocity = 0.03
     start = (-1.0, 0.5, 0.2, velocity + p.m * p.l * math.cos(1.0) * 0.5 / (p.M + p.m))
-    run = driver.run(random_torque(0.5, 5), start, p, HOLD, 320)
+    run = reference.run(random_torque(0.5, 5), start, p, HOLD, 320)
     theta, theta_dot, x, x_dot = run.states.T
     share = p.m * p.l / (p.M + p.m)
     t = HOLD * np.arange(len(theta))
@@ -141,13 +135,13 @@ def test_a_load_below_the_threshold_never_moves_the_platform(ratio, mu):
     p = Capsule(mu=mu).plant()
     # The load drifts while a torque is held, and 99.9 % leaves it little room: hold it for 0.05 ms.
     start = (-0.6, 0.0, 0.123456789, 0.0)
-    final, moved, angles = driver.hold_load(ratio, start, p, 5e-5, 200_000)
+    final, moved, angles = reference.hold_load(ratio, start, p, 5e-5, 200_000)
     assert moved == 0
     assert final[3] == 0.0
     assert final[2] == 0.123456789
     assert -math.pi / 2 < angles[0] < angles[1] < math.pi / 2
     # The same load just above the threshold does move it.
-    assert driver.hold_load(1.001, start, p, 5e-5, 2)[1] > 0
+    assert reference.hold_load(1.001, start, p, 5e-5, 2)[1] > 0
 
 
 # Against the reference
@@ -168,8 +162,8 @@ AGREEMENT = [
 @pytest.mark.parametrize(("mu", "name", "torques", "options"), AGREEMENT, ids=[f"{a[0]}-{a[1]}" for a in AGREEMENT])
 def test_agreement_with_the_reference_after_ten_seconds(mu, name, torques, options):
     capsule = Capsule(mu=mu, **options)
-    expected = reference.simulate(torques, START, constants(capsule))
-    run = driver.run(torques, START, capsule.plant(), HOLD, 20)
+    expected = reference.simulate(torques, START, capsule.plant())
+    run = reference.run(torques, START, capsule.plant(), HOLD, 20)
     assert np.abs(run.states - expected.states).max() < 1e-8
     assert run.events[-1] == len(expected.events)
     # Rounding must not make the phases chatter.
@@ -189,9 +183,9 @@ def test_agreement_with_the_reference_after_ten_seconds(mu, name, torques, optio
 def test_the_smallest_normal_force_agrees_with_the_reference(mu):
     capsule = Capsule(mu=mu)
     torques = random_torque(1.0, 25, seconds=4.0)
-    expected = reference.simulate(np.repeat(torques, 20), START, constants(capsule), hold=HOLD / 20)
+    expected = reference.simulate(np.repeat(torques, 20), START, capsule.plant(), hold=HOLD / 20)
     smallest = expected.normal[1:].reshape(-1, 20).min(axis=1)
-    run = driver.run(torques, START, capsule.plant(), HOLD, 20)
+    run = reference.run(torques, START, capsule.plant(), HOLD, 20)
     assert smallest.min() < 4.0 < 6.2 < smallest.max()
     # The reference looks at both ends of every millisecond, the step at the starts of phases only.
     assert np.all(run.normal[1:] >= smallest - 1e-6)
@@ -206,11 +200,11 @@ def test_fourth_order_through_dozens_of_events():
         capsule = Capsule(mu=mu)
         for seed in range(1):
             torques = random_torque(amplitude, 30 + seed, hold=hold, seconds=9.6)
-            expected = reference.simulate(torques, START, constants(capsule), hold=hold)
+            expected = reference.simulate(torques, START, capsule.plant(), hold=hold)
             assert len(expected.events) >= 24
             errors = []
             for steps in (3, 24):  # 8 ms and 1 ms
-                run = driver.run(torques, START, capsule.plant(), hold, steps)
+                run = reference.run(torques, START, capsule.plant(), hold, steps)
                 assert run.events[-1] >= 24
                 errors.append(np.abs(run.states - expected.states).max())
             orders.append(math.log2(errors[0] / errors[1]) / 3)
@@ -222,7 +216,7 @@ def test_fourth_order_through_dozens_of_events():
 
 def compare_one_step(capsule: Capsule, state: tuple, u: float, h: float) -> tuple[dynamics.Motion, list, float]:
     """One step, the reference's events (time, before, after) in it, and the largest error in any state."""
-    expected = reference.simulate([u], state, constants(capsule), hold=h)
+    expected = reference.simulate([u], state, capsule.plant(), hold=h)
     motion = dynamics.step(*state, u, capsule.plant(), h)
     return motion, expected.events, float(np.abs(np.array(motion[:4]) - expected.states[-1]).max())
 
@@ -238,7 +232,7 @@ def test_stick_is_released_inside_a_step_where_the_pendulum_itself_reaches_the_l
         ratio = capsule.static_ratio * rng.uniform(0.9, 0.999)
         if rng.random() < 0.5:
             ratio *= -capsule.backward_ratio
-        u = driver.torque_for_load.py_func(ratio, theta, theta_dot, capsule.plant())
+        u = reference.torque_for_load.py_func(ratio, theta, theta_dot, capsule.plant())
         if abs(u) > 2.0:
             continue
         motion, events, error = compare_one_step(capsule, (theta, theta_dot, 0.0, 0.0), u, h)
@@ -262,13 +256,13 @@ def test_several_events_in_one_large_step():
         capsule = Capsule(mu=rng.uniform(0.02, 0.3))
         state = (rng.uniform(-1.2, 1.2), rng.uniform(-6, 6), 0.0, rng.uniform(-0.02, 0.02))
         u = rng.uniform(-1.0, 1.0)
-        motion = driver.step(*state, u, capsule.plant(), h)
+        motion = reference.step(*state, u, capsule.plant(), h)
         if motion.events < 2:
             continue
-        expected = reference.simulate([u], state, constants(capsule), hold=h)
+        expected = reference.simulate([u], state, capsule.plant(), hold=h)
         if len(expected.events) != motion.events:
             # A graze that a large step may miss must be one: refining the step has to recover it.
-            fine = driver.run(np.array([u]), state, capsule.plant(), h, 100)
+            fine = reference.run(np.array([u]), state, capsule.plant(), h, 100)
             assert fine.events[-1] == len(expected.events)
             continue
         counts.append(motion.events)
@@ -291,14 +285,14 @@ def test_a_load_at_the_limit_to_the_last_bit_neither_hangs_nor_chatters():
         capsule = Capsule(mu=10.0 ** rng.uniform(-5.0, -0.5))
         p = capsule.plant()
         theta, theta_dot = rng.uniform(-1.2, 1.2), rng.choice([0.0, rng.uniform(-6, 6)])
-        u = driver.torque_for_load(rng.choice([-1.0, 1.0]) * rng.choice(nearly), theta, theta_dot, p)
+        u = reference.torque_for_load(rng.choice([-1.0, 1.0]) * rng.choice(nearly), theta, theta_dot, p)
         x_dot = rng.choice([0.0, 5e-324, -5e-324, 1e-17, -1e-17, 1e-12])
         h = rng.choice([1e-3, 5e-3])
-        motion = driver.step(theta, theta_dot, 0.0, x_dot, u, p, h)
+        motion = reference.step(theta, theta_dot, 0.0, x_dot, u, p, h)
         assert motion.events <= 5
         # The whole step has passed: a torque off by a billionth, away from the limit, makes much the same motion.
         if i % 10 == 0:
-            beside = [driver.step(theta, theta_dot, 0.0, 0.0, u + off, p, h) for off in (-1e-9, 1e-9)]
+            beside = [reference.step(theta, theta_dot, 0.0, 0.0, u + off, p, h) for off in (-1e-9, 1e-9)]
             error = min(np.abs(np.array(motion[:4]) - other[:4]).max() for other in beside)
             assert error < 1e-6
             assert abs(motion.theta - theta - h * theta_dot) < 400.0 * h**2
@@ -316,7 +310,7 @@ def test_a_step_reports_that_the_contact_is_lost():
         assert dynamics.step(0.0, 0.999 * upright, 0.0, x_dot, 0.0, p, 1e-4).normal_force > 0.0
         assert dynamics.step(0.0, 1.001 * upright, 0.0, x_dot, 0.0, p, 1e-4).normal_force == 0.0
     resting = dynamics.step(-0.2, 0.0, 0.0, 0.0, 0.0, p, 1e-3).normal_force
-    assert resting == pytest.approx(reference.rates(-0.2, 0.0, 0.0, 0.0, reference.Constants())[2], rel=1e-12)
+    assert resting == pytest.approx(reference.rates(-0.2, 0.0, 0.0, 0.0, Capsule().plant())[2], rel=1e-12)
 
 
 def test_friction_never_pushes_a_platform_that_has_lost_contact():
@@ -328,7 +322,7 @@ def test_friction_never_pushes_a_platform_that_has_lost_contact():
             start, drift = energy(state, p), momentum(state, p)
             lifted = 0
             for _ in range(2500):
-                motion = driver.step(*state, 0.0, p, 1e-4)
+                motion = reference.step(*state, 0.0, p, 1e-4)
                 assert energy(motion[:4], p) - energy(state, p) < 1e-10
                 if motion.normal_force == 0.0:
                     lifted += 1
@@ -340,7 +334,7 @@ def test_friction_never_pushes_a_platform_that_has_lost_contact():
                 state = motion[:4]
             assert lifted > 200
             for _ in range(200):
-                state = driver.step(*state, 0.0, p, 1e-4)[:4]
+                state = reference.step(*state, 0.0, p, 1e-4)[:4]
             # With the contact back friction takes energy away.
             assert energy(state, p) < start - 1e-3
 
@@ -358,10 +352,10 @@ def test_python_and_compiled_steps_are_equal_bit_for_bit():
         x_dot = float(rng.choice([0.0, rng.uniform(-0.01, 0.01), rng.uniform(-0.5, 0.5)]))
         u = rng.uniform(-1.5, 1.5)
         if x_dot == 0.0 and rng.random() < 0.5:
-            u = driver.torque_for_load(rng.choice([-1, 1]) * rng.uniform(0.95, 1.05), theta, theta_dot, p)
+            u = reference.torque_for_load(rng.choice([-1, 1]) * rng.uniform(0.95, 1.05), theta, theta_dot, p)
         h = float(rng.choice([5e-4, 1e-3, 5e-3, 2e-2]))
         interpreted = dynamics.step(theta, theta_dot, 0.3, x_dot, u, p, h)
-        compiled = driver.step(theta, theta_dot, 0.3, x_dot, u, p, h)
+        compiled = reference.step(theta, theta_dot, 0.3, x_dot, u, p, h)
         assert interpreted == compiled
         events += interpreted.events
     assert events > 150
@@ -374,14 +368,14 @@ def test_the_step_does_not_depend_on_where_the_platform_is_and_mirrors():
         p = capsule.plant()
         state = np.array((rng.uniform(-1.2, 1.2), rng.uniform(-6, 6), 0.0, rng.choice([0.0, rng.uniform(-0.02, 0.02)])))
         u = rng.uniform(-1, 1)
-        motion = driver.step(*state, u, p, 0.005)
-        mirrored = driver.step(*-state, -u, p, 0.005)
+        motion = reference.step(*state, u, p, 0.005)
+        mirrored = reference.step(*-state, -u, p, 0.005)
         assert -np.array(mirrored[:4]) == pytest.approx(np.array(motion[:4]), abs=1e-15)
         assert (mirrored.forward, mirrored.backward) == pytest.approx((motion.backward, motion.forward), abs=1e-15)
         assert (mirrored.stuck, mirrored.events) == (motion.stuck, motion.events)
-        moved = driver.step(state[0], state[1], 4.0, state[3], u, p, 0.005)
+        moved = reference.step(state[0], state[1], 4.0, state[3], u, p, 0.005)
         assert moved.x - 4.0 == pytest.approx(motion.x, abs=4e-15)
         rough_backwards = replace(capsule, backward_ratio=3.0).plant()
         if motion.backward == 0.0 and motion.stuck == 0.0:
             # What only acts backwards cannot show while the platform moves forwards.
-            assert driver.step(*state, u, rough_backwards, 0.005) == motion
+            assert reference.step(*state, u, rough_backwards, 0.005) == motion
