@@ -88,7 +88,7 @@ bits: $(STAMP)  ## The same on every processor that this one can emulate, and th
 	$(BIN)/python -m web.recordings
 
 # What asks whether kernels compiled for other processors agree would compile them a second time.
-CHECKED := $(addprefix tests/capsule_gym/test_,$(addsuffix .py,dynamics simulation resets network identification \
+CHECKED := $(addprefix tests/capsule_gym/test_,$(addsuffix .py,dynamics simulation resets network observation \
 	rollout env vector_env)) tests/baselines/laws tests/agents/training/test_collection.py
 boundscheck: export NUMBA_BOUNDSCHECK = 1
 boundscheck: $(STAMP)  ## Run the kernels with every index checked: their tests, and the episodes whose bits are committed

@@ -167,7 +167,7 @@ def resets(env_id: str) -> Turn:
 
 def episodes(policy: Policy) -> Turn:
     """The first steps of episodes of a trained policy in one compiled call, as evaluations run them."""
-    from capsule_gym.rollout import rollout
+    from capsule_gym.network import rollout
 
     simulation = seeded(EVALUATED, **policy.env_kwargs)
 

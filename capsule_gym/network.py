@@ -1,4 +1,4 @@
-"""A trained policy in strict float64, for any number of environments: inputs, layers, action.
+"""A trained policy in strict float64, for any number of environments: inputs, layers, action, whole episodes.
 
 An environment is a lane, as in `capsule_gym.kernels`: every loop runs over LANES of them, of which the compiler takes
 several at once. Each unit adds its inputs in their order, bias first, one fused multiply-add after the other, so that
@@ -7,19 +7,24 @@ an action depends on nothing but its own observation: neither on the batch nor o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numba import types
 
+from capsule_gym import kernels, layout
 from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, jitable, kernel, use_widest_vectors
 from capsule_gym.elementary import clip, fma, log, tanh
-from capsule_gym.identification import CELLS, ESTIMATES, estimates, identify
-from capsule_gym.layout import LANES, load, record, store
-from capsule_gym.observation import observation_names
-from capsule_gym.parameters import Capsule, EnvConfig
+from capsule_gym.layout import AT, LANES, load, record, store
+from capsule_gym.observation import CELLS, ESTIMATES, estimates, identify, observation_names
+from capsule_gym.parameters import Capsule, EnvConfig, check_count
+
+if TYPE_CHECKING:
+    from capsule_gym.policy import Policy
+    from capsule_gym.simulation import Simulation
 
 # Units that are computed together, and inputs that are added to them at once: the registers of AVX2 and AVX-512 hold
 # no more. Every width is padded with zeros to a multiple.
@@ -237,18 +242,7 @@ def activate(sums: np.ndarray, units: int, n: int, relu: bool) -> None:
 
 @inner
 def forward(network: np.ndarray, inputs: np.ndarray, first: int, n: int, lanes: np.ndarray) -> np.ndarray:
-    """The outputs for up to LANES environments.
-
-    Args:
-        network: from `pack`.
-        inputs: shape (environments, at least so many inputs), float32.
-        first: first environment.
-        n: how many.
-        lanes: from `workspace`; changed.
-
-    Returns:
-        The n outputs, a part of `lanes`: float64; within [-1, 1] where tanh brings them there.
-    """
+    """The outputs of n <= LANES environments from `first` on: float64, a part of `lanes`, which is from `workspace`."""
     header = record(network, 0, Header)
     layers = header.layers
     values, sums = lanes[0], lanes[1]
@@ -273,13 +267,7 @@ def write_inputs(
 ) -> None:
     """Writes the network's inputs of environments first..first + n - 1 into the same rows of `inputs`.
 
-    Args:
-        network: from `pack`.
-        observations: shape (environments, entries), float32.
-        first: first environment.
-        n: how many.
-        memory: shape (environments * CELLS,), float64, changed; any where nothing is identified.
-        inputs: shape (environments, at least so many inputs), float32; written.
+    The arrays are those of `act_batch`.
     """
     header = record(network, 0, Header)
     for i in range(first, first + n):
@@ -325,19 +313,9 @@ def act_lanes(
     inputs: np.ndarray,
     lanes: np.ndarray,
 ) -> np.ndarray:
-    """The actions of up to LANES environments.
+    """The actions in [-1, 1] of n <= LANES environments from `first` on, a part of `lanes`: float64.
 
-    Args:
-        network: from `pack`.
-        observations: shape (environments, entries), float32.
-        first: first environment.
-        n: how many.
-        memory: as `write_inputs` takes it; changed.
-        inputs: as `write_inputs` takes it; written where the policy adds to the observation.
-        lanes: from `workspace`; changed.
-
-    Returns:
-        The n actions, a part of `lanes`: float64, in [-1, 1].
+    The arrays are those of `act_batch`; `lanes` is from `workspace`.
     """
     header = record(network, 0, Header)
     if header.identifies or header.observes_energy_weight:
@@ -359,8 +337,8 @@ def act_batch(
     Args:
         network: from `pack`.
         observations: shape (n, entries), float32.
-        memory: as `write_inputs` takes it; changed.
-        inputs: as `write_inputs` takes it; written.
+        memory: shape (n * CELLS,), float64, changed; any where nothing is identified.
+        inputs: shape (n, at least so many inputs), float32, written where the policy adds to the observation.
         actions: shape (n, 1), float32; written.
     """
     lanes = workspace(network)
@@ -380,3 +358,135 @@ def compiled_act_batch() -> Any:
     compile_now(compiled, signature, "the network of trained policies")
     # Read-only arrays are another type to numba, and would be compiled for anew.
     return next(iter(compiled.overloads.values())).entry_point
+
+
+# The columns of the changes of M and mu: the environment, or -1 where the change is done, and the rest in SI units.
+ENVIRONMENT, TIME, NEW_M, NEW_MU = range(4)
+
+
+def run_episodes(
+    advance: Any,
+    world: np.ndarray,
+    first: int,
+    last: int,
+    steps: int,
+    control_dt: float,
+    fixed: np.ndarray,
+    observations: np.ndarray,
+    network: np.ndarray,
+    memory: np.ndarray,
+    inputs: np.ndarray,
+    changes: np.ndarray,
+) -> int:
+    """Takes the environments first..last-1 through agent steps, each until its episode ends.
+
+    Args:
+        advance: `kernels.advance`, compiled with the law.
+        world: as `kernels.advance` takes it, with first (a multiple of LANES), last, fixed and observations; changed.
+        first: first environment.
+        last: one past the last.
+        steps: how many agent steps.
+        control_dt: length of one, s.
+        fixed: plant, settings and the controller's table.
+        observations: changed.
+        network: as `act_batch` takes it, with memory and inputs.
+        memory: changed.
+        inputs: changed.
+        changes: shape (changes, 4), those of an environment in order of time; changed.
+
+    Returns:
+        Index of an environment whose law returned no finite torque, or -1.
+    """
+    lanes = workspace(network)
+    for b in range(first // LANES, (last + LANES - 1) // LANES):
+        block, start = world[b], b * LANES
+        n = min(LANES, last - start)
+        for _ in range(steps):
+            going = 0
+            for j in range(n):
+                active = block[AT.termination + j] == 0.0
+                block[AT.active + j] = 1.0 if active else 0.0
+                going += active
+            actions = act_lanes(network, observations, start, n, memory, inputs, lanes)
+            for j in range(n):
+                # As coarse as an action that is handed to the environment.
+                block[AT.action + j] = np.float32(actions[j])
+            for change in changes:
+                j = int(change[ENVIRONMENT]) - start
+                if 0 <= j < n and change[TIME] <= block[AT.steps + j] * control_dt + 1e-9:
+                    block[AT.M + j], block[AT.mu + j] = change[NEW_M], change[NEW_MU]
+                    change[ENVIRONMENT] = -1.0
+            broken = advance(world, start, start + n, False, fixed, observations)
+            if broken >= 0:
+                return broken
+            # One step more than they need: it leaves what a loop in Python leaves.
+            if going == 0:
+                break
+    return -1
+
+
+@lru_cache(maxsize=1)
+def _compiled_episodes() -> Any:
+    """`run_episodes`, compiled once for all laws, whose steps it takes as functions."""
+    compiled = kernel(run_episodes, fingerprint(run_episodes)[:16], {})
+    world, first, last, _, fixed, observations = kernels.SIGNATURE
+    step = types.FunctionType(types.int64(*kernels.SIGNATURE))
+    numbers, changes = types.float64[::1], types.float64[:, ::1]
+    policy = (numbers, numbers, observations)
+    signature = (step, world, first, last, types.int64, types.float64, fixed, observations, *policy, changes)
+    compile_now(compiled, signature, "the episodes of trained policies")
+    # numba's dispatcher would compile it anew for the type of every law's step.
+    return next(iter(compiled.overloads.values())).entry_point
+
+
+def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.ndarray]:
+    """Runs a policy in every environment of a simulation, whose episodes have begun.
+
+    An environment whose episode ends stands still from then on. The bits are those of a batch that is stepped with
+    `policy.start(..)`; the memory of the policy begins with the call.
+
+    Args:
+        simulation: after `reset`; changed. Its threads share the environments.
+        policy: what acts.
+        steps: how many agent steps, at least 1; they are also the length of a whole episode in the metrics.
+
+    Returns:
+        `simulation.metrics` of every environment.
+
+    Raises:
+        ValueError: if the policy does not fit the observation, or a user's control law returned a torque that is not
+            finite.
+    """
+    check_count("steps", steps)
+    entries = simulation.observations.shape[1]
+    if policy.entries != entries:
+        raise ValueError(
+            f"policy must take the observations of the simulation, {entries} entries, got {policy.name!r}, which takes "
+            f"{policy.entries}"
+        )
+    changes = np.array(
+        [(i, *change) for i, schedule in simulation._changes.items() for change in schedule], np.float64
+    ).reshape(-1, 4)
+    memory = policy.new_memory(simulation.num_envs)
+    inputs = np.empty((simulation.num_envs, len(policy.mean)), np.float32)
+    blocks = simulation.world.reshape(len(simulation.world), -1)
+    layout.check_arrays(
+        world=(blocks, np.float64, (None, simulation.world[0].size)),
+        observations=(simulation.observations, np.float32, (simulation.num_envs, entries)),
+        network=(policy._network, np.float64, (None,)),
+        changes=(changes, np.float64, (None, 4)),
+    )
+    compiled, step = _compiled_episodes(), simulation._kernel
+    given = steps, simulation.options.control_dt, simulation.fixed, simulation.observations
+    acting = policy._network, memory, inputs, changes
+    broken = max(simulation.share(lambda first, last: compiled(step, blocks, first, last, *given, *acting)))
+    simulation._everyone = False
+    simulation._changes = {}
+    simulation._due[:] = math.inf
+    for i, *change in changes[changes[:, ENVIRONMENT] >= 0.0].tolist():
+        simulation._changes.setdefault(int(i), []).append((change[0], change[1], change[2]))
+    for i, schedule in simulation._changes.items():
+        simulation._due[i] = schedule[0][0]
+    if broken >= 0:
+        simulation._report(broken)
+    return simulation.metrics(np.arange(simulation.num_envs), steps)

@@ -1,4 +1,4 @@
-"""The observation: the names and bounds of its entries, and how the compiled step writes them."""
+"""The observation: its entries, their bounds, how the step writes them, and how M and mu are identified from it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from capsule_gym.compilation import inlined
-from capsule_gym.elementary import clip, sincos
+from capsule_gym.elementary import clip, exp, sincos
 from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.task import THETA_LIMIT
 
@@ -118,3 +118,113 @@ def write_observation(
     if with_parameters:
         out[next_entry] = parameters[0]
         out[next_entry + 1] = parameters[1]
+
+
+# Identification of M and mu: see `identify`.
+# Before anything is seen, M in kg and log(mu): a little wider than `randomization="wide"`.
+PRIOR_M, PRIOR_LOG_MU = 0.55, -3.25
+DEVIATION_M, DEVIATION_LOG_MU = 0.2, 1.5
+# The estimates' range.
+LOW_M, HIGH_M, LOW_LOG_MU, HIGH_LOG_MU = 0.15, 2.0, -7.0, 0.0
+# Of a velocity's difference, m/s: far above float32's rounding, so that the first pairs do not overshoot.
+NOISE = 1e-3
+# Gauss-Newton steps for a pair, what is left of the information after it, and the deviations at which it contradicts.
+ITERATIONS, RETAINED, DOUBT = 3, 0.95, 5.0
+# m/s; slower, the platform may have stuck in between.
+SLOWEST = 0.02
+
+# Cells of the memory: 1.0 once begun; M, log(mu) and their covariance; cos(theta) theta', sin(theta) theta' and x' of
+# the last observation. All 0.0 at the start of an episode.
+CELLS = 9
+# Inputs that it gives a policy: M, log(mu), and the standard deviations of both.
+ESTIMATES = ("M_estimate", "log_mu_estimate", "M_deviation", "log_mu_deviation")
+
+Memory = tuple[float, float, float, float, float, float, float, float, float]
+
+
+@inlined
+def balance(
+    M: float, log_mu: float, across: float, along: float, s: float, m: float, l: float, g: float, dt: float
+) -> tuple[float, float, float]:
+    """The change of x' in m/s that the balance of momentum predicts, and its slopes over M and log(mu).
+
+    Args:
+        M: kg.
+        log_mu: logarithm of the friction coefficient.
+        across: d(cos(theta) theta'), rad/s.
+        along: d(sin(theta) theta'), rad/s.
+        s: sign of x'.
+        m: mass of the ball, kg.
+        l: length of the pendulum, m.
+        g: gravitational acceleration, m/s^2.
+        dt: time between the observations, s.
+    """
+    q, mu = m * l / (M + m), exp(log_mu)
+    friction = mu * s * (g * dt - q * along)
+    return q * across - friction, -q / (M + m) * (across + mu * s * along), -friction
+
+
+@inlined
+def identify(
+    memory: Memory, theta: float, theta_dot: float, x_dot: float, m: float, l: float, g: float, dt: float
+) -> Memory:
+    """The memory of M and mu, identified on line from the observations, after one more of them.
+
+    While the platform slips one way the balance of momentum between two observations holds exactly, whatever the torque
+    did in between. With q = m l / (M + m) and s the sign of x' it reads
+
+        d x' = q d(cos(theta) theta') - mu s (g dt - q d(sin(theta) theta'))
+
+    where d is the difference of the two. An iterated extended Kalman filter keeps M and log(mu) with their covariance,
+    and takes one such pair after the other; pairs in which the platform sticks or turns say nothing that is as simple.
+    What it knows fades a little with every pair, and where a pair contradicts it the filter doubts it all: M and mu may
+    jump. It knows one coefficient of friction and Newton's normal force; of a `Capsule` with another one backwards, or
+    with the paper's, the balance is not exact. The filter belongs to the policy, not to the environment.
+
+    Args:
+        memory: see `CELLS`.
+        theta: rad.
+        theta_dot: rad/s.
+        x_dot: m/s.
+        m: mass of the ball, kg; with the rest as for `balance`.
+        l: m.
+        g: m/s^2.
+        dt: s.
+    """
+    begun, M, log_mu, P_MM, P_Mf, P_ff, last_across, last_along, last_x_dot = memory
+    sin, cos = sincos(theta)
+    across, along = cos * theta_dot, sin * theta_dot
+    if begun == 0.0:
+        return (
+            *(1.0, PRIOR_M, PRIOR_LOG_MU, DEVIATION_M * DEVIATION_M, 0.0, DEVIATION_LOG_MU * DEVIATION_LOG_MU),
+            *(across, along, x_dot),
+        )
+    if x_dot * last_x_dot > 0.0 and min(abs(x_dot), abs(last_x_dot)) > SLOWEST:
+        s = 1.0 if x_dot > 0.0 else -1.0
+        d_across, d_along, change = across - last_across, along - last_along, x_dot - last_x_dot
+        before_M, before_log_mu = M, log_mu
+        gain_M = gain_f = to_M = to_f = 0.0
+        for iteration in range(ITERATIONS):
+            predicted, slope_M, slope_f = balance(M, log_mu, d_across, d_along, s, m, l, g, dt)
+            surprise = change - predicted - slope_M * (before_M - M) - slope_f * (before_log_mu - log_mu)
+            to_M, to_f = P_MM * slope_M + P_Mf * slope_f, P_Mf * slope_M + P_ff * slope_f
+            variance = slope_M * to_M + slope_f * to_f + NOISE * NOISE
+            if iteration == 0 and surprise * surprise > DOUBT * DOUBT * variance:
+                P_MM, P_Mf, P_ff = DEVIATION_M * DEVIATION_M, 0.0, DEVIATION_LOG_MU * DEVIATION_LOG_MU
+                to_M, to_f = P_MM * slope_M, P_ff * slope_f
+                variance = slope_M * to_M + slope_f * to_f + NOISE * NOISE
+            gain_M, gain_f = to_M / variance, to_f / variance
+            M = min(HIGH_M, max(LOW_M, before_M + gain_M * surprise))
+            log_mu = min(HIGH_LOG_MU, max(LOW_LOG_MU, before_log_mu + gain_f * surprise))
+        P_MM, P_Mf, P_ff = P_MM - gain_M * to_M, P_Mf - gain_M * to_f, P_ff - gain_f * to_f
+        # Never less certain than before anything was seen.
+        fading = max(RETAINED, P_MM / (DEVIATION_M * DEVIATION_M), P_ff / (DEVIATION_LOG_MU * DEVIATION_LOG_MU))
+        P_MM, P_Mf, P_ff = P_MM / fading, P_Mf / fading, P_ff / fading
+    return begun, M, log_mu, P_MM, P_Mf, P_ff, across, along, x_dot
+
+
+@inlined
+def estimates(memory: Memory) -> tuple[float, float, float, float]:
+    """What `ESTIMATES` names."""
+    _, M, log_mu, P_MM, _, P_ff, _, _, _ = memory
+    return M, log_mu, math.sqrt(max(0.0, P_MM)), math.sqrt(max(0.0, P_ff))

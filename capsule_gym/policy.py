@@ -126,7 +126,7 @@ class Policy:
         revision: the git revision of the code that trained it.
         output: what the network puts out: the "action", or the wanted "torque" in torque limits, from which the torque
             of the control law is subtracted.
-        identifies: whether M, log(mu) and their standard deviations, as `capsule_gym.identification` finds them on
+        identifies: whether M, log(mu) and their standard deviations, as `capsule_gym.observation` finds them on
             line, follow the observation among the inputs.
         observes_energy_weight: whether the `energy_weight` of `env_kwargs` follows among the inputs.
 
@@ -158,19 +158,15 @@ class Policy:
         # With it comes numba, which takes most of a second to import; the names of policies need none of it.
         from capsule_gym import network
 
-        for name, value, accepted in (
-            ("activation", self.activation, ACTIVATIONS),
-            ("squashing", self.squashing, SQUASHINGS),
-            ("output", self.output, OUTPUTS),
-        ):
-            if value not in accepted:
+        for name, accepted in (("activation", ACTIVATIONS), ("squashing", SQUASHINGS), ("output", OUTPUTS)):
+            if (value := getattr(self, name)) not in accepted:
                 raise ValueError(f"{name} must be one of {accepted}, got {value!r}")
-        for name, switch in (("identifies", self.identifies), ("observes_energy_weight", self.observes_energy_weight)):
-            if not isinstance(switch, bool):
-                raise TypeError(f"{name} must be True or False, got {switch!r}")
-        for name, text in (("algorithm", self.algorithm), ("revision", self.revision)):
-            if not isinstance(text, str) or not text:
-                raise TypeError(f"{name} must be a string that is not empty, got {text!r}")
+        for name in ("identifies", "observes_energy_weight"):
+            if not isinstance(value := getattr(self, name), bool):
+                raise TypeError(f"{name} must be True or False, got {value!r}")
+        for name in ("algorithm", "revision"):
+            if not isinstance(value := getattr(self, name), str) or not value:
+                raise TypeError(f"{name} must be a string that is not empty, got {value!r}")
         if isinstance(self.training_seed, bool) or not isinstance(self.training_seed, int) or self.training_seed < 0:
             raise ValueError(f"training_seed must be an integer >= 0, got {self.training_seed!r}")
         check_number("clip", self.clip, f"a number in (0, {LARGEST_CLIP:g}]", 0.0, LARGEST_CLIP, open_low=True)
@@ -179,13 +175,8 @@ class Policy:
         if self.output == "torque" and not network.residual_limit(options) > 0.0:
             raise ValueError("output must be 'action' where env_kwargs give no residual_limit > 0, got 'torque'")
         if self.observes_energy_weight:
-            name = "env_kwargs['energy_weight']"
-            check_number(
-                name,
-                options.energy_weight,
-                f"{ENERGY_WEIGHT_TEXT} where it is observed",
-                *ENERGY_WEIGHTS,
-            )
+            accepted_weights = f"{ENERGY_WEIGHT_TEXT} where it is observed"
+            check_number("env_kwargs['energy_weight']", options.energy_weight, accepted_weights, *ENERGY_WEIGHTS)
         inputs = len(network.input_names(network.observed(options), self.identifies, self.observes_energy_weight))
         widths = _widths([(weights.shape, bias.shape) for weights, bias in self.layers])
         if widths[0] != inputs:
@@ -267,7 +258,7 @@ class Policy:
 
     def new_memory(self, count: int) -> np.ndarray:
         """The memory at the beginning of `count` episodes: a filter for each where the policy identifies M and mu."""
-        from capsule_gym.identification import CELLS
+        from capsule_gym.observation import CELLS
 
         return np.zeros(count * CELLS if self.identifies else 0)
 
@@ -303,20 +294,15 @@ class Policy:
             name: asdict(value) if isinstance(value, (Capsule, Randomization)) else value
             for name, value in self.env_kwargs.items()
         }
+        texts = {name: getattr(self, name) for name in ("algorithm", "activation", "squashing", "output", "revision")}
         metadata = {
-            "format": FORMAT,
-            "format_version": FORMAT_VERSION,
-            "algorithm": self.algorithm,
-            "activation": self.activation,
-            "squashing": self.squashing,
-            "output": self.output,
+            **{"format": FORMAT, "format_version": FORMAT_VERSION, **texts},
             "identifies": json.dumps(self.identifies),
             "told_energy_weight": json.dumps(self.observes_energy_weight),
             "clip": repr(float(self.clip)),
             "epsilon": repr(float(self.epsilon)),
             "env_kwargs": json.dumps(plain, sort_keys=True, allow_nan=False),
             "training_seed": str(self.training_seed),
-            "revision": self.revision,
         }
         write_atomically(Path(path), _in_order(save(tensors, metadata)))
 
@@ -438,19 +424,12 @@ def _parse(name: str, path: Path) -> Policy:
             )
         if sum(map(len, metadata.values())) > LARGEST_METADATA:
             raise ValueError(f"its metadata must have at most {LARGEST_METADATA} characters")
-        # Everything is checked by what the header says, before a tensor is read.
         names = set(file.keys())
         count = sum(tensor.endswith(".weight") for tensor in names)
         layers = [(f"layers.{n}.weight", f"layers.{n}.bias") for n in range(min(count, MOST_LAYERS + 1))]
         expected = {"inputs.mean", "inputs.variance"}.union(*layers)
         if names != expected:
             raise ValueError(f"it must hold the tensors {sorted(expected)}, got {sorted(names)[:20]}")
-        parts = {tensor: file.get_slice(tensor) for tensor in names}
-        for tensor, part in parts.items():
-            dtype = "F32" if tensor.startswith("layers.") else "F64"
-            if part.get_dtype() != dtype:
-                raise ValueError(f"{tensor} must be {dtype}, got {part.get_dtype()}")
-        _widths([(parts[weights].get_shape(), parts[bias].get_shape()) for weights, bias in layers])
         arrays = {tensor: file.get_tensor(tensor) for tensor in names}
     values: dict[str, Any] = {}
     for key, (read, accepted) in METADATA.items():

@@ -191,7 +191,7 @@ def batch(subject: Subject, threads: int = 1) -> CapsuleVectorEnv:
 def compute(subject: Subject) -> tuple[str, list[str]]:
     """The hash of a subject, and where an episode differs from itself, one line each."""
     # numba takes most of a second to import, which --help need not wait for.
-    from capsule_gym.rollout import rollout
+    from capsule_gym.network import rollout
 
     trajectory, metrics = batched(subject)
     wrong = []

@@ -21,10 +21,9 @@ from baselines.gaits.archive import GaitMap, encode_gaits, oracle_map, tolerant_
 from baselines.policies import SCRIPTED
 from capsule_gym import load_policy, task
 from capsule_gym.evaluation_sets import SET_NAMES, load_set
-from capsule_gym.identification import CELLS
 from capsule_gym.layout import LANES, SETTINGS, Row, StepSettings
 from capsule_gym.network import Header
-from capsule_gym.observation import M_BOUND, MU_BOUND
+from capsule_gym.observation import CELLS, M_BOUND, MU_BOUND
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, EnvConfig
 from capsule_gym.simulation import NO_CONTROLLER, count_rows
 from web.controllers import (

@@ -33,10 +33,9 @@ from capsule_gym.compilation import fingerprint, inlined, inner, rebound
 from capsule_gym.controller import Controller
 from capsule_gym.elementary import logarithm
 from capsule_gym.files import write_atomically
-from capsule_gym.identification import CELLS
 from capsule_gym.layout import LANES
 from capsule_gym.network import act_lanes
-from capsule_gym.observation import observation_names
+from capsule_gym.observation import CELLS, observation_names
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.simulation import NO_CONTROLLER
 from web import assembly

@@ -2,7 +2,7 @@
 
 The expert is the optimum of the episode's plant, `baselines.dynamic_programming.policy.Oracle`. It observes M and mu.
 A student from which they are hidden learns what costs least over the plants that a state may belong to. A student that
-identifies them on line is also given the estimates of `capsule_gym.identification`.
+identifies them on line is also given the estimates of `capsule_gym.observation`.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from agents.distillation.config import Student
 from baselines.dynamic_programming.policy import TORQUES, Oracle
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.compilation import compile_cached
-from capsule_gym.identification import CELLS
 from capsule_gym.network import make_header, write_inputs
+from capsule_gym.observation import CELLS
 from capsule_gym.parameters import NOMINAL, EnvConfig, Randomization
 from capsule_gym.resets import draw_plant
 from capsule_gym.task import CONTROL_DT

@@ -80,7 +80,7 @@ def evaluate(
 ) -> list[Episode]:
     """Runs a policy once on every plant of a set, all plants at once, each from rest.
 
-    A trained policy runs in compiled code, `capsule_gym.rollout`; any other is called at every step.
+    A trained policy runs in compiled code, `capsule_gym.network.rollout`; any other is called at every step.
 
     Args:
         policy: as for `wrap_policy`; or a candidate, or its name or path as for `find_candidate`: all its training
@@ -159,7 +159,7 @@ def _run(
         arrays = {key: np.array(options[key]) for key in ("M", "mu", "state")}
         observations, _ = env.reset(seed=seeds, options={**options, **arrays})
         if isinstance(policy, capsule_gym.Policy):
-            from capsule_gym.rollout import rollout
+            from capsule_gym.network import rollout
 
             return rollout(env.simulation, policy, steps)
         act = policy.start(seeds)

@@ -14,7 +14,6 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 from capsule_gym import kernels, layout, resets
 from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, kernel
 from capsule_gym.elementary import exp
-from capsule_gym.identification import CELLS
 from capsule_gym.layout import AT, LANES, record
 from capsule_gym.network import (
     LAW_TORQUE,
@@ -26,7 +25,7 @@ from capsule_gym.network import (
     workspace,
     write_inputs,
 )
-from capsule_gym.observation import observation_names
+from capsule_gym.observation import CELLS, observation_names
 from capsule_gym.resets import Stream, draw_two, plant_at, plant_ranges, random_stream
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.simulation import episode_metrics

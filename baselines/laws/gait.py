@@ -18,7 +18,7 @@ import numpy as np
 from capsule_gym.compilation import inlined
 from capsule_gym.controller import Controller, Law
 from capsule_gym.elementary import clip, sincos
-from capsule_gym.identification import CELLS, estimates, identify
+from capsule_gym.observation import CELLS, estimates, identify
 from capsule_gym.parameters import LAW_DT, NOMINAL, RANDOMIZATIONS, check_number, written
 from capsule_gym.task import TORQUE_LIMIT
 
@@ -97,7 +97,7 @@ def gait_law(parameters: tuple[float, ...]) -> Law:
 
 
 def identifying_law(parameters: tuple[float, ...]) -> Law:
-    """The law with its parameters in its closure, and the filter of `capsule_gym.identification` in its memory."""
+    """The law with its parameters in its closure, and the filter of `capsule_gym.observation` in its memory."""
     *others, guard_from = parameters
     rest = tuple(others)
     m, l, g = NOMINAL.m, NOMINAL.l, NOMINAL.g

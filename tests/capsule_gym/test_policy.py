@@ -354,7 +354,7 @@ HOSTILE_TENSORS: list[tuple[dict[str, Any], str]] = [
     ({"layers.0.weight": np.full((8, 5), np.nan, np.float32)}, "layers.0.weight must be finite"),
     ({"inputs.mean": np.full(5, np.inf)}, "inputs.mean must be finite"),
     ({"inputs.variance": np.full(5, -1.0)}, "inputs.variance must be >= 0"),
-    ({"layers.0.weight": np.ones((8, 5))}, "layers.0.weight must be F32, got F64"),
+    ({"layers.0.weight": np.ones((8, 5))}, "layers.0.weight must be float32, got float64"),
     ({"layers.1.weight": np.ones((1, 9), np.float32)}, "layers.1.bias must have shapes"),
     ({"layers.0.weight": np.ones(40, np.float32)}, "layers.0.bias must have shapes"),
     ({"layers.1.weight": np.ones((2, 8), np.float32), "layers.1.bias": np.ones(2, np.float32)}, "the last one unit"),

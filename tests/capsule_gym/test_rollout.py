@@ -11,7 +11,7 @@ import pytest
 
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Policy, load_policy
 from capsule_gym.layout import LANES, ROWS, Row
-from capsule_gym.rollout import rollout
+from capsule_gym.network import rollout
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import METRICS
 from tests.capsule_gym.fakes import EPISODE_ROWS

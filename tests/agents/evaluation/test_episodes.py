@@ -58,7 +58,7 @@ def test_compiled_policies_give_the_bits_of_stepped_ones(monkeypatch):
     policy = make_policy(seed=3)
     compiled = evaluate(policy, TINY, horizon=2.0)
     assert {episode.pop("training_seed") for episode in compiled} == {3}
-    monkeypatch.setattr("capsule_gym.rollout.rollout", None)
+    monkeypatch.setattr("capsule_gym.network.rollout", None)
 
     class Stepped:
         name, env_kwargs, start = policy.name, policy.env_kwargs, policy.start

@@ -19,9 +19,9 @@ from agents.fast_ppo.collection import Rollout, RolloutVecEnv
 from agents.training import algorithms as loop
 from capsule_gym import Capsule, CapsuleVectorEnv, Controller, Policy, Randomization
 from capsule_gym.elementary import exp
-from capsule_gym.identification import CELLS, estimates, identify
 from capsule_gym.layout import LANES, Row
 from capsule_gym.network import LAW_TORQUE, pack, to_action
+from capsule_gym.observation import CELLS, estimates, identify
 from capsule_gym.resets import Stream, plant_at, plant_ranges, random_stream
 from capsule_gym.task import METRICS, Termination
 from tests.agents.training.small import small

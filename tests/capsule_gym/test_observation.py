@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from capsule_gym import Capsule, CapsuleEnv, identification
-from capsule_gym.identification import (
+from capsule_gym import Capsule, CapsuleEnv, observation
+from capsule_gym.network import compiled_act_batch
+from capsule_gym.observation import (
     CELLS,
     DEVIATION_LOG_MU,
     DEVIATION_M,
@@ -24,7 +25,6 @@ from capsule_gym.identification import (
     estimates,
     identify,
 )
-from capsule_gym.network import compiled_act_batch
 from capsule_gym.task import CONTROL_DT
 from tests.capsule_gym.test_network import make_layers, make_network
 
@@ -87,7 +87,7 @@ def test_both_are_found_in_slip(M, mu):
     rows = states(M, mu)
     first, *_, last = memories_of(rows)
     assert first[0] == 1.0
-    assert estimates(first) == (identification.PRIOR_M, identification.PRIOR_LOG_MU, DEVIATION_M, DEVIATION_LOG_MU)
+    assert estimates(first) == (observation.PRIOR_M, observation.PRIOR_LOG_MU, DEVIATION_M, DEVIATION_LOG_MU)
     # The observations' float32 is enough.
     assert estimates(memories_of(rows.astype(np.float32).astype(np.float64))[-1])[0] == pytest.approx(M, rel=4e-3)
     found_M, found_log_mu, deviation_M, deviation_log_mu = estimates(last)
