@@ -20,7 +20,7 @@ from capsule_gym.command_line import Count, Positional, check_output, parse, ref
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, SET_NAMES, PlantSpec, load_set
 from capsule_gym.parameters import NOMINAL, check_number, nearest
 from capsule_gym.policy import load_policy, policy_names, pretrained
-from capsule_gym.rendering import FRAME_SECONDS, Ghost, Overlay, Renderer, write_gif
+from capsule_gym.rendering import FRAME_SECONDS, Ghost, Renderer, write_gif
 from capsule_gym.task import HORIZON, Termination
 
 PROG = "python -m capsule_gym.demo"
@@ -274,7 +274,7 @@ def draw_episode(renderer: Renderer, times: Sequence[float], episode: Episode, r
         episode.advance(time)
         if rival is not None:
             rival.advance(episode.time)
-        yield renderer.draw(**episode.state(), overlay=Overlay(rival.ghost()) if rival else None)
+        yield renderer.draw(**episode.state(), ghost=rival and rival.ghost())
         if episode.end is not None or renderer.closed:
             return
 

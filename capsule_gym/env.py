@@ -286,10 +286,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
             gym.logger.warn("render() draws nothing without a render_mode: gym.make(.., render_mode='rgb_array')")
             return None
         if self._renderer is None:
-            torque_limit = self.simulation.settings.torque_limit
-            self._renderer = Renderer(
-                self.simulation.capsule, self.render_mode, self.metadata["render_fps"], torque_limit
-            )
+            self._renderer = make_renderer(self.simulation, self.render_mode)
         return self._renderer.draw(**shown_state(self.simulation, 0))
 
     def close(self) -> None:
@@ -305,6 +302,12 @@ def make_simulation(num_envs: int, config: EnvConfig) -> Simulation:
     if config.residual_limit == 0.0:
         raise ValueError("residual_limit must be > 0 (N m), got 0.0: the action would do nothing")
     return Simulation(num_envs, config)
+
+
+def make_renderer(simulation: Simulation, mode: str) -> Renderer:
+    """The renderer of an environment or a batch, which holds a window to the agent's steps."""
+    fps = round(1.0 / simulation.options.control_dt)
+    return Renderer(simulation.capsule, mode, fps, simulation.settings.torque_limit)
 
 
 def describe(rows: np.ndarray, termination: Any) -> dict[str, Any]:

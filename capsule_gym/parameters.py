@@ -11,7 +11,7 @@ import difflib
 import math
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -98,10 +98,9 @@ def check_count(name: str, value: Any, most: int = sys.maxsize) -> int:
     """
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{name} must be an integer >= 1, got {written(value)}")
-    if value < 1:
-        raise ValueError(f"{name} must be an integer >= 1, got {written(value)}")
-    if value > most:
-        raise ValueError(f"{name} must be an integer <= {most}, got {written(value)}")
+    if not 1 <= value <= most:
+        accepted = ">= 1" if value < 1 else f"<= {most}"
+        raise ValueError(f"{name} must be an integer {accepted}, got {written(value)}")
     return int(value)
 
 
@@ -313,11 +312,10 @@ class Randomization:
         """
         if isinstance(name, cls):
             return name
-        accepted = f"a Randomization or one of {sorted(RANDOMIZATIONS)}"
-        if not isinstance(name, str):
-            raise TypeError(f"randomization must be {accepted}, got {written(name)}")
-        if name not in RANDOMIZATIONS:
-            raise ValueError(f"randomization must be {accepted}, got {written(name)}")
+        if not isinstance(name, str) or name not in RANDOMIZATIONS:
+            error = ValueError if isinstance(name, str) else TypeError
+            accepted = f"a Randomization or one of {sorted(RANDOMIZATIONS)}"
+            raise error(f"randomization must be {accepted}, got {written(name)}")
         return RANDOMIZATIONS[name]
 
     def check(self, capsule: Capsule) -> None:
@@ -337,14 +335,10 @@ class Randomization:
     def __str__(self) -> str:
         if self.M is None and self.mu is None:
             return "the capsule's own M and mu"
-        M = "the capsule's own M" if self.M is None else f"M in [{self.M[0]:g}, {self.M[1]:g}] kg"
+        M = f"M in [{self.M[0]:g}, {self.M[1]:g}] kg" if self.M else "the capsule's own M"
         scale = "log-uniform " if self.log_mu else ""
-        mu = "the capsule's own mu" if self.mu is None else f"mu {scale}in [{self.mu[0]:g}, {self.mu[1]:g}]"
+        mu = f"mu {scale}in [{self.mu[0]:g}, {self.mu[1]:g}]" if self.mu else "the capsule's own mu"
         return f"{M}, {mu}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """The fields as plain types, for configuration files."""
-        return asdict(self)
 
 
 RANDOMIZATIONS = {

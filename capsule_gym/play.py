@@ -13,7 +13,7 @@ from tyro.conf import arg
 from capsule_gym.command_line import parse, refuse
 from capsule_gym.demo import FPS, TERMINATIONS, Agent, Episode, PlantArgs, agent_names, find_agent, renderer_of
 from capsule_gym.evaluation_sets import PlantSpec
-from capsule_gym.rendering import Overlay, Renderer
+from capsule_gym.rendering import Renderer
 
 PROG = "python -m capsule_gym.play"
 STRENGTHS = (0.2, 0.4, 0.6, 0.8, 1.0)
@@ -93,13 +93,12 @@ class Game:
         # Seen at the same instant, also where the player's episode has ended within.
         self.rival.advance(self.episode.time)
 
-    def overlay(self) -> Overlay:
-        """What is drawn over the picture of the player's robot."""
-        note = (
+    def note(self) -> str:
+        """The keys, and how strong and how fast the player is."""
+        return (
             f"A D torque   up down {STRENGTHS[self._strength]:.0%}   N next plant   R again   space pause   Q end   "
             f"{'paused' if self.paused else f'speed {self.speed:g}'}"
         )
-        return Overlay(self.rival.ghost(), note, self.banner())
 
     def banner(self) -> str:
         """How the episode has ended; empty while it goes on."""
@@ -116,7 +115,8 @@ class Game:
             seconds: between two frames.
         """
         while not self.over:
-            renderer.draw(**self.episode.state(), overlay=self.overlay())
+            state, ghost = self.episode.state(), self.rival.ghost()
+            renderer.draw(**state, ghost=ghost, note=self.note(), banner=self.banner())
             if renderer.closed:
                 return
             self.tick(seconds)

@@ -10,9 +10,7 @@ import importlib
 import math
 import os
 import warnings
-from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -32,12 +30,11 @@ Align = Literal["left", "centre", "right"]
 SCALE = 2
 # Between the frames of a moving picture: 25 a second, which a GIF can keep exactly.
 FRAME_SECONDS = 0.04
-WIDTH, HEIGHT = 960, 540
+WIDTH, HEIGHT = 960, 450
 
 # Layout in pixels of the finished frame.
 HEADER, FLOOR, RULER = 76, 378, 36
 COLUMN, VALUE_RIGHT, VALUE_BASELINE = 160, 108, 58
-CHART_LEFT, CHART_RIGHT, CHART_TOP, CHART_BOTTOM = 72, 936, 446, 512
 # Sizes of the robot in pixels; the rod's length sets the scale of the ruler.
 MIDDLE = WIDTH / 2
 ROD, BALL, PIVOT = 168.0, 19.0, 67.0
@@ -50,10 +47,6 @@ SPRING_INNER, SPRING_OUTER, SPRING_TURNS = 9.0, 31.0, 2.5
 SPEED_ARROW, SPEED_ARROW_LIMIT = 320.0, 220.0
 TRAIL_SECONDS = 0.07
 BANNER, BANNER_HALF = FLOOR + 2, 330.0
-
-CHART_SECONDS = 10.0
-CHART_SAMPLE_SECONDS = 0.01
-CHART_SMALLEST_SPAN_CM = 2.0
 
 PAPER: Colour = (247, 249, 252)
 WHITE: Colour = (255, 255, 255)
@@ -206,11 +199,6 @@ def _nice_step(least: float) -> float:
     return next((n * power for n in (1.0, 2.0, 5.0) if n * power >= least * (1.0 - 1e-9)), 10.0 * power)
 
 
-def _decimals(step: float) -> int:
-    """How many decimals distinguish multiples of `step`."""
-    return max(0, -math.floor(math.log10(step) + 1e-9))
-
-
 def _number(value: float, decimals: int) -> str:
     """A number of at most eight characters, with a true minus sign and never "-0"."""
     # Adding 0.0 turns the -0.0 that small negative values round to into 0.0.
@@ -220,15 +208,9 @@ def _number(value: float, decimals: int) -> str:
     return text.replace("-", "\N{MINUS SIGN}")
 
 
-def _polar(angle: float, radius: float) -> tuple[float, float]:
-    """The point at that angle from the upright, growing to the left, and that distance from the pivot."""
-    return MIDDLE - radius * math.sin(angle), FLOOR - PIVOT - radius * math.cos(angle)
-
-
-def _arc(start: float, end: float, radius: float | NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Points on a circle around the pivot, or on a spiral where the radius is an array of `count`."""
-    angles = np.linspace(start, end, count)
-    return np.stack((MIDDLE - radius * np.sin(angles), FLOOR - PIVOT - radius * np.cos(angles)), axis=1)
+def _polar(angle: Any, radius: Any) -> tuple[Any, Any]:
+    """The point, or points, at that angle from the upright, growing to the left, and that distance from the pivot."""
+    return MIDDLE - radius * np.sin(angle), FLOOR - PIVOT - radius * np.cos(angle)
 
 
 # The layers that never change are shared by all renderers: a batch has one renderer per environment.
@@ -248,10 +230,6 @@ def _backdrop(title: str) -> Canvas:
     for column, unit in enumerate(("s", "cm", "cm/s", "cm/s", "N m")):
         canvas.write(unit, 19, GREY, COLUMN * column + VALUE_RIGHT + 6, VALUE_BASELINE)
     canvas.write(title, 20, SLATE, 24, HEADER + 27)
-    canvas.write("x, cm", 16, GREY, 24, CHART_TOP - 14)
-    for label, colour, left in (("stick", STICK, 846), ("slip", SLIP, 912)):
-        canvas.box(left - 20, CHART_TOP - 20, 14, 3, colour)
-        canvas.write(label, 16, GREY, left, CHART_TOP - 14)
     return canvas
 
 
@@ -293,38 +271,8 @@ class Ghost(NamedTuple):
     x: float
 
 
-class Overlay(NamedTuple):
-    """What is drawn over the picture.
-
-    Attributes:
-        ghost: another robot.
-        note: a line of some 110 characters above the chart.
-        banner: a line of some 70 characters across the ruler.
-    """
-
-    ghost: Ghost | None = None
-    note: str = ""
-    banner: str = ""
-
-
-class ChartAxes(NamedTuple):
-    """Axes of the chart that stay the same from frame to frame.
-
-    Attributes:
-        begin: the first time, s.
-        seconds: length of the time axis.
-        low: the lowest displacement, cm.
-        high: the highest, cm.
-    """
-
-    begin: float
-    seconds: float
-    low: float
-    high: float
-
-
 class Renderer:
-    """Draws the robot on its floor, its figures, and the last seconds of its displacement.
+    """Draws the robot on its floor, and its figures.
 
     The camera follows the platform, so the ruler moves beneath it. Blue is stick, orange is slip.
 
@@ -345,8 +293,6 @@ class Renderer:
         gymnasium.error.DependencyNotInstalled: if pygame is not installed.
     """
 
-    _axes: ChartAxes | None = None
-
     def __init__(
         self,
         capsule: Capsule,
@@ -365,7 +311,6 @@ class Renderer:
         self._major = _nice_step(50.0 * capsule.l / ROD)
         # A whole number of canvas pixels between labelled marks: the marks then move as one and do not shimmer.
         self._major_pixels = round(SCALE * ROD / capsule.l * self._major) / SCALE
-        self._samples: deque[tuple[float, float, bool]] = deque()
         self._closed = False
         self._on_key = on_key
 
@@ -390,11 +335,11 @@ class Renderer:
         M: float,
         mu: float,
         theta_reference: float | None = None,
-        overlay: Overlay | None = None,
+        ghost: Ghost | None = None,
+        note: str = "",
+        banner: str = "",
     ) -> NDArray[np.uint8] | None:
         """Draws one frame and, in a window, waits until it is due.
-
-        A time earlier than the last one starts a new chart.
 
         Args:
             theta: angle of the pendulum from the upright, rad.
@@ -406,10 +351,12 @@ class Renderer:
             M: mass of the platform, kg.
             mu: friction coefficient.
             theta_reference: angle that a controller follows, rad; None draws none.
-            overlay: what is drawn over the picture.
+            ghost: another robot.
+            note: a line of some 110 characters below the ruler.
+            banner: a line of some 70 characters across the ruler.
 
         Returns:
-            The frame as an array of uint8, (540, 960, 3), in mode "rgb_array"; None in mode "human".
+            The frame as an array of uint8, (450, 960, 3), in mode "rgb_array"; None in mode "human".
 
         Raises:
             gymnasium.error.ClosedEnvironmentError: after `close`.
@@ -421,12 +368,10 @@ class Renderer:
         if self.closed:
             return None
         contact = STICK if x_dot == 0.0 else SLIP
-        self._record(time, 100.0 * x, x_dot == 0.0)
         self._canvas.overlay(_backdrop(self._title))
         self._draw_floor(x)
-        over = overlay or Overlay()
-        if over.ghost is not None:
-            self._draw_ghost(over.ghost, x)
+        if ghost is not None:
+            self._draw_ghost(ghost, x)
         self._canvas.overlay(_body(contact))
         self._draw_speed(x_dot)
         self._draw_torque(torque)
@@ -434,21 +379,16 @@ class Renderer:
         self._draw_figures(theta, time, x, x_dot, torque)
         self._canvas.write(f"M {M:.3f} kg     \N{GREEK SMALL LETTER MU} {mu:.4f}", 17, GREY, 24, HEADER + 46)
         self._draw_contact(x_dot, contact)
-        self._draw_chart(time)
-        self._canvas.write(over.note, 16, GREY, CHART_LEFT, CHART_TOP - 14)
-        if over.banner:
+        self._canvas.write(note, 16, GREY, 24, HEIGHT - 13)
+        if banner:
             self._canvas.box(MIDDLE - BANNER_HALF, BANNER, 2 * BANNER_HALF, 32, INK, radius=6)
-            self._canvas.write(over.banner, 20, WHITE, MIDDLE, BANNER + 22, "centre")
+            self._canvas.write(banner, 20, WHITE, MIDDLE, BANNER + 22, "centre")
         if self._mode == "rgb_array":
             return self._canvas.array()
         self._window.blit(self._canvas.frame(), (0, 0))
         self._pygame.display.flip()
         self._clock.tick(self._fps)
         return None
-
-    def set_axes(self, axes: ChartAxes) -> None:
-        """Sets the axes of the chart, which otherwise fit its last seconds."""
-        self._axes = axes
 
     def close(self) -> None:
         """Closes the window, if there is one; safe to call again."""
@@ -482,14 +422,15 @@ class Renderer:
         first = math.floor(-start / self._major_pixels)
         left = round(SCALE * (start + first * self._major_pixels)) / SCALE
         step = 100.0 * self._major
+        # As many as distinguish its multiples.
+        decimals = max(0, -math.floor(math.log10(step) + 1e-9))
         for mark in range(math.ceil(WIDTH / self._major_pixels) + 2):
             at = left + mark * self._major_pixels
             self._canvas.box(at, HEADER + 54, 1, FLOOR - HEADER - 54, GRID)
             for part in range(10):
                 length = 13 if part == 0 else 9 if part == 5 else 6
                 self._canvas.box(at + part * self._major_pixels / 10, FLOOR, 1, length, TICK)
-            label = f"{step * (first + mark):.{_decimals(step)}f}".replace("-", "\N{MINUS SIGN}")
-            self._canvas.write(label, 17, GREY, at + 0.5, FLOOR + 28, "centre")
+            self._canvas.write(_number(step * (first + mark), decimals), 17, GREY, at + 0.5, FLOOR + 28, "centre")
         if -100.0 < start < WIDTH + 100.0:
             self._canvas.polygon([(start, FLOOR - 92), (start + 28, FLOOR - 82), (start, FLOOR - 72)], INK)
             self._canvas.box(start - 0.5, FLOOR - 93, 2, 93, INK)
@@ -529,7 +470,8 @@ class Renderer:
         end = 0.5 * math.pi * share
         head = math.copysign(min(0.22, abs(end)), end)
         if abs(end) > abs(head):
-            self._canvas.ribbon(_arc(0.0, end - 0.8 * head, GAUGE, 13), 7.0, TORQUE)
+            arc = np.transpose(_polar(np.linspace(0.0, end - 0.8 * head, 13), GAUGE))
+            self._canvas.ribbon(arc, 7.0, TORQUE)
         base, half = end - head, 50.0 * abs(head)
         self._canvas.polygon([_polar(end, GAUGE), _polar(base, GAUGE - half), _polar(base, GAUGE + half)], TORQUE)
 
@@ -547,9 +489,8 @@ class Renderer:
             corners = [_polar(trail[j], ROD + side * BALL * j / 16) for j, side in around]
             canvas.polygon(corners, blend(INSIDE, BALL_COLOUR, 0.45 * (i / 16) ** 1.5))
         # The inner end turns with the rod, the outer one is held by the platform.
-        radius = np.linspace(SPRING_INNER, SPRING_OUTER, 72)
-        spiral = _arc(theta, 2.0 * math.pi * SPRING_TURNS, radius, 72)
-        canvas.ribbon(spiral, 2.5, SHELL)
+        turns = np.linspace(theta, 2.0 * math.pi * SPRING_TURNS, 72)
+        canvas.ribbon(np.transpose(_polar(turns, np.linspace(SPRING_INNER, SPRING_OUTER, 72))), 2.5, SHELL)
         canvas.ribbon([_polar(theta, 0.0), _polar(theta, ROD)], 7.0, INK)
         canvas.disc(_polar(theta, 0.0), 9, INK)
         canvas.disc(_polar(theta, 0.0), 4, WHITE)
@@ -576,44 +517,6 @@ class Renderer:
         if x_dot != 0.0:
             side = math.copysign(1.0, x_dot)
             self._canvas.polygon([(879 + side * dx, 48.5 + dy) for dx, dy in ((44, 0), (33, -7), (33, 7))], WHITE)
-
-    def _record(self, time: float, x_cm: float, stuck: bool) -> None:
-        """Keeps what the chart shows, at no more samples than it can resolve."""
-        samples = self._samples
-        if samples and time < samples[-1][0]:
-            samples.clear()
-        if len(samples) > 1 and time - samples[-2][0] < CHART_SAMPLE_SECONDS:
-            samples.pop()
-        samples.append((time, x_cm, stuck))
-        while samples[0][0] < time - CHART_SECONDS:
-            samples.popleft()
-
-    def _draw_chart(self, time: float) -> None:
-        """The displacement over the last seconds, in the colours of the contact."""
-        canvas = self._canvas
-        values = [x_cm for _, x_cm, _ in self._samples]
-        fitting = ChartAxes(max(self._samples[0][0], time - CHART_SECONDS), CHART_SECONDS, min(values), max(values))
-        begin, seconds, low, high = self._axes or fitting
-        step = _nice_step(max(high - low, CHART_SMALLEST_SPAN_CM) / 2.0)
-        bottom = math.floor(low / step)
-        top = max(math.ceil(high / step), bottom + 1)
-        across = (CHART_RIGHT - CHART_LEFT) / seconds
-        up = (CHART_BOTTOM - CHART_TOP) / (top - bottom)
-        for k in range(bottom, top + 1):
-            y = CHART_BOTTOM - (k - bottom) * up
-            canvas.box(CHART_LEFT, y, CHART_RIGHT - CHART_LEFT, 1, HAIRLINE)
-            label = f"{k * step:.{_decimals(step)}f}".replace("-", "\N{MINUS SIGN}")
-            canvas.write(label, 16, GREY, CHART_LEFT - 10, y + 4, "right")
-        for second in range(math.ceil(begin), math.floor(begin + seconds) + 1):
-            canvas.write(f"{second} s", 16, GREY, CHART_LEFT + (second - begin) * across, CHART_BOTTOM + 20, "centre")
-        previous: list[tuple[float, float]] = []
-        for stuck, run in groupby(self._samples, key=lambda sample: sample[2]):
-            points = [(CHART_LEFT + (t - begin) * across, CHART_BOTTOM - (x / step - bottom) * up) for t, x, _ in run]
-            colour = STICK if stuck else SLIP
-            if len(previous) + len(points) > 1:
-                canvas.ribbon([*previous, *points], 3.0, colour)
-            previous = points[-1:]
-        canvas.disc(previous[0], 4, colour)
 
 
 def write_gif(frames: Iterable[np.ndarray], path: Path, frame_seconds: float = FRAME_SECONDS, width: int = 640) -> None:

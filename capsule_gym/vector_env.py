@@ -19,6 +19,7 @@ from capsule_gym.env import (
     as_actions,
     check_options,
     describe,
+    make_renderer,
     make_simulation,
     make_spaces,
     shown_state,
@@ -89,12 +90,12 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._ended = np.zeros(self.num_envs, np.bool_)
         self._started = False
-        self._renderers: list[Renderer] = []
+        self._renderer: Renderer | None = None
         self._spec: EnvSpec | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """The episodes, which a copy goes on with, without the frames."""
-        return {**vars(self), "_renderers": []}
+        return {**vars(self), "_renderer": None}
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -199,22 +200,17 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self.render_mode is None:
             gym.logger.warn("render() draws nothing without a render_mode: gym.make_vec(.., render_mode='rgb_array')")
             return None
-        if not self._renderers:
-            simulation = self.simulation
-            torque_limit = simulation.settings.torque_limit
-            self._renderers = [
-                Renderer(simulation.capsule, self.render_mode, self.metadata["render_fps"], torque_limit)
-                for _ in range(self.num_envs)
-            ]
-        frames = (renderer.draw(**shown_state(self.simulation, i)) for i, renderer in enumerate(self._renderers))
+        if self._renderer is None:
+            self._renderer = make_renderer(self.simulation, self.render_mode)
+        frames = [self._renderer.draw(**shown_state(self.simulation, i)) for i in range(self.num_envs)]
         return tuple(frame for frame in frames if frame is not None)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Ends the threads and frees the frames."""
         self.simulation.close()
-        for renderer in self._renderers:
-            renderer.close()
-        self._renderers = []
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
 
     def _begin_next(self, info: dict[str, Any], ended: np.ndarray) -> None:
         """Begins the next episodes, and moves to the info's `final_..` how the last ones have ended."""

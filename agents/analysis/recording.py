@@ -16,7 +16,7 @@ from baselines.drawing import BLUE, DPI, GREEN, MUTED, VERMILION, new_figure, st
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, NOMINAL_PLANT, PlantSpec
 from capsule_gym.files import replacing
 from capsule_gym.parameters import DIRECT_PHYSICS_DT, EnvConfig
-from capsule_gym.rendering import FRAME_SECONDS, ChartAxes, Renderer, write_gif
+from capsule_gym.rendering import FRAME_SECONDS, Renderer, write_gif
 from capsule_gym.task import CONTROL_DT, HORIZON
 
 # The last seconds of torque, angle and contact in the figure of a comparison.
@@ -86,7 +86,7 @@ def record(
         plant: with constant parameters.
         seconds: length of the recording.
         frames_from: time of the first picture, s; None draws none.
-        frame_seconds: time between pictures. The axes of their charts are the same.
+        frame_seconds: time between pictures.
         name: of the recording; the policy's by default.
     """
     # Imported here, since numba takes most of a second to import.
@@ -107,11 +107,6 @@ def record(
     if frames_from is not None:
         first_frame = round(frames_from / dt)
         renderer = Renderer(simulation.capsule, "rgb_array", 50, limit, name)
-        whole = record(policy, plant, seconds=seconds)
-        shown = 100.0 * whole.x[whole.t >= frames_from]
-        low, high = (float(shown.min()), float(shown.max())) if shown.size else (0.0, 0.0)
-        length = max(float(whole.t[-1]) - frames_from, FRAME_SECONDS)
-        renderer.set_axes(ChartAxes(frames_from, length, low, max(high, low + 1.0)))
     start = np.array([(plant.theta, 0.0, 0.0, 0.0)])
     simulation.reset(np.zeros(1, np.int64), M=[plant.M], mu=[plant.mu], state=start)
     act = policy.start([plant.seed])

@@ -88,7 +88,7 @@ def test_a_failure_is_named_and_stops_both(game):
 
 
 def test_a_whole_episode_ends_with_the_time(game):
-    assert game.banner() == "" and "speed 1" in game.overlay().note
+    assert game.banner() == "" and "speed 1" in game.note()
     game.tick(100.0)
     assert game.episode.end is Termination.none and game.episode.time == pytest.approx(HORIZON)
     press(game, "r")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import subprocess
 import sys
 from pathlib import Path
@@ -15,16 +14,12 @@ from numpy.typing import NDArray
 
 from capsule_gym.parameters import Capsule
 from capsule_gym.rendering import (
-    CHART_TOP,
     FLOOR,
     FRAME_SECONDS,
     HEADER,
     HEIGHT,
-    RULER,
     WIDTH,
-    ChartAxes,
     Ghost,
-    Overlay,
     Renderer,
     write_gif,
 )
@@ -43,8 +38,6 @@ STATE: dict[str, Any] = {
     "mu": 0.01,
 }
 STAGE = slice(HEADER + 1, FLOOR)
-FLOOR_REGION = slice(FLOOR + 8, FLOOR + RULER)
-CHART = slice(CHART_TOP - 8, HEIGHT)
 
 
 def frame(**changes: Any) -> NDArray[np.uint8]:
@@ -63,22 +56,19 @@ SCENES: tuple[dict[str, Any], ...] = (
     {},
     {"theta": -0.7, "theta_dot": 9.0, "torque": 1.1, "x_dot": 0.35, "theta_reference": 0.6},
     {"theta": 1.2, "theta_dot": -4.0, "torque": -0.4, "x_dot": -0.05, "x": -0.31, "mu": 0.3, "M": 0.75},
-    {"overlay": Overlay(Ghost("rival", 0.9, 12.5), "a note", "the time is up"), "x": 12.345, "time": 33.0},
+    {
+        **{"ghost": Ghost("rival", 0.9, 12.5), "note": "a note", "banner": "the time is up"},
+        **{"x": 12.345, "time": 33.0},
+    },
 )
 
 
 def draw_scenes() -> NDArray[np.float64]:
-    """The scenes, each after twelve seconds of a journey that the chart shows, as means over blocks of pixels."""
+    """The scenes, as means over blocks of pixels."""
     drawn = []
     for number, scene in enumerate(SCENES):
         renderer = Renderer(Capsule(l=0.5 if number == 2 else 0.3), "rgb_array", 50, 1.5, title=f"scene {number}")
-        if number == 3:
-            renderer.set_axes(ChartAxes(30.0, 4.0, 1200.0, 1260.0))
-        state = {**STATE, "time": 14.0, **scene}
-        for k in range(-1200, 0, 5):
-            x = state["x"] + 1e-4 * k + 0.03 * math.sin(0.05 * k)
-            renderer._record(state["time"] + 0.01 * k, 100.0 * x, k % 100 < 30)
-        pixels = renderer.draw(**state)
+        pixels = renderer.draw(**{**STATE, "time": 14.0, **scene})
         assert pixels is not None and pixels.shape == (HEIGHT, WIDTH, 3) and pixels.dtype == np.uint8
         assert pixels.flags.c_contiguous and pixels.flags.writeable
         drawn.append(pixels.reshape(HEIGHT // BLOCK, BLOCK, WIDTH // BLOCK, BLOCK, 3).mean(axis=(1, 3)))
@@ -90,15 +80,6 @@ def test_the_frames_are_those_that_were_looked_at() -> None:
         expected = np.asarray(picture.convert("RGB"), float)
     # Another version of the font moves its edges by a part of a pixel.
     np.testing.assert_allclose(draw_scenes(), expected, atol=8.0)
-
-
-def test_chart_starts_anew_when_time_goes_back() -> None:
-    renderer = Renderer(Capsule(), "rgb_array", 50, 1.5)
-    for k in range(30):
-        renderer.draw(**{**STATE, "time": 20.0 + 0.02 * k, "x": 0.3 * math.sin(k)})
-    again = renderer.draw(**STATE)
-    assert again is not None
-    np.testing.assert_array_equal(again, frame())
 
 
 def test_frames_survive_a_pygame_quit_by_others() -> None:
