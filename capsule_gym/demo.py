@@ -274,7 +274,7 @@ def draw_episode(renderer: Renderer, times: Sequence[float], episode: Episode, r
         episode.advance(time)
         if rival is not None:
             rival.advance(episode.time)
-        yield renderer.draw(**episode.state(), ghost=rival and rival.ghost())
+        yield renderer.draw(**episode.state(), ghost=rival.ghost() if rival else None)
         if episode.end is not None or renderer.closed:
             return
 
