@@ -90,7 +90,7 @@ def platform_motion(
 
 
 @lru_cache(maxsize=1)
-def _platform_motion() -> Any:
+def compiled_platform_motion() -> Any:
     """The function above, compiled."""
     return compile_cached(platform_motion)
 
@@ -119,7 +119,7 @@ def reference_table(profile: Profile, nominal: Plant, dt: float = LAW_DT) -> np.
     h = dt / fine
     # Sampled at the middle of the fine steps, where the jumps of theta_d'' at the edges of the phases do not lie.
     angle, velocity, acceleration = profile.evaluate((np.arange(steps * fine) + 0.5) * h)
-    platform = _platform_motion()(angle, velocity, acceleration, h, nominal)[:, ::fine]
+    platform = compiled_platform_motion()(angle, velocity, acceleration, h, nominal)[:, ::fine]
     table = np.zeros((steps, len(COLUMNS)))
     table[:, :3] = np.stack(profile.evaluate(np.arange(steps) * dt), axis=1)
     table[:, 3:6] = platform.T

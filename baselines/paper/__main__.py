@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from time import perf_counter
 
 from capsule_gym.command_line import check_output, parse
 from capsule_gym.files import to_json, write_atomically
@@ -45,35 +44,26 @@ class Args:
                 raise ValueError("--figures needs matplotlib: pip install 'capsule-gym[paper]'")
 
 
-def _progress(name: str) -> None:
-    """Shows on a terminal what begins."""
-    if sys.stderr.isatty():
-        print(f"\r\033[K{name} ..." if name else "\r\033[K", end="", file=sys.stderr, flush=True)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit status."""
     args = parse(Args, PROG, arguments)
     # Imported after parsing: `--help` needs no compiler.
-    from baselines.paper.report import make_report
+    from baselines.paper.report import compute, plain, text
 
-    begin = perf_counter()
-    report = make_report(_progress)
+    results = compute()
     # Written before anything is printed, so that a closed pipe does not cost the result.
     if args.json is not None:
-        write_atomically(args.json, to_json(report.to_dict()))
+        write_atomically(args.json, to_json(plain(results)))
     figures = []
     if args.figures is not None:
         from baselines.paper.figures import draw_all
 
-        figures = draw_all(args.figures, _progress)
-    _progress("")
-    print(report.text())
-    print(f"\nComputed in {perf_counter() - begin:.0f} s.")
+        figures = draw_all(args.figures)
+    print(text(results))
     if args.json is not None:
-        print(f"Written to {args.json}")
+        print(f"\nWritten to {args.json}")
     if figures:
-        print(f"{len(figures)} files drawn to {args.figures}")
+        print(f"\n{len(figures)} files drawn to {args.figures}")
     return 0
 
 

@@ -210,26 +210,17 @@ def study_long_runs() -> dict[int, list[LongRun]]:
     return runs
 
 
-@dataclass(frozen=True)
-class AdaptiveStudy:
-    """Everything that is computed of the adaptive law.
+def study_adaptive() -> dict[str, Any]:
+    """Everything that is computed of the adaptive law; half a minute.
 
-    Attributes:
-        laws: over the grid: regularised; corrected, unregularised; the latter with the motor's torque limited.
-        variants: see `study_variants`.
-        long_runs: see `study_long_runs`.
+    Returns:
+        `laws`: the `LawStudy` of the regularised law, of the corrected, unregularised one, and of the latter with the
+        motor's torque limited. `variants` and `long_runs`: see `study_variants` and `study_long_runs`.
     """
-
-    laws: list[LawStudy]
-    variants: list[tuple[float, float, int, int, int, int]]
-    long_runs: dict[int, list[LongRun]]
-
-    def errors(self, quantity: str, cycle: int, rate: int = RATES[0]) -> list[float]:
-        """The largest of one of `ERRORS` in a cycle of the long runs, on the nominal plant and on each corner."""
-        return [run[cycle][ERRORS.index(quantity)] for run in self.long_runs[rate]]
-
-
-def study_adaptive() -> AdaptiveStudy:
-    """Runs everything; half a minute."""
     laws = [study_law(True), study_law(False), study_law(False, TORQUE_LIMIT)]
-    return AdaptiveStudy(laws, study_variants(), study_long_runs())
+    return {"laws": laws, "variants": study_variants(), "long_runs": study_long_runs()}
+
+
+def cycle_errors(study: dict[str, Any], quantity: str, cycle: int, rate: int = RATES[0]) -> list[float]:
+    """The largest of one of `ERRORS` in a cycle of the long runs, on the nominal plant and on each corner."""
+    return [run[cycle][ERRORS.index(quantity)] for run in study["long_runs"][rate]]

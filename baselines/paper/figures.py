@@ -378,20 +378,12 @@ FIGURES: dict[str, Callable[[], Any]] = {
 }
 
 
-def draw_all(directory: Path, progress: Callable[[str], None]) -> list[Path]:
-    """Draws every figure as SVG and PNG; repeated runs give identical files.
-
-    Args:
-        directory: made if it does not exist.
-        progress: called with the name of each figure.
-    """
+def draw_all(directory: Path) -> list[Path]:
+    """Draws every figure as SVG and PNG into a folder, which is made; repeated runs give identical files."""
     from baselines.dynamic_programming.figure import draw_optimum
     from baselines.gaits.figure import draw_gaits
 
     directory.mkdir(parents=True, exist_ok=True)
-    written: list[Path] = []
+    figures = {**FIGURES, "gaits": draw_gaits, "optimum": draw_optimum}
     with style():
-        for name, draw in {**FIGURES, "gaits": draw_gaits, "optimum": draw_optimum}.items():
-            progress(name)
-            written += save(draw(), directory / name)
-    return written
+        return [path for name, draw in figures.items() for path in save(draw(), directory / name)]

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -174,37 +175,17 @@ def _forces(cycle: Cycle, p: Plant, form: NormalForce) -> tuple[np.ndarray, np.n
     return ml * cycle.theta_ddot + _pivot_torque(cycle, p, form), ml * cycle.theta_dot**2
 
 
-@dataclass(frozen=True)
-class DemandRow:
-    """One demand on one profile: the largest load over limit, above 1 where it is violated.
-
-    Attributes:
-        profile: its name.
-        demand: the demand and its equation.
-        form: which forces, or whose bounds.
-        progressive: over the phases before the restoring stage.
-        restoring: in each of the four phases of the restoring stage.
-        whole_cycle: whether the demand applies to the whole cycle, not to the restoring stage alone.
-    """
-
-    profile: str
-    demand: str
-    form: str
-    progressive: float
-    restoring: tuple[float, ...]
-    whole_cycle: bool
-
-    @property
-    def met(self) -> bool:
-        """Whether the profile meets the demand wherever it applies."""
-        return max(*self.restoring, self.progressive if self.whole_cycle else 0.0) <= 1.0
-
-
-def evaluate_demands() -> list[DemandRow]:
-    """Every demand on both profiles, nominal plant.
+def evaluate_demands() -> list[dict[str, Any]]:
+    """Every demand on both profiles, nominal plant: the largest load over limit, above 1 where it is violated.
 
     Principle 1 takes the theta_0 = 60 degrees of Sect. 3.2. The bounds of Principle 2 are not published: the largest
     velocity and acceleration of the proposed profile are used.
+
+    Returns:
+        By row: the name of the `profile`, the `demand` and which forces or whose bounds (`form`); the ratio over the
+        phases before the restoring stage (`progressive`) and in each of the four phases of it (`restoring`); whether
+        the demand applies to the whole cycle (`whole_cycle`), and whether the profile meets it where it applies
+        (`met`).
     """
     p, rows = NOMINAL.plant(), []
     own = sample(PROPOSED)
@@ -230,37 +211,23 @@ def evaluate_demands() -> list[DemandRow]:
             factors = demand.by_phase.tolist()
             progressive, restoring = max(factors[:-RESTORING_PHASES]), tuple(factors[-RESTORING_PHASES:])
             whole = not name.startswith(("Principle 4", "Lemma 2"))
-            rows.append(DemandRow(profile.name, name, form, progressive, restoring, whole))
+            row = {"profile": profile.name, "demand": name, "form": form, "progressive": progressive}
+            met = max(*restoring, progressive if whole else 0.0) <= 1.0
+            rows.append({**row, "restoring": restoring, "whole_cycle": whole, "met": met})
     return rows
 
 
-@dataclass(frozen=True)
-class Implication:
-    """A lemma compared with the principle for which it should be sufficient, on random states of the pendulum.
-
-    Attributes:
-        lemma: its equation.
-        form: which forces.
-        principle: its equation.
-        states: number of random states that meet the lemma.
-        violations: number of these that violate the principle.
-        worst: the largest load over limit of the principle among them.
-    """
-
-    lemma: str
-    form: str
-    principle: str
-    states: int
-    violations: int
-    worst: float
-
-
-def check_lemmas(states: int = 200_000, seed: int = 0) -> list[Implication]:
+def check_lemmas(states: int = 200_000, seed: int = 0) -> list[dict[str, Any]]:
     """Both lemmas, as printed and corrected, on random states with |theta| < pi/2.
 
     Args:
         states: number of states for each lemma.
         seed: of the random states.
+
+    Returns:
+        By row: the `lemma`, which forces (`form`), the `principle` for which it should be sufficient; the number of
+        random `states` that meet the lemma, the number of these that violate the principle (`violations`), and the
+        largest load over limit of the principle among them (`worst`).
     """
     rng, p, rows = np.random.default_rng(seed), NOMINAL.plant(), []
     cases: tuple[
@@ -269,17 +236,17 @@ def check_lemmas(states: int = 200_000, seed: int = 0) -> list[Implication]:
         (lemma_1, principle_3, "Principle 3 (7)", ("(10), as printed", "(12), its own premise"), FAST),
         (lemma_2, principle_4, "Principle 4 (8)", ("(15), as printed", "(15), corrected"), SLOW),
     )
-    drawn = [np.array([0.5 * math.pi, *limits]) * rng.uniform(-1.0, 1.0, (states, 3)) for *_, limits in cases]
     forms: tuple[tuple[int, str, NormalForce], ...] = (
         (0, AS_PRINTED, "paper"),
         (1, "forces as printed", "paper"),
         (1, NEWTON, "newton"),
     )
-    for (lemma, principle, equation, names, _), values in zip(cases, drawn, strict=True):
+    for lemma, principle, equation, names, limits in cases:
+        values = np.array([0.5 * math.pi, *limits]) * rng.uniform(-1.0, 1.0, (states, 3))
         random = Cycle(np.zeros(states), np.zeros(states, np.int64), *values.T)
         for sufficient, label, form in forms:
             met = lemma(random, p, form, sufficient=bool(sufficient)).ratio <= 1.0
             ratio = principle(random, p, form).ratio[met]
-            row = (int(met.sum()), int((ratio > 1.0).sum()), float(ratio.max()))
-            rows.append(Implication(names[sufficient], label, equation, *row))
+            row = {"lemma": names[sufficient], "form": label, "principle": equation, "states": int(met.sum())}
+            rows.append({**row, "violations": int((ratio > 1.0).sum()), "worst": float(ratio.max())})
     return rows

@@ -19,11 +19,10 @@ from typing import Any
 import numpy as np
 
 from baselines.laws.profiles import P2, PROPOSED, V1, Profile, seven_phases
-from baselines.laws.reference import platform_motion
+from baselines.laws.reference import compiled_platform_motion
 from baselines.paper import published
 from baselines.paper.optimal_profiles import DATA, GENERATIONS, PROG, SEED
 from baselines.paper.principles import Cycle, principle_3, principle_4, sample
-from capsule_gym.compilation import compile_cached
 from capsule_gym.files import to_json, write_atomically
 from capsule_gym.parameters import NOMINAL, Plant
 
@@ -128,12 +127,6 @@ def published_bounds() -> tuple[float, float, float]:
     return theta_0, v_theta, a_theta
 
 
-@lru_cache(maxsize=1)
-def _platform_motion() -> Any:
-    """`platform_motion`, compiled."""
-    return compile_cached(platform_motion)
-
-
 def assess(
     problem: Problem, times: Sequence[float], V1: float, P2: float, h: float = 1e-4, *, reserve: bool = False
 ) -> Solution:
@@ -175,10 +168,10 @@ def _assess_plant(
 ) -> tuple[float, float, float, float, dict[str, float]]:
     """The assessment on one plant; `steps` are integrated, and the demands are evaluated at the samples of `cycle`."""
     t, theta, theta_dot, theta_ddot = steps.t, steps.theta, steps.theta_dot, steps.theta_ddot
-    x, x_dot, x_ddot = _platform_motion()(theta, theta_dot, theta_ddot, h, p)
+    x, x_dot, x_ddot = compiled_platform_motion()(theta, theta_dot, theta_ddot, h, p)
     if x_dot[-1] + h * x_ddot[-1] != 0.0:
         t, theta, theta_dot, theta_ddot = (np.tile(row, 5) for row in (t, theta, theta_dot, theta_ddot))
-        x, x_dot, x_ddot = _platform_motion()(theta, theta_dot, theta_ddot, h, p)
+        x, x_dot, x_ddot = compiled_platform_motion()(theta, theta_dot, theta_ddot, h, p)
     ml = p.m * p.l
     inertia = ml * (p.l * theta_ddot - np.cos(theta) * x_ddot)
     u = inertia - ml * p.g * np.sin(theta) + p.k * theta + p.c * theta_dot  # Eq. (1), first row

@@ -9,8 +9,8 @@ they leave open.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import get_args
+from dataclasses import replace
+from typing import Any, get_args
 
 import numpy as np
 
@@ -27,66 +27,6 @@ BISECTIONS = 22
 STRONGEST = 4.0
 # ms; a swing that takes longer has come to rest.
 LONGEST_SWING = 2000
-
-
-@dataclass(frozen=True)
-class PeakTorque:
-    """Proof 1 for one published pair of velocity and torque.
-
-    Attributes:
-        name: of the profile.
-        velocity: the published peak velocity, rad/s.
-        published: the published largest torque, N m.
-        bound: certified lower bound on the torque at the peak, N m.
-        angle: where it is smallest, rad.
-        mode: the contact there.
-        sticking: the same bound for a platform at rest, N m.
-        anywhere: the bound over all angles above the platform, |theta| <= pi/2, N m.
-    """
-
-    name: str
-    velocity: float
-    published: float
-    bound: float
-    angle: float
-    mode: str
-    sticking: float
-    anywhere: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether the published torque is below what the published velocity takes."""
-        return self.published < self.bound
-
-
-@dataclass(frozen=True)
-class LargestRate:
-    """Proof 2 for one published pair of velocity and torque.
-
-    Attributes:
-        name: of the profile.
-        torque: the published largest torque, N m.
-        published: the published peak velocity, rad/s.
-        bound: certified upper bound on theta' under that torque, from rest anywhere in +-swing, rad/s.
-        from_start: the same from rest at -60 degrees, rad/s.
-        torque_needed: certified lower bound on the torque that reaches the published velocity from -60 degrees, N m.
-        torque_enough: a constant torque that reaches it from there, by simulation, N m.
-        undamped: what `from_start` would be for c = 0, rad/s.
-    """
-
-    name: str
-    torque: float
-    published: float
-    bound: float
-    from_start: float
-    torque_needed: float
-    torque_enough: float
-    undamped: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether the published velocity is beyond what the published torque reaches."""
-        return self.published > self.bound
 
 
 def torque_without_acceleration(theta: np.ndarray, theta_dot: float, slip: float, p: Plant) -> np.ndarray:
@@ -202,35 +142,47 @@ def torque_enough(velocity: float, low: float, high: float) -> float:
     return bisect(fails, 0.0, STRONGEST, BISECTIONS)[1]
 
 
-def check_proof_1() -> list[PeakTorque]:
-    """Proof 1 for the proposed profile and for EPC."""
+def check_proof_1() -> list[dict[str, Any]]:
+    """Proof 1 for the proposed profile and for EPC.
+
+    Returns:
+        By profile: its `name`; the published peak `velocity` (rad/s) and largest torque (`published`, N m); the
+        certified lower bound on the torque at the peak (`bound`, N m), the `angle` where it is smallest (rad) and the
+        contact there (`mode`); the same bound for a platform at rest (`sticking`) and over all angles above the
+        platform, |theta| <= pi/2 (`anywhere`); and whether the published torque is below the bound (`holds`).
+    """
     found = []
     for name, numbers in published.RUNS.items():
-        velocity, high = numbers["peak_velocity"].value, math.radians(numbers["swing"].value)
-        bound, angle, mode = torque_at_peak(velocity, START_THETA, high)
-        sticking, _, _ = torque_at_peak(velocity, START_THETA, high, slips=(0.0,))
-        anywhere, _, _ = torque_at_peak(velocity, -math.pi / 2.0, math.pi / 2.0)
-        found.append(PeakTorque(name, velocity, numbers["peak_torque"].value, bound, angle, mode, sticking, anywhere))
+        velocity, torque = numbers["peak_velocity"].value, numbers["peak_torque"].value
+        swing = (START_THETA, math.radians(numbers["swing"].value))
+        bound, angle, mode = torque_at_peak(velocity, *swing)
+        row = {"name": name, "velocity": velocity, "published": torque, "bound": bound, "angle": angle, "mode": mode}
+        row["sticking"], _, _ = torque_at_peak(velocity, *swing, slips=(0.0,))
+        row["anywhere"], _, _ = torque_at_peak(velocity, -math.pi / 2.0, math.pi / 2.0)
+        found.append({**row, "holds": torque < bound})
     return found
 
 
-def check_proof_2() -> list[LargestRate]:
-    """Proof 2 for the proposed profile and for EPC."""
+def check_proof_2() -> list[dict[str, Any]]:
+    """Proof 2 for the proposed profile and for EPC.
+
+    Returns:
+        By profile: its `name`; the published largest `torque` (N m) and peak velocity (`published`, rad/s); the
+        certified upper bound on theta' under that torque from rest anywhere in +-swing (`bound`, rad/s), from rest at
+        -60 degrees (`from_start`) and from there without the damper (`undamped`); the certified lower bound on the
+        torque that reaches the published velocity from -60 degrees (`torque_needed`, N m) and a constant torque that
+        does, by simulation (`torque_enough`); and whether the published velocity is above the bound (`holds`).
+    """
     found = []
     for name, numbers in published.RUNS.items():
         velocity, limit = numbers["peak_velocity"].value, numbers["peak_torque"].value
         largest = math.radians(numbers["swing"].value)
         swing = (START_THETA, largest)
-        found.append(
-            LargestRate(
-                name,
-                limit,
-                velocity,
-                bound=swing_envelope(limit, -largest, largest).fastest,
-                from_start=swing_envelope(limit, *swing).fastest,
-                torque_needed=torque_needed(velocity, *swing),
-                torque_enough=torque_enough(velocity, *swing),
-                undamped=swing_envelope(limit, *swing, Capsule(c=0.0)).fastest,
-            )
-        )
+        row: dict[str, Any] = {"name": name, "torque": limit, "published": velocity}
+        row["bound"] = swing_envelope(limit, -largest, largest).fastest
+        row["from_start"] = swing_envelope(limit, *swing).fastest
+        row["torque_needed"] = torque_needed(velocity, *swing)
+        row["torque_enough"] = torque_enough(velocity, *swing)
+        row["undamped"] = swing_envelope(limit, *swing, Capsule(c=0.0)).fastest
+        found.append({**row, "holds": velocity > row["bound"]})
     return found

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Mapping
+from dataclasses import is_dataclass
 from typing import Any
 
 import numpy as np
@@ -13,102 +13,62 @@ import numpy as np
 from baselines.laws.gains import REGULARISED, UNREGULARISED
 from baselines.laws.profiles import V1
 from baselines.paper import adaptive, principles, proofs, published, selection, tracking
-from baselines.paper.adaptive import ERRORS, LONG, RATES, AdaptiveStudy
+from baselines.paper.adaptive import ERRORS, LONG, RATES, cycle_errors
 from baselines.paper.principles import RESTORING_PHASES, THETA_0
-from baselines.paper.profile_search import Solution, load
-from baselines.paper.tracking import STEPS, Reproduction
-from baselines.paper.verdicts import AGREEMENT, Row, Verdict, compare_numbers, judge_claims
+from baselines.paper.profile_search import load
+from baselines.paper.verdicts import AGREEMENT, compare_numbers, judge_claims
 from baselines.tables import printed_above, printed_below, text_table
 from capsule_gym.task import TORQUE_LIMIT
 
 WIDTH = 118
 # Share of its limit from which a demand counts as binding; the search keeps a reserve of about one percent.
 BINDING = 0.98
-# Properties that `Report.to_dict` includes.
-PROPERTIES = ("holds", "follows", "deviates", "met", "reproduced", "difference")
 
 Cells = list[list[str]]
+Results = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Report:
-    """All results.
+def compute() -> Results:
+    """Computes everything.
 
-    Attributes:
-        numbers: published and found.
-        claims: published claims and what is found.
-        runs: both profiles, tracked exactly and under (35).
-        adaptive: the law (39).
-        proof_1: the torque at the peak.
-        proof_2: the upper envelope.
-        profile_as_printed: the phases of (9).
-        table_1: what each equation of Sect. 3.2 gives.
-        boundary_condition: what theta(t3) = +theta_0 would take.
-        demands: Principles and Lemmas on both profiles.
-        lemmas: what the Lemmas imply.
-        optimal_profiles: the committed searches.
+    Returns:
+        `numbers` and `claims`: published and found. `runs`: both profiles, tracked exactly and under (35). `adaptive`:
+        the law (39). `proof_1`, `proof_2`. `profile_as_printed`: the phases of (9). `table_1`: what each equation of
+        Sect. 3.2 gives. `boundary_condition`: what theta(t3) = +theta_0 would take. `demands`: Principles and Lemmas on
+        both profiles. `lemmas`: what the Lemmas imply. `optimal_profiles`: the committed searches.
     """
-
-    numbers: list[Row]
-    claims: list[Verdict]
-    runs: Reproduction
-    adaptive: AdaptiveStudy
-    proof_1: list[proofs.PeakTorque]
-    proof_2: list[proofs.LargestRate]
-    profile_as_printed: list[selection.PrintedPhase]
-    table_1: list[selection.Selected]
-    boundary_condition: selection.BoundaryCondition
-    demands: list[principles.DemandRow]
-    lemmas: list[principles.Implication]
-    optimal_profiles: list[Solution]
-
-    def text(self) -> str:
-        """The whole text for a terminal."""
-        before = (numbers_text, claims_text, tracking_text, proofs_text, sensitivity_text, derivation_text)
-        sections = (*before, principles_text, optimal_profiles_text)
-        return "\n\n".join([*(section(self) for section in sections), adaptive_text(self.adaptive)])
-
-    def to_dict(self) -> dict[str, Any]:
-        """All numbers as plain types, for JSON."""
-        content: dict[str, Any] = _plain(self)
-        return content
-
-
-def make_report(progress: Callable[[str], None]) -> Report:
-    """Computes everything; `progress` is called with the name of each part before it begins."""
-    progress("proofs")
     peaks, rates = proofs.check_proof_1(), proofs.check_proof_2()
-    progress("both profiles")
     runs = tracking.reproduce()
-    progress("adaptive law")
     study = adaptive.study_adaptive()
-    progress("principles, lemmas and Table 1")
-    return Report(
-        compare_numbers(runs, study, peaks, rates),
-        judge_claims(runs, study),
-        runs,
-        study,
-        peaks,
-        rates,
-        selection.printed_profile(),
-        selection.evaluate_selection(),
-        selection.boundary_condition(),
-        principles.evaluate_demands(),
-        principles.check_lemmas(),
-        load(),
-    )
+    return {
+        "numbers": compare_numbers(runs, study, peaks, rates),
+        "claims": judge_claims(runs, study),
+        "runs": runs,
+        "adaptive": study,
+        "proof_1": peaks,
+        "proof_2": rates,
+        "profile_as_printed": selection.printed_profile(),
+        "table_1": selection.evaluate_selection(),
+        "boundary_condition": selection.boundary_condition(),
+        "demands": principles.evaluate_demands(),
+        "lemmas": principles.check_lemmas(),
+        "optimal_profiles": load(),
+    }
 
 
-def _plain(value: Any) -> Any:
-    """A value as nested dicts, lists and numbers."""
-    if is_dataclass(value) and not isinstance(value, type):
-        names = [field.name for field in fields(value)] + [name for name in PROPERTIES if hasattr(type(value), name)]
-        value = {name: getattr(value, name) for name in names}
-    if isinstance(value, Mapping):
-        return {key if isinstance(key, str) else str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, (np.ndarray, np.generic)):
-        value = value.tolist()
-    return [_plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value
+def plain(value: Any) -> Any:
+    """A value as nested dicts, lists and numbers, for JSON."""
+    value = vars(value) if is_dataclass(value) else value.tolist() if isinstance(value, np.ndarray) else value
+    if isinstance(value, dict):
+        return {key: plain(entry) for key, entry in value.items()}
+    return [plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value
+
+
+def text(results: Results) -> str:
+    """All tables and remarks, for a terminal."""
+    sections = [numbers_text, claims_text, tracking_text, proofs_text, sensitivity_text, profile_text, table_1_text]
+    sections += [principles_text, optimal_profiles_text, ranges_text, choices_text, long_runs_text, lyapunov_text]
+    return "\n\n".join(section(results) for section in sections)
 
 
 def _section(title: str, *parts: str | Cells, left: int = 1, last_left: bool = False) -> str:
@@ -125,19 +85,19 @@ def _formatted(values: Mapping[str, Any], styles: Mapping[str, str]) -> list[str
     return [format(values[name], style) for name, style in styles.items()]
 
 
-def numbers_text(report: Report) -> str:
+def numbers_text(results: Results) -> str:
     """Published numbers and ours."""
     cells = [["run", "quantity", "unit", "published", "found", "difference", "kind", "verdict"]]
     remarks: list[str] = []
-    for row in report.numbers:
-        number, verdict = row.number, "reproduced" if row.reproduced else "NOT reproduced"
-        if row.remark:
-            remarks.append(f"[{len(remarks) + 1}] {row.remark}")
+    for row in results["numbers"]:
+        number, verdict = row["number"], "reproduced" if row["reproduced"] else "NOT reproduced"
+        if row["remark"]:
+            remarks.append(f"[{len(remarks) + 1}] {row['remark']}")
             verdict += f" [{len(remarks)}]"
         # One more digit than print, so that rounding hides nothing.
-        values = f"{number.value:.{number.digits}f}", f"{row.found:.{number.digits + 1}f}"
-        difference = f"{100.0 * row.difference:+.1f} %".replace("-0.0", "+0.0")
-        cells.append([row.run, number.quantity, number.unit, *values, difference, row.kind, verdict])
+        values = f"{number.value:.{number.digits}f}", f"{row['found']:.{number.digits + 1}f}"
+        difference = f"{100.0 * row['difference']:+.1f} %".replace("-0.0", "+0.0")
+        cells.append([row["run"], number.quantity, number.unit, *values, difference, row["kind"], verdict])
     explanation = (
         "'calibrated': a free parameter of the profile (V1, P2) was set to meet it; 'predicted': nothing was set; "
         f"'constant': restates the plant. Reproduced means within {100.0 * AGREEMENT:.0f} %. Five cycles from rest, mu "
@@ -148,41 +108,41 @@ def numbers_text(report: Report) -> str:
     return _section(title, cells, explanation, *remarks, left=3, last_left=True)
 
 
-def claims_text(report: Report) -> str:
+def claims_text(results: Results) -> str:
     """Claims without a number of their own."""
     lines = []
-    for verdict in report.claims:
-        (text, where), word = published.CLAIMS[verdict.claim], "reproduced" if verdict.reproduced else "NOT reproduced"
-        lines.append(f"- {text} ({where}): {word}. Found: {verdict.found}.")
+    for row in results["claims"]:
+        (claim, where), word = published.CLAIMS[row["claim"]], "reproduced" if row["reproduced"] else "NOT reproduced"
+        lines.append(f"- {claim} ({where}): {word}. Found: {row['found']}.")
     return _section("What the paper claims", *lines)
 
 
-def tracking_text(report: Report) -> str:
+def tracking_text(results: Results) -> str:
     """Both profiles under (35), with both options for the normal force."""
-    runs = report.runs
     head = ["profile", "normal force", "theta'\nrad/s", "swing\ndeg", "speed\ncm/s", "torque\nN m", "energy\nJ/cycle"]
     styles = {"peak_velocity": ".3f", "swing": ".2f", "mean_speed": ".4f", "peak_torque": ".4f", "energy": ".3f"}
     styles |= {"cost_of_transport": ".3f", "backward": ".3f", "error": ".1e"}
     cells = [[*head, "cost of\ntransport", "back\ncm/cycle", "rms error\nrad"]]
-    cells += [[*key, *_formatted(run, styles)] for key, run in runs.tracking.items()]
+    for profile, runs in results["runs"]["tracking"].items():
+        cells += [[profile, force, *_formatted(run, styles)] for force, run in runs.items()]
     return _section("Both profiles under feedback linearisation (35)", cells, left=2)
 
 
-def proofs_text(report: Report) -> str:
+def proofs_text(results: Results) -> str:
     """Both proofs; every bound is rounded away from the claim that it would help."""
     first = [["profile", "theta'", "published", "at least", "sticking", "|theta| < 90 deg", "at", "with"]]
-    for p in report.proof_1:
-        bounds = [printed_below(bound, 4) for bound in (p.bound, p.sticking, p.anywhere)]
-        place = [f"{math.degrees(p.angle):.1f} deg", p.mode]
-        first.append([p.name, f"{p.velocity:g} rad/s", f"{p.published:.4f} N m", *bounds, *place])
+    for row in results["proof_1"]:
+        bounds = [printed_below(row[name], 4) for name in ("bound", "sticking", "anywhere")]
+        stated = [f"{row['velocity']:g} rad/s", f"{row['published']:.4f} N m"]
+        first.append([row["name"], *stated, *bounds, f"{math.degrees(row['angle']):.1f} deg", row["mode"]])
     head = ["profile", "limit", "published", "theta' below", "from -60 deg"]
     second = [[*head, "needed at least", "enough", "if c = 0"]]
-    for r in report.proof_2:
-        rates = [printed_above(r.bound, 3) + " rad/s", printed_above(r.from_start, 3)]
-        torques = [printed_below(r.torque_needed, 3) + " N m", printed_above(r.torque_enough, 3) + " N m"]
-        undamped = printed_above(r.undamped, 2) + " rad/s"
-        second.append([r.name, f"{r.torque:.4f} N m", f"{r.published:g} rad/s", *rates, *torques, undamped])
-    holds = all([*(proof.holds for proof in report.proof_1), *(proof.holds for proof in report.proof_2)])
+    for row in results["proof_2"]:
+        stated = [f"{row['torque']:.4f} N m", f"{row['published']:g} rad/s"]
+        bounds = [printed_above(row["bound"], 3) + " rad/s", printed_above(row["from_start"], 3)]
+        bounds += [printed_below(row["torque_needed"], 3) + " N m", printed_above(row["torque_enough"], 3) + " N m"]
+        second.append([row["name"], *stated, *bounds, printed_above(row["undamped"], 2) + " rad/s"])
+    holds = all(row["holds"] for row in (*results["proof_1"], *results["proof_2"]))
     return _section(
         "Why the published torques are impossible: two proofs",
         "Proof 1, at the peak. Where theta' peaks theta'' = 0. The motor then gives at least this torque, for every "
@@ -198,65 +158,68 @@ def proofs_text(report: Report) -> str:
     )
 
 
-def sensitivity_text(report: Report) -> str:
+def sensitivity_text(results: Results) -> str:
     """Other plants and steps."""
-    runs = report.runs
-    ratio, M, mu = tracking.speed_ratio(*runs.maps), tracking.M_RANGE, tracking.MU_RANGE
+    maps, M, mu = results["runs"]["maps"], tracking.M_RANGE, tracking.MU_RANGE
+    ratio = tracking.speed_ratio(*maps)
     note = (
         f"Over M = {M[0]:g} to {M[1]:g} kg, mu = {mu[0]:g} to {mu[1]:g}: proposed / EPC {np.nanmin(ratio):.3f} to "
-        f"{np.nanmax(ratio):.3f}. EPC loses contact below M = {runs.maps[1].least_mass_in_contact:.3f} kg."
+        f"{np.nanmax(ratio):.3f}. EPC loses contact below M = {maps[1].least_mass_in_contact:.3f} kg."
     )
-    steps = [["step, ms", "proposed\ncm/s", "\nN m", "EPC\ncm/s", "\nN m"]]
-    for n, step in enumerate(STEPS):
-        steps.append([f"{1e3 * step:g}", *(f"{values[n]:.5f}" for study in runs.steps.values() for values in study)])
+    cells = [["step, ms", "proposed\ncm/s", "\nN m", "EPC\ncm/s", "\nN m"]]
+    for n, step in enumerate(tracking.STEPS):
+        values = (f"{column[n]:.5f}" for study in results["runs"]["steps"].values() for column in study)
+        cells.append([f"{1e3 * step:g}", *values])
     last = "Law and physics at the same step; the law runs at 1 kHz everywhere else."
-    return _section("Sensitivity", note, steps, last)
+    return _section("Sensitivity", note, cells, last)
 
 
-def derivation_text(report: Report) -> str:
-    """The profile (9) and the origin of Table 1."""
-    condition = report.boundary_condition
-    phases = [["phase", "as printed", "begins", "ends", "turns, deg", "built: begins", "ends", "turns, deg", ""]]
-    for phase in report.profile_as_printed:
-        values = [v for a, b, angle in (phase.printed, phase.built) for v in (a, b, math.degrees(angle))]
+def profile_text(results: Results) -> str:
+    """The profile (9) as printed."""
+    cells = [["phase", "as printed", "begins", "ends", "turns, deg", "built: begins", "ends", "turns, deg", ""]]
+    total = 0.0
+    for phase in results["profile_as_printed"]:
+        values = [v for a, b, angle in (phase["printed"], phase["built"]) for v in (a, b, math.degrees(angle))]
+        total += values[2]
         # Adding 0.0 turns -0.0 into 0.0.
-        cells = [f"{value + 0.0:.3f}" for value in values]
-        phases.append([phase.name, phase.formula, *cells, "deviates" if phase.deviates else ""])
-    drift = math.degrees(sum(phase.printed[2] for phase in report.profile_as_printed))
-    turns = f"omega = pi / (2 t1). As printed it turns the pendulum by {drift:.0f} degrees a cycle."
-    table = [["equation", "gives", "", "Table 1", "unit", "follows", "remark"]]
-    for row in report.table_1:
-        numbers = [f"{row.gives:.3f}", f"{row.implied:.3f}", row.unit, "yes" if row.follows else "no"]
-        table.append([row.equation, row.quantity, *numbers, row.remark])
-    angles = (THETA_0, condition.largest_angle, condition.reached, condition.drift)
+        numbers = [f"{value + 0.0:.3f}" for value in values]
+        cells.append([phase["name"], phase["formula"], *numbers, "deviates" if phase["deviates"] else ""])
+    turns = f"omega = pi / (2 t1). As printed it turns the pendulum by {total:.0f} degrees a cycle."
+    return _section("The profile (9) as printed, and as built (rad/s)", cells, turns, left=2, last_left=True)
+
+
+def table_1_text(results: Results) -> str:
+    """The origin of Table 1."""
+    cells = [["equation", "gives", "", "Table 1", "unit", "follows", "remark"]]
+    for row in results["table_1"]:
+        numbers = [f"{row['gives']:.3f}", f"{row['implied']:.3f}", row["unit"], "yes" if row["follows"] else "no"]
+        cells.append([row["equation"], row["quantity"], *numbers, row["remark"]])
+    condition = results["boundary_condition"]
+    angles = (THETA_0, *(condition[name] for name in ("largest_angle", "reached", "drift")))
     start, largest, reached, back = (f"{math.degrees(angle):.0f} degrees" for angle in angles)
     boundary = (
         f"The boundary condition theta(t3) = +{start}, on which (23), (30) and (31) rest, has another solution: V1 = "
-        f"{condition.V1:.2f} rad/s, with a largest angle of {largest}. With the published {V1:g} rad/s the pendulum is "
-        f"at {reached} at t3, and the P3 of (23) would take it {back} too far back in every cycle."
+        f"{condition['V1']:.2f} rad/s, with a largest angle of {largest}. With the published {V1:g} rad/s the pendulum "
+        f"is at {reached} at t3, and the P3 of (23) would take it {back} too far back in every cycle."
     )
     follows = "Follows: the two agree within the digits of Table 1, all its times varied by half a last digit."
-    sections = [
-        _section("The profile (9) as printed, and as built (rad/s)", phases, turns, left=2, last_left=True),
-        _section("What Table 1 follows from (Sect. 3.2)", table, follows, boundary, left=2, last_left=True),
-    ]
-    return "\n\n".join(sections)
+    return _section("What Table 1 follows from (Sect. 3.2)", cells, follows, boundary, left=2, last_left=True)
 
 
-def principles_text(report: Report) -> str:
+def principles_text(results: Results) -> str:
     """Principles and Lemmas on both profiles, and what the Lemmas imply."""
     tables = []
     for name, first in (("proposed", 3), ("EPC", 2)):
         phases = selection.ROMAN[first : first + RESTORING_PHASES]
         cells = [[name, "with", f"before {phases[0]}", *phases, "met"]]
-        for row in (row for row in report.demands if row.profile == name):
-            progressive = f"{row.progressive:.3f}" if row.whole_cycle else f"({row.progressive:.1f})"
-            restoring = [f"{max(0.0, factor):.3f}" for factor in row.restoring]
-            cells.append([row.demand, row.form, progressive, *restoring, "yes" if row.met else "no"])
+        for row in (row for row in results["demands"] if row["profile"] == name):
+            progressive = f"{row['progressive']:.3f}" if row["whole_cycle"] else f"({row['progressive']:.1f})"
+            restoring = [f"{max(0.0, factor):.3f}" for factor in row["restoring"]]
+            cells.append([row["demand"], row["form"], progressive, *restoring, "yes" if row["met"] else "no"])
         tables.append(cells)
+    styles = {"lemma": "", "form": "", "principle": "", "states": ",", "violations": ",", "worst": ".4f"}
     lemmas = [["lemma", "with", "principle", "states that\nmeet it", "of these\nviolate", "largest load\nover limit"]]
-    for r in report.lemmas:
-        lemmas.append([r.lemma, r.form, r.principle, f"{r.states:,}", f"{r.violations:,}", f"{r.worst:.4f}"])
+    lemmas += [_formatted(row, styles) for row in results["lemmas"]]
     fast, slow = (
         f"|theta'| < {v:g} rad/s and |theta''| < {a:g} rad/s^2" for v, a in (principles.FAST, principles.SLOW)
     )
@@ -272,13 +235,13 @@ def principles_text(report: Report) -> str:
     )
 
 
-def optimal_profiles_text(report: Report) -> str:
+def optimal_profiles_text(results: Results) -> str:
     """The optima of the family of profiles (9)."""
     cells = [["torque limit, plants, changes", "cm/s", "cost of transport", "N m", "back", "binding"]]
-    for each in sorted(report.optimal_profiles, key=lambda each: each.problem.torque_limit):
+    for each in sorted(results["optimal_profiles"], key=lambda each: each.problem.torque_limit):
         names = (name for name, share in each.shares.items() if share >= BINDING)
         binding = ", ".join(name.replace("principle_", "P").replace("_", " ") for name in names)
-        numbers = [f"{each.cost_of_transport:.2f}", f"{each.peak_torque:.3f}", f"{each.backward_ratio:.1%}"]
+        numbers = [f"{each.cost_of_transport:.2f}", f"{each.peak_torque:.3f}", f"{100.0 * each.backward_ratio:.1f} %"]
         cells.append([each.problem.label, printed_below(100.0 * each.mean_speed, 3), *numbers, binding])
     return _section(
         "The optimum of the paper's own family of profiles, exact tracking, Principles 1 to 4",
@@ -290,14 +253,10 @@ def optimal_profiles_text(report: Report) -> str:
     )
 
 
-def adaptive_text(study: AdaptiveStudy) -> str:
-    """The adaptive law over the ranges, its open choices, its long runs and its Lyapunov function."""
-    return "\n\n".join([_ranges_text(study), _choices_text(study), _long_runs_text(study), _lyapunov_text(study)])
-
-
-def _ranges_text(study: AdaptiveStudy) -> str:
+def ranges_text(results: Results) -> str:
     """The adaptive law over the grid, in all its forms."""
-    regularised, plants = study.laws[0], len(study.laws[0].runs)
+    laws = results["adaptive"]["laws"]
+    regularised, plants = laws[0], len(laws[0].runs)
     nominal = regularised.runs[plants // 2]
     cells = [["regularised law", "nominal", "worst", "unit", "at M (kg)", "mu"]]
     for label, name, unit, style in (
@@ -312,7 +271,7 @@ def _ranges_text(study: AdaptiveStudy) -> str:
         values = [format(run[name], style) for run in (nominal, worst)]
         cells.append([label, *values, unit, *_formatted(worst, {"M": ".3f", "mu": ".4f"})])
     parts: list[str | Cells] = [cells]
-    for law in study.laws:
+    for law in laws:
         limit = f", motor limited to {TORQUE_LIMIT:g} N m" if law.torque_limit == TORQUE_LIMIT else ""
         parts.append(f"{law.law}{limit}: {law.failures} of {len(law.runs)} plants fail")
     M, mu = ([*limits] for limits in (published.M_RANGE, published.MU_RANGE))
@@ -326,43 +285,36 @@ def _ranges_text(study: AdaptiveStudy) -> str:
     )
 
 
-def _choices_text(study: AdaptiveStudy) -> str:
-    """Failures under other choices."""
-    choices = [["beta", "eta(0)", "n", "law, kHz", "fail", f"motor of {TORQUE_LIMIT:g} N m"]]
-    for beta, eta_0, n, rate, *failures in study.variants:
-        choices.append([f"{beta:g}", f"{eta_0:g}", f"{n}", f"{rate / 1000:g}", *map(str, failures)])
-    return _section(
-        f"What the paper leaves open: plants of {len(study.laws[1].runs)} that fail, law corrected, unregularised",
-        choices,
-    )
+def choices_text(results: Results) -> str:
+    """Failures of the adaptive law under other choices."""
+    study = results["adaptive"]
+    cells = [["beta", "eta(0)", "n", "law, kHz", "fail", f"motor of {TORQUE_LIMIT:g} N m"]]
+    for beta, eta_0, n, rate, *failures in study["variants"]:
+        cells.append([f"{beta:g}", f"{eta_0:g}", f"{n}", f"{rate / 1000:g}", *map(str, failures)])
+    plants = len(study["laws"][1].runs)
+    return _section(f"What the paper leaves open: plants of {plants} that fail, law corrected, unregularised", cells)
 
 
-def _long_runs_text(study: AdaptiveStudy) -> str:
+def long_runs_text(results: Results) -> str:
     """The errors of the regularised law over many cycles and at several rates."""
     labels = dict(zip(ERRORS, ("angle error, rad", "rate error, rad/s", "delta_theta, rad/s"), strict=True))
+    columns = [(name, {f"cycle {n}": (n, RATES[0]) for n in adaptive.SHOWN_CYCLES}) for name in ERRORS]
+    pairs = [(n, rate) for n in (1, LONG) for rate in RATES]
+    columns.append(("sliding", {f"{rate / 1000:g} kHz\ncycle {n}": (n, rate) for n, rate in pairs}))
     tables = []
-    for quantity, label in labels.items():
-        columns = {f"cycle {n}": study.errors(quantity, n) for n in adaptive.SHOWN_CYCLES}
-        tables.append(_error_table(label, columns))
-    pairs = ((n, rate) for n in (1, LONG) for rate in RATES)
-    columns = {f"{rate / 1000:g} kHz\ncycle {n}": study.errors("sliding", n, rate) for n, rate in pairs}
-    tables.append(_error_table(labels["sliding"], columns))
+    for name, cycles in columns:
+        found = [cycle_errors(results["adaptive"], name, *cycle) for cycle in cycles.values()]
+        cells = [[labels[name], *cycles]]
+        for (M, mu), *errors in zip((adaptive.NOMINAL_PLANT, *adaptive.CORNERS), *found, strict=True):
+            cells.append([f"M = {M:g} kg, mu = {mu:g}", *(f"{error:.1e}" for error in errors)])
+        tables.append(cells)
     return _section("Long runs of the regularised law: the largest error of a cycle", *tables)
 
 
-def _error_table(label: str, columns: Mapping[str, Sequence[float]]) -> Cells:
-    """Errors by plant (rows) and cycle (columns)."""
-    plants, rows = (adaptive.NOMINAL_PLANT, *adaptive.CORNERS), zip(*columns.values(), strict=True)
-    table = [[label, *columns]]
-    for (M, mu), row in zip(plants, rows, strict=True):
-        table.append([f"M = {M:g} kg, mu = {mu:g}", *(f"{error:.1e}" for error in row)])
-    return table
-
-
-def _lyapunov_text(study: AdaptiveStudy) -> str:
+def lyapunov_text(results: Results) -> str:
     """The Lyapunov function (40) along the runs."""
     cells = [["law", "M (kg)", "mu", "start", "end", "rises in\nof time", "rise\nin all", "fall\nin all"]]
     styles = {"M": ".2f", "mu": ".3f", "start": ".4f", "end": ".4f", "rising": ".0%", "rise": ".1e", "fall": ".1e"}
-    for law in study.laws[:2]:
+    for law in results["adaptive"]["laws"][:2]:
         cells += [[law.law, *_formatted(values, styles)] for values in law.lyapunov]
     return _section("The Lyapunov function V of (40) along the run, with the true plant's parameters", cells)

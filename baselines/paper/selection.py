@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -30,32 +30,14 @@ ROMAN = ("I", "II", "III", "IV", "V", "VI", "VII")
 Times = tuple[float, ...]
 
 
-@dataclass(frozen=True)
-class PrintedPhase:
-    """One phase of (9), as printed and as built.
-
-    Attributes:
-        name: Roman numeral.
-        formula: as printed.
-        printed: velocity at its start and end (rad/s) and its angle (rad).
-        built: the same of the built profile.
-    """
-
-    name: str
-    formula: str
-    printed: tuple[float, float, float]
-    built: tuple[float, float, float]
-
-    @property
-    def deviates(self) -> bool:
-        """Whether the velocities differ by more than a thousandth of the peak."""
-        return max(abs(a - b) for a, b in zip(self.printed[:2], self.built[:2], strict=True)) > 1e-3 * V1
-
-
-def printed_profile() -> list[PrintedPhase]:
+def printed_profile() -> list[dict[str, Any]]:
     """Every phase of (9) as printed, with the times of Table 1 and the built profile's V1, P2 and P3.
 
     omega is pi / (2 t1), with which phase I ends at P1 omega. Phase VI is printed for "[0, t5, t6)"; t5 to t6 is taken.
+
+    Returns:
+        By phase: its `name` and `formula`; velocity at its start and end (rad/s) and angle (rad), `printed` and
+        `built`; and whether the velocities differ by more than a thousandth of the peak (`deviates`).
     """
     _, t2, t3, t4, t5, t6, _ = TABLE_1
     omega, P3 = _quarter(TABLE_1), PROPOSED.restoring_speed
@@ -71,10 +53,12 @@ def printed_profile() -> list[PrintedPhase]:
     phases, edges = [], (0.0, *TABLE_1)
     for n, (text, formula) in enumerate(formulas):
         t, segment = np.linspace(edges[n], edges[n + 1], 10_001), PROPOSED.segments[n]
-        velocity, built = formula(t), segment.velocity(np.array([0.0, segment.duration]))
+        velocity, (begin, end) = formula(t), segment.velocity(np.array([0.0, segment.duration])).tolist()
         printed = (float(velocity[0]), float(velocity[-1]), _integral(velocity, t))
-        angle = float(segment.turned(np.float64(segment.duration)))
-        phases.append(PrintedPhase(ROMAN[n], text, printed, (float(built[0]), float(built[1]), angle)))
+        built = (begin, end, float(segment.turned(np.float64(segment.duration))))
+        deviates = max(abs(printed[0] - begin), abs(printed[1] - end)) > 1e-3 * V1
+        phase = {"name": ROMAN[n], "formula": text, "printed": printed, "built": built, "deviates": deviates}
+        phases.append(phase)
     return phases
 
 
@@ -174,36 +158,14 @@ def eq_31_t7(P2: float, P3: float, t: Times = TABLE_1) -> float:
     return (4.0 * THETA_0 - P2 * t[2] + P2 * t[3] + 2.0 * P3 * t[4]) / (2.0 * P3)
 
 
-@dataclass(frozen=True)
-class Selected:
-    """One equation compared with Table 1.
+def evaluate_selection() -> list[dict[str, Any]]:
+    """What each equation gives, what Table 1 implies, and whether the one follows from the other.
 
-    Attributes:
-        equation: its number.
-        quantity: what it determines.
-        unit: SI.
-        gives: the value that it gives.
-        implied: the value that Table 1 states or implies.
-        rounding: the most by which the rounding of Table 1 can change the difference of the two.
-        remark: how to read the row.
+    Returns:
+        By row: the `equation`, the `quantity` that it determines and its `unit`; the value that it `gives` and the one
+        that Table 1 states or implies (`implied`); the most by which the rounding of Table 1 can change their
+        difference (`rounding`); a `remark`; and whether they agree within the digits of Table 1 (`follows`).
     """
-
-    equation: str
-    quantity: str
-    unit: str
-    gives: float
-    implied: float
-    rounding: float
-    remark: str
-
-    @property
-    def follows(self) -> bool:
-        """Whether the two agree within the digits of Table 1."""
-        return abs(self.gives - self.implied) <= self.rounding
-
-
-def evaluate_selection() -> list[Selected]:
-    """What each equation gives, what Table 1 implies, and whether the one follows from the other."""
     rows: list[tuple[str, str, str, Callable[[Times], tuple[float, float]], str]] = [
         ("(21)", "P2", "rad/s", lambda t: (eq_21_p2(t), eq_27_p2(t)), "implied by (27) and t4"),
         ("(22)", "swing", "rad", lambda t: (eq_22_swing(OMEGA_N, t), 2 * THETA_0), "omega = omega_n"),
@@ -221,31 +183,25 @@ def evaluate_selection() -> list[Selected]:
         ("(30)", "t6", "s", lambda t: (eq_30_t6(eq_27_p2(t), _implied_p3(t), t), t[5]), CIRCULAR),
         ("(31)", "t7", "s", lambda t: (eq_31_t7(eq_27_p2(t), _implied_p3(t), t), t[6]), CIRCULAR),
     ]
-    return [
-        Selected(equation, quantity, unit, *pair(TABLE_1), _rounding(pair), remark)
-        for equation, quantity, unit, pair, remark in rows
-    ]
+    names, selected = ("equation", "quantity", "unit", "gives", "implied", "rounding", "remark"), []
+    for equation, quantity, unit, pair, remark in rows:
+        gives, implied = pair(TABLE_1)
+        # At the corners of the times within the digits of Table 1.
+        corners = itertools.product(*((t - half, t + half) for t, half in zip(TABLE_1, ROUNDING, strict=True)))
+        rounding = max(abs((a - b) - (gives - implied)) for a, b in map(pair, corners))
+        row = (equation, quantity, unit, gives, implied, rounding, remark)
+        selected.append({**dict(zip(names, row, strict=True)), "follows": abs(gives - implied) <= rounding})
+    return selected
 
 
-@dataclass(frozen=True)
-class BoundaryCondition:
+def boundary_condition() -> dict[str, float]:
     """What theta(t3) = +theta_0, on which (23) rests, would take with the times of Table 1.
 
-    Attributes:
-        V1: the peak velocity that reaches +theta_0 at t3, rad/s.
-        largest_angle: of the cycle at that peak velocity, rad.
-        reached: theta(t3) at the published peak velocity, rad.
-        drift: angle by which a cycle with the P3 of (23) fails to close at the published peak velocity, rad.
+    Returns:
+        The peak velocity that reaches +theta_0 at t3 (`V1`, rad/s) and the `largest_angle` of its cycle (rad);
+        theta(t3) at the published peak velocity (`reached`, rad), and the angle by which a cycle with the P3 of (23)
+        fails to close there (`drift`, rad).
     """
-
-    V1: float
-    largest_angle: float
-    reached: float
-    drift: float
-
-
-def boundary_condition() -> BoundaryCondition:
-    """The boundary condition theta(t3) = +theta_0 compared with the published peak velocity."""
 
     def reached(velocity: float) -> float:
         return float(seven_phases(TABLE_1, velocity, P2).evaluate(np.array([TABLE_1[2]]))[0][0])
@@ -255,7 +211,7 @@ def boundary_condition() -> BoundaryCondition:
     rest = 0.5 * P2 * (TABLE_1[3] - TABLE_1[2])
     forth = reached(V1) + THETA_0 + rest
     drift = forth * _implied_p3(TABLE_1) / PROPOSED.restoring_speed - forth
-    return BoundaryCondition(needed, THETA_0 + rest, reached(V1), drift)
+    return {"V1": needed, "largest_angle": THETA_0 + rest, "reached": reached(V1), "drift": drift}
 
 
 def bisect(below: Callable[[float], bool], low: float, high: float, steps: int = 60) -> tuple[float, float]:
@@ -284,10 +240,3 @@ def _lemma_1_bound(p: Plant) -> float:
 def _integral(values: np.ndarray, t: np.ndarray) -> float:
     """The trapezoidal rule on equal steps."""
     return float((values.sum() - 0.5 * (values[0] + values[-1])) * (t[1] - t[0]))
-
-
-def _rounding(pair: Callable[[Times], tuple[float, float]]) -> float:
-    """The most by which times within the digits of Table 1 change the difference of the pair, at the corners."""
-    gives, implied = pair(TABLE_1)
-    corners = itertools.product(*((t - half, t + half) for t, half in zip(TABLE_1, ROUNDING, strict=True)))
-    return max(abs((a - b) - (gives - implied)) for a, b in map(pair, corners))

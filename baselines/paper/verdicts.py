@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from baselines.laws.adaptive import nominal_estimates
 from baselines.laws.gains import UNREGULARISED
 from baselines.paper import published
-from baselines.paper.adaptive import LONG, LONGEST, AdaptiveStudy
-from baselines.paper.proofs import LargestRate, PeakTorque
+from baselines.paper.adaptive import LONG, LONGEST, cycle_errors
 from baselines.paper.published import Number
-from baselines.paper.tracking import Reproduction
 from baselines.tables import printed_above, printed_below
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import TORQUE_LIMIT
+
+Results = dict[str, Any]
 
 # Reading a curve off a figure, and the digits of print, are no better.
 AGREEMENT = 0.02
@@ -25,98 +25,69 @@ AGREEMENT = 0.02
 SUPPRESSED = 0.1
 # An error counts as converged once it has fallen to this share of the first cycle's on every plant.
 CONVERGED = 0.1
-CALIBRATED, PREDICTED, CONSTANT = "calibrated", "predicted", "constant"
 REASONS = {
     "alpha_theta: m l^2": "m l^2 = 0.138 x 0.09 = 0.01242: the digits of the print are transposed.",
     "alpha_theta: m g l": "m g l = 0.40613 with g = 9.81; the print has g = 9.789. The law starts from 0.40613.",
 }
 
 
-@dataclass(frozen=True)
-class Row:
-    """A published number compared with the number found.
-
-    Attributes:
-        run: what it belongs to.
-        number: the published one.
-        found: ours, in the same unit.
-        kind: "calibrated" where a free parameter was set to meet it, "predicted" where nothing was set, "constant"
-            where it restates the plant.
-        remark: why they differ, or what to note although they agree.
-    """
-
-    run: str
-    number: Number
-    found: float
-    kind: str
-    remark: str = ""
-
-    @property
-    def difference(self) -> float:
-        """Relative difference, found against published."""
-        return self.found / self.number.value - 1.0
-
-    @property
-    def reproduced(self) -> bool:
-        """Whether they agree."""
-        return abs(self.difference) <= AGREEMENT
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """A published claim compared with what is found.
-
-    Attributes:
-        claim: its key in `published.CLAIMS`.
-        found: what is found.
-        reproduced: whether the claim holds here.
-    """
-
-    claim: str
-    found: str
-    reproduced: bool
-
-
 def compare_numbers(
-    result: Reproduction, study: AdaptiveStudy, peaks: Sequence[PeakTorque], rates: Sequence[LargestRate]
-) -> list[Row]:
-    """Every published number compared with ours."""
+    runs: Results, study: Results, peaks: Sequence[Results], rates: Sequence[Results]
+) -> list[dict[str, Any]]:
+    """Every published number compared with ours.
+
+    Args:
+        runs: see `tracking.reproduce`.
+        study: see `adaptive.study_adaptive`.
+        peaks: see `proofs.check_proof_1`.
+        rates: see `proofs.check_proof_2`.
+
+    Returns:
+        By row: the `run` that it belongs to, the published `number`, ours in the same unit (`found`), its `kind`
+        ("calibrated" where a free parameter was set to meet it, "predicted" where nothing was set, "constant" where it
+        restates the plant), why they differ, or what to note although they agree (`remark`), the relative `difference`,
+        and whether they agree (`reproduced`).
+    """
     rows = []
+
+    def add(run: str, number: Number, found: float, kind: str, remark: str = "") -> None:
+        row = {"run": run, "number": number, "found": found, "kind": kind, "remark": remark}
+        difference = found / number.value - 1.0
+        rows.append({**row, "difference": difference, "reproduced": abs(difference) <= AGREEMENT})
+
     for (name, numbers), peak, rate in zip(published.RUNS.items(), peaks, rates, strict=True):
-        run = result.tracking[name, "newton"]
+        run = runs["tracking"][name]["newton"]
         torque = (
-            f"Impossible at the published velocity. Proof 1: at the peak of {peak.velocity:g} rad/s the motor gives at "
-            f"least {printed_below(peak.bound, 3)} N m. Proof 2: with {rate.torque:g} N m theta' stays below "
-            f"{printed_above(rate.bound, 3)} rad/s; to reach {rate.published:g} takes at least "
-            f"{printed_below(rate.torque_needed, 3)} N m."
+            f"Impossible at the published velocity. Proof 1: at the peak of {peak['velocity']:g} rad/s the motor gives "
+            f"at least {printed_below(peak['bound'], 3)} N m. Proof 2: with {rate['torque']:g} N m theta' stays below "
+            f"{printed_above(rate['bound'], 3)} rad/s; to reach {rate['published']:g} takes at least "
+            f"{printed_below(rate['torque_needed'], 3)} N m."
         )
-        rows += [
-            Row(name, numbers["peak_velocity"], run["peak_velocity"], CALIBRATED),
-            Row(name, numbers["swing"], run["swing"], CALIBRATED),
-            Row(name, numbers["mean_speed"], run["mean_speed"], PREDICTED, _speed_reason(result, name)),
-            Row(name, numbers["peak_torque"], run["peak_torque"], PREDICTED, torque),
-        ]
-    difference = result.tracking["EPC", "newton"]["swing"] - result.tracking["proposed", "newton"]["swing"]
-    rows.append(Row("both", published.SWING_DIFFERENCE, difference, CALIBRATED))
-    slowest, fastest = (study.laws[0].worst("peak_velocity", smallest=smallest) for smallest in (True, False))
+        add(name, numbers["peak_velocity"], run["peak_velocity"], "calibrated")
+        add(name, numbers["swing"], run["swing"], "calibrated")
+        add(name, numbers["mean_speed"], run["mean_speed"], "predicted", _speed_reason(runs, name))
+        add(name, numbers["peak_torque"], run["peak_torque"], "predicted", torque)
+    proposed, epc = (runs["tracking"][name]["newton"]["swing"] for name in ("proposed", "EPC"))
+    add("both", published.SWING_DIFFERENCE, epc - proposed, "calibrated")
+    slowest, fastest = (study["laws"][0].worst("peak_velocity", smallest=smallest) for smallest in (True, False))
     remark = (
         f"printed as 'about'; {slowest['peak_velocity']:.2f} to {fastest['peak_velocity']:.2f} rad/s over the ranges, "
         f"the largest at M = {fastest['M']:.3f} kg, mu = {fastest['mu']:.4f}"
     )
-    rows.append(Row("adaptive", published.ADAPTIVE_PEAK_VELOCITY, fastest["peak_velocity"], CALIBRATED, remark))
-    rows.append(Row("plant", published.NATURAL_FREQUENCY, math.sqrt(NOMINAL.g / NOMINAL.l), CONSTANT))
+    add("adaptive", published.ADAPTIVE_PEAK_VELOCITY, fastest["peak_velocity"], "calibrated", remark)
+    add("plant", published.NATURAL_FREQUENCY, math.sqrt(NOMINAL.g / NOMINAL.l), "constant")
     for number, value in zip(published.BASE_PARAMETERS, nominal_estimates(NOMINAL.plant()), strict=True):
-        rows.append(Row("plant", number, value, CONSTANT, REASONS.get(number.quantity, "")))
+        add("plant", number, value, "constant", REASONS.get(number.quantity, ""))
     return rows
 
 
-def _speed_reason(result: Reproduction, name: str) -> str:
+def _speed_reason(runs: Results, name: str) -> str:
     """Why the published mean speed does not come out."""
-    run, contact = (result.tracking[name, force]["mean_speed"] for force in ("newton", "paper"))
-    speeds = result.steps[name][0]
+    run, contact = (runs["tracking"][name][force]["mean_speed"] for force in ("newton", "paper"))
+    speeds = runs["steps"][name][0]
     rival = "EPC" if name == "proposed" else "proposed"
     stated = {each: published.RUNS[each]["mean_speed"].value for each in (name, rival)}
-    own, theirs = (", ".join(f"{mu:.3f}" for mu in result.frictions[each]) for each in (name, rival))
+    own, theirs = (", ".join(f"{mu:.3f}" for mu in runs["frictions"][each]) for each in (name, rival))
     return (
         "Under exact tracking the speed follows from M, m, l, g and mu alone: no gain enters. The paper's normal "
         f"force changes it by {100.0 * (contact / run - 1.0):+.1f} %, steps from 0.1 to 10 ms by "
@@ -125,96 +96,95 @@ def _speed_reason(result: Reproduction, name: str) -> str:
     )
 
 
-def converged(study: AdaptiveStudy, quantity: str) -> bool:
+def converged(study: Results, quantity: str) -> bool:
     """Whether an error falls to a tenth of the first cycle's in every one of the longest runs off the nominal plant."""
-    first, last = (study.errors(quantity, cycle)[1:] for cycle in (1, LONGEST))
+    first, last = (cycle_errors(study, quantity, cycle)[1:] for cycle in (1, LONGEST))
     return all(b <= CONVERGED * a for a, b in zip(first, last, strict=True))
 
 
-def judge_claims(result: Reproduction, study: AdaptiveStudy) -> list[Verdict]:
-    """Every claim of Sect. 5 and Theorem 1 compared with what is found."""
-    proposed, epc = (result.tracking[name, "newton"] for name in ("proposed", "EPC"))
-    low, high = result.ratio
-    regularised, corrected, limited = study.laws
+def judge_claims(runs: Results, study: Results) -> list[dict[str, Any]]:
+    """Every claim of Sect. 5 and Theorem 1 compared with what is found.
+
+    Args:
+        runs: see `tracking.reproduce`.
+        study: see `adaptive.study_adaptive`.
+
+    Returns:
+        By row: the key of the `claim` in `published.CLAIMS`, what is `found`, and whether it holds (`reproduced`).
+    """
+    proposed, epc = (runs["tracking"][name]["newton"] for name in ("proposed", "EPC"))
+    low, high = runs["ratio"]
+    regularised, corrected, limited = study["laws"]
     worst, highest = regularised.worst("error_rms"), limited.worst("eta")["eta"]
-    failures, failures_limited = ([v[column] for v in study.variants] for column in (-2, -1))
+    failures, failures_limited = ([v[column] for v in study["variants"]] for column in (-2, -1))
     over_choices = f"{min(failures)} to {max(failures)} of {len(corrected.runs)}"
-    angle = {cycle: study.errors("angle_error", cycle) for cycle in (1, LONG, LONGEST)}
+    angle = {cycle: cycle_errors(study, "angle_error", cycle) for cycle in (1, LONG, LONGEST)}
     falls = {cycle: np.divide(angle[1], angle[cycle]).tolist() for cycle in (LONG, LONGEST)}
     steepest = max((each for each in regularised.lyapunov if each["M"] != NOMINAL.M), key=lambda each: each["rise"])
-    return [
-        Verdict(
-            "faster",
+    found = {
+        "faster": (
             f"{proposed['mean_speed']:.3f} against {epc['mean_speed']:.3f} cm/s: EPC is faster, here and for every mu "
             f"in [0.003, 1] at which it moves (ratio {low:.2f} to {high:.2f})",
             proposed["mean_speed"] > epc["mean_speed"],
         ),
-        Verdict(
-            "torque",
+        "torque": (
             f"{proposed['peak_torque']:.3f} against {epc['peak_torque']:.3f} N m",
             proposed["peak_torque"] < epc["peak_torque"],
         ),
-        Verdict(
-            "energy",
+        "energy": (
             f"cost of transport {proposed['cost_of_transport']:.2f} against {epc['cost_of_transport']:.2f}, energy per "
             f"cycle {proposed['energy']:.2f} against {epc['energy']:.2f} J",
             proposed["cost_of_transport"] < epc["cost_of_transport"],
         ),
-        Verdict(
-            "backward",
+        "backward": (
             f"{proposed['backward']:.2f} cm back per cycle, {100.0 * proposed['backward_ratio']:.1f} % of the way "
             f"forwards; EPC, {epc['backward']:.2f} cm and {100.0 * epc['backward_ratio']:.1f} %, slides back less",
             proposed["backward_ratio"] < SUPPRESSED,
         ),
-        Verdict(
-            "adaptive",
+        "adaptive": (
             f"regularised: rms error at most {worst['error_rms']:.1e} rad (M = {worst['M']:.3f} kg, mu = "
             f"{worst['mu']:.4f}); corrected, unregularised it fails on {corrected.failures} of {len(corrected.runs)} "
             f"plants, on {over_choices} over what the paper leaves open",
             corrected.failures == 0,
         ),
-        Verdict(
-            "finite_time",
+        "finite_time": (
             f"regularised, off the nominal plant: the largest angle error of a cycle is {_range(angle[1])} rad in the "
             f"first, {_range(angle[LONG])} in the {LONG}th and {_range(angle[LONGEST])} in the {LONGEST}th. Theorem 1 "
             "itself states no finite time",
             converged(study, "angle_error"),
         ),
-        Verdict("rate", f"of the velocity's error: {_errors(study, 'rate_error')}", converged(study, "rate_error")),
-        Verdict("sliding", _errors(study, "sliding"), converged(study, "sliding")),
-        Verdict(
-            "stable",
+        "rate": (f"of the velocity's error: {_errors(study, 'rate_error')}", converged(study, "rate_error")),
+        "sliding": (_errors(study, "sliding"), converged(study, "sliding")),
+        "stable": (
             f"corrected, unregularised: {over_choices} plants lose contact within five cycles over what the paper "
             f"leaves open, {min(failures_limited)} to {max(failures_limited)} with a motor of {TORQUE_LIMIT:g} N m. "
             "x_d advances as on the nominal plant, so x - x_d grows with every cycle, and T_n with it",
             max(failures) == 0,
         ),
-        Verdict(
-            "bounded",
+        "bounded": (
             f"corrected, unregularised, motor of {TORQUE_LIMIT:g} N m: eta reaches {highest:.0e}, its numerical "
             "bound. Nor is u continuous: where delta_theta changes sign (39c) jumps by 2 |delta_x| (|eta| + K2). "
             "Regularised, the bounds are imposed",
             highest < 0.99 * UNREGULARISED.eta_bound,
         ),
-        Verdict(
-            "convergence",
+        "convergence": (
             "corrected, unregularised: no, it loses contact. Regularised, off the nominal plant: the angle error falls "
             f"{_range(falls[LONG], '.1f')} times in {LONG} cycles, {_range(falls[LONGEST], '.1f')} times in {LONGEST}; "
             "it stays bounded and does not vanish",
             corrected.failures == 0 and converged(study, "angle_error"),
         ),
-        Verdict(
-            "lyapunov",
+        "lyapunov": (
             f"regularised: it rises in {100.0 * steepest['rising']:.0f} % of the time, by {steepest['rise']:.2f} in "
             f"all (M = {steepest['M']:.2f} kg, mu = {steepest['mu']:.3f})",
             all(each["rise"] == 0.0 for law in (regularised, corrected) for each in law.lyapunov),
         ),
-    ]
+    }
+    return [{"claim": claim, "found": text, "reproduced": holds} for claim, (text, holds) in found.items()]
 
 
-def _errors(study: AdaptiveStudy, quantity: str) -> str:
+def _errors(study: Results, quantity: str) -> str:
     """How the largest value of an error changes over the cycles."""
-    first, later, last = (_range(study.errors(quantity, n)) for n in (1, LONG, LONGEST))
+    first, later, last = (_range(cycle_errors(study, quantity, n)) for n in (1, LONG, LONGEST))
     return (
         f"regularised, off the nominal plant: the largest of a cycle is {first} rad/s in the first, {later} in the "
         f"{LONG}th and {last} in the {LONGEST}th: it falls and does not vanish"
