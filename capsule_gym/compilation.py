@@ -7,6 +7,7 @@ unchanged one is found again by any process.
 
 from __future__ import annotations
 
+import dis
 import gc
 import hashlib
 import inspect
@@ -15,13 +16,16 @@ import re
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from enum import Enum
 from functools import cache
 from pathlib import Path
-from types import CellType, CodeType, FunctionType, ModuleType
+from types import BuiltinFunctionType, CellType, CodeType, FunctionType, ModuleType
 from typing import Any
+from uuid import uuid4
 
 import numba
 import numpy as np
+from llvmlite import ir
 from numba import types
 from numba.core import event
 from numba.core.caching import FunctionCache
@@ -38,8 +42,8 @@ OPTIONS: dict[str, Any] = {"error_model": "numpy"}
 _NO_WRAPPERS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 DIGEST_SIZE = hashlib.sha256().digest_size
-# What a fingerprint does not look into.
-_LIBRARIES = ("math", "numpy", "numba", "typing", "builtins")
+# Packages whose content a fingerprint does not read.
+_LIBRARIES = ("builtins", "itertools", "llvmlite", "math", "numba", "numpy", "operator", "typing")
 
 # Decorators of plain functions that compiled code may call. Compiled code contains no call of an `inlined` one but its
 # body: no loop over environments is vectorised otherwise.
@@ -63,61 +67,96 @@ def use_widest_vectors(typing_context: Any) -> Any:
     return types.void(), generate
 
 
-def fingerprint(function: Callable[..., Any]) -> str:
-    """A sha256 of a function, of all that it refers to (constants, closures, globals, callees), and of the options."""
-    digest = hashlib.sha256(repr(sorted(OPTIONS.items())).encode())
+def fingerprint(function: Callable[..., Any]) -> str | None:
+    """A hash of a function, of everything that its compiled code can depend on, and of the options.
+
+    That is its code and that of its callees, with their defaults, closures, globals and attributes of modules.
+
+    Returns:
+        16 digits of a sha256; None if something among these is of a type whose content this function cannot read.
+    """
+    digest = hashlib.sha256()
     seen: set[int] = set()
 
-    def add_code(code: CodeType, scope: dict[str, Any]) -> None:
-        digest.update(code.co_code)
-        digest.update(repr((code.co_names, code.co_varnames, code.co_freevars)).encode())
+    def put(*parts: Any) -> None:
+        digest.update(repr(parts).encode() + b"\0")
+
+    def add_code(code: CodeType) -> tuple[set[str], set[str]]:
+        """Adds a code object and those in it; returns the globals that they read, and all names in them."""
+        put(code.co_code, code.co_varnames, code.co_freevars, getattr(code, "co_exceptiontable", None))
+        names = set(code.co_names)
+        read = {step.argval for step in dis.get_instructions(code) if step.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
+        put(code.co_names)
         for constant in code.co_consts:
             if isinstance(constant, CodeType):
-                add_code(constant, scope)
+                inner_read, inner_names = add_code(constant)
+                read, names = read | inner_read, names | inner_names
             else:
-                digest.update(repr(constant).encode())
-        for name in code.co_names:
-            if name in scope:
-                add(name, scope[name], code.co_names)
+                put(constant)
+        return read, names
 
-    def add(name: str, value: Any, names: tuple[str, ...]) -> None:
-        digest.update(name.encode())
+    def add_function(function: FunctionType) -> None:
+        read, names = add_code(function.__code__)
+        scope = function.__globals__
+        for name in sorted(read & scope.keys()):
+            add(name, scope[name], names)
+        add("defaults", function.__defaults__, names)
+        for name, default in sorted((function.__kwdefaults__ or {}).items()):
+            add(name, default, names)
+        # numba learns from the argument where a named tuple holds which field: the code does not say it.
+        for word in re.findall(r"\w+", repr(function.__annotations__)):
+            kind = scope.get(word)
+            if isinstance(kind, type) and hasattr(kind, "_fields"):
+                add(word, kind, names)
+        for free, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+            add(free, cell.cell_contents, names)
+
+    def add(name: str, value: Any, names: set[str]) -> None:
         if isinstance(value, CPUDispatcher):
-            digest.update(repr(sorted(value.targetoptions.items())).encode())
+            put(sorted(value.targetoptions.items()))
         value = value._defn if isinstance(value, _Intrinsic) else getattr(value, "py_func", value)
-        if isinstance(value, FunctionType):
-            if id(value) in seen or value.__module__.startswith(_LIBRARIES):
-                return
-            seen.add(id(value))
-            add_code(value.__code__, value.__globals__)
-            digest.update(repr(value.__defaults__).encode())
-            # numba learns from the argument where a named tuple holds which field: the code does not say it.
-            for word in re.findall(r"\w+", repr(value.__annotations__)):
-                kind = value.__globals__.get(word)
-                if isinstance(kind, type) and hasattr(kind, "_fields"):
-                    add(word, kind, ())
-            for free, cell in zip(value.__code__.co_freevars, value.__closure__ or (), strict=True):
-                add(free, cell.cell_contents, ())
-        elif isinstance(value, ModuleType):
-            if not value.__name__.startswith(_LIBRARIES):
-                for attribute in names:
-                    if hasattr(value, attribute):
-                        add(attribute, getattr(value, attribute), ())
+        home = value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", None) or ""
+        named = isinstance(value, (ModuleType, FunctionType, BuiltinFunctionType, type))
+        put(name, type(value).__qualname__)
+        if value is None or isinstance(value, (bool, int, float, complex, str, bytes, np.generic)):
+            put(value)
         elif isinstance(value, (tuple, list)):
-            digest.update(f"{type(value).__qualname__} of {len(value)}".encode())
-            digest.update(repr(getattr(value, "_fields", ())).encode())
+            put(len(value), getattr(value, "_fields", None))
             for entry in value:
-                add("", entry, ())
-        elif isinstance(value, np.ndarray):
-            digest.update(repr((value.dtype, value.shape)).encode() + np.ascontiguousarray(value).tobytes())
-        elif isinstance(value, type):
-            fields = inspect.get_annotations(value) if hasattr(value, "_fields") else None
-            digest.update(repr((value.__qualname__, fields)).encode())
+                add("", entry, names)
+        elif isinstance(value, np.ndarray) and not value.dtype.hasobject:
+            put(value.dtype, value.shape, np.ascontiguousarray(value).tobytes())
+        elif named and home.partition(".")[0] in _LIBRARIES:
+            put(home, value.__name__)
+        elif isinstance(value, (types.Type, ir.Type)) or value is getattr(np, getattr(value, "__name__", ""), None):
+            put(str(value))
+        elif isinstance(value, ModuleType):
+            if (id(value), frozenset(names)) not in modules:
+                modules.add((id(value), frozenset(names)))
+                for attribute in sorted(names & vars(value).keys()):
+                    add(attribute, getattr(value, attribute), names)
+        elif isinstance(value, FunctionType):
+            if id(value) not in seen:
+                seen.add(id(value))
+                add_function(value)
+        elif isinstance(value, type) and issubclass(value, Enum):
+            put(value.__qualname__, [(member.name, member.value) for member in value])
+        elif isinstance(value, type) and hasattr(value, "_fields"):
+            put(value.__qualname__, value._fields, inspect.get_annotations(value))
         else:
-            digest.update(repr(value).encode())
+            raise _UnknownContentError(name, value)
 
-    add(function.__name__, function, ())
-    return digest.hexdigest()
+    modules: set[tuple[int, frozenset[str]]] = set()
+    put(sorted(OPTIONS.items()))
+    try:
+        add(function.__name__, function, set())
+    except _UnknownContentError:
+        return None
+    return digest.hexdigest()[:16]
+
+
+class _UnknownContentError(Exception):
+    """`fingerprint` has met an object, of that name, that it cannot read."""
 
 
 def rebound(function: Any, name: str, bindings: dict[str, Any], cells: tuple[CellType, ...] | None = None) -> Any:
@@ -155,12 +194,20 @@ def inner(function: Any, **options: Any) -> Any:
     return numba.njit(function, **OPTIONS, **_NO_WRAPPERS, **options)
 
 
-def kernel(function: Callable[..., Any], digest: str, bindings: dict[str, Any]) -> Any:
-    """The function with those globals, compiled at its first call or loaded from the disk cache of its sources."""
-    dispatcher = numba.njit(rebound(function, f"{function.__name__}_{digest}", bindings), nogil=True, **OPTIONS)
+def kernel(function: Callable[..., Any], digest: str | None, bindings: dict[str, Any]) -> Any:
+    """The function with other globals, compiled at its first call or loaded from the disk cache.
+
+    Args:
+        function: a plain function.
+        digest: a hash of all that the code depends on; None keeps the code in this process alone.
+        bindings: the globals that are to have other values.
+    """
+    bound = rebound(function, f"{function.__name__}_{digest or uuid4().hex}", bindings)
+    dispatcher = numba.njit(bound, nogil=True, **OPTIONS)
     # numba finds no folder where neither NUMBA_CACHE_DIR, nor the package, nor the user's cache can be written to.
     with suppress(RuntimeError):
-        dispatcher._cache = Cache(dispatcher.py_func)
+        if digest:
+            dispatcher._cache = Cache(dispatcher.py_func)
     return dispatcher
 
 
@@ -207,7 +254,22 @@ def compile_cached(function: Callable[..., Any]) -> Any:
 
     The same function gives the same dispatcher.
     """
-    return kernel(function, fingerprint(function)[:16], {})
+    return kernel(function, fingerprint(function), {})
+
+
+def compile_entry(function: Callable[..., Any], signature: tuple[Any, ...], what: str = "") -> Any:
+    """A module-level function as compiled code alone: it checks neither dtype nor shape nor contiguity of its arrays.
+
+    numba's search for the right compiled form takes time, and finds none for read-only arrays or another law's step.
+
+    Args:
+        function: plain.
+        signature: numba's types of its arguments.
+        what: for the message; empty where it takes too short a time to say so.
+    """
+    compiled = compile_cached(function)
+    compile_now(compiled, signature, what)
+    return next(iter(compiled.overloads.values())).entry_point
 
 
 def compile_now(function: Any, signature: tuple[Any, ...], what: str) -> None:

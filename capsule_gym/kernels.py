@@ -10,11 +10,11 @@ second, and the step calls it once per law period and block by its address, whic
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 from llvmlite import ir
@@ -412,18 +412,17 @@ SIGNATURE = (
 )
 
 
+@cache
 def build_advance(pivot_torque_on_contact: float) -> Any:
     """`advance` as a numba dispatcher, compiled or loaded from the disk cache; says so where it has to compile.
 
     Args:
         pivot_torque_on_contact: 1.0 for the paper's normal force, 0.0 for Newton's.
     """
-    digest = hashlib.sha256(f"{pivot_torque_on_contact}:{_own_fingerprint()}".encode()).hexdigest()[:16]
-    if digest not in _built:
-        built = kernel(advance, digest, {"PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact})
-        compile_now(built, SIGNATURE, "the physics")
-        _built[digest] = built
-    return _built[digest]
+    digest = f"{fingerprint(advance)}_{pivot_torque_on_contact:g}"
+    built = kernel(advance, digest, {"PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact})
+    compile_now(built, SIGNATURE, "the physics")
+    return built
 
 
 def bind_law(law_function: Callable[..., Any], digest: str, memory_size: int, reference_size: int) -> dict[str, Any]:
@@ -453,19 +452,22 @@ def build(law_function: Callable[..., Any], memory_size: int, reference_size: in
         TypeError: if the law is nothing that numba compiles.
     """
     source = law_function.py_func if isinstance(law_function, CPUDispatcher) else law_function
-    key = f"{fingerprint(source)}:{memory_size}:{reference_size}:{_law_fingerprint()}"
-    digest = hashlib.sha256(key.encode()).hexdigest()[:16]
-    if digest not in _built:
-        built = kernel(evaluate_law, digest, bind_law(source, digest, memory_size, reference_size))
-        try:
-            compile_now(built, LAW_SIGNATURE, name)
-        except (NumbaError, NotImplementedError, ValueError) as error:
-            raise TypeError(
-                f"{name} must be a function that numba compiles, of numbers and tuples of numbers, and return "
-                f"(torque, memory) with {memory_size} cells of memory; numba says: {error}"
-            ) from error
+    content, digest = fingerprint(source), None
+    if content is not None:
+        digest = f"{content}_{memory_size}_{reference_size}_{_law_fingerprint()}"
+        if digest in _built:
+            return _built[digest]
+    built = kernel(evaluate_law, digest, bind_law(source, digest or uuid4().hex, memory_size, reference_size))
+    try:
+        compile_now(built, LAW_SIGNATURE, name)
+    except (NumbaError, NotImplementedError, ValueError) as error:
+        raise TypeError(
+            f"{name} must be a function that numba compiles, of numbers and tuples of numbers, and return "
+            f"(torque, memory) with {memory_size} cells of memory; numba says: {error}"
+        ) from error
+    if digest is not None:
         _built[digest] = built
-    return _built[digest]
+    return built
 
 
 def address(compiled: Any) -> int:
@@ -478,13 +480,7 @@ def address(compiled: Any) -> int:
 _built: dict[str, Any] = {}
 
 
-@lru_cache(maxsize=1)
-def _own_fingerprint() -> str:
-    """A hash of the step and everything in it."""
-    return fingerprint(advance)
-
-
-@lru_cache(maxsize=1)
-def _law_fingerprint() -> str:
+@cache
+def _law_fingerprint() -> str | None:
     """The part of a law's fingerprint that all laws share."""
     return fingerprint(evaluate_law)

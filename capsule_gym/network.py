@@ -16,7 +16,7 @@ import numpy as np
 from numba import types
 
 from capsule_gym import kernels, layout
-from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, jitable, kernel, use_widest_vectors
+from capsule_gym.compilation import compile_entry, inlined, inner, jitable, use_widest_vectors
 from capsule_gym.elementary import clip, fma, log, tanh
 from capsule_gym.layout import AT, LANES, load, record, store
 from capsule_gym.observation import CELLS, ESTIMATES, estimates, identify, observation_names
@@ -352,12 +352,9 @@ def act_batch(
 @lru_cache(maxsize=1)
 def compiled_act_batch() -> Any:
     """`act_batch` as compiled code: it checks neither dtype nor shape nor contiguity of its arguments."""
-    compiled = kernel(act_batch, fingerprint(act_batch)[:16], {})
     rows = types.float32[:, ::1]
     signature = (types.float64[::1], rows, types.float64[::1], rows, rows)
-    compile_now(compiled, signature, "the network of trained policies")
-    # Read-only arrays are another type to numba, and would be compiled for anew.
-    return next(iter(compiled.overloads.values())).entry_point
+    return compile_entry(act_batch, signature, "the network of trained policies")
 
 
 # The columns of the changes of M and mu: the environment, or -1 where the change is done, and the rest in SI units.
@@ -428,15 +425,12 @@ def run_episodes(
 @lru_cache(maxsize=1)
 def _compiled_episodes() -> Any:
     """`run_episodes`, compiled once for all laws, whose steps it takes as functions."""
-    compiled = kernel(run_episodes, fingerprint(run_episodes)[:16], {})
     world, first, last, _, fixed, observations = kernels.SIGNATURE
     step = types.FunctionType(types.int64(*kernels.SIGNATURE))
     numbers, changes = types.float64[::1], types.float64[:, ::1]
     policy = (numbers, numbers, observations)
     signature = (step, world, first, last, types.int64, types.float64, fixed, observations, *policy, changes)
-    compile_now(compiled, signature, "the episodes of trained policies")
-    # numba's dispatcher would compile it anew for the type of every law's step.
-    return next(iter(compiled.overloads.values())).entry_point
+    return compile_entry(run_episodes, signature, "the episodes of trained policies")
 
 
 def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.ndarray]:

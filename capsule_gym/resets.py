@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from capsule_gym.compilation import compile_now, fingerprint, inlined, kernel
+from capsule_gym.compilation import compile_entry, inlined
 from capsule_gym.elementary import exp, log
 from capsule_gym.layout import AT, LANES, MEMORY, Row
 from capsule_gym.parameters import Capsule, Randomization
@@ -194,9 +194,4 @@ _SIGNATURES: dict[Callable[..., None], tuple[Any, ...]] = {
 @lru_cache(maxsize=1)
 def compiled() -> tuple[Callable[..., None], Callable[..., None]]:
     """`draw` and `renew`, compiled or from the disk cache, without numba's search for the right types."""
-    entries = []
-    for function, signature in _SIGNATURES.items():
-        built = kernel(function, fingerprint(function)[:16], {})
-        compile_now(built, signature, "")
-        entries.append(next(iter(built.overloads.values())).entry_point)
-    return entries[0], entries[1]
+    return compile_entry(draw, _SIGNATURES[draw]), compile_entry(renew, _SIGNATURES[renew])

@@ -12,7 +12,7 @@ from numba import types
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from capsule_gym import kernels, layout, resets
-from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, kernel
+from capsule_gym.compilation import compile_entry, inlined, inner
 from capsule_gym.elementary import exp
 from capsule_gym.layout import AT, LANES, record
 from capsule_gym.network import (
@@ -187,7 +187,6 @@ def collect(
 @lru_cache(maxsize=1)
 def _compiled() -> Any:
     """`collect`, compiled once for all laws: the compiled step of a law is an argument."""
-    compiled = kernel(collect, fingerprint(collect)[:16], {})
     world, begin, end, _, fixed, observations = kernels.SIGNATURE
     step = types.FunctionType(types.int64(*kernels.SIGNATURE))
     numbers, rows, indices = types.float64[::1], types.float64[:, ::1], types.int64[::1]
@@ -196,8 +195,7 @@ def _compiled() -> Any:
     episodes = (numbers, numbers, types.float64, types.uint64[:, ::1], indices, numbers)
     policy = (numbers, numbers, numbers, many, types.boolean, types.float64, rows, types.float64[:, :, ::1])
     written = (numbers, indices, cube, many, many, many, types.int64[:, ::1], many, rows)
-    compile_now(compiled, (*simulation, *episodes, *policy, *written), "the rollouts of training")
-    return next(iter(compiled.overloads.values())).entry_point
+    return compile_entry(collect, (*simulation, *episodes, *policy, *written), "the rollouts of training")
 
 
 class Rollout(NamedTuple):

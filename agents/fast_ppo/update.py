@@ -22,7 +22,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from agents.training.algorithms import HALF_LOG_2_PI
-from capsule_gym.compilation import compile_now, fingerprint, inlined, inner, jitable, kernel, use_widest_vectors
+from capsule_gym.compilation import compile_entry, inlined, inner, jitable, use_widest_vectors
 from capsule_gym.layout import check_arrays, record
 from capsule_gym.network import Layer
 
@@ -631,11 +631,10 @@ def update(
 @lru_cache(maxsize=1)
 def compiled() -> Any:
     """`update` as compiled code: it checks neither dtype nor shape nor contiguity of its arrays."""
-    built = kernel(update, fingerprint(update)[:16], {})
     numbers, widths, row = types.float64[::1], types.int64[::1], types.float32[::1]
     given = (types.int64[:, ::1], types.float32[:, ::1], row, row, row, row)
-    compile_now(built, (numbers, widths, widths, *given, row, row, row, numbers), "the updates of training")
-    return next(iter(built.overloads.values())).entry_point
+    signature = (numbers, widths, widths, *given, row, row, row, numbers)
+    return compile_entry(update, signature, "the updates of training")
 
 
 def make_steps(

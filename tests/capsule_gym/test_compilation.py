@@ -16,35 +16,9 @@ import pytest
 from capsule_gym import Capsule, dynamics, elementary, kernels, layout, observation, task
 from capsule_gym.compilation import OPTIONS, compile_cached, compile_now, fingerprint
 from capsule_gym.layout import LANES, Row, StepSettings, pack, unpack
-from tests.capsule_gym.fakes import helper, make_law, other_helper
+from tests.capsule_gym.fakes import helper, make_law
 
 PLANT = Capsule().plant()
-
-
-def test_fingerprint_sees_gains_helpers_and_options():
-    same = fingerprint(make_law(1.0))
-    assert fingerprint(make_law(1.0)) == same
-    assert fingerprint(make_law(1.5)) != same
-    assert fingerprint(make_law(1.0, other_helper)) != same
-    jitted = fingerprint(make_law(1.0, numba.njit(helper)))
-    assert fingerprint(make_law(1.0, numba.njit(helper))) == jitted
-    assert fingerprint(make_law(1.0, numba.njit(fastmath=True)(helper))) != jitted
-    # Far inside an array inside a tuple, where a repr shows dots.
-    tables = [np.zeros(2000) for _ in range(2)]
-    tables[1][1000] = 1.0
-    assert fingerprint(make_law((tables[0], 1.0))) != fingerprint(make_law((tables[1], 1.0)))
-
-
-def test_fingerprint_follows_globals_and_modules(monkeypatch):
-    def law(theta, theta_dot, x, x_dot, memory, reference):
-        return dynamics.stick_acceleration(theta, theta_dot, 0.0, PLANT) + helper(theta), memory
-
-    before = fingerprint(law)
-    monkeypatch.setitem(globals(), "helper", other_helper)
-    assert fingerprint(law) != before
-    monkeypatch.undo()
-    monkeypatch.setattr(dynamics, "stick_acceleration", other_helper)
-    assert fingerprint(law) != before
 
 
 @pytest.mark.parametrize(
