@@ -93,17 +93,17 @@ def add_note(figure: Any, text: str) -> None:
     )
 
 
-def mark_published(axes: Any, value: float, text: str, pen: Pen, *, x: float = 0.99, below: bool = False) -> None:
+def mark_published(axes: Any, value: float, text: str, pen: Pen, *, x: float = 0.99) -> None:
     """A dotted line across the axes at a published number, with its label at x (a share of the width)."""
     axes.axhline(value, color=pen.colour, linestyle=PUBLISHED_DASHES, linewidth=1.1)
     axes.annotate(
         text,
         (x, value),
         xycoords=axes.get_yaxis_transform(),
-        xytext=(0.0, -2.0 if below else 2.0),
+        xytext=(0.0, 2.0),
         textcoords="offset points",
         ha="right" if x > 0.5 else "left",
-        va="top" if below else "bottom",
+        va="bottom",
         fontsize=7.0,
         color=pen.colour,
     )

@@ -70,9 +70,9 @@ class LawStudy:
     Attributes:
         law: `REGULARISED_LAW` or `CORRECTED_LAW`.
         torque_limit: N m.
-        runs: one per plant, M the slower index: `M` (kg), `mu`, `until` (duration, s), `failed` (whether it ended
-            early), `error_rms` of theta - theta_d (rad), `peak_velocity` (rad/s), `peak_torque` (N m), `mean_speed`
-            (cm/s), `drift` (largest |x - x_d|, m), and `eta` at its end.
+        runs: one per plant, M the slower index: `M` (kg), `mu`, `failed` (whether it ended early), `error_rms` of
+            theta - theta_d (rad), `peak_velocity` (rad/s), `peak_torque` (N m), `mean_speed` (cm/s), and `eta` at its
+            end.
         lyapunov: on the nominal plant and the corners of the ranges: V (40) at the first and last call (`start`,
             `end`), the fraction of the time in which it rises (`rising`), and the sums of all rises and falls (`rise`,
             `fall`).
@@ -111,13 +111,11 @@ def study_law(regularised: bool, torque_limit: float = UNLIMITED) -> LawStudy:
                 {
                     "M": M,
                     "mu": mu,
-                    "until": float(run.t[-1]),
                     "failed": not run.completed,
                     "error_rms": run.error_rms,
                     "peak_velocity": float(run.theta_dot.max()),
                     "peak_torque": run.metrics["peak_torque"],
                     "mean_speed": 100.0 * run.metrics["distance"] / run.metrics["duration"],
-                    "drift": float(np.abs(sliding(run).e_x).max()),
                     "eta": float(eta_of(run.memory[-1])),
                 }
             )
@@ -147,11 +145,7 @@ def measured(controller: Controller) -> Controller:
 
 
 def run_cycles(
-    controller: Controller,
-    plants: Sequence[tuple[float, float]],
-    *,
-    cycles: int = CYCLES,
-    torque_limit: float = UNLIMITED,
+    controller: Controller, plants: Sequence[tuple[float, float]], cycles: int = CYCLES, torque_limit: float = UNLIMITED
 ) -> tuple[np.ndarray, np.ndarray]:
     """Runs an adaptive law from rest at -pi/3 on all plants (M, mu) at once, with one step per cycle.
 
@@ -196,11 +190,12 @@ def study_variants() -> list[tuple[float, float, int, int, int, int]]:
     return variants
 
 
-LongRun = dict[int, tuple[float, ...]]  # the largest of each of `ERRORS`, by cycle from 1
+def study_long_runs() -> dict[int, list[dict[int, tuple[float, ...]]]]:
+    """The regularised law on the nominal plant and the corners: `LONGEST` cycles at 1 kHz, `LONG` above.
 
-
-def study_long_runs() -> dict[int, list[LongRun]]:
-    """The regularised law on the nominal plant and the corners, by rate: `LONGEST` cycles at 1 kHz, `LONG` above."""
+    Returns:
+        By rate (Hz), plant and cycle from 1, the largest of each of `ERRORS` in that cycle.
+    """
     runs = {}
     for rate in RATES:
         cycles = LONGEST if rate == RATES[0] else LONG

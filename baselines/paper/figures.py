@@ -73,11 +73,6 @@ def adaptive_runs() -> dict[str, list[Trajectory]]:
     return {name: simulate(law, PLANTS, torque_limit=TORQUE_LIMIT) for name, law in laws.items()}
 
 
-def _stated(key: str) -> list[float]:
-    """A published number of the proposed profile and of EPC."""
-    return [numbers[key].value for numbers in published.RUNS.values()]
-
-
 def draw_capsule() -> Any:
     """Fig. 1: the capsule robot, its constants, coordinates and forces."""
     from matplotlib.patches import Circle, Rectangle
@@ -187,14 +182,13 @@ def draw_displacement() -> Any:
     """Fig. 4: displacement over five cycles."""
     figure = new_figure(3.3)
     axes = figure.subplots()
-    speeds, stated = [run.metrics["mean_speed"] for run in profile_runs()], _stated("mean_speed")
-    for run, profile, found, value in zip(profile_runs(), PROFILES, speeds, stated, strict=True):
-        pen = PENS[profile.name]
-        axes.plot(run.t, 100.0 * run.x, **pen.line(label=f"{profile.name}, found: {found:.3f} cm/s"))
-        dotted = {"linestyle": PUBLISHED_DASHES, "label": f"{profile.name}, published: {value:g} cm/s"}
+    for run, (name, numbers) in zip(profile_runs(), published.RUNS.items(), strict=True):
+        pen, value = PENS[name], numbers["mean_speed"].value
+        axes.plot(run.t, 100.0 * run.x, **pen.line(label=f"{name}, found: {run.metrics['mean_speed']:.3f} cm/s"))
+        dotted = {"linestyle": PUBLISHED_DASHES, "label": f"{name}, published: {value:g} cm/s"}
         axes.plot([0.0, DURATION], [0.0, value * DURATION], color=pen.colour, **dotted)
-    axes.set(title="Figure 4: displacement for five cycles", xlabel="time (s)", ylabel="displacement x (cm)")
-    axes.set(xlim=(0.0, DURATION))
+    axes.set(title="Figure 4: displacement for five cycles", xlim=(0.0, DURATION))
+    axes.set(xlabel="time (s)", ylabel="displacement x (cm)")
     axes.legend(loc="upper left")
     add_note(figure, f"The speeds are larger than published, in the other order. {DOTTED}")
     return figure
@@ -204,13 +198,13 @@ def draw_torque() -> Any:
     """Fig. 5: motor torque over five cycles under feedback linearisation."""
     figure = new_figure(4.4)
     panels = figure.subplots(2, 2, width_ratios=(1.5, 1.0), sharex="col", sharey="row")
-    peaks, stated = [run.metrics["peak_torque"] for run in profile_runs()], _stated("peak_torque")
-    for row, run, profile, peak, value in zip(panels, profile_runs(), PROFILES, peaks, stated, strict=True):
+    for row, run, (name, numbers) in zip(panels, profile_runs(), published.RUNS.items(), strict=True):
+        value = numbers["peak_torque"].value
         for axes, label in zip(row, ("", f"published largest: {value:g} N m"), strict=True):
-            axes.plot(run.t[1:], run.torque[1:], color=PENS[profile.name].colour, lw=1.0)
+            axes.plot(run.t[1:], run.torque[1:], color=PENS[name].colour, lw=1.0)
             mark_published(axes, -value, "", Pen(INK))
             mark_published(axes, value, label, Pen(INK))
-        row[0].set(title=f"{profile.name}: largest {peak:.3f} N m", ylabel="torque u (N m)")
+        row[0].set(title=f"{name}: largest {run.metrics['peak_torque']:.3f} N m", ylabel="torque u (N m)")
     figure.suptitle("Figure 5: input torque, five cycles and the first second", x=0.01, ha="left", fontsize=8.5)
     panels[1][0].set(xlabel="time (s)", xlim=(0.0, DURATION))
     panels[1][1].set(xlabel="time (s)", xlim=(0.0, 1.0))

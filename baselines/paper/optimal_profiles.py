@@ -11,8 +11,6 @@ from capsule_gym.command_line import check_output, parse
 
 PROG = "python -m baselines.paper.optimal_profiles"
 DATA = Path(__file__).with_name("optimal_profiles.json")
-GENERATIONS = 200
-SEED = 0
 
 
 @dataclass(frozen=True)
@@ -28,9 +26,9 @@ class Args:
 
     json: Path = DATA
     """File of the results."""
-    seed: int = SEED
+    seed: int = 0
     """Seed of the searches."""
-    generations: int = GENERATIONS
+    generations: int = 200
     """Generations of each search."""
     overwrite: bool = False
     """Replace an existing file."""

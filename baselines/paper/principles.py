@@ -12,7 +12,6 @@ between pendulum and platform, never on the floor, and its dimension is N m.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -230,22 +229,16 @@ def check_lemmas(states: int = 200_000, seed: int = 0) -> list[dict[str, Any]]:
         largest load over limit of the principle among them (`worst`).
     """
     rng, p, rows = np.random.default_rng(seed), NOMINAL.plant(), []
-    cases: tuple[
-        tuple[Callable[..., Demand], Callable[..., Demand], str, tuple[str, str], tuple[float, float]], ...
-    ] = (
+    forms: list[tuple[bool, str, NormalForce]] = [(False, AS_PRINTED, "paper"), (True, "forces as printed", "paper")]
+    forms.append((True, NEWTON, "newton"))
+    for lemma, principle, equation, names, limits in (
         (lemma_1, principle_3, "Principle 3 (7)", ("(10), as printed", "(12), its own premise"), FAST),
         (lemma_2, principle_4, "Principle 4 (8)", ("(15), as printed", "(15), corrected"), SLOW),
-    )
-    forms: tuple[tuple[int, str, NormalForce], ...] = (
-        (0, AS_PRINTED, "paper"),
-        (1, "forces as printed", "paper"),
-        (1, NEWTON, "newton"),
-    )
-    for lemma, principle, equation, names, limits in cases:
+    ):
         values = np.array([0.5 * math.pi, *limits]) * rng.uniform(-1.0, 1.0, (states, 3))
         random = Cycle(np.zeros(states), np.zeros(states, np.int64), *values.T)
         for sufficient, label, form in forms:
-            met = lemma(random, p, form, sufficient=bool(sufficient)).ratio <= 1.0
+            met = lemma(random, p, form, sufficient=sufficient).ratio <= 1.0
             ratio = principle(random, p, form).ratio[met]
             row = {"lemma": names[sufficient], "form": label, "principle": equation, "states": int(met.sum())}
             rows.append({**row, "violations": int((ratio > 1.0).sum()), "worst": float(ratio.max())})

@@ -1,9 +1,9 @@
 """The seven-phase profile (9) with optimal parameters: the problems, their assessment, the search and its file.
 
-The free parameters are the seven times, V1 and P2; P3 closes the cycle. The
-objective is the mean speed under exact tracking, subject to a torque limit and Principles 1 to 4. The bounds of the
-principles are not published: the published profile's own largest angle, velocity and acceleration are used, so the
-published profile is a candidate. Speeds that a search finds are lower bounds of the optimum.
+The free parameters are the seven times, V1 and P2; P3 closes the cycle. The objective is the mean speed under exact
+tracking, subject to a torque limit and Principles 1 to 4. The bounds of the principles are not published: the published
+profile's own largest angle, velocity and acceleration are used, so that it is a candidate. Speeds that a search finds
+are lower bounds of the optimum.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 from baselines.laws.profiles import P2, PROPOSED, V1, Profile, seven_phases
 from baselines.laws.reference import compiled_platform_motion
 from baselines.paper import published
-from baselines.paper.optimal_profiles import DATA, GENERATIONS, PROG, SEED
+from baselines.paper.optimal_profiles import DATA, PROG
 from baselines.paper.principles import Cycle, principle_3, principle_4, sample
 from capsule_gym.files import to_json, write_atomically
 from capsule_gym.parameters import NOMINAL, Plant
@@ -37,7 +37,6 @@ ROUNDING = 1e-9
 # The search integrates the platform's motion in steps of 1 ms, the final assessment in finer ones: hence the reserves.
 TORQUE_RESERVE = 0.01
 REST_RESERVE = 0.005  # s
-MEMBERS_PER_PARAMETER = 10
 GRID = 1e-3  # s, of the times
 # Shortest and longest duration of each phase, s; V1 in rad/s; P2 / V1.
 DURATIONS = ((0.01, 1.0), (0.001, 1.0), (0.005, 1.0), (0.005, 2.0), (0.01, 3.0), (0.001, 6.0), (0.01, 3.0))
@@ -113,18 +112,12 @@ class Solution:
         """The sum of all violations; 0.0 where every demand is met."""
         return sum(share - 1.0 for share in self.shares.values() if share > 1.0 + ROUNDING)
 
-    @property
-    def rank(self) -> tuple[float, float]:
-        """Sorts solutions of one problem, the best first: by violations, then by speed."""
-        return self.excess, -self.mean_speed
-
 
 @lru_cache(maxsize=1)
-def published_bounds() -> tuple[float, float, float]:
+def published_bounds() -> tuple[float, ...]:
     """theta_0 (rad), v_theta (rad/s) and a_theta (rad/s^2): the largest values of the published profile itself."""
     cycle = sample(PROPOSED)
-    theta_0, v_theta, a_theta = (float(np.abs(x).max()) for x in (cycle.theta, cycle.theta_dot, cycle.theta_ddot))
-    return theta_0, v_theta, a_theta
+    return tuple(float(np.abs(values).max()) for values in (cycle.theta, cycle.theta_dot, cycle.theta_ddot))
 
 
 def assess(
@@ -141,15 +134,9 @@ def assess(
         P2: rad/s.
         h: step of the platform's motion, s; divides every phase.
         reserve: apply the reserves of the search.
-
-    Raises:
-        ValueError: if the phases are no multiples of h.
     """
     profile = seven_phases(times, V1, P2)
-    durations = np.array([segment.duration for segment in profile.segments])
-    counts = np.rint(durations / h).astype(np.int64)
-    if np.abs(counts * h - durations).max() > 1e-9:
-        raise ValueError(f"h must divide the phases of the profile, got {h!r} s for {durations.tolist()} s")
+    counts = np.rint(np.array([segment.duration for segment in profile.segments]) / h).astype(np.int64)
     # In the middle of the steps, where the acceleration does not jump; the demands hold at the ends of the phases too.
     t = (np.arange(counts.sum()) + 0.5) * h
     steps = Cycle(t, np.repeat(np.arange(len(counts)), counts), *profile.evaluate(t))
@@ -207,12 +194,7 @@ def _decode(z: np.ndarray, problem: Problem) -> tuple[tuple[float, ...], float, 
 
 
 def search(
-    problem: Problem,
-    known: Sequence[Solution] = (),
-    *,
-    seed: int = SEED,
-    generations: int = GENERATIONS,
-    members: int = MEMBERS_PER_PARAMETER,
+    problem: Problem, known: Sequence[Solution] = (), *, seed: int, generations: int, members: int = 10
 ) -> Solution:
     """Solves one problem by differential evolution: feasible profiles rank by speed, all others by violation.
 
@@ -253,29 +235,18 @@ def search(
 
 
 def exchange(solutions: Sequence[Solution]) -> list[Solution]:
-    """Gives each problem the best profile that any search found, so that no slack of a search looks like an effect.
-
-    Args:
-        solutions: one per problem.
-    """
+    """Gives each problem the best profile that any search found, so that no slack of a search looks like an effect."""
     exchanged = []
     for own in solutions:
-        best = own
-        for other in solutions:
-            candidate = assess(own.problem, other.times, other.V1, other.P2)
-            if candidate.rank < best.rank:
-                best = replace(candidate, found_by=other.found_by)
-        exchanged.append(best)
+        found = [replace(assess(own.problem, s.times, s.V1, s.P2), found_by=s.found_by) for s in solutions]
+        exchanged.append(min([own, *found], key=lambda each: (each.excess, -each.mean_speed)))
     return exchanged
 
 
 def load(path: Path = DATA) -> list[Solution]:
     """Reads the solutions that `python -m baselines.paper.optimal_profiles` has written."""
-    entries = json.loads(path.read_text(encoding="utf-8"))["solutions"]
-    return [
-        Solution(**{**entry, "problem": Problem(**entry["problem"]), "times": tuple(entry["times"])})
-        for entry in entries
-    ]
+    rows = json.loads(path.read_text(encoding="utf-8"))["solutions"]
+    return [Solution(**{**row, "problem": Problem(**row["problem"]), "times": tuple(row["times"])}) for row in rows]
 
 
 def solve(path: Path, seed: int, generations: int) -> None:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -29,7 +29,6 @@ PROFILES = (PROPOSED, EPC)
 # Beyond any torque of the paper: its Figures 5 and 8 show no limit.
 UNLIMITED = 50.0
 CYCLES = 5
-NORMAL_FORCES: tuple[NormalForce, ...] = ("newton", "paper")
 M_RANGE, MU_RANGE = (0.3, 1.0), (0.003, 1.0)
 # Refined fivefold, no speed of the map changes by more than 1e-5 cm/s.
 MAP_STEP = 1e-4
@@ -196,15 +195,9 @@ def step_study(profile: Profile, steps: Sequence[float] = STEPS) -> tuple[np.nda
 
 
 def displacements(
-    angle: np.ndarray,
-    velocity: np.ndarray,
-    acceleration: np.ndarray,
-    p: Plant,
-    friction: np.ndarray,
-    h: float,
-    cycles: int,
+    angle: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, p: Plant, friction: np.ndarray, h: float
 ) -> tuple[np.ndarray, float]:
-    """Where the platform is after some cycles from rest, for many friction coefficients at once.
+    """Where the platform is after `CYCLES` cycles from rest, for many friction coefficients at once.
 
     Neither load depends on the friction while the pendulum's motion is given, which keeps a map cheap.
 
@@ -215,7 +208,6 @@ def displacements(
         p: the plant.
         friction: friction coefficients, static and kinetic, in both directions.
         h: s.
-        cycles: repetitions.
 
     Returns:
         Positions in m, and the smallest normal force before its clamp at zero, N.
@@ -226,7 +218,7 @@ def displacements(
         normal[n] = dynamics.normal_force(angle[n], velocity[n], acceleration[n], p)
     for i in range(len(friction)):
         x = x_dot = 0.0
-        for _ in range(cycles):
+        for _ in range(CYCLES):
             for n in range(len(force)):
                 limit = friction[i] * max(0.0, normal[n])
                 x, x_dot, _ = slide(force[n], limit, limit, 1.0, p.M + p.m, x, x_dot, h)
@@ -278,11 +270,7 @@ def grid(rows: int = 29, columns: int = 61) -> tuple[np.ndarray, np.ndarray]:
 
 
 def speed_map(
-    profile: Profile,
-    M: Iterable[float] = (NOMINAL.M,),
-    mu: Iterable[float] = (NOMINAL.mu,),
-    *,
-    h: float = MAP_STEP,
+    profile: Profile, M: Iterable[float] = (NOMINAL.M,), mu: Iterable[float] = (NOMINAL.mu,), h: float = MAP_STEP
 ) -> SpeedMap:
     """Mean speed along a profile under exact tracking, for every M with every mu.
 
@@ -299,7 +287,7 @@ def speed_map(
     speed, smallest = np.empty((len(masses), len(friction))), np.empty(len(masses))
     for row, mass in enumerate(masses):
         plant = NOMINAL.plant(M=mass)
-        travelled, normal = _displacements()(*motion, plant, friction, h, CYCLES)
+        travelled, normal = _displacements()(*motion, plant, friction, h)
         speed[row] = 100.0 * travelled / (CYCLES * profile.period)
         smallest[row] = normal / ((plant.M + plant.m) * plant.g)
     return SpeedMap(profile.name, masses, friction, speed, smallest)
@@ -322,7 +310,7 @@ def reproduce() -> dict[str, Any]:
     fine = [speed_map(profile, mu=np.geomspace(*MU_RANGE, 241)) for profile in PROFILES]
     ratio = speed_ratio(*fine)
     return {
-        "tracking": {profile.name: {force: track(profile, force) for force in NORMAL_FORCES} for profile in PROFILES},
+        "tracking": {p.name: {force: track(p, force) for force in get_args(NormalForce)} for p in PROFILES},
         "frictions": {m.profile: m.friction_for(published.RUNS[m.profile]["mean_speed"].value) for m in fine},
         "ratio": (float(np.nanmin(ratio)), float(np.nanmax(ratio))),
         "maps": [speed_map(profile, *grid()) for profile in PROFILES],

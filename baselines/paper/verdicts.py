@@ -31,9 +31,7 @@ REASONS = {
 }
 
 
-def compare_numbers(
-    runs: Results, study: Results, peaks: Sequence[Results], rates: Sequence[Results]
-) -> list[dict[str, Any]]:
+def compare_numbers(runs: Results, study: Results, peaks: Sequence[Results], rates: Sequence[Results]) -> list[Results]:
     """Every published number compared with ours.
 
     Args:
@@ -102,7 +100,7 @@ def converged(study: Results, quantity: str) -> bool:
     return all(b <= CONVERGED * a for a, b in zip(first, last, strict=True))
 
 
-def judge_claims(runs: Results, study: Results) -> list[dict[str, Any]]:
+def judge_claims(runs: Results, study: Results) -> list[Results]:
     """Every claim of Sect. 5 and Theorem 1 compared with what is found.
 
     Args:

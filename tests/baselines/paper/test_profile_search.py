@@ -35,8 +35,6 @@ def test_assessment_agrees_with_the_reference_table():
     bounds = ("principle_1", "principle_2_velocity", "principle_2_acceleration")
     assert [found.shares[name] for name in bounds] == pytest.approx([1.0] * 3)
     assert found.excess == 0.0 < assess(Problem(1.0), TABLE_1, V1, P2).excess
-    with pytest.raises(ValueError, match="h must divide"):
-        assess(Problem(1.5), TABLE_1, V1, P2, 4e-4)
 
 
 def test_worst_plant_lies_at_a_corner_of_the_ranges(monkeypatch):
@@ -77,7 +75,7 @@ def test_short_search_is_seeded_and_says_when_it_fails():
     assert first.feasible and first.found_by == "1.5 N m, nominal, seed 3"
     assert first.mean_speed >= assess(Problem(1.5), TABLE_1, V1, P2).mean_speed * 0.999
     hopeless = search(Problem(0.001), seed=3, generations=1, members=1)
-    assert not hopeless.feasible and hopeless.rank > first.rank
+    assert not hopeless.feasible and hopeless.excess > 1.0
 
 
 def test_exchange_takes_the_best_profile_of_all_searches():
