@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -135,9 +136,16 @@ def _check_same_kind(before: Args, args: Args, chosen_by: str) -> None:
             refuse(PROG, f"--{name} must stay {was} with {chosen_by}, got {given}")
 
 
+def _report(failure: threading.ExceptHookArgs) -> None:
+    """Prints no traceback of a full disk in TensorBoard's thread, which raises the error again at the next write."""
+    if not isinstance(failure.exc_value, OSError):
+        threading.__excepthook__(failure)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = read_args(arguments)
+    threading.excepthook = _report
     # After the command line is known to be right: importing torch takes seconds.
     from agents.report.comparison import compare
     from agents.training import algorithms, loop
@@ -158,7 +166,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise RunError(str(error)) from error
             print(f"Training {config.algo.upper()} on the {config.task} task, seed {config.seed}, in {run}.")
         QUIET_EXIT.message = f"Stopped. To resume: python train.py --resume {run}"
-        finished = loop.train(run, config, wandb=args.wandb)
+        finished = loop.train(run, config.total_steps, wandb=args.wandb)
     except (RunError, OSError) as error:
         print(f"{PROG}: error: {error}", file=sys.stderr)
         return 2

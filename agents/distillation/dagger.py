@@ -30,7 +30,6 @@ from agents.study.jobs import FINISHED
 from agents.training.algorithms import FastTanh
 from agents.training.callbacks import FAILURE_COST
 from agents.training.checkpoint import git_revision
-from agents.training.export import Normalisation
 from agents.training.presets import RunError
 from agents.training.signals import Stop
 from baselines.dynamic_programming.policy import NUM_TORQUES
@@ -79,8 +78,7 @@ class Network:
 
     def __init__(self, dataset: Dataset, seed: int) -> None:
         inputs = dataset.inputs.astype(np.float64)
-        variance = np.maximum(inputs.var(axis=0), MIN_VARIANCE)
-        self._normalisation = Normalisation(inputs.mean(axis=0), variance, CLIP, EPSILON)
+        self._mean, self._variance = inputs.mean(axis=0), np.maximum(inputs.var(axis=0), MIN_VARIANCE)
         torch.manual_seed(seed)
         first, second, last = nn.Linear(inputs.shape[1], HIDDEN), nn.Linear(HIDDEN, HIDDEN), nn.Linear(HIDDEN, 1)
         self._layers = first, second, last
@@ -106,9 +104,8 @@ class Network:
             rng: draws the batches.
             callback: called after every step with the loss of its batch, cm/s; False ends the fit.
         """
-        norm = self._normalisation
         raw = np.concatenate([dataset.inputs for dataset in datasets])
-        scaled = np.clip((raw - norm.mean) / np.sqrt(norm.var + norm.epsilon), -norm.clip, norm.clip)
+        scaled = np.clip((raw - self._mean) / np.sqrt(self._variance + EPSILON), -CLIP, CLIP)
         inputs = torch.from_numpy(scaled.astype(np.float32))
         regrets = torch.from_numpy(np.concatenate([dataset.regrets for dataset in datasets]))
         for n in range(updates):
@@ -131,7 +128,6 @@ class Network:
             seed: of its training.
             revision: of the code.
         """
-        norm = self._normalisation
         return Policy(
             name=name,
             algorithm=IMITATION,
@@ -140,10 +136,10 @@ class Network:
             ),
             activation="tanh",
             squashing="tanh",
-            mean=norm.mean,
-            variance=norm.var,
-            clip=norm.clip,
-            epsilon=norm.epsilon,
+            mean=self._mean,
+            variance=self._variance,
+            clip=CLIP,
+            epsilon=EPSILON,
             env_kwargs=student.env_kwargs,
             training_seed=seed,
             revision=revision,

@@ -138,7 +138,7 @@ def train_job(job: Job) -> str:
             try:
                 if not job.run.exists():
                     begin(job.run, job.config)
-                if not train(job.run, job.config):
+                if not train(job.run):
                     return "stopped by a signal"
                 last = evaluations(job.run)[-1]
                 write_atomically(job.run / FINISHED, to_json({name: last[name] for name in ("steps", "seconds")}))

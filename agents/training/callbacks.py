@@ -1,29 +1,19 @@
-"""What happens while a run trains: its log, its evaluations and its progress bar, as callbacks of Stable-Baselines3.
-
-A resumed run trains a part again, from its last checkpoint on. The log's lines of that part are deleted first, so that
-each stands once.
-"""
+"""What happens while a run trains: its log, its evaluations and its progress bar, as callbacks of Stable-Baselines3."""
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-import sys
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat, filter_excluded_keys
+from stable_baselines3.common.logger import KVWriter, Logger, filter_excluded_keys, make_output_format
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from agents.evaluation.episodes import Episode, evaluate, scores
@@ -33,12 +23,12 @@ from agents.evaluation.statistics import interquartile_mean
 from agents.training import checkpoint
 from agents.training.algorithms import wrapped_env
 from agents.training.checkpoint import Progress
-from agents.training.export import export, present_policy, save
-from agents.training.presets import BEST, EVALUATED, EVALUATIONS, LOG, LOGGED, LOGS, Config, RunError
+from agents.training.export import export, normalisation, recurrent_policy, save
+from agents.training.presets import BEST, EVALUATIONS, LOGS, Config, RunError
 from agents.training.signals import Stop
 from baselines.policies import SCRIPTED
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, EvaluationSet
-from capsule_gym.files import canonical_hash, synchronise, write_atomically
+from capsule_gym.files import canonical_hash, write_atomically
 from capsule_gym.task import CONTROL_DT, HORIZON
 
 # Far from the seeds 0, 1, .. of training runs and evaluation sets: models are selected on plants of their own.
@@ -47,101 +37,8 @@ SELECTION_SEED = 1_000_000
 FAILURE_COST = 30.0
 # Agent steps between two lines of the log of off-policy algorithms; the others write one per rollout.
 LOG_EVERY = 2_000
-# Episodes that the progress bar's mean speed is over.
-RECENT = 128
 # The project's name at Weights & Biases.
 PROJECT = "capsule_gym"
-
-
-# --- the log ---------------------------------------------------------------------------------------------------------
-
-
-class Table(KVWriter):
-    """A CSV file of lines with a count of agent steps; also a writer of SB3's logger, whose own cannot continue a file.
-
-    Args:
-        path: the file; the lines that it has stay.
-        steps: the column of the agent steps.
-        until: lines with more steps are deleted, and a last one that is not complete.
-    """
-
-    def __init__(self, path: Path, steps: str, until: int) -> None:
-        self.path = path
-        self.columns: list[str] = []
-        if path.is_file():
-            rows = self._read()
-            if steps in self.columns:
-                self._rewrite([row for row in rows if row[steps].isdecimal() and int(row[steps]) <= until])
-            else:
-                self.columns = []
-
-    def add(self, row: Mapping[str, Any]) -> None:
-        """Adds a line; a new column is empty in the lines before."""
-        new = [name for name in row if name not in self.columns]
-        if new:
-            before = self._read() if self.columns else []
-            self.columns += new
-            self._rewrite(before)
-        with self.path.open("a", newline="", encoding="utf-8") as file:
-            self._writer(file).writerow(row)
-
-    def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
-        """A line of SB3's logger."""
-        self.add(filter_excluded_keys(key_values, key_excluded, "csv"))
-
-    def close(self) -> None:
-        """Does nothing: the file is closed between two lines."""
-
-    def synchronise(self) -> None:
-        """Waits until all lines are on the disk."""
-        if self.path.is_file():
-            synchronise(self.path)
-
-    def _writer(self, file: Any) -> csv.DictWriter[str]:
-        return csv.DictWriter(file, self.columns, lineterminator="\n")
-
-    def _read(self) -> list[dict[str, str]]:
-        """The complete lines."""
-        text = self.path.read_text(encoding="utf-8", errors="replace")
-        reader = csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1], newline=""))
-        self.columns = list(reader.fieldnames or ())
-        return [row for row in reader if None not in row and None not in row.values()]
-
-    def _rewrite(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        text = io.StringIO(newline="")
-        writer = self._writer(text)
-        writer.writeheader()
-        writer.writerows(rows)
-        write_atomically(self.path, text.getvalue())
-
-
-class Events(TensorBoardOutputFormat):
-    """TensorBoard's events; those of earlier processes are hidden from the step `until` + 1 on.
-
-    Args:
-        folder: the folder of the files.
-        until: agent steps so far.
-    """
-
-    def __init__(self, folder: Path, until: int) -> None:
-        self.writer = SummaryWriter(folder, purge_step=until + 1)
-        self._is_closed = False
-
-
-@contextmanager
-def quiet_tensorboard() -> Iterator[None]:
-    """Prints no traceback of an OSError in TensorBoard's thread, which raises it again at the next write."""
-    before = threading.excepthook
-
-    def hook(failure: threading.ExceptHookArgs) -> None:
-        if not (isinstance(failure.exc_value, OSError) and type(failure.thread).__module__.startswith("tensorboard.")):
-            before(failure)
-
-    threading.excepthook = hook
-    try:
-        yield
-    finally:
-        threading.excepthook = before
 
 
 class WandbWriter(KVWriter):
@@ -160,7 +57,6 @@ class WandbWriter(KVWriter):
             import wandb
         except ImportError:
             raise RunError('--wandb needs wandb: pip install "capsule-gym[wandb]"') from None
-        (run / LOGS).mkdir(exist_ok=True)
         # The same folder with the same settings is the same run, resumed.
         identity = canonical_hash([str(run.resolve()), {**config, "total_steps": None}])[:16]
         try:
@@ -179,35 +75,22 @@ class WandbWriter(KVWriter):
         self._run.finish()
 
 
-def make_logger(run: Path, config: Config, until: int, wandb: bool) -> Logger:
-    """SB3's logger of a run that starts or resumes at that many agent steps.
+def make_logger(run: Path, config: Config, steps: int, wandb: bool) -> Logger:
+    """SB3's logger of a process that starts or resumes a run at that many agent steps.
 
     Raises:
         RunError: if Weights & Biases is asked for and cannot be used.
     """
     folder = run / LOGS
     folder.mkdir(exist_ok=True)
-    # First: if it fails, the files are as they were.
     online: list[KVWriter] = [WandbWriter(run, config.to_dict())] if wandb else []
-    return Logger(str(folder), [Table(folder / LOG, LOGGED, until), Events(folder, until), *online])
-
-
-# --- the callback ----------------------------------------------------------------------------------------------------
+    # SB3's writer begins a file of its own: one per process, from its first step on.
+    table = make_output_format("csv", str(folder), f"-{steps:012d}")
+    return Logger(str(folder), [table, make_output_format("tensorboard", str(folder)), *online])
 
 
 class Stopped(Exception):  # noqa: N818
     """Ends a run between two updates, because its user asked for it."""
-
-
-class Bar(tqdm):
-    """A progress bar on a terminal; elsewhere lines, which a file can hold."""
-
-    @staticmethod
-    def status_printer(file: Any) -> Callable[[str], None]:
-        """The function that shows the text of the bar."""
-        if file.isatty():
-            return cast("Callable[[str], None]", tqdm.status_printer(file))
-        return lambda text: print(text.rstrip(), file=file, flush=True)
 
 
 def validation_plants(config: Config) -> EvaluationSet:
@@ -225,74 +108,56 @@ class TrainingCallback(BaseCallback):
         config: its configuration.
         progress: how far it is.
         latest: the checkpoint that it is resumed from, None for none.
+        restore_streams: called when it begins to learn.
         stop: whether it is to end.
         revision: the git revision that it was started at.
     """
 
     def __init__(
-        self, run: Path, config: Config, progress: Progress, latest: Path | None, stop: Stop, revision: str
+        self,
+        run: Path,
+        config: Config,
+        progress: Progress,
+        latest: Path | None,
+        restore_streams: Callable[[], None],
+        stop: Stop,
+        revision: str,
     ) -> None:
         super().__init__()
         self.run, self.config, self.revision = run, config, revision
-        self.progress, self.latest, self.stop = progress, latest, stop
+        self.progress, self.latest, self.stop, self.restore_streams = progress, latest, stop, restore_streams
         self.plants = validation_plants(config)
         baseline = evaluate(SCRIPTED[BASELINE], self.plants)
         self.baseline_speed = float(interquartile_mean(scores(baseline, "mean_speed"))[0])
-        self.evaluations = Table(run / EVALUATIONS, EVALUATED, progress.evaluated_at)
-        self.bar: tqdm[Any] = tqdm(disable=True)
+        self.evaluated_at = int(progress.evaluations[-1]["steps"]) if progress.evaluations else 0
+        self.began = time.monotonic() - progress.elapsed
+        self.core_began = time.process_time() - progress.core_seconds
+        # Only on a terminal; evaluations are printed everywhere.
+        self.bar = tqdm(
+            total=config.total_steps, initial=self.evaluated_at, unit=" steps", unit_scale=True, disable=None
+        )
 
     def _on_training_start(self) -> None:
-        self.began = time.monotonic() - self.progress.elapsed
-        self.core_began = time.process_time() - self.progress.core_seconds
-        self.bar = Bar(
-            total=self.config.total_steps,
-            initial=self._shown_steps(),
-            unit=" steps",
-            unit_scale=True,
-            smoothing=0.05,
-            mininterval=0.5 if sys.stderr.isatty() else 10.0,
-            dynamic_ncols=True,
-        )
+        self.restore_streams()
 
     def _on_step(self) -> bool:
         for info in self.locals["infos"]:
             if "metrics" in info:
-                self._remember(info["metrics"], info["episode"]["r"])
-        self.bar.update(self._shown_steps() - self.bar.n)
+                # SB3 keeps these of the last episodes, in checkpoints as well.
+                info["episode"] |= info["metrics"]
+        # At most the total, which the last rollout exceeds: the bar would lose its percentage.
+        self.bar.update(min(self.num_timesteps, self.config.total_steps) - self.bar.n)
         return True
-
-    def _shown_steps(self) -> int:
-        """At most the total, which the last rollout exceeds: the bar would lose its percentage."""
-        return min(self.num_timesteps, self.config.total_steps)
-
-    def _remember(self, metrics: dict[str, float], total: float) -> None:
-        """Keeps the metrics of an episode that has ended; the terms of its reward are in cm, as `total` is."""
-        self.progress.speeds.append(metrics["mean_speed"])
-        self.progress.failed.append(metrics["failed"])
-        progress, failure = 100.0 * metrics["distance"], -self.config.termination_penalty * metrics["failed"]
-        shown = {
-            "cost_of_transport": metrics["cost_of_transport"],
-            "stuck_fraction": metrics["stuck_fraction"],
-            "reward_progress": progress,
-            # The rest, since the energy weight may be another in every episode.
-            "reward_energy": total - progress - failure,
-            "reward_termination": failure,
-        }
-        for name, value in shown.items():
-            self.progress.recent.setdefault(name, []).append(value if math.isfinite(value) else None)
 
     def _on_rollout_start(self) -> None:
         # Between updates, so that a checkpoint holds a consistent model.
-        if self.num_timesteps - self.progress.evaluated_at >= self.config.evaluate_every:
+        if self.num_timesteps - self.evaluated_at >= self.config.evaluate_every:
             self.evaluate()
         if self.stop.requested:
             raise Stopped
 
     def _on_rollout_end(self) -> None:
-        kept: list[list[Any]] = [self.progress.speeds, self.progress.failed, *self.progress.recent.values()]
-        for values in kept:
-            del values[:-RECENT]
-        if self.progress.speeds:
+        if self.model.ep_info_buffer:
             self._record_episodes()
         # SB3 writes a line at the end of an episode, and all episodes end at the same time.
         made = self.num_timesteps - self.training_env.num_envs
@@ -301,25 +166,23 @@ class TrainingCallback(BaseCallback):
 
     def _record_episodes(self) -> None:
         """Records the last episodes in the log and on the progress bar."""
-        speed, failed = float(np.mean(self.progress.speeds)), float(np.mean(self.progress.failed))
-        self.logger.record("episodes/mean_speed", speed)
-        self.logger.record("episodes/over_baseline", speed / self.baseline_speed)
-        self.logger.record("episodes/failed", failed)
-        # Medians, since a single episode without progress has an infinite cost.
-        medians = {
-            name: float(np.median([math.inf if value is None else value for value in values]))
-            for name, values in self.progress.recent.items()
+        assert self.model.ep_info_buffer is not None
+        names = ("r", "distance", "mean_speed", "failed", "cost_of_transport", "stuck_fraction")
+        of = {name: np.array([episode[name] for episode in self.model.ep_info_buffer]) for name in names}
+        # The terms of the reward, in cm. Energy is the rest, since its weight may be another in every episode.
+        progress, failure = 100.0 * of["distance"], -self.config.termination_penalty * of["failed"]
+        of |= {
+            "reward_progress": progress,
+            "reward_termination": failure,
+            "reward_energy": of["r"] - progress - failure,
         }
-        for name, value in medians.items():
-            if math.isfinite(value):
-                self.logger.record(f"episodes/{name}", value)
-        cost, stuck = medians.get("cost_of_transport", math.inf), medians.get("stuck_fraction", math.nan)
-        self.bar.set_postfix_str(
-            # A narrow terminal cuts the end.
-            f"{speed:.2f} cm/s ({BASELINE} {self.baseline_speed:.2f}), failed {100.0 * failed:.0f} %, "
-            f"cost of transport {cost:.2f}, stuck {100.0 * stuck:.0f} %",
-            refresh=False,
-        )
+        for name in ("mean_speed", "failed"):
+            self.logger.record(f"episodes/{name}", float(of[name].mean()))
+        # Medians, since a single episode without progress has an infinite cost.
+        for name in ("cost_of_transport", "stuck_fraction", "reward_progress", "reward_energy", "reward_termination"):
+            if math.isfinite(median := float(np.median(of[name]))):
+                self.logger.record(f"episodes/{name}", median)
+        self.bar.set_postfix_str(f"{of['mean_speed'].mean():.2f} cm/s, failed {of['failed'].mean():.0%}", refresh=False)
 
     def _on_training_end(self) -> None:
         self.evaluate()
@@ -330,7 +193,7 @@ class TrainingCallback(BaseCallback):
         if self.config.wrapper:
             return None
         if isinstance(self.model, RecurrentPPO):
-            return present_policy(name, self.model, kwargs)
+            return recurrent_policy(name, self.model, normalisation(self.model), kwargs)
         return export(name, self.model, env_kwargs=kwargs, training_seed=self.config.seed, revision=self.revision)
 
     def evaluate(self) -> None:
@@ -340,53 +203,50 @@ class TrainingCallback(BaseCallback):
             episodes = evaluate(policy, self.plants)
         else:
             episodes = evaluate_wrapped(self.model, self.config, self.plants)
-        speed = float(interquartile_mean(scores(episodes, "mean_speed"))[0])
-        failed = float(scores(episodes, "failed").mean())
-        power = float(scores(episodes, "energy").mean()) / HORIZON
-        score = float(scores(episodes, "mean_speed").mean()) - self.config.energy_weight * power - FAILURE_COST * failed
-        self.progress.evaluated_at = self.num_timesteps
-        self.logger.record("evaluation/mean_speed", speed)
-        self.logger.record("evaluation/failed", failed)
-        self.logger.record("evaluation/score", score)
-        cost = float(interquartile_mean(scores(episodes, "cost_of_transport"))[0])
-        if math.isfinite(cost):
-            self.logger.record("evaluation/cost_of_transport", cost)
-        self.logger.record("evaluation/stuck_fraction", float(scores(episodes, "stuck_fraction").mean()))
-        self.evaluations.add(
+        speed, cost = (
+            float(interquartile_mean(scores(episodes, name))[0]) for name in ("mean_speed", "cost_of_transport")
+        )
+        mean, failed, stuck, energy = (
+            float(scores(episodes, name).mean()) for name in ("mean_speed", "failed", "stuck_fraction", "energy")
+        )
+        score = mean - self.config.energy_weight * energy / HORIZON - FAILURE_COST * failed
+        logged = {"mean_speed": speed, "failed": failed, "score": score, "stuck_fraction": stuck}
+        for name, value in (logged | {"cost_of_transport": cost}).items():
+            if math.isfinite(value):
+                self.logger.record(f"evaluation/{name}", value)
+        self.evaluated_at = self.num_timesteps
+        self.progress.evaluations.append(
             {
-                EVALUATED: self.num_timesteps,
-                "seconds": f"{time.monotonic() - self.began:.1f}",
-                "core_seconds": f"{time.process_time() - self.core_began:.1f}",
-                "mean_speed_cm_s": f"{speed:.4f}",
+                "steps": self.num_timesteps,
+                "seconds": round(time.monotonic() - self.began, 1),
+                "core_seconds": round(time.process_time() - self.core_began, 1),
+                "mean_speed_cm_s": round(speed, 4),
                 "failed": failed,
-                "score_cm_s": f"{score:.4f}",
-                "baseline_mean_speed_cm_s": f"{self.baseline_speed:.4f}",
+                "score_cm_s": round(score, 4),
+                "baseline_mean_speed_cm_s": round(self.baseline_speed, 4),
             }
         )
-        if self.progress.best_score is None or score > self.progress.best_score:
+        lines = [",".join(map(str, line.values())) for line in self.progress.evaluations]
+        write_atomically(self.run / EVALUATIONS, "\n".join([",".join(self.progress.evaluations[0]), *lines, ""]))
+        reference = f"{BASELINE} {self.baseline_speed:.2f}"
+        self.bar.write(f"{self.num_timesteps:12,} steps: {speed:.2f} cm/s ({reference}), failed {failed:.1%}")
+        if score > self.progress.best_score:
             self.progress.best_score = score
             save(self.run / BEST, self.model, policy)
         self.checkpoint()
 
     def checkpoint(self) -> None:
         """Writes a checkpoint, unless there is one at this step."""
-        if self.latest is not None and self.latest.name == checkpoint.name_of(self.num_timesteps):
+        if self.latest == checkpoint.path_of(self.run, self.num_timesteps):
             return
         self.progress.elapsed = time.monotonic() - self.began
         self.progress.core_seconds = time.process_time() - self.core_began
-        self.evaluations.synchronise()
-        self.latest = checkpoint.write(
-            self.run,
-            self.num_timesteps,
-            lambda folder: checkpoint.fill(folder, self.model, self.progress),
-            before=self.latest,
-        )
+        self.latest = checkpoint.write(self.run, self.model, self.progress, before=self.latest)
 
 
 def evaluate_wrapped(model: BaseAlgorithm, config: Config, plants: EvaluationSet) -> list[Episode]:
     """One episode on every plant, from rest, in environments with the run's wrappers; as `evaluate` returns them."""
-    normalised = model.get_vec_normalize_env()
-    assert normalised is not None
+    normalise = normalisation(model).normalize_obs
     steps = round(HORIZON / config.env_kwargs().get("control_dt", CONTROL_DT))
     episodes = []
     for plant in plants.plants:
@@ -396,7 +256,7 @@ def evaluate_wrapped(model: BaseAlgorithm, config: Config, plants: EvaluationSet
         memory, begins, ended = None, np.ones(1, np.bool_), False
         while not ended:
             action, memory = model.predict(
-                normalised.normalize_obs(observation), state=memory, episode_start=begins, deterministic=True
+                normalise(observation), state=memory, episode_start=begins, deterministic=True
             )
             observation, _, terminated, truncated, info = env.step(action)
             begins, ended = np.zeros(1, np.bool_), terminated or truncated

@@ -3,33 +3,26 @@
     config.json          algorithm, hyperparameters, environment, seed, package versions, git revision
     policy.safetensors   the last policy: `capsule_gym.load_policy`; not of an LSTM or under wrappers
     model.zip            the last agent, for Stable-Baselines3: `PPO.load`
+    vecnormalize.pkl     the normalisation of its observations: `VecNormalize.load`
     best/                the same files for the best evaluation so far
-    checkpoint-STEPS/    everything that --resume needs; the last two:
-        manifest.json        the sha256 of every other file
-        model.zip            Stable-Baselines3's archive: networks, optimiser, schedule, last observation
-        state.pkl            environments, normalisation, random streams, what the log has not written yet
-        replay_buffer.pkl    of off-policy algorithms
-        progress.json        step counts, evaluation scores, statistics of the last episodes
-        best/                the best model so far
+    checkpoint-STEPS     everything that --resume needs, in one file that begins with its sha256; the last two
     evaluations.csv      the evaluations while training
-    logs/                progress.csv and TensorBoard events
+    logs/                TensorBoard events, and progress-STEPS.csv of every process from its first step on
     lock                 held by the process that trains the run
 
 A run that is resumed from a checkpoint ends with the same policy, bit for bit, as one that was not stopped. A
-checkpoint is written between two updates into `checkpoint-STEPS.partial`, synchronised to the disk, and renamed; only
-then the one before the last is deleted. Archives and .pkl files contain pickles, which can run any code when loaded:
-resume only runs of your own. A policy file contains none.
+checkpoint is written atomically between two updates; only then the one before the last is deleted. Archives, .pkl
+files and checkpoints contain pickles, which can run any code when loaded: resume only runs of your own. A policy file
+contains none.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import errno
-import json
-import os
+import hashlib
+import io
 import pickle
 import random
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -45,15 +38,12 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.training.export import archive, unarchive
-from agents.training.presets import BEST, MODEL, RunError
-from capsule_gym.files import file_hash, naming, synchronise, to_json, write_atomically
+from agents.training.export import archive, normalisation
+from agents.training.presets import RunError
+from capsule_gym.files import synchronise, write_atomically
 
 LOCK = "lock"
-MANIFEST, STATE, REPLAY_BUFFER, PROGRESS = "manifest.json", "state.pkl", "replay_buffer.pkl", "progress.json"
-FORMAT = 4
-# Suffixes of folders that are not complete yet, or being deleted.
-PARTIAL, DISCARDED = ".partial", ".discarded"
+DIGEST_SIZE = hashlib.sha256().digest_size
 
 
 @dataclass
@@ -61,38 +51,18 @@ class Progress:
     """How far a run is.
 
     Attributes:
-        total_steps: the end of the learning rate's schedule.
         elapsed: seconds of training.
         core_seconds: processor seconds of training.
-        evaluated_at: agent steps at the last evaluation.
+        evaluations: the lines of evaluations.csv.
         best_score: of the best evaluation so far, cm/s.
         resumed_at: agent steps at which the run was resumed.
-        speeds: mean speeds of the last episodes, cm/s.
-        failed: whether each of them failed.
-        recent: their other logged values, by name; None where a value is infinite.
     """
 
-    total_steps: int
     elapsed: float = 0.0
     core_seconds: float = 0.0
-    evaluated_at: int = 0
-    best_score: float | None = None
+    evaluations: list[dict[str, float]] = field(default_factory=list)
+    best_score: float = -np.inf
     resumed_at: list[int] = field(default_factory=list)
-    speeds: list[float] = field(default_factory=list)
-    failed: list[float] = field(default_factory=list)
-    recent: dict[str, list[float | None]] = field(default_factory=dict)
-
-    @classmethod
-    def read(cls, checkpoint: Path) -> Progress:
-        """Reads the progress of a checkpoint."""
-        path = checkpoint / PROGRESS
-        try:
-            return cls(**json.loads(path.read_text(encoding="utf-8")))
-        except (TypeError, ValueError) as error:
-            raise RunError(f"{path} is no progress of a run: {error}") from error
-
-
-# --- the run's folder ------------------------------------------------------------------------------------------------
 
 
 @contextmanager
@@ -135,66 +105,14 @@ def git_revision(folder: Path) -> str:
         return "unknown"
 
 
-def clean_up(run: Path) -> None:
-    """Removes temporary files and folders of a process that was killed while it wrote."""
-    for pattern in (f"checkpoint-*{PARTIAL}", f"checkpoint-*{DISCARDED}"):
-        for folder in run.glob(pattern):
-            _remove(folder)
-    for folder in (run, run / BEST):
-        for file in folder.glob(".*.tmp*"):
-            file.unlink()
-
-
-# --- folders of checkpoints ------------------------------------------------------------------------------------------
-
-
-def name_of(steps: int) -> str:
-    """The name of the checkpoint at that many agent steps; the order of names is the order of steps."""
-    return f"checkpoint-{steps:012d}"
-
-
-def write(run: Path, steps: int, fill: Callable[[Path], None], before: Path | None) -> Path:
-    """Writes a checkpoint atomically, and deletes all older ones but the one before it.
-
-    Args:
-        run: the run's folder.
-        steps: agent steps so far.
-        fill: writes the files into the folder that it is given.
-        before: the checkpoint before this one.
-
-    Returns:
-        Its folder.
-
-    Raises:
-        OSError: if it cannot be written; the older ones stay as they were.
-    """
-    final = run / name_of(steps)
-    partial = final.with_suffix(PARTIAL)
-    _remove(partial)
-    try:
-        partial.mkdir()
-        fill(partial)
-        files = sorted(path for path in partial.rglob("*") if path.is_file())
-        hashes = {path.relative_to(partial).as_posix(): file_hash(path) for path in files}
-        _write(partial / MANIFEST, to_json({"format": FORMAT, "sha256": hashes}).encode())
-        for path in (*partial.rglob("*"), partial):
-            synchronise(path)
-        _discard(final)
-        os.replace(partial, final)
-        synchronise(run)
-    except OSError:
-        # Frees space on a full disk for the last files of the run.
-        _remove(partial)
-        raise
-    for folder in run.glob("checkpoint-*"):
-        if folder not in (final, before):
-            _discard(folder)
-    return final
+def path_of(run: Path, steps: int) -> Path:
+    """The checkpoint at that many agent steps; the order of names is the order of steps."""
+    return run / f"checkpoint-{steps:012d}"
 
 
 def newest(run: Path) -> Path | None:
     """The newest checkpoint of a run, damaged or not."""
-    return max(_complete(run), default=None)
+    return max(run.glob("checkpoint-*"), default=None)
 
 
 def newest_whole(run: Path) -> Path | None:
@@ -204,77 +122,71 @@ def newest_whole(run: Path) -> Path | None:
         RunError: if there are checkpoints, but all of them are damaged.
     """
     damaged: list[str] = []
-    for folder in sorted(_complete(run), reverse=True):
-        reason = damage(folder)
-        if reason is None:
-            for line in damaged:
-                print(f"warning: {line}; resuming from {folder.name}", file=sys.stderr)
-            return folder
-        damaged.append(f"{folder} is damaged ({reason})")
+    for path in sorted(run.glob("checkpoint-*"), reverse=True):
+        if is_whole(path):
+            for name in damaged:
+                print(f"warning: {name} is damaged; resuming from {path.name}", file=sys.stderr)
+            return path
+        damaged.append(str(path))
     if damaged:
-        raise RunError(f"{run} has no whole checkpoint: {'; '.join(damaged)}")
+        raise RunError(f"{run} has no whole checkpoint: {', '.join(damaged)} damaged")
     return None
 
 
-def damage(folder: Path) -> str | None:
-    """What is wrong with a checkpoint's files, in words; None for nothing."""
-    try:
-        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-        hashes = manifest["sha256"]
-        if manifest["format"] != FORMAT:
-            return f"{MANIFEST} has the format {manifest['format']!r}, expected {FORMAT}"
-        for name, expected in hashes.items():
-            if not (folder / name).is_file():
-                return f"{name} is missing"
-            if file_hash(folder / name) != expected:
-                return f"{name} is not what was written"
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        return f"{MANIFEST} cannot be read: {error}"
-    return None
+def is_whole(checkpoint: Path) -> bool:
+    """Whether a checkpoint is what was written."""
+    content = memoryview(checkpoint.read_bytes())
+    return hashlib.sha256(content[DIGEST_SIZE:]).digest() == content[:DIGEST_SIZE]
 
 
-def _complete(run: Path) -> list[Path]:
-    return [path for path in run.glob("checkpoint-*") if path.suffix not in (PARTIAL, DISCARDED)]
-
-
-def _discard(folder: Path) -> None:
-    """Deletes a checkpoint; its name never stands for a part of it."""
-    if folder.suffix not in (PARTIAL, DISCARDED) and folder.exists():
-        folder = folder.rename(folder.with_suffix(DISCARDED))
-    _remove(folder)
-
-
-def _remove(folder: Path) -> None:
-    shutil.rmtree(folder, ignore_errors=True)
-
-
-def _write(path: Path, content: bytes) -> None:
-    with naming(path):
-        path.write_bytes(content)
-
-
-# --- content of a checkpoint -----------------------------------------------------------------------------------------
-
-
-def fill(folder: Path, model: BaseAlgorithm, progress: Progress) -> None:
-    """Writes the state of a run between two updates.
+def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | None) -> Path:
+    """Writes the state of a run between two updates, and deletes all older ones but the one before it.
 
     Args:
-        folder: a folder in the run's; the run's best model is copied into it.
+        run: the run's folder.
         model: the agent, with its environments and its logger.
         progress: how far the run is.
+        before: the checkpoint before this one.
+
+    Returns:
+        The checkpoint.
+
+    Raises:
+        OSError: if it cannot be written; the older ones stay as they were.
     """
-    _write(folder / MODEL, archive(model))
-    _write(folder / STATE, pickle.dumps(_state(model)))
-    if isinstance(model, OffPolicyAlgorithm):
-        _write(folder / REPLAY_BUFFER, pickle.dumps(model.replay_buffer))
-    _write(folder / PROGRESS, to_json(dataclasses.asdict(progress)).encode())
-    best = folder.parent / BEST
-    if best.is_dir():
-        shutil.copytree(best, folder / BEST)
+    env, log = normalisation(model), model.logger
+    content = pickle.dumps(
+        {
+            "model": archive(model),
+            "progress": progress,
+            "replay_buffer": model.replay_buffer if isinstance(model, OffPolicyAlgorithm) else None,
+            # VecNormalize pickles itself without what it normalises.
+            "normalize": env,
+            "venv": env.venv,
+            "torch": torch.get_rng_state(),
+            "numpy": np.random.get_state(),
+            "python": random.getstate(),
+            "actions": model.action_space.np_random.bit_generator.state,
+            # SB3 resets it when the training goes on.
+            "action_noise": getattr(model, "action_noise", None),
+            # Of RecurrentPPO, whose loading clears it.
+            "lstm_states": getattr(model, "_last_lstm_states", None),
+            # What the log has not written yet.
+            "log": (dict(log.name_to_value), dict(log.name_to_count), dict(log.name_to_excluded)),
+        }
+    )
+    path = path_of(run, model.num_timesteps)
+    write_atomically(path, hashlib.sha256(content).digest() + content)
+    synchronise(run)
+    for other in run.glob("checkpoint-*"):
+        if other not in (path, before):
+            other.unlink()
+    return path
 
 
-def restore(checkpoint: Path, kind: type[BaseAlgorithm], env: VecNormalize) -> tuple[BaseAlgorithm, Callable[[], None]]:
+def restore(
+    checkpoint: Path, kind: type[BaseAlgorithm], env: VecNormalize
+) -> tuple[BaseAlgorithm, Progress, Callable[[], None]]:
     """The agent of a checkpoint. This unpickles.
 
     Args:
@@ -283,22 +195,18 @@ def restore(checkpoint: Path, kind: type[BaseAlgorithm], env: VecNormalize) -> t
         env: fresh environments of the run; those of the checkpoint replace them.
 
     Returns:
-        The agent, and a function that restores the random streams: to be called last, once the agent has its logger.
+        The agent, how far it is, and a function that restores the random streams and the log: to be called when the
+        agent begins to learn.
 
     Raises:
-        RunError: if a file cannot be understood, for example one that other versions wrote.
+        RunError: if it cannot be understood, for example because other versions wrote it.
     """
-    path = checkpoint
     try:
-        path = checkpoint / STATE
-        state = pickle.loads(path.read_bytes())
-        path = checkpoint / MODEL
+        state: dict[str, Any] = pickle.loads(checkpoint.read_bytes()[DIGEST_SIZE:])
         # Making the model seeds its environments: it gets the others afterwards.
-        model = unarchive(path, kind, env)
+        model = kind.load(io.BytesIO(state["model"]), env=env, device="cpu", force_reset=False)
         if isinstance(model, OffPolicyAlgorithm):
-            path = checkpoint / REPLAY_BUFFER
-            model.replay_buffer = pickle.loads(path.read_bytes())
-        path = checkpoint / STATE
+            model.replay_buffer = state["replay_buffer"]
         if state["lstm_states"] is not None:
             vars(model)["_last_lstm_states"] = state["lstm_states"]
         normalised: VecNormalize = state["normalize"]
@@ -306,47 +214,17 @@ def restore(checkpoint: Path, kind: type[BaseAlgorithm], env: VecNormalize) -> t
         model.set_env(normalised, force_reset=False)
         env.close()
     except Exception as error:
-        raise RunError(f"{path} cannot be understood ({type(error).__name__}: {error})") from error
-    return model, lambda: _restore_streams(model, state)
+        raise RunError(f"{checkpoint} cannot be understood ({type(error).__name__}: {error})") from error
 
+    def restore_streams() -> None:
+        vars(model)["action_noise"] = state["action_noise"]
+        torch.set_rng_state(state["torch"])
+        np.random.set_state(state["numpy"])
+        random.setstate(state["python"])
+        model.action_space.np_random.bit_generator.state = state["actions"]
+        log = model.logger
+        kept: tuple[dict[str, Any], ...] = (log.name_to_value, log.name_to_count, log.name_to_excluded)
+        for present, saved in zip(kept, state["log"], strict=True):
+            present.update(saved)
 
-def restore_best(checkpoint: Path | None, run: Path) -> None:
-    """Replaces the run's best model by that of a checkpoint; None is the start of the run, which has none."""
-    saved = checkpoint / BEST if checkpoint is not None else None
-    if saved is None or not saved.is_dir():
-        _remove(run / BEST)
-        return
-    (run / BEST).mkdir(exist_ok=True)
-    for path in sorted(saved.iterdir()):
-        write_atomically(run / BEST / path.name, path.read_bytes())
-
-
-def _state(model: BaseAlgorithm) -> dict[str, Any]:
-    """The state that SB3's archive does not hold."""
-    env = model.get_vec_normalize_env()
-    assert env is not None
-    log = model.logger
-    return {
-        # VecNormalize pickles itself without what it normalises.
-        "normalize": env,
-        "venv": env.venv,
-        "torch": torch.get_rng_state(),
-        "numpy": np.random.get_state(),
-        "python": random.getstate(),
-        "actions": model.action_space.np_random.bit_generator.state,
-        # Of RecurrentPPO, whose loading clears it.
-        "lstm_states": getattr(model, "_last_lstm_states", None),
-        "log": (dict(log.name_to_value), dict(log.name_to_count), dict(log.name_to_excluded)),
-    }
-
-
-def _restore_streams(model: BaseAlgorithm, state: dict[str, Any]) -> None:
-    """Restores the random streams, and the values that the log had not written yet."""
-    torch.set_rng_state(state["torch"])
-    np.random.set_state(state["numpy"])
-    random.setstate(state["python"])
-    model.action_space.np_random.bit_generator.state = state["actions"]
-    log = model.logger
-    kept: tuple[dict[str, Any], ...] = (log.name_to_value, log.name_to_count, log.name_to_excluded)
-    for present, saved in zip(kept, state["log"], strict=True):
-        present.update(saved)
+    return model, state["progress"], restore_streams

@@ -1,31 +1,23 @@
-"""An agent's files: Stable-Baselines3's archive with its normalisation inside, and the policy file.
-
-While an agent learns, `VecNormalize` normalises the observations of its environments. Its archive holds that
-normalisation as the first layer of its networks: what `PPO.load` returns acts on the environment's own observations.
-"""
+"""An agent's files: Stable-Baselines3's archive and its normalisation of observations, and the policy file."""
 
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+import pickle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from gymnasium import spaces
 from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.save_util import load_from_zip_file
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
 from agents.evaluation.policies import Policy as EvaluatedPolicy
 from agents.evaluation.policies import wrap_policy
 from agents.training.algorithms import FastTanh
-from agents.training.presets import BEST, MODEL, RecurrentPPOConfig, read_config
+from agents.training.presets import BEST, MODEL, NORMALISATION, RecurrentPPOConfig, read_config
 from capsule_gym import Policy, load_policy
 from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY
@@ -33,88 +25,25 @@ from capsule_gym.policy import POLICY
 ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", FastTanh: "tanh", nn.ReLU: "relu"}
 
 
-@dataclass(frozen=True)
-class Normalisation:
-    """Observations shifted and scaled to zero mean and unit variance, then clipped.
-
-    Attributes:
-        mean: shape (entries,), float64.
-        var: shape (entries,), float64.
-        clip: largest normalised value.
-        epsilon: added to the variance.
-    """
-
-    mean: np.ndarray
-    var: np.ndarray
-    clip: float
-    epsilon: float
-
-    @classmethod
-    def of(cls, model: BaseAlgorithm) -> Normalisation:
-        """The present statistics of an agent's environments."""
-        env = model.get_vec_normalize_env()
-        assert isinstance(env, VecNormalize)
-        rms: Any = env.obs_rms
-        return cls(rms.mean.copy(), rms.var.copy(), env.clip_obs, env.epsilon)
-
-
-class Normalised(BaseFeaturesExtractor):
-    """The normalisation as the first layer of a network; it has no parameters and is no part of the state dict."""
-
-    mean: torch.Tensor
-    scale: torch.Tensor
-
-    def __init__(self, observation_space: spaces.Box, normalisation: Normalisation) -> None:
-        super().__init__(observation_space, int(np.prod(observation_space.shape)))
-        self.normalisation = normalisation
-        scale = np.sqrt(normalisation.var + normalisation.epsilon)
-        self.register_buffer("mean", torch.from_numpy(normalisation.mean), persistent=False)
-        self.register_buffer("scale", torch.from_numpy(scale), persistent=False)
-
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Normalised observations, float32, by the arithmetic of `VecNormalize`."""
-        scaled = (observations.double() - self.mean) / self.scale
-        return scaled.clamp(-self.normalisation.clip, self.normalisation.clip).float()
-
-
-# Arguments of an archive's networks that those in training do not have.
-_FIRST_LAYER = ("features_extractor_class", "features_extractor_kwargs")
-
-
 def archive(model: BaseAlgorithm) -> bytes:
-    """SB3's archive of an agent, with its normalisation.
-
-    It is made in memory: on a full disk SB3's writer fails with an error of its own.
-    """
+    """SB3's archive of an agent, made in memory: on a full disk SB3's writer fails with an error of its own."""
     content = io.BytesIO()
-    kwargs: dict[str, Any] = model.policy_kwargs
-    layer = (Normalised, {"normalisation": Normalisation.of(model)})
-    try:
-        model.policy_kwargs = {**kwargs, **dict(zip(_FIRST_LAYER, layer, strict=True))}
-        model.save(content)
-    finally:
-        model.policy_kwargs = kwargs
+    model.save(content)
     return content.getvalue()
 
 
-def unarchive(path: Path, kind: type[BaseAlgorithm], env: VecNormalize) -> BaseAlgorithm:
-    """The agent of an archive as it learned: `env` normalises, not its networks. This unpickles.
-
-    Args:
-        path: the archive.
-        kind: the agent's class.
-        env: what it learns in.
-    """
-    data, _, _ = load_from_zip_file(path, device="cpu")
-    assert data is not None
-    kwargs = {name: value for name, value in data["policy_kwargs"].items() if name not in _FIRST_LAYER}
-    return kind.load(path, env=env, device="cpu", force_reset=False, custom_objects={"policy_kwargs": kwargs})
+def normalisation(model: BaseAlgorithm) -> VecNormalize:
+    """What normalises the observations of an agent's environments."""
+    env = model.get_vec_normalize_env()
+    assert isinstance(env, VecNormalize)
+    return env
 
 
 def save(folder: Path, model: BaseAlgorithm, policy: EvaluatedPolicy | None) -> None:
-    """Writes an agent, and its policy where that has a file, into a folder, each atomically."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Writes an agent, and its policy where that has a file, into a folder, each file atomically."""
+    folder.mkdir(exist_ok=True)
     write_atomically(folder / MODEL, archive(model))
+    write_atomically(folder / NORMALISATION, pickle.dumps(normalisation(model)))
     if isinstance(policy, Policy):
         policy.save(folder / POLICY)
 
@@ -136,27 +65,26 @@ def load_best(run: Path) -> EvaluatedPolicy:
     if not isinstance(config, RecurrentPPOConfig):
         return load_policy(run, trust_controller=True)
     model = RecurrentPPO.load(run / BEST / MODEL, device="cpu")
-    return wrap_policy(model, name=run.name, env_kwargs=config.env_kwargs())
+    env = pickle.loads((run / BEST / NORMALISATION).read_bytes())
+    return recurrent_policy(run.name, model, env, config.env_kwargs())
 
 
-def present_policy(name: str, model: RecurrentPPO, env_kwargs: dict[str, Any]) -> EvaluatedPolicy:
+def recurrent_policy(name: str, model: RecurrentPPO, env: VecNormalize, env_kwargs: dict[str, Any]) -> EvaluatedPolicy:
     """The deterministic policy of an agent with an LSTM, which has no policy file.
 
     Args:
         name: as it appears in results.
-        model: the agent, with the environments that it learns in.
+        model: the agent.
+        env: normalises its observations, with the present statistics.
         env_kwargs: the arguments of the environment that it acts in.
     """
-    env = model.get_vec_normalize_env()
-    assert isinstance(env, VecNormalize)
-    normalise = env.normalize_obs
 
     class Normalising:
-        """Predicts with the present statistics of the observations."""
+        """Predicts from the environment's own observations."""
 
         def predict(self, observations: np.ndarray, **kwargs: Any) -> Any:
             """As SB3's."""
-            return model.predict(normalise(observations), **kwargs)
+            return model.predict(env.normalize_obs(observations), **kwargs)
 
     return wrap_policy(Normalising(), name=name, env_kwargs=env_kwargs)
 
@@ -208,8 +136,8 @@ def export(
             f"squashing, got {hidden} and {last}"
         )
     (activation,) = kinds
-    normalisation = Normalisation.of(model)
-    env: Any = model.get_env()
+    env = normalisation(model)
+    rms: Any = env.obs_rms
     # Inputs and output that `agents.fast_ppo` adds to the environment's.
     added = getattr(env.venv, "header", None)
     inputs = linear[0].in_features
@@ -222,10 +150,10 @@ def export(
         output="torque" if added and added.outputs_torque else "action",
         identifies=bool(added and added.identifies),
         observes_energy_weight=bool(added and added.observes_energy_weight),
-        mean=normalisation.mean[:inputs].astype(np.float64),
-        variance=normalisation.var[:inputs].astype(np.float64),
-        clip=float(normalisation.clip),
-        epsilon=float(normalisation.epsilon),
+        mean=rms.mean[:inputs].copy(),
+        variance=rms.var[:inputs].copy(),
+        clip=float(env.clip_obs),
+        epsilon=float(env.epsilon),
         env_kwargs=env_kwargs,
         training_seed=training_seed,
         revision=revision,

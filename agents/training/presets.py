@@ -24,10 +24,10 @@ from capsule_gym.task import HORIZON
 # The largest seed of numpy's generators, which SB3 seeds.
 LARGEST_SEED = 2**32 - 1
 # Files of a run; agents.training.checkpoint describes its folder.
-CONFIG, MODEL, BEST = "config.json", "model.zip", "best"
-LOGS, LOG, EVALUATIONS = "logs", "progress.csv", "evaluations.csv"
-# The columns of the last two that count agent steps.
-LOGGED, EVALUATED = "time/total_timesteps", "steps"
+CONFIG, MODEL, NORMALISATION, BEST = "config.json", "model.zip", "vecnormalize.pkl", "best"
+LOGS, EVALUATIONS = "logs", "evaluations.csv"
+# The column of the last that counts agent steps.
+EVALUATED = "steps"
 
 Task = Literal["residual", "direct"]
 Algorithm = Literal["ppo", "sac", "td3", "tqc", "recurrent-ppo"]

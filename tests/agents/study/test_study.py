@@ -56,7 +56,7 @@ def test_incomplete_lines_of_evaluations_are_left_out(tmp_path):
 
 
 def test_a_run_that_fails_does_not_stop_the_others(tmp_path, monkeypatch):
-    def train(run, config):
+    def train(run):
         lines = "steps,seconds,mean_speed_cm_s,failed,score_cm_s\n2048,1.5,9.0,0.0,8.0\n"
         return bool((run / "evaluations.csv").write_text(lines))
 

@@ -5,13 +5,17 @@ from __future__ import annotations
 import csv
 import dataclasses
 import itertools
+import os
+import signal
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import torch
 from stable_baselines3.common.save_util import load_from_zip_file
 
+from agents.training.callbacks import TrainingCallback
 from agents.training.loop import begin, train
 from agents.training.presets import PRESETS, Config
 from capsule_gym import load_policy
@@ -31,8 +35,32 @@ def small(task: str, algo: str, **changes: Any) -> Config:
 def finished(folder: Path, config: Config) -> Path:
     """A complete run."""
     begin(folder, config)
-    assert train(folder, config)
+    assert train(folder)
     return folder
+
+
+class Killed(BaseException):
+    """Ends a training in the middle of a rollout."""
+
+
+def train_until(run: Path, steps: int, monkeypatch: pytest.MonkeyPatch, *, killed: bool) -> None:
+    """Trains, and kills the training after so many agent steps, or sends it Ctrl-C."""
+    step = TrainingCallback._on_step
+
+    def stopped(self: TrainingCallback) -> bool:
+        if self.num_timesteps >= steps and not self.stop.requested:
+            if killed:
+                raise Killed
+            os.kill(os.getpid(), signal.SIGINT)
+        return step(self)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(TrainingCallback, "_on_step", stopped)
+        if killed:
+            with pytest.raises(Killed):
+                train(run)
+        else:
+            assert not train(run)
 
 
 def weights(model: Any) -> np.ndarray:
@@ -64,12 +92,21 @@ def same(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-def rows(path: Path, without: tuple[str, ...] = ()) -> list[dict[str, str]]:
-    """The lines of a CSV file; none where a run was too short to write one."""
-    if not path.is_file():
-        return []
+def rows(path: Path) -> list[dict[str, str]]:
+    """The complete lines of a CSV file, without empty fields and times."""
     with path.open(newline="") as file:
-        return [{name: value for name, value in row.items() if name not in without} for row in csv.DictReader(file)]
+        lines = [row for row in csv.DictReader(file) if None not in row.values()]
+    return [{name: value for name, value in row.items() if value and name not in CLOCKS} for row in lines]
+
+
+def log(run: Path) -> dict[int, dict[str, str]]:
+    """The lines of a run's log by agent steps; a process that resumes writes those after its first step again."""
+    found: dict[int, dict[str, str]] = {}
+    for path in sorted((run / "logs").glob("progress-*.csv")):
+        start = int(path.stem.removeprefix("progress-"))
+        found = {steps: row for steps, row in found.items() if steps <= start}
+        found |= {int(row["time/total_timesteps"]): row for row in rows(path)}
+    return found
 
 
 def differences(run: Path, other: Path) -> list[str]:
@@ -80,7 +117,8 @@ def differences(run: Path, other: Path) -> list[str]:
             found.append(str(folder / "model.zip"))
         if network(run / folder) != network(other / folder):
             found.append(str(folder / POLICY))
-    for table in ("evaluations.csv", "logs/progress.csv"):
-        if rows(run / table, CLOCKS) != rows(other / table, CLOCKS):
-            found.append(table)
+    if rows(run / "evaluations.csv") != rows(other / "evaluations.csv"):
+        found.append("evaluations.csv")
+    if log(run) != log(other):
+        found.append("logs")
     return found

@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import csv
 import json
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
+import pickle
 
 import numpy as np
 import pytest
 import torch
 from stable_baselines3 import PPO
 
-import train as command_line
 from agents.training.algorithms import algorithm, make_env, make_model
 from agents.training.callbacks import validation_plants
-from agents.training.checkpoint import newest
-from agents.training.loop import begin, train
+from agents.training.loop import begin
 from capsule_gym import load_policy
 from capsule_gym.network import LAW_TORQUE, to_action
 from capsule_gym.parameters import RANDOMIZATIONS
-from tests.agents.training.small import small, weights
+from tests.agents.training.small import finished, log, small, weights
 
 
 def test_bootstrap_happens_at_time_limits_only():
@@ -51,8 +45,7 @@ def test_same_seed_same_model_another_seed_another(tmp_path, task, algo):
     for n, seed in enumerate((0, 0, 1)):
         run = tmp_path / str(n)
         config = small(task, algo, total_steps=512, seed=seed)
-        begin(run, config)
-        assert train(run, config)
+        finished(run, config)
         models.append(weights(algorithm(config).load(run / "model.zip", device="cpu")))
     assert np.array_equal(models[0], models[1])
     assert not np.array_equal(models[0], models[2])
@@ -61,10 +54,9 @@ def test_same_seed_same_model_another_seed_another(tmp_path, task, algo):
 def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
     run = tmp_path / "run"
     config = small("residual", "ppo", total_steps=768, evaluate_every=256)
-    begin(run, config)
+    finished(run, config)
     with pytest.raises(FileExistsError):
         begin(run, config)
-    assert train(run, config)
     content = json.loads((run / "config.json").read_text())
     assert content["algo"] == "ppo" and content["seed"] == 0
     assert content["env"]["controller"] == "baselines:adaptive"
@@ -74,9 +66,7 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
         steps = [int(row["steps"]) for row in csv.DictReader(file)]
     # The first rollout is for the statistics of the observations, and an evaluation comes after one more.
     assert steps == [512, 768]
-    assert (run / "logs" / "progress.csv").stat().st_size > 0
-    assert list((run / "logs").glob("events*"))
-    assert len(list(run.glob("checkpoint-*"))) == 2
+    assert log(run)[768]["evaluation/score"] and list((run / "logs").glob("events*"))
 
     policy = load_policy(run)
     assert policy.env_kwargs == content["env"]
@@ -85,12 +75,13 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
     env = make_env(config, 0)
     header = env.venv.header
     env.close()
-    # The last and the best, as file and as archive; either takes the environment's own observations.
+    # The last and the best, as file and as archive; the archive takes normalised observations.
     observations = np.random.default_rng(0).normal(size=(5, 10)).astype(np.float32)
     for folder in (run, run / "best"):
         policy = load_policy(folder / "policy.safetensors")
         agent = PPO.load(folder / "model.zip", device="cpu")
-        torques, _ = agent.predict(observations, deterministic=True)
+        normalise = pickle.loads((folder / "vecnormalize.pkl").read_bytes()).normalize_obs
+        torques, _ = agent.predict(normalise(observations), deterministic=True)
         # The archive knows nothing of the law.
         pairs = zip(torques[:, 0].tolist(), observations[:, LAW_TORQUE].tolist(), strict=True)
         wanted = [[to_action(header, torque, law_torque)] for torque, law_torque in pairs]
@@ -104,48 +95,3 @@ def test_model_selection_uses_draws_of_its_own():
     assert all(low <= plant.M <= high for plant in draws.plants)
     assert len({plant.M for plant in draws.plants}) == len(draws.plants)
     assert validation_plants(small("residual", "ppo", seed=1)).plants[0].seed not in {p.seed for p in draws.plants}
-
-
-def _train_process(*arguments: str) -> subprocess.Popen:
-    command = [sys.executable, "train.py", "--no-comparison", *arguments]
-    return subprocess.Popen(command, cwd=Path(__file__).parents[3], stderr=subprocess.PIPE, text=True)
-
-
-def _wait_for(condition, process: subprocess.Popen) -> None:
-    deadline = time.monotonic() + 120
-    while not condition():
-        assert process.poll() is None, process.stderr.read() if process.stderr else ""
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-
-
-def test_kill_and_interrupt_lose_nothing_that_resume_cannot_find(tmp_path):
-    run = tmp_path / "run"
-    options = ("--total-steps", "10_000_000", "--num-envs", "8", "--n-steps", "32", "--batch-size", "64")
-    options += ("--evaluate-every", "1000", "--evaluation-episodes", "1")
-    process = _train_process("--run", str(run), *options)
-    _wait_for(lambda: newest(run), process)
-    process.kill()
-    process.communicate()
-    first = newest(run)
-    assert first is not None
-
-    process = _train_process("--resume", str(run))
-    _wait_for(lambda: newest(run) != first, process)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130, errors
-    second = newest(run)
-    assert second is not None and second.name > first.name
-    assert (run / "model.zip").is_file()
-
-    steps = int(second.name.split("-")[1])
-    assert command_line.main(["--resume", str(run), "--total-steps", str(steps + 500), "--no-comparison"]) == 0
-    third = newest(run)
-    assert third is not None and int(third.name.split("-")[1]) >= steps + 500
-    progress = json.loads((third / "progress.json").read_text())
-    assert progress["resumed_at"] == [int(first.name.split("-")[1]), steps]
-    # One log for all parts, in which each step stands once.
-    with (run / "logs" / "progress.csv").open() as file:
-        logged = [int(row["time/total_timesteps"]) for row in csv.DictReader(file)]
-    assert logged == sorted(set(logged)) and logged[0] < int(first.name.split("-")[1]) < logged[-1]

@@ -12,7 +12,7 @@ from torch import nn
 
 from agents.fast_ppo.ppo import FastPolicy, FastPPO
 from agents.training.algorithms import FastTanh, make_env, make_model
-from agents.training.export import archive, export
+from agents.training.export import export
 from tests.agents.training.small import small, weights
 
 EPOCHS = 2
@@ -167,18 +167,17 @@ def test_first_only_the_critic_learns():
 
 
 @pytest.mark.parametrize("tanh_mean", [False, True])
-def test_the_archive_of_every_option_acts_as_the_policy_file(tanh_mean, tmp_path):
+def test_the_policy_file_of_every_option_acts_as_the_agent(tanh_mean):
     options = {"energy_weights": (0.1, 10.0), "privileged_critic": True, "randomization": "broad"}
     config = small("direct", "ppo", tanh_mean=tanh_mean, episode_seconds=0.4, **options)
-    model: Any = make_model(config, make_env(config, 0))
+    env = make_env(config, 0)
+    model: Any = make_model(config, env)
     model.learn(600)
     policy = export("run", model, env_kwargs=config.env_kwargs(), training_seed=0, revision="abc")
     assert policy.squashing == ("tanh" if tanh_mean else "clip")
-    (tmp_path / "model.zip").write_bytes(archive(model))
     observations = np.random.default_rng(0).normal(size=(50, 5)).astype(np.float32)
     # The inputs of the critic alone do not matter.
     further = np.full((50, 3), np.log(config.energy_weight), np.float32)
-    loaded = FastPPO.load(tmp_path / "model.zip", device="cpu")
-    expected, _ = loaded.predict(np.hstack([observations, further]), deterministic=True)
+    expected, _ = model.predict(env.normalize_obs(np.hstack([observations, further])), deterministic=True)
     np.testing.assert_allclose(policy(observations), expected, atol=2e-6)
     assert np.ptp(expected) > 1e-3
