@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gymnasium as gym
 import numpy as np
 
 from capsule_gym import Controller
@@ -47,19 +46,6 @@ def picky(theta, theta_dot, x, x_dot, memory, reference):
 
 def picky_controller() -> Controller:
     return Controller("picky", picky, np.zeros((1, 2)))
-
-
-def rollout(env: gym.Env, seed: int, steps: int, scale: float = 0.4) -> list[np.ndarray]:
-    rng = np.random.default_rng(seed)
-    observation, info = env.reset(seed=seed)
-    course = [observation, info["state"]]
-    for _ in range(steps):
-        observation, reward, terminated, truncated, info = env.step(rng.uniform(-scale, scale, 1).astype(np.float32))
-        course += [observation, info["state"], np.array([reward])]
-        if terminated or truncated:
-            observation, info = env.reset()
-            course += [observation, info["state"]]
-    return course
 
 
 def layout(info: dict) -> dict:
