@@ -96,26 +96,13 @@ def input_names(observation: Sequence[str], identifies: bool, observes_energy_we
     )
 
 
-def observed(options: EnvConfig) -> tuple[str, ...]:
-    """The entries of the observation of such an environment."""
-    return observation_names(options.controller is not None, options.observe_parameters)
-
-
-def residual_limit(options: EnvConfig) -> float:
-    """The torque of the action 1, N m."""
-    return options.torque_limit if options.residual_limit is None else options.residual_limit
-
-
 def make_header(options: EnvConfig, *, identifies: bool, observes_energy_weight: bool, **network: Any) -> Header:
     """The header of a network that acts in an environment of these options.
 
-    Args:
-        options: of the environment.
-        identifies: as in `Header`.
-        observes_energy_weight: as in `Header`.
-        network: `layers`, `relu`, `tanh_squashing`, `clip` and `outputs_torque` of the header.
+    `network` are the header's `layers`, `relu`, `tanh_squashing`, `clip` and `outputs_torque`.
     """
-    capsule, entries = options.capsule or Capsule(), observed(options)
+    capsule = options.capsule or Capsule()
+    entries = observation_names(options.controller is not None, options.observe_parameters)
     return Header(
         **network,
         inputs=len(input_names(entries, identifies, observes_energy_weight)),
@@ -125,7 +112,7 @@ def make_header(options: EnvConfig, *, identifies: bool, observes_energy_weight:
         log_energy_weight=log(options.energy_weight) if observes_energy_weight else 0.0,
         has_law=network["outputs_torque"] and options.controller is not None,
         torque_limit=options.torque_limit,
-        residual_limit=residual_limit(options),
+        residual_limit=options.torque_limit if options.residual_limit is None else options.residual_limit,
         m=capsule.m,
         l=capsule.l,
         g=capsule.g,

@@ -172,12 +172,22 @@ class Policy:
         check_number("clip", self.clip, f"a number in (0, {LARGEST_CLIP:g}]", 0.0, LARGEST_CLIP, open_low=True)
         check_number("epsilon", self.epsilon, "a finite number >= 0", 0.0)
         options = _options(self.env_kwargs)
-        if self.output == "torque" and not network.residual_limit(options) > 0.0:
-            raise ValueError("output must be 'action' where env_kwargs give no residual_limit > 0, got 'torque'")
         if self.observes_energy_weight:
             accepted_weights = f"{ENERGY_WEIGHT_TEXT} where it is observed"
             check_number("env_kwargs['energy_weight']", options.energy_weight, accepted_weights, *ENERGY_WEIGHTS)
-        inputs = len(network.input_names(network.observed(options), self.identifies, self.observes_energy_weight))
+        header = network.make_header(
+            options,
+            layers=len(self.layers),
+            relu=self.activation == "relu",
+            tanh_squashing=self.squashing == "tanh",
+            clip=self.clip,
+            identifies=self.identifies,
+            observes_energy_weight=self.observes_energy_weight,
+            outputs_torque=self.output == "torque",
+        )
+        if header.outputs_torque and not header.residual_limit > 0.0:
+            raise ValueError("output must be 'action' where env_kwargs give no residual_limit > 0, got 'torque'")
+        inputs = header.inputs
         widths = _widths([(weights.shape, bias.shape) for weights, bias in self.layers])
         if widths[0] != inputs:
             raise ValueError(
@@ -192,16 +202,6 @@ class Policy:
         if (self.variance < 0.0).any() or (self.variance + self.epsilon < 1e-300).any():
             raise ValueError(f"inputs.variance must be >= 0, and with epsilon > 0, got {self.variance}")
         scale = 1.0 / np.sqrt(self.variance + self.epsilon)
-        header = network.make_header(
-            options,
-            layers=len(self.layers),
-            relu=self.activation == "relu",
-            tanh_squashing=self.squashing == "tanh",
-            clip=self.clip,
-            identifies=self.identifies,
-            observes_energy_weight=self.observes_energy_weight,
-            outputs_torque=self.output == "torque",
-        )
         object.__setattr__(self, "entries", header.observed)
         object.__setattr__(self, "_network", network.pack(self.layers, self.mean, scale, header))
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from capsule_gym.files import replacing
-from capsule_gym.parameters import RENDER_MODES, Capsule, check_number
+from capsule_gym.parameters import Capsule
 from capsule_gym.task import ENV_ID
 
 Colour = tuple[int, int, int] | tuple[int, int, int, int]
@@ -80,9 +80,8 @@ def import_pygame() -> Any:
             # The first font would import this, and with it pkg_resources, which some setuptools deprecate.
             importlib.import_module("pygame.pkgdata")
     except ImportError as error:
-        raise gymnasium.error.DependencyNotInstalled(
-            'pygame is not installed, run: pip install "capsule-gym[render]"'
-        ) from error
+        message = 'pygame is not installed, run: pip install "capsule-gym[render]"'
+        raise gymnasium.error.DependencyNotInstalled(message) from error
     return pygame
 
 
@@ -93,23 +92,18 @@ def blend(a: Colour, b: Colour, share: float) -> Colour:
 
 
 class Canvas:
-    """A picture of the given size in pixels; the origin is at the top left.
-
-    It needs no window and no video driver.
+    """A picture of WIDTH x HEIGHT pixels, the origin at the top left. It needs no window and no video driver.
 
     Args:
-        width: width of the finished frame, pixels.
-        height: height of the finished frame, pixels.
         transparent: whether the ground is see-through, for a layer that lies over another canvas.
     """
 
-    def __init__(self, width: int, height: int, *, transparent: bool = False) -> None:
+    def __init__(self, transparent: bool = False) -> None:
         self._pygame = pygame = import_pygame()
         pygame.font.init()
-        size = (SCALE * width, SCALE * height)
+        size = (SCALE * WIDTH, SCALE * HEIGHT)
         self._surface = pygame.Surface(size, pygame.SRCALPHA if transparent else 0, 32)
         self._origin = (0, 0)
-        self._size = (width, height)
         # pygame's own font comes with it, so no machine lacks it.
         self._font = functools.cache(lambda size: pygame.font.Font(None, SCALE * size))
         self._text = functools.lru_cache(maxsize=512)(self._render)
@@ -126,39 +120,19 @@ class Canvas:
 
     def frame(self) -> Any:
         """The finished picture as a pygame surface."""
-        return self._pygame.transform.smoothscale(self._surface, self._size)
-
-    def array(self) -> NDArray[np.uint8]:
-        """The finished picture as a new array (height, width, 3)."""
-        width, height = self._size
-        pixels = bytearray(self._pygame.image.tobytes(self.frame(), "RGB"))
-        return np.frombuffer(pixels, np.uint8).reshape(height, width, 3)
-
-    def fill(self, colour: Colour) -> None:
-        """Paints the whole canvas."""
-        self._surface.fill(colour)
+        return self._pygame.transform.smoothscale(self._surface, (WIDTH, HEIGHT))
 
     def box(
-        self,
-        left: float,
-        top: float,
-        width: float,
-        height: float,
-        colour: Colour,
-        *,
-        radius: float = 0.0,
-        line: float = 0.0,
+        self, x: float, y: float, width: float, height: float, colour: Colour, radius: float = 0.0, line: float = 0.0
     ) -> None:
         """A rectangle with corners of that radius: filled, or only an inner border of `line` pixels."""
-        rectangle = [round(SCALE * side) for side in (left, top, width, height)]
-        self._pygame.draw.rect(
-            self._surface, colour, rectangle, round(SCALE * line), border_radius=round(SCALE * radius)
-        )
+        sides = [round(SCALE * side) for side in (x, y, width, height)]
+        self._pygame.draw.rect(self._surface, colour, sides, round(SCALE * line), border_radius=round(SCALE * radius))
 
-    def disc(self, centre: tuple[float, float], radius: float, colour: Colour, *, line: float = 0.0) -> None:
+    def disc(self, centre: tuple[float, float], radius: float, colour: Colour, line: float = 0.0) -> None:
         """A disc, or only its border of `line` pixels."""
-        x, y = centre
-        self._pygame.draw.circle(self._surface, colour, (SCALE * x, SCALE * y), SCALE * radius, round(SCALE * line))
+        place = [SCALE * at for at in centre]
+        self._pygame.draw.circle(self._surface, colour, place, SCALE * radius, round(SCALE * line))
 
     def polygon(self, corners: Points, colour: Colour) -> None:
         """A filled polygon."""
@@ -182,15 +156,14 @@ class Canvas:
 
     def _render(self, text: str, size: int, colour: Colour) -> tuple[Any, int]:
         """The text as a surface, and the height of its top above its baseline."""
+        font = self._font(size)
         try:
-            font = self._font(size)
             return font.render(text, True, colour), font.get_ascent()
         except self._pygame.error:
             # Other environments call pygame.quit() when they close, which voids every font in the process.
             self._pygame.font.init()
             self._font.cache_clear()
-            font = self._font(size)
-            return font.render(text, True, colour), font.get_ascent()
+            return self._render(text, size, colour)
 
 
 def _nice_step(least: float) -> float:
@@ -217,8 +190,8 @@ def _polar(angle: Any, radius: Any) -> tuple[Any, Any]:
 @functools.lru_cache(maxsize=4)
 def _backdrop(title: str) -> Canvas:
     """What never moves and lies behind everything."""
-    canvas = Canvas(WIDTH, HEIGHT)
-    canvas.fill(PAPER)
+    canvas = Canvas()
+    canvas.box(0, 0, WIDTH, HEIGHT, PAPER)
     canvas.box(0, 0, WIDTH, HEADER, WHITE)
     canvas.box(0, HEADER, WIDTH, 1, HAIRLINE)
     canvas.box(0, FLOOR, WIDTH, RULER, FLOOR_FILL)
@@ -236,7 +209,7 @@ def _backdrop(title: str) -> Canvas:
 @functools.cache
 def _body(contact: Colour) -> Canvas:
     """The shell, the platform and the gauge's scale: the camera follows them, so they never move."""
-    layer = Canvas(WIDTH, HEIGHT, transparent=True)
+    layer = Canvas(transparent=True)
     shell = (MIDDLE - SHELL_HALF, FLOOR - SHELL_HEIGHT, 2 * SHELL_HALF, SHELL_HEIGHT)
     layer.box(*shell, (*SHELL[:3], 34), radius=SHELL_HEIGHT / 2)
     layer.box(*shell, blend(WHITE, contact, 0.6), radius=SHELL_HEIGHT / 2, line=3)
@@ -288,8 +261,6 @@ class Renderer:
         on_key: called for every key of the window with pygame's name of it, and whether it is pressed or released.
 
     Raises:
-        ValueError: if an argument is out of range.
-        TypeError: if a number is no number.
         gymnasium.error.DependencyNotInstalled: if pygame is not installed.
     """
 
@@ -302,22 +273,14 @@ class Renderer:
         title: str = ENV_ID,
         on_key: Callable[[str, bool], None] | None = None,
     ) -> None:
-        if mode not in RENDER_MODES:
-            raise ValueError(f"mode must be 'human' or 'rgb_array', got {mode!r}")
-        self._mode = mode
-        self._title = title
-        self._fps = check_number("fps", fps, "a finite number > 0 (frames per second)", 0.0, open_low=True)
-        self._torque_limit = check_number("torque_limit", torque_limit, "a finite number > 0 (N m)", 0.0, open_low=True)
+        self._mode, self._title, self._fps, self._torque_limit = mode, title, fps, torque_limit
         self._major = _nice_step(50.0 * capsule.l / ROD)
         # A whole number of canvas pixels between labelled marks: the marks then move as one and do not shimmer.
         self._major_pixels = round(SCALE * ROD / capsule.l * self._major) / SCALE
-        self._closed = False
-        self._on_key = on_key
-
-        self._canvas = Canvas(WIDTH, HEIGHT)
+        self._closed, self._on_key, self._canvas = False, on_key, Canvas()
+        self._pygame = import_pygame()
         self._window: Any = None
         if mode == "human":
-            self._pygame = import_pygame()
             self._pygame.display.init()
             self._pygame.display.set_caption(title)
             self._window = self._pygame.display.set_mode((WIDTH, HEIGHT))
@@ -376,16 +339,17 @@ class Renderer:
         self._draw_speed(x_dot)
         self._draw_torque(torque)
         self._draw_pendulum(theta, theta_dot, theta_reference)
-        self._draw_figures(theta, time, x, x_dot, torque)
+        self._draw_figures(theta, time, x, x_dot, torque, contact)
         self._canvas.write(f"M {M:.3f} kg     \N{GREEK SMALL LETTER MU} {mu:.4f}", 17, GREY, 24, HEADER + 46)
-        self._draw_contact(x_dot, contact)
         self._canvas.write(note, 16, GREY, 24, HEIGHT - 13)
         if banner:
             self._canvas.box(MIDDLE - BANNER_HALF, BANNER, 2 * BANNER_HALF, 32, INK, radius=6)
             self._canvas.write(banner, 20, WHITE, MIDDLE, BANNER + 22, "centre")
+        frame = self._canvas.frame()
         if self._mode == "rgb_array":
-            return self._canvas.array()
-        self._window.blit(self._canvas.frame(), (0, 0))
+            pixels = bytearray(self._pygame.image.tobytes(frame, "RGB"))
+            return np.frombuffer(pixels, np.uint8).reshape(HEIGHT, WIDTH, 3)
+        self._window.blit(frame, (0, 0))
         self._pygame.display.flip()
         self._clock.tick(self._fps)
         return None
@@ -498,25 +462,21 @@ class Renderer:
         canvas.disc((x, y), BALL, BALL_COLOUR)
         canvas.disc((x - 6, y - 7), 6, blend(BALL_COLOUR, WHITE, 0.35))
 
-    def _draw_figures(self, theta: float, time: float, x: float, x_dot: float, torque: float) -> None:
-        """The numbers: right-aligned, so that no digit moves when another appears."""
-        mean = x / time if time > 0.0 else 0.0
+    def _draw_figures(self, theta: float, time: float, x: float, x_dot: float, torque: float, contact: Colour) -> None:
+        """The numbers, right-aligned, so that no digit moves when another appears; stick, or slip and which way."""
+        canvas, mean = self._canvas, x / time if time > 0.0 else 0.0
         figures = ((time, 2), (100.0 * x, 1), (100.0 * x_dot, 1), (100.0 * mean, 2), (torque, 2))
         for column, (value, decimals) in enumerate(figures):
             colour = TORQUE if column == 4 else INK
-            right = COLUMN * column + VALUE_RIGHT
-            self._canvas.write(_number(value, decimals), 32, colour, right, VALUE_BASELINE, "right")
+            canvas.write(_number(value, decimals), 32, colour, COLUMN * column + VALUE_RIGHT, VALUE_BASELINE, "right")
         degrees = _number(math.degrees(theta), 1) + "\N{DEGREE SIGN}"
-        self._canvas.write("\N{GREEK SMALL LETTER THETA}", 22, GREY, WIDTH - 106, HEADER + 27)
-        self._canvas.write(degrees, 22, INK, WIDTH - 24, HEADER + 27, "right")
-
-    def _draw_contact(self, x_dot: float, contact: Colour) -> None:
-        """The badge: stick, or slip and which way."""
-        self._canvas.box(822, 33, 114, 31, contact, radius=15)
-        self._canvas.write("STICK" if x_dot == 0.0 else "SLIP", 22, WHITE, 879, 55, "centre")
+        canvas.write("\N{GREEK SMALL LETTER THETA}", 22, GREY, WIDTH - 106, HEADER + 27)
+        canvas.write(degrees, 22, INK, WIDTH - 24, HEADER + 27, "right")
+        canvas.box(822, 33, 114, 31, contact, radius=15)
+        canvas.write("STICK" if x_dot == 0.0 else "SLIP", 22, WHITE, 879, 55, "centre")
         if x_dot != 0.0:
             side = math.copysign(1.0, x_dot)
-            self._canvas.polygon([(879 + side * dx, 48.5 + dy) for dx, dy in ((44, 0), (33, -7), (33, 7))], WHITE)
+            canvas.polygon([(879 + side * dx, 48.5 + dy) for dx, dy in ((44, 0), (33, -7), (33, 7))], WHITE)
 
 
 def write_gif(frames: Iterable[np.ndarray], path: Path, frame_seconds: float = FRAME_SECONDS, width: int = 640) -> None:
@@ -548,12 +508,6 @@ def write_gif(frames: Iterable[np.ndarray], path: Path, frame_seconds: float = F
     middle = pictures[len(pictures) // 2]
     palette = middle.quantize(128, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
     pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    options: dict[str, Any] = {"duration": round(1000 * frame_seconds), "loop": 0, "optimize": True}
     with replacing(path) as temporary:
-        pictures[0].save(
-            temporary,
-            save_all=True,
-            append_images=pictures[1:],
-            duration=round(1000 * frame_seconds),
-            loop=0,
-            optimize=True,
-        )
+        pictures[0].save(temporary, save_all=True, append_images=pictures[1:], **options)

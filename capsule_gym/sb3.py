@@ -64,19 +64,17 @@ class CapsuleSB3VecEnv(VecEnv):
         Raises:
             ValueError: if the options of the environments have different keys, or an option is unknown or out of range.
         """
-        observations, _ = self.batch.reset(seed=self._seed, options=self._gathered_options())
+        # SB3's options are one dict per environment; under each key the batch takes a value per environment.
+        names = self._options[0].keys()
+        if any(options.keys() != names for options in self._options):
+            raise ValueError(f"options must have the same keys for every environment, got {written(self._options)}")
+        gathered = {name: [options[name] for options in self._options] for name in names}
+        observations, _ = self.batch.reset(seed=self._seed, options=gathered or None)
         self._seed = None
         self._reset_options()
         self._returns[:] = 0.0
         self._lengths[:] = 0
         return observations
-
-    def _gathered_options(self) -> dict[str, list[Any]] | None:
-        """SB3's options, one dict per environment, as the batch takes them: under each key a value per environment."""
-        names = self._options[0].keys()
-        if any(options.keys() != names for options in self._options):
-            raise ValueError(f"options must have the same keys for every environment, got {written(self._options)}")
-        return {name: [options[name] for options in self._options] for name in names} or None
 
     def step_async(self, actions: np.ndarray) -> None:
         """Takes the actions of the next step, shape (num_envs, 1)."""
