@@ -10,9 +10,10 @@ import io
 import json
 import zipfile
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -25,33 +26,27 @@ LOG_MU = tuple(log(mu) for mu in GRID_MU)
 PLANTS = tuple((M, mu) for M in GRID_M for mu in GRID_MU)
 ARCHIVE, ARRAYS = "archive.json", "arrays.npz"
 
-T = TypeVar("T")
 
-
-def read_archive(
-    folder: Path, command: str, build: Callable[[dict[str, Any], dict[str, np.ndarray]], T], empty: Callable[[], T]
-) -> T:
-    """Reads an archive.
+@contextmanager
+def reading(folder: Path, command: str) -> Iterator[tuple[dict[str, Any], dict[str, np.ndarray]]]:
+    """Reads an archive: the JSON object, in which lists have become tuples, and the arrays; both empty where none is.
 
     Args:
         folder: of the files.
         command: that writes them, for the error message.
-        build: makes the archive from the JSON object, in which lists have become tuples, and the arrays.
-        empty: makes the archive of a folder without one.
 
     Raises:
-        ValueError: if a file is malformed.
+        ValueError: if a file is malformed, or the block of the `with` statement fails with what it holds.
     """
-    arrays: dict[str, np.ndarray] = {}
     try:
-        if not (folder / ARCHIVE).is_file():
-            return empty()
-        content = _frozen(json.loads((folder / ARCHIVE).read_text(encoding="utf-8")))
-        if (folder / ARRAYS).is_file():
-            # From memory: numpy leaves a malformed file open.
-            with np.load(io.BytesIO((folder / ARRAYS).read_bytes()), allow_pickle=False) as found:
-                arrays = dict(found)
-        return build(content, arrays)
+        content, arrays = {}, {}
+        if (folder / ARCHIVE).is_file():
+            content = _frozen(json.loads((folder / ARCHIVE).read_text(encoding="utf-8")))
+            if (folder / ARRAYS).is_file():
+                # From memory: numpy leaves a malformed file open.
+                with np.load(io.BytesIO((folder / ARRAYS).read_bytes()), allow_pickle=False) as found:
+                    arrays = dict(found)
+        yield content, arrays
     except (KeyError, IndexError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
         message = f"{folder} must hold an archive written by `{command}`, got {type(error).__name__}: {error}"
         raise ValueError(message) from error

@@ -17,7 +17,7 @@ import numpy as np
 
 from agents.training.presets import ROWS, PPOConfig
 from baselines.dynamic_programming.policy import TORQUES
-from baselines.gaits.archive import GaitMap, encode_gaits, oracle_map, tolerant_nominal
+from baselines.gaits.archive import GaitMap, encode_gaits, known_gaits, tolerant_nominal
 from baselines.policies import SCRIPTED
 from capsule_gym import load_policy, task
 from capsule_gym.evaluation_sets import SET_NAMES, load_set
@@ -43,7 +43,7 @@ from web.recordings import OVER, known_recordings
 
 GAITS: dict[str, Callable[[], GaitMap]] = {
     "gait-nominal": lambda: GaitMap((NOMINAL.M,), (NOMINAL.mu,), (tolerant_nominal(),), ((0,),)),
-    "gait-oracle": oracle_map,
+    "gait-oracle": lambda: known_gaits().oracle,
 }
 RANDOM = "random"
 # As many as a frozen set has plants, whose seeds are 0, 1, ..

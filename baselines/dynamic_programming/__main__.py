@@ -6,18 +6,12 @@ Results are written after every problem of `baselines.dynamic_programming.proble
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
-from typing import TYPE_CHECKING
 
 from baselines.dynamic_programming import FOLDER
 from capsule_gym.command_line import parse
-
-if TYPE_CHECKING:
-    from baselines.dynamic_programming.archive import Archive
-    from baselines.dynamic_programming.problem import Problem
 
 PROG = "python -m baselines.dynamic_programming"
 
@@ -41,16 +35,6 @@ class Args:
     """Of the archive."""
 
 
-def solve_all(wanted: Sequence[Problem], archive: Archive) -> Iterator[None]:
-    """Solves problems as it is iterated, and adds them to the archive."""
-    for n, problem in enumerate(wanted):
-        print(f"{n + 1}/{len(wanted)} {problem} ..", flush=True)
-        began = perf_counter()
-        result = archive.solve(problem)
-        print(f"{result.mean_speed:.2f} cm/s over 33 s, {perf_counter() - began:.0f} s", flush=True)
-        yield
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, PROG, arguments)
@@ -69,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(report(archive))
         return 0
     missing = [problem for problem in PROBLEMS if problem.key not in archive.results]
-    interrupted = run_search(solve_all(missing, archive), lambda: archive.save(args.folder))
+    interrupted = run_search(archive.solve(missing), lambda: archive.save(args.folder))
     print(f"{len(archive.results)} problems on file in {args.folder}")
     return 130 if interrupted else 0
 

@@ -6,14 +6,15 @@ them from rest gives the same speed on every machine. `gains` are what the solve
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from time import perf_counter
 
 import numpy as np
 
-from baselines.archive import GRID_M, GRID_MU, PLANTS, grid_cell, in_grid, read_archive, write_archive
+from baselines.archive import GRID_M, GRID_MU, PLANTS, grid_cell, in_grid, reading, write_archive
 from baselines.dynamic_programming import FOLDER
 from baselines.dynamic_programming.grid import Grid
 from baselines.dynamic_programming.problem import ACTIONS, ENERGY_WEIGHTS, Problem, Trajectory, repeat
@@ -60,30 +61,33 @@ class Archive:
     results: dict[str, Result] = field(default_factory=dict)
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
 
-    def solve(self, problem: Problem) -> Result:
-        """Solves a problem and adds its result, with the trajectory of the largest reward on any of the grids."""
-        own_interval = problem.control_dt == CONTROL_DT
-        solved = solve_on_grids(problem, GRIDS[: (4 if problem == Problem() else 2) if own_interval else 3])
+    def solve(self, problems: Sequence[Problem]) -> Iterator[None]:
+        """Solves problems as it is iterated and adds their results, with the trajectory of the largest reward."""
+        for n, problem in enumerate(problems):
+            print(f"{n + 1}/{len(problems)} {problem} ..", flush=True)
+            began, own_interval = perf_counter(), problem.control_dt == CONTROL_DT
+            solved = solve_on_grids(problem, GRIDS[: (4 if problem == Problem() else 2) if own_interval else 3])
 
-        def reward(trajectory: Trajectory) -> float:
-            metrics = trajectory.metrics
-            value = 100.0 * metrics["distance"][0] - problem.energy_weight * metrics["energy"][0]
-            return float(value) - 1e9 * float(metrics["failed"][0])
+            def reward(trajectory: Trajectory, energy_weight: float = problem.energy_weight) -> float:
+                metrics = trajectory.metrics
+                value = 100.0 * metrics["distance"][0] - energy_weight * metrics["energy"][0]
+                return float(value) - 1e9 * float(metrics["failed"][0])
 
-        best = max((trajectory for _, trajectory in solved), key=reward)
-        result = Result(
-            **asdict(problem),
-            grids=tuple(solution.grid.shape for solution, _ in solved),
-            gains=tuple(round(solution.gain, 4) for solution, _ in solved),
-            steady=tuple(round(trajectory.steady_speed(problem.control_dt), 4) for _, trajectory in solved),
-            **_performance(best),
-        )
-        self.results[problem.key] = result
-        self.arrays[f"{problem.key} torques"] = best.choices[:, 0]
-        # The policies look ahead with the values of the speed problems.
-        if problem.energy_weight == 0.0 and own_interval:
-            self._add_values(problem.key, solved[0][0])
-        return result
+            best = max((trajectory for _, trajectory in solved), key=reward)
+            self.results[problem.key] = Result(
+                **asdict(problem),
+                grids=tuple(solution.grid.shape for solution, _ in solved),
+                gains=tuple(round(solution.gain, 4) for solution, _ in solved),
+                steady=tuple(round(trajectory.steady_speed(problem.control_dt), 4) for _, trajectory in solved),
+                **_performance(best),
+            )
+            self.arrays[f"{problem.key} torques"] = best.choices[:, 0]
+            # The policies look ahead with the values of the speed problems.
+            if problem.energy_weight == 0.0 and own_interval:
+                self._add_values(problem.key, solved[0][0])
+            speed = self.results[problem.key].mean_speed
+            print(f"{speed:.2f} cm/s over 33 s, {perf_counter() - began:.0f} s", flush=True)
+            yield
 
     def _add_values(self, key: str, solution: Solution) -> None:
         """Stores values rounded to steps; of these differences along all axes, modulo 65536, which compress better."""
@@ -97,15 +101,8 @@ class Archive:
         self.arrays[f"{key} numbers"] = np.array(numbers)
 
     def solution(self, problem: Problem) -> Solution:
-        """The stored values of a problem.
-
-        Raises:
-            ValueError: if there are none.
-        """
-        try:
-            steps, numbers = (self.arrays[f"{problem.key} {kind}"] for kind in ("differences", "numbers"))
-        except KeyError:
-            raise ValueError(f"the archive holds no values of {problem}") from None
+        """The stored values of a problem: there are some for every plant of the grid and for the margin."""
+        steps, numbers = (self.arrays[f"{problem.key} {kind}"] for kind in ("differences", "numbers"))
         low, step, *limits, curvature, gain = numbers.tolist()
         for axis in range(steps.ndim):
             steps = np.cumsum(steps, axis=axis, dtype=np.uint16)
@@ -137,16 +134,12 @@ def load_archive(folder: Path = FOLDER) -> Archive:
     Raises:
         ValueError: if a file is malformed.
     """
-    return read_archive(folder, "python -m baselines.dynamic_programming", _build, Archive)
-
-
-def _build(content: dict[str, Any], arrays: dict[str, np.ndarray]) -> Archive:
-    """The archive of a JSON object and its arrays."""
-    results = {result.key: result for result in (Result(**fields) for fields in content["results"])}
-    for key in results:
-        if arrays[f"{key} torques"].dtype != np.uint8:
-            raise ValueError(f"the torques of {key!r} must be bytes")
-    return Archive(results, arrays)
+    with reading(folder, "python -m baselines.dynamic_programming") as (content, arrays):
+        results = {result.key: result for result in (Result(**fields) for fields in content.get("results", ()))}
+        for key in results:
+            if arrays[f"{key} torques"].dtype != np.uint8:
+                raise ValueError(f"the torques of {key!r} must be bytes")
+        return Archive(results, arrays)
 
 
 def _performance(trajectory: Trajectory) -> dict[str, float]:
@@ -197,34 +190,14 @@ def optimal_front() -> list[tuple[float, float]]:
     return sorted(undominated, key=lambda point: point[1])
 
 
-class Cycle(NamedTuple):
-    """One period of a limit cycle, sampled at every step of the integrator; arrays are float64 of shape (samples,).
+def cycle() -> dict[str, np.ndarray]:
+    """The settled period whose ends differ the least, of the trajectory on the nominal plant.
 
-    It begins where the pendulum reverses to move forwards on the left.
-
-    Attributes:
-        time: s, from 0.
-        theta: rad.
-        theta_dot: rad/s.
-        x_dot: m/s.
-        normal_force: N, the smallest of the step that begins there.
-        torque: N m, during that step.
-        period: s.
-        speed: mean of the cycle, cm/s.
+    Returns:
+        `time` (s, from 0), `theta` (rad), `theta_dot` (rad/s), `x` (m, from 0), `x_dot` (m/s), `normal_force` (N, the
+        smallest of the step) and `torque` (N m, during it) at every step of the integrator, from where the pendulum
+        reverses to move forwards on the left to where it does so again; each of shape (steps + 1,), float64.
     """
-
-    time: np.ndarray
-    theta: np.ndarray
-    theta_dot: np.ndarray
-    x_dot: np.ndarray
-    normal_force: np.ndarray
-    torque: np.ndarray
-    period: float
-    speed: float
-
-
-def cycle() -> Cycle:
-    """The settled period whose ends differ the least, of the trajectory on the nominal plant."""
     problem, archive = Problem(), known_results()
     trajectory = archive.repeat(problem)
     starts = trajectory.cycle_starts(problem.control_dt)
@@ -234,16 +207,9 @@ def cycle() -> Cycle:
     substeps = round(problem.control_dt / DIRECT_PHYSICS_DT)
     dt = problem.control_dt / substeps
     fine = repeat(replace(problem, control_dt=dt), np.repeat(trajectory.choices[: end + 1, 0], substeps))
-    part = slice(begin * substeps, end * substeps)
-    theta, theta_dot, x, x_dot = fine.states[part, :, 0].T
-    period = (end - begin) * problem.control_dt
-    return Cycle(
-        time=dt * np.arange(theta.size),
-        theta=theta,
-        theta_dot=theta_dot,
-        x_dot=x_dot,
-        normal_force=fine.normal_forces[part, 0],
-        torque=TORQUE_LIMIT * ACTIONS[fine.choices[part, 0]],
-        period=period,
-        speed=float(100.0 * (fine.states[part.stop, 2, 0] - x[0]) / period),
-    )
+    part = slice(begin * substeps, end * substeps + 1)
+    states = dict(zip(("theta", "theta_dot", "x", "x_dot"), fine.states[part, :, 0].T, strict=True))
+    states["x"] -= states["x"][0]
+    torque = TORQUE_LIMIT * ACTIONS[fine.choices[part, 0]]
+    time = dt * np.arange(torque.size)
+    return {"time": time, **states, "normal_force": fine.normal_forces[part, 0], "torque": torque}

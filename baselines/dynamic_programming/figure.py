@@ -8,13 +8,15 @@ import numpy as np
 
 from baselines.archive import GRID_M, GRID_MU
 from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, add_note, new_figure
-from baselines.dynamic_programming.archive import Archive, Cycle, Result, cycle, known_results
+from baselines.dynamic_programming.archive import Archive, Result, cycle, known_results
 from baselines.dynamic_programming.problem import ACTIONS, CONTROL_INTERVALS, ENERGY_WEIGHTS, Problem, Transitions
 from baselines.dynamic_programming.solver import Solution
 from baselines.gaits.archive import pareto_front
 from baselines.tables import markdown_table
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import TORQUE_LIMIT
+
+Cycle = dict[str, np.ndarray]
 
 # Points of the maps along either axis, and the rates they reach to, rad/s.
 POINTS = 141
@@ -29,7 +31,7 @@ def draw_optimum() -> Any:
     """The figure, to be drawn within `baselines.drawing.style`."""
     solution, own = known_results().solution(Problem()), cycle()
     q = solution.grid.q
-    w = float(np.median(own.x_dot / q - np.cos(own.theta) * own.theta_dot))
+    w = float(np.median(own["x_dot"] / q - np.cos(own["theta"]) * own["theta_dot"]))
     figure = new_figure(5.6)
     (value, torque), (motion, force) = figure.subplots(2, 2, height_ratios=(1.35, 1.0))
     values, torques = _maps(solution, w)
@@ -38,19 +40,19 @@ def draw_optimum() -> Any:
     value.set_title("Value of a state, relative to the start")
     _draw_map(figure, torque, np.where(failing, np.nan, torques), own, "RdBu_r", "torque (N m)", (-limit, limit))
     torque.set_title("The best torque")
-    motion.plot(own.time, own.theta, color=BLUE, label="θ (rad)")
-    motion.plot(own.time, own.x_dot, color=VERMILION, label="x' (m/s)")
+    motion.plot(own["time"], own["theta"], color=BLUE, label="θ (rad)")
+    motion.plot(own["time"], own["x_dot"], color=VERMILION, label="x' (m/s)")
     _draw_cycle(motion, own, "Pendulum and platform", (-0.8, 1.3))
     weight = (NOMINAL.M + NOMINAL.m) * NOMINAL.g
-    force.step(own.time, own.torque, where="post", color=GREEN, label="u (N m)")
-    force.plot(own.time, own.normal_force / weight, color=INK, label="N / (M + m) g")
+    force.step(own["time"], own["torque"], where="post", color=GREEN, label="u (N m)")
+    force.plot(own["time"], own["normal_force"] / weight, color=INK, label="N / (M + m) g")
     _draw_cycle(force, own, "Torque and contact", (-1.7, 2.3))
     add_note(
         figure,
         f"Nominal plant, control interval 20 ms. Maps: the slice where the centre of mass moves at {100.0 * q * w:.1f} "
         "cm/s, its median over the cycle; grey: failure. Black: the cycle, which begins at the dot. Shaded: the "
         "platform slides backwards, and friction pushes the capsule forwards. Period "
-        f"{own.period:.2f} s, {own.speed:.1f} cm/s.",
+        f"{own['time'][-1]:.2f} s, {100.0 * own['x'][-1] / own['time'][-1]:.1f} cm/s.",
     )
     return figure
 
@@ -84,23 +86,22 @@ def _draw_map(
         aspect="auto",
         cmap=colours,
         interpolation="nearest",
-        vmin=limits[0],
-        vmax=limits[1],
+        clim=limits,
     )
     below = np.nanmin(image) < limits[0]
     figure.colorbar(shown, ax=axes, label=label, pad=0.02, extend="min" if below else "neither")
-    axes.plot(np.append(own.theta, own.theta[0]), np.append(own.theta_dot, own.theta_dot[0]), color=INK, lw=1.4)
-    axes.plot(own.theta[0], own.theta_dot[0], "o", color=INK, markersize=4.0)
+    axes.plot(own["theta"], own["theta_dot"], color=INK, lw=1.4)
+    axes.plot(own["theta"][0], own["theta_dot"][0], "o", color=INK, markersize=4.0)
     axes.grid(False)
     axes.set(xlabel="θ (rad)", ylabel="θ' (rad/s)", xlim=(-THETA, THETA), ylim=RATES)
 
 
 def _draw_cycle(axes: Any, own: Cycle, title: str, limits: tuple[float, float]) -> None:
     """The frame of a panel over the cycle; shaded where the platform slides backwards."""
-    backwards = own.x_dot < 0.0
-    axes.fill_between(own.time, *limits, where=backwards, step="post", color="#e8eef6", lw=0.0, zorder=0.5)
+    backwards = own["x_dot"] < 0.0
+    axes.fill_between(own["time"], *limits, where=backwards, step="post", color="#e8eef6", lw=0.0, zorder=0.5)
     axes.axhline(0.0, color=MUTED, lw=0.6)
-    axes.set(title=title, xlim=(0.0, own.period), ylim=limits, xlabel="time in the cycle (s)")
+    axes.set(title=title, xlim=(0.0, own["time"][-1]), ylim=limits, xlabel="time in the cycle (s)")
     axes.legend(loc="upper right", ncols=2, handlelength=1.5, columnspacing=1.2)
 
 

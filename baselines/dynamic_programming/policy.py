@@ -37,13 +37,11 @@ def _score(
     q: np.ndarray,
     corners: np.ndarray,
     weights: np.ndarray,
-    values: np.ndarray,
-    shapes: np.ndarray,
+    tables: tuple[np.ndarray, ...],
     axes: np.ndarray,
     curvatures: np.ndarray,
-    scores: np.ndarray,
-) -> None:
-    """Writes the scores of every environment's torques.
+) -> np.ndarray:
+    """The scores of every environment's torques, cm, shape (environments torques,).
 
     Args:
         states: next states, shape (3, environments torques).
@@ -52,43 +50,32 @@ def _score(
         q: m l / (M + m) of every environment, m.
         corners: tables around every environment's plant, shape (environments, corners).
         weights: of these tables, shape (environments, corners).
-        values: of all tables, concatenated.
-        shapes: of the tables, and in a fourth column where each begins.
-        axes: shape (tables, 3, 2).
+        tables: the values of solutions.
+        axes: of their grids, shape (tables, 3, 2).
         curvatures: of the tables, `cell_curvature`, cm.
-        scores: cm, shape (environments, torques); written.
     """
-    count = scores.shape[1]
-    for n in range(scores.shape[0]):
-        for a in range(count):
-            lane = n * count + a
+    scores = np.full(rewards.size, FAILURE_SCORE)
+    for lane in range(rewards.size):
+        n = lane // NUM_TORQUES
+        if not failed[lane]:
             score = rewards[lane]
-            if failed[lane]:
-                score = FAILURE_SCORE
-            else:
-                for c in range(corners.shape[1]):
-                    t = corners[n, c]
-                    if weights[n, c] > 0.0:
-                        size, begin = shapes[t], shapes[t, 3]
-                        end = begin + size[0] * size[1] * size[2]
-                        table = values[begin:end].reshape((size[0], size[1], size[2]))
-                        i, j, k = locate(states[0, lane], states[1, lane], states[2, lane], q[n], axes[t])
-                        i, j, k = clamped(i, size[0]), clamped(j, size[1]), clamped(k, size[2])
-                        score += weights[n, c] * interpolate(table, i, j, k, curvatures[t])
-            scores[n, a] = score
+            for c in range(corners.shape[1]):
+                t = corners[n, c]
+                if weights[n, c] > 0.0:
+                    size = tables[t].shape
+                    i, j, k = locate(states[0, lane], states[1, lane], states[2, lane], q[n], axes[t])
+                    i, j, k = clamped(i, size[0]), clamped(j, size[1]), clamped(k, size[2])
+                    score += weights[n, c] * interpolate(tables[t], i, j, k, curvatures[t])
+            scores[lane] = score
+    return scores
 
 
 @lru_cache(maxsize=2)
-def _tables(*problems: Problem) -> tuple[np.ndarray, ...]:
-    """The values of solutions as `_score` takes them: values, shapes, axes and curvatures."""
+def _tables(*problems: Problem) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
+    """The values of solutions as `_score` takes them: values, axes and curvatures."""
     solutions = [known_results().solution(problem) for problem in problems]
-    begins = np.cumsum([0, *(solution.values.size for solution in solutions[:-1])])
-    return (
-        np.concatenate([solution.values.reshape(-1) for solution in solutions]),
-        np.array([(*s.grid.shape, begin) for s, begin in zip(solutions, begins.tolist(), strict=True)]),
-        np.array([solution.grid.axes for solution in solutions]),
-        np.array([cell_curvature(solution.curvature, solution.grid) for solution in solutions]),
-    )
+    curvatures = np.array([cell_curvature(solution.curvature, solution.grid) for solution in solutions])
+    return tuple(s.values for s in solutions), np.array([s.grid.axes for s in solutions]), curvatures
 
 
 class Lookahead:
@@ -104,7 +91,6 @@ class Lookahead:
         self._tables = _tables(*problems)
         self._transitions = Transitions(Problem(margin=margin), count * NUM_TORQUES)
         self._actions = np.tile(TORQUES.astype(np.float64), count)
-        self._scores = np.empty((count, NUM_TORQUES))
         self._q = np.full(count, NOMINAL.m * NOMINAL.l / (NOMINAL.M + NOMINAL.m))
         self._corners, self._weights = np.zeros((count, 1), np.int64), np.ones((count, 1))
 
@@ -115,13 +101,13 @@ class Lookahead:
             observations: shape (count, entries); theta, theta_dot and x_dot come first.
 
         Returns:
-            Shape (count, torques), float64, in the order of `TORQUES`; the next call changes it.
+            Shape (count, torques), float64, in the order of `TORQUES`.
         """
         states = np.repeat(observations[:, :3].T.astype(np.float64), NUM_TORQUES, axis=1)
         outcome = self._transitions.step(states, self._actions)
         plants = self._q, self._corners, self._weights
-        compile_cached(_score)(*outcome, *plants, *self._tables, self._scores)
-        return self._scores
+        scores: np.ndarray = compile_cached(_score)(*outcome, *plants, *self._tables)
+        return scores.reshape(-1, NUM_TORQUES)
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """The actions for observations of shape (count, entries): shape (count, 1), float32."""
@@ -150,8 +136,7 @@ class Oracle(Lookahead):
             self._transitions.set_plants(np.repeat(M, NUM_TORQUES), np.repeat(mu, NUM_TORQUES))
             self._q = NOMINAL.m * NOMINAL.l / (M + NOMINAL.m)
             cells = [grid_cell(*plant) for plant in zip(M.tolist(), mu.tolist(), strict=True)]
-            corners, a, b = (np.array(each) for each in zip(*cells, strict=True))
-            self._corners = corners
+            self._corners, a, b = (np.array(each) for each in zip(*cells, strict=True))
             self._weights = np.stack([(1.0 - a) * (1.0 - b), (1.0 - a) * b, a * (1.0 - b), a * b], axis=1)
         return super().scores(observations)
 

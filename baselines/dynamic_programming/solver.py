@@ -69,7 +69,10 @@ class Solution:
 
     def at(self, states: np.ndarray) -> np.ndarray:
         """The values of states of shape (3, n), cm; `FAILURE_VALUE` off the grid."""
-        return values_at(self.values, self.grid.positions(states), cell_curvature(self.curvature, self.grid))
+        positions, nothing = self.grid.positions(states)[:, None], np.zeros((states.shape[1], 1), np.float32)
+        cell = cell_curvature(self.curvature, self.grid)
+        interpolated: np.ndarray = compile_cached(_backup)(self.values, positions, nothing, 0.0, cell)[0]
+        return interpolated
 
 
 def cell_curvature(curvature: float, grid: Grid) -> float:
@@ -131,13 +134,6 @@ def _backup(
     return new - gain, chosen
 
 
-def values_at(values: np.ndarray, positions: np.ndarray, curvature: float) -> np.ndarray:
-    """The values at positions of shape (n, 3), from `Grid.positions`; `FAILURE_VALUE` off the grid."""
-    nothing = np.zeros((len(positions), 1), np.float32)
-    interpolated: np.ndarray = compile_cached(_backup)(values, positions[:, None], nothing, 0.0, curvature)[0]
-    return interpolated
-
-
 def solve(problem: Problem, grid: Grid, *, curvature: float = 0.0, start: Solution | None = None) -> Solution:
     """Solves a problem on a grid.
 
@@ -153,7 +149,7 @@ def solve(problem: Problem, grid: Grid, *, curvature: float = 0.0, start: Soluti
     values: np.ndarray = np.zeros(grid.shape, np.float32)
     if start is not None:
         values = start.at(grid.nodes()).astype(np.float32).reshape(grid.shape)
-    origin = grid.positions(np.array([[START_THETA], [0.0], [0.0]]))
+    origin = np.array([[START_THETA], [0.0], [0.0]])
     gain, spacing = (start.gain if start else 0.0) * problem.control_dt, 2.0 / (TORQUES - 1)
     steps, chosen = 2 * round(0.5 * EVALUATION_TIME / problem.control_dt), np.zeros(len(actions), np.int64)
     for refinement in range(REFINEMENTS + 1):
@@ -174,7 +170,7 @@ def solve(problem: Problem, grid: Grid, *, curvature: float = 0.0, start: Soluti
                 values = evaluated.astype(np.float32).reshape(grid.shape)
             change = ((values - before) / steps)[before > 0.5 * FAILURE_VALUE]
             gain += float(np.median(change))
-            values = values - np.float32(values_at(values, origin, cell)[0])
+            values = values - np.float32(Solution(problem, grid, values, curvature, gain).at(origin)[0])
             if float(np.ptp(change)) / problem.control_dt < TOLERANCE:
                 break
     return Solution(problem, grid, values, curvature, gain / problem.control_dt)
@@ -213,13 +209,7 @@ def ranges(trajectory: Trajectory, q: float) -> tuple[tuple[float, float], tuple
 
 
 def divide_nodes(shape: tuple[int, int, int], y: tuple[float, float], w: tuple[float, float]) -> tuple[int, int, int]:
-    """Divides as many nodes between s and w by their ranges: where the platform mostly sticks, w is not slow.
-
-    Args:
-        shape: nodes along theta, s and w.
-        y: range, rad/s.
-        w: range, rad/s.
-    """
+    """Divides as many nodes between s and w by their ranges: where the platform mostly sticks, w is not slow."""
     ratio = min(MAX_RATIO, max(MIN_RATIO, NODE_RATIO * (y[1] - y[0]) / (w[1] - w[0])))
     product = shape[1] * shape[2]
     along_s = round(math.sqrt(product * ratio))

@@ -15,7 +15,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from baselines.gaits import FOLDER
 from capsule_gym.command_line import parse
@@ -31,7 +30,6 @@ class Args:
       python -m baselines.gaits --minutes 25    continue the search
       python -m baselines.gaits --minutes 0     only compute the map of gait-oracle
       python -m baselines.gaits --check         simulate every gait again and write nothing
-      python -m baselines.gaits --families harmonics --purposes refine finish
       python -m baselines.gaits --law 700       search the parameters of baselines:gait
     """
 
@@ -41,10 +39,6 @@ class Args:
     """Generations of a search for the parameters of `baselines:gait`; 0 searches gaits instead."""
     minutes: float = 25.0
     """How long to search; the map of gait-oracle is computed at the end."""
-    families: tuple[Literal["harmonics", "bang-bang", "phase-space"], ...] = ()
-    """Families of gaits that take turns; all where none is given."""
-    purposes: tuple[Literal["explore", "refine", "finish", "front", "tolerate"], ...] = ()
-    """Purposes of the iterations that take turns; all where none is given."""
     seed: int = 0
     """Of the search."""
     folder: Path = FOLDER
@@ -57,22 +51,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Imported once the command line is known to be right: the help needs none of it.
     from baselines.archive import run_search
     from baselines.gaits.archive import load_archive
-    from baselines.gaits.search import Search, check, compute_map
+    from baselines.gaits.search import check, compute_map, search
 
     if args.law:
-        from baselines.gaits.law_search import LawSearch
+        from baselines.gaits.law_search import search_law
 
-        return 130 if run_search(LawSearch(args.law, args.seed).generations(), lambda: None) else 0
+        return 130 if run_search(search_law(args.law, args.seed), lambda: None) else 0
     archive = load_archive(args.folder)
     if args.check:
         stale = check(archive)
         print(*stale, f"{len(archive.everything())} gaits simulated again: {len(stale)} numbers differ", sep="\n")
         return int(bool(stale))
-    command = f"{PROG} --seed {args.seed}"
-    for option, names in (("families", args.families), ("purposes", args.purposes)):
-        command += f" --{option} {' '.join(names)}" if names else ""
-    search = Search(archive, args.families, args.purposes, args.seed, command)
-    if run_search(search.iterations(args.minutes), lambda: archive.save(args.folder)):
+    if run_search(search(archive, args.seed, args.minutes), lambda: archive.save(args.folder)):
         return 130
     if not archive.gaits:
         print(f"{args.folder} holds no gait to compute the map of gait-oracle from")

@@ -9,30 +9,25 @@ than 1 %. An entry is replaced by better ones only.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from baselines.archive import PLANTS, read_archive, write_archive
+from baselines.archive import PLANTS, reading, write_archive
 from baselines.gaits import FOLDER
 from baselines.gaits.families import FAMILIES, GAIT_DT, actions, encode
 from capsule_gym.parameters import NOMINAL
 
 Act = Callable[[np.ndarray], np.ndarray]
 
-# cm/s: the front keeps one gait in every interval of speed of this width.
-FRONT_SPACING = 0.5
-
 
 @dataclass(frozen=True, kw_only=True)
 class Gait:
-    """A gait, its performance and its origin.
+    """A gait and its performance.
 
     Attributes:
         M: mass of its plant's platform, kg.
@@ -42,8 +37,6 @@ class Gait:
         mean_speed: cm/s.
         cost_of_transport: integral |u theta_dot| dt / ((M + m) g distance).
         sensitivity: largest relative change of the mean speed for changes of 1 part in 1000.
-        seed: of the search, and the number of the iteration.
-        command: that ran the iteration.
         worst_speed: of a tolerant gait, the slowest mean speed with M 10 % and mu about 20 % off, cm/s; else None.
     """
 
@@ -54,8 +47,6 @@ class Gait:
     mean_speed: float
     cost_of_transport: float
     sensitivity: float
-    seed: tuple[int, int]
-    command: str
     worst_speed: float | None = None
 
     @property
@@ -84,10 +75,10 @@ class GaitMap:
         cells: the index of the gait of each cell, shape (len(M), len(mu)).
     """
 
-    M: tuple[float, ...]
-    mu: tuple[float, ...]
-    gaits: tuple[Gait, ...]
-    cells: tuple[tuple[int, ...], ...]
+    M: tuple[float, ...] = ()
+    mu: tuple[float, ...] = ()
+    gaits: tuple[Gait, ...] = ()
+    cells: tuple[tuple[int, ...], ...] = ()
 
     def find(self, M: np.ndarray, mu: np.ndarray) -> list[Gait]:
         """The gaits of plants, from the nearest cells in M and log(mu)."""
@@ -107,13 +98,13 @@ class Archive:
     Attributes:
         gaits: fastest and tolerant gaits by `Gait.key`.
         front: gaits of the nominal plant, none of which dominates another, slowest first.
-        oracle: the map of `gait-oracle`; None before it has been computed.
+        oracle: the map of `gait-oracle`; empty before it has been computed.
         iterations: of the search so far.
     """
 
     gaits: dict[tuple[str, float, float, bool], Gait] = field(default_factory=dict)
     front: list[Gait] = field(default_factory=list)
-    oracle: GaitMap | None = None
+    oracle: GaitMap = GaitMap()
     iterations: int = 0
 
     def of_plant(self, M: float, mu: float, *, tolerant: bool = False) -> list[Gait]:
@@ -141,17 +132,13 @@ class Archive:
         """Keeps a gait of the nominal plant in the front unless one there beats it; returns whether it was kept."""
         if gait.mean_speed <= 0.0 or any(g.dominates(gait) for g in self.front):
             return False
-        interval = math.floor(gait.mean_speed / FRONT_SPACING)
-        same = [g for g in self.front if math.floor(g.mean_speed / FRONT_SPACING) == interval]
-        if any(g.cost_of_transport < gait.cost_of_transport for g in same):
-            return False
-        others = [g for g in self.front if g not in same and not gait.dominates(g)]
+        others = [g for g in self.front if not gait.dominates(g)]
         self.front = sorted([*others, gait], key=lambda g: g.mean_speed)
         return True
 
     def save(self, folder: Path = FOLDER) -> None:
         """Writes the archive."""
-        oracle = self.oracle and {**vars(self.oracle), "gaits": [gait.key for gait in self.oracle.gaits]}
+        oracle = {**vars(self.oracle), "gaits": [gait.key for gait in self.oracle.gaits]}
         gaits = [asdict(self.gaits[key]) for key in sorted(self.gaits)]
         front = [asdict(gait) for gait in self.front]
         write_archive(folder, {"iterations": self.iterations, "oracle": oracle, "gaits": gaits, "front": front})
@@ -163,20 +150,17 @@ def load_archive(folder: Path = FOLDER) -> Archive:
     Raises:
         ValueError: if the file is malformed.
     """
-    return read_archive(folder, "python -m baselines.gaits", _build, Archive)
-
-
-def _build(content: dict[str, Any], arrays: dict[str, np.ndarray]) -> Archive:
-    """The archive of a JSON object."""
-    gaits = {gait.key: gait for gait in (Gait(**fields) for fields in content["gaits"])}
-    archive = Archive(gaits, [Gait(**fields) for fields in content["front"]], None, content["iterations"])
-    for gait in archive.everything():
-        if len(gait.parameters) != len(FAMILIES[gait.family].units):
-            raise ValueError(f"a gait of {gait.family!r} with {len(gait.parameters)} parameters")
-    if content["oracle"] is not None:
-        oracle = {**content["oracle"], "gaits": tuple(gaits[key] for key in content["oracle"]["gaits"])}
-        archive.oracle = GaitMap(**oracle)
-    return archive
+    with reading(folder, "python -m baselines.gaits") as (content, _):
+        if not content:
+            return Archive()
+        gaits = {gait.key: gait for gait in (Gait(**fields) for fields in content["gaits"])}
+        used = tuple(gaits[key] for key in content["oracle"]["gaits"])
+        oracle = GaitMap(**{**content["oracle"], "gaits": used})
+        archive = Archive(gaits, [Gait(**fields) for fields in content["front"]], oracle, content["iterations"])
+        for gait in archive.everything():
+            if len(gait.parameters) != len(FAMILIES[gait.family].units):
+                raise ValueError(f"a gait of {gait.family!r} with {len(gait.parameters)} parameters")
+        return archive
 
 
 @lru_cache(maxsize=1)
@@ -190,21 +174,9 @@ def tolerant_nominal() -> Gait:
     return known_gaits().of_plant(NOMINAL.M, NOMINAL.mu, tolerant=True)[0]
 
 
-def oracle_map() -> GaitMap:
-    """The committed map of `gait-oracle`.
-
-    Raises:
-        ValueError: if the archive holds none.
-    """
-    oracle = known_gaits().oracle
-    if oracle is None:
-        raise ValueError("the archive of gaits must hold the oracle's map: run `python -m baselines.gaits --minutes 0`")
-    return oracle
-
-
 def encode_gaits(gaits: Sequence[Gait]) -> np.ndarray:
     """Gaits as compiled code takes them; see `encode`."""
-    return encode([gait.family for gait in gaits], [gait.parameters for gait in gaits])
+    return np.concatenate([encode(gait.family, np.array([gait.parameters])) for gait in gaits])
 
 
 def start_nominal(seeds: Sequence[int]) -> Act:
@@ -215,7 +187,7 @@ def start_nominal(seeds: Sequence[int]) -> Act:
 
 def start_oracle(seeds: Sequence[int]) -> Act:
     """The policy `gait-oracle`: the gait that was fastest around each plant; M and mu are observed last."""
-    gait_map, steps = oracle_map(), count()
+    gait_map, steps = known_gaits().oracle, count()
     gaits, observed = np.empty(0), np.empty((len(seeds), 2), np.float32)
 
     def act(observations: np.ndarray) -> np.ndarray:

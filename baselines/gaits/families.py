@@ -15,7 +15,6 @@ every machine and in a browser.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,7 +40,8 @@ def _feedback(gains: tuple[float, ...], theta: float, theta_dot: float, x_dot: f
 
 
 @inlined
-def _harmonics(p: tuple[float, ...], time: float, theta: float, theta_dot: float, x_dot: float) -> float:
+def harmonics(p: tuple[float, ...], time: float, theta: float, theta_dot: float, x_dot: float) -> float:
+    """The torque of a Fourier series with feedback, over its limit before clipping."""
     sine, cosine = sincos(2.0 * math.pi * time / p[0])
     # Horner's scheme: a sum of (cos_k - i sin_k) exp(i k angle), whose real part is the series.
     real, imaginary = 0.0, 0.0
@@ -65,7 +65,8 @@ def _square_integral(durations: tuple[float, ...], period: float, time: float) -
 
 
 @inlined
-def _bang_bang(p: tuple[float, ...], time: float, theta: float, theta_dot: float, x_dot: float) -> float:
+def bang_bang(p: tuple[float, ...], time: float, theta: float, theta_dot: float, x_dot: float) -> float:
+    """Full torque with free switching times, with feedback."""
     durations = abs(p[0]), abs(p[1]), abs(p[2]), abs(p[3])
     period = durations[0] + durations[1] + durations[2] + durations[3]
     # The mean over the step, so that the torque depends continuously on the switching times.
@@ -77,7 +78,8 @@ def _bang_bang(p: tuple[float, ...], time: float, theta: float, theta_dot: float
 
 
 @inlined
-def _phase_space(p: tuple[float, ...], time: float, theta: float, theta_dot: float, x_dot: float) -> float:
+def phase_space(p: tuple[float, ...], time: float, theta: float, theta_dot: float, x_dot: float) -> float:
+    """The cubic polynomial of the state; the time does not matter."""
     sign = 1.0 if x_dot > 0.0 else -1.0 if x_dot < 0.0 else 0.0
     torque: float = cubic(p, theta, theta_dot, x_dot, sign)
     return torque
@@ -91,13 +93,11 @@ class Family:
         units: of the search, one per parameter, in the parameter's own unit.
         start: parameters around which a search without known gaits starts.
         spread: standard deviations of these starts.
-        torque: torque over its limit before clipping, from parameters, time in s, theta, theta_dot and x_dot.
     """
 
     units: tuple[float, ...]
     start: tuple[float, ...]
     spread: tuple[float, ...]
-    torque: Callable[[tuple[float, ...], float, float, float, float], float]
 
 
 _SERIES = 2 * HARMONICS
@@ -106,20 +106,17 @@ FAMILIES = {
         units=(0.05, 0.3, *(0.5,) * _SERIES, 1.0, 0.1, 1.0),
         start=(0.65, 0.0, *(0.0,) * _SERIES, 0.0, 0.0, 0.0),
         spread=(0.08, 0.2, *(0.7,) * _SERIES, 0.5, 0.05, 0.5),
-        torque=_harmonics,
     ),
     "bang-bang": Family(
         units=(0.04, 0.04, 0.04, 0.04, 0.1, 1.0, 0.1, 1.0),
         start=(0.25, 0.1, 0.1, 0.25, 0.0, 0.0, 0.0, 0.0),
         spread=(0.08, 0.08, 0.08, 0.08, 0.3, 0.3, 0.03, 0.3),
-        torque=_bang_bang,
     ),
     "phase-space": Family(
         units=(1.0,) * len(COEFFICIENTS),
         # Positive feedback of theta_dot starts an oscillation.
         start=tuple(1.0 if name == "phi_010" else 0.0 for name in COEFFICIENTS),
         spread=(0.7,) * len(COEFFICIENTS),
-        torque=_phase_space,
     ),
 }
 
@@ -139,24 +136,18 @@ def action(gaits: np.ndarray, offset: int, time: float, theta: float, theta_dot:
     # The families' numbers are their places in `FAMILIES`.
     family, p = gaits[offset], load(gaits, offset + 1, 1, MAX_PARAMETERS)
     if family == 0.0:
-        torque = _harmonics(p, time, theta, theta_dot, x_dot)
+        torque = harmonics(p, time, theta, theta_dot, x_dot)
     elif family == 1.0:
-        torque = _bang_bang(p, time, theta, theta_dot, x_dot)
+        torque = bang_bang(p, time, theta, theta_dot, x_dot)
     else:
-        torque = _phase_space(p, time, theta, theta_dot, x_dot)
+        torque = phase_space(p, time, theta, theta_dot, x_dot)
     return clip(torque, 1.0)
 
 
-def encode(families: Sequence[str], parameters: Sequence[Sequence[float]]) -> np.ndarray:
-    """Gaits as compiled code takes them: the family's number, then the parameters; shape (gaits, `WIDTH`), float64.
-
-    Args:
-        families: of each gait.
-        parameters: of each, as many as its family has.
-    """
-    encoded = np.zeros((len(families), WIDTH))
-    for row, name, values in zip(encoded, families, parameters, strict=True):
-        row[0], row[1 : 1 + len(values)] = tuple(FAMILIES).index(name), values
+def encode(family: str, parameters: np.ndarray) -> np.ndarray:
+    """Gaits of one family as compiled code takes them: the family's number, then the parameters; shape (n, `WIDTH`)."""
+    encoded = np.zeros((len(parameters), WIDTH))
+    encoded[:, 0], encoded[:, 1 : 1 + parameters.shape[1]] = tuple(FAMILIES).index(family), parameters
     return encoded
 
 

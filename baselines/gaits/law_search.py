@@ -116,60 +116,49 @@ def draw_episodes(
     return plants, disturbed * rng.uniform(-1.0, 1.0, (round(horizon / CONTROL_DT), disturbed.size))
 
 
-class LawSearch:
-    """The search; writes the parameters whenever the mean of its distribution beats those on file.
+def parameters_at(point: np.ndarray) -> np.ndarray:
+    """The parameters of a point of the search, as they are written; the guard's gain is not negative."""
+    values = np.array([float(f"{value:.9g}") for value in point * UNITS])
+    values[-2] = abs(values[-2])
+    return values
+
+
+def evaluate(batch: CapsuleVectorEnv, parameters: np.ndarray) -> tuple[float, dict[str, Any]]:
+    """The mean score of parameters in the fixed episodes; their mean speed, cm/s, and failures."""
+    episodes = draw_episodes(np.random.default_rng(TEST_SEED), TEST_EPISODES, HORIZON)
+    metrics = run_candidates(batch, np.tile(parameters, (TEST_EPISODES, 1)), *episodes)
+    speed, failures = round(float(metrics["mean_speed"].mean()), 4), int(metrics["failed"].sum())
+    return float(metrics["score"].mean()), {"mean_speed": speed, "failures": failures, "episodes": TEST_EPISODES}
+
+
+def search_law(num_generations: int, seed: int) -> Iterator[None]:
+    """Runs generations as it is iterated; writes the mean of the distribution where it beats what is on file.
 
     Args:
         num_generations: of the CMA-ES.
         seed: of the search.
     """
-
-    def __init__(self, num_generations: int, seed: int) -> None:
-        self.num_generations, self.seed = num_generations, seed
-        self.rng = np.random.default_rng([seed, 3])
-        start = np.array([*tolerant_nominal().parameters, *START_GUARD]) / UNITS
-        self.strategy = cma_strategy(start, FIRST_STEP, POPULATION, self.rng)
-        self.trials, self.tests = make_batch(POPULATION * PLANTS), make_batch(TEST_EPISODES)
-        self.best = -math.inf
-        if FILE.is_file():
-            known = json.loads(FILE.read_text(encoding="utf-8"))["parameters"]
-            self.best = self.test(np.array([known[name] for name in PARAMETERS]))["score"]
-
-    @staticmethod
-    def parameters(point: np.ndarray) -> np.ndarray:
-        """The parameters of a point of the search, as they are written; the guard's gain is not negative."""
-        values = np.array([float(f"{value:.9g}") for value in point * UNITS])
-        values[-2] = abs(values[-2])
-        return values
-
-    def test(self, parameters: np.ndarray) -> dict[str, Any]:
-        """The mean score and speed of parameters, and their failures, in the fixed episodes."""
-        episodes = draw_episodes(np.random.default_rng(TEST_SEED), TEST_EPISODES, HORIZON)
-        metrics = run_candidates(self.tests, np.tile(parameters, (TEST_EPISODES, 1)), *episodes)
-        speed, failures = round(float(metrics["mean_speed"].mean()), 4), int(metrics["failed"].sum())
-        score = float(metrics["score"].mean())
-        return {"mean_speed": speed, "failures": failures, "episodes": TEST_EPISODES, "score": score}
-
-    def generations(self) -> Iterator[None]:
-        """Runs the generations as it is iterated, and tests the mean of the distribution at intervals."""
-        for generation in range(1, self.num_generations + 1):
-            points = self.strategy.ask()
-            parameters = np.repeat([self.parameters(point) for point in points], PLANTS, axis=0)
-            episodes = draw_episodes(self.rng, PLANTS, TRIAL, POPULATION)
-            scores = run_candidates(self.trials, parameters, *episodes)["score"]
-            self.strategy.tell(points, (-scores.reshape(POPULATION, PLANTS).mean(axis=1)).tolist())
-            if generation % TEST_INTERVAL == 0 or generation == self.num_generations:
-                self.keep(self.parameters(self.strategy.mean), generation)
-            yield
-
-    def keep(self, parameters: np.ndarray, generation: int) -> None:
-        """Tests parameters and writes them if they are better than those on file."""
-        result = self.test(parameters)
-        score = result.pop("score")
-        print(f"generation {generation}: score {score:.3f}, best {self.best:.3f}", flush=True)
-        if score > self.best:
-            self.best = score
-            command = f"python -m baselines.gaits --law {self.num_generations} --seed {self.seed}"
-            named = dict(zip(PARAMETERS, parameters.tolist(), strict=True))
-            content = {"parameters": named, "found": {"command": command, "generation": generation, **result}}
-            write_atomically(FILE, json.dumps(content, indent=1) + "\n")
+    rng = np.random.default_rng([seed, 3])
+    start = np.array([*tolerant_nominal().parameters, *START_GUARD]) / UNITS
+    strategy = cma_strategy(start, FIRST_STEP, POPULATION, rng)
+    trials, tests = make_batch(POPULATION * PLANTS), make_batch(TEST_EPISODES)
+    best = -math.inf
+    if FILE.is_file():
+        known = json.loads(FILE.read_text(encoding="utf-8"))["parameters"]
+        best, _ = evaluate(tests, np.array([known[name] for name in PARAMETERS]))
+    for generation in range(1, num_generations + 1):
+        points = strategy.ask()
+        parameters = np.repeat([parameters_at(point) for point in points], PLANTS, axis=0)
+        scores = run_candidates(trials, parameters, *draw_episodes(rng, PLANTS, TRIAL, POPULATION))["score"]
+        strategy.tell(points, (-scores.reshape(POPULATION, PLANTS).mean(axis=1)).tolist())
+        if generation % TEST_INTERVAL == 0 or generation == num_generations:
+            mean = parameters_at(strategy.mean)
+            score, found = evaluate(tests, mean)
+            print(f"generation {generation}: score {score:.3f}, best {best:.3f}", flush=True)
+            if score > best:
+                best = score
+                origin = {"command": f"python -m baselines.gaits --law {num_generations} --seed {seed}", **found}
+                named = dict(zip(PARAMETERS, mean.tolist(), strict=True))
+                content = {"parameters": named, "found": {"generation": generation, **origin}}
+                write_atomically(FILE, json.dumps(content, indent=1) + "\n")
+        yield

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from importlib import import_module
 from itertools import product
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -44,8 +43,7 @@ STARTS = np.array([(1.0, 1.0, 0.0), (1.0, 1.0, PERTURBATION)])
 MAP_M, MAP_MU = (0.25, 1.2, 20), (0.002, 0.6, 16)
 
 
-@dataclass(frozen=True)
-class Purpose:
+class Purpose(NamedTuple):
     """What an iteration looks for.
 
     Attributes:
@@ -62,7 +60,7 @@ class Purpose:
     sigmas: tuple[float, float]
     horizon: float = SHORT_HORIZON
     known: bool = True
-    variants: np.ndarray = field(default_factory=lambda: PERTURBED[:1])
+    variants: np.ndarray = PERTURBED[:1]
 
 
 # They take turns in this order. A heavy platform tolerates more, so three corners say nearly as much as all.
@@ -98,7 +96,7 @@ def simulate(
         The metrics of `capsule_gym.task.Metrics`, each of shape (variants, n).
     """
     count, steps = len(variants) * len(parameters), round(horizon / GAIT_DT)
-    gaits = encode([family] * count, np.tile(parameters, (len(variants), 1)).tolist())
+    gaits = np.tile(encode(family, parameters), (len(variants), 1))
     states = np.zeros((count, 4))
     states[:, 0] = START_THETA + np.repeat(variants[:, 2], len(parameters))
     env = CapsuleVectorEnv(
@@ -153,123 +151,106 @@ def score(results: dict[str, np.ndarray], horizon: float, goals: np.ndarray | No
 
 
 def cma_strategy(start: np.ndarray, sigma: float, population: int, rng: np.random.Generator) -> Any:
-    """A CMA-ES, whose draws come from the generator.
-
-    Args:
-        start: the initial mean.
-        sigma: the initial step size.
-        population: candidates per generation.
-        rng: the package would otherwise seed numpy's global generator.
-
-    Raises:
-        ImportError: if the package cma is not installed.
-    """
-    try:
-        cma = importlib.import_module("cma")
-    except ImportError as error:
-        raise ImportError('the gait search needs the package cma: pip install "capsule-gym[paper]"') from error
-    options = {
-        "popsize": population,
-        "verbose": -9,
-        "seed": math.nan,
-        "randn": lambda *shape: rng.standard_normal(shape),
-    }
-    return cma.CMAEvolutionStrategy(start, sigma, options)
+    """A CMA-ES from an initial mean and step size, with so many candidates per generation, that draws from `rng`."""
+    cma = import_module("cma")
+    # The package would otherwise seed numpy's global generator.
+    draws = {"seed": math.nan, "randn": lambda *shape: rng.standard_normal(shape)}
+    return cma.CMAEvolutionStrategy(start, sigma, {"popsize": population, "verbose": -9, **draws})
 
 
-class Search:
-    """The search for gaits.
+def search(archive: Archive, seed: int, minutes: float) -> Iterator[None]:
+    """Searches gaits as it is iterated, until the time is up.
 
     Args:
         archive: what is known; changed in place.
-        families: names of the families that take turns; all where none is given.
-        purposes: names of the purposes that take turns; all where none is given.
         seed: of the whole search; iteration i draws from the stream (seed, i).
-        command: stored with the gaits that it finds.
+        minutes: how long.
     """
+    turns = list(product(PURPOSES, FAMILIES))
+    deadline = perf_counter() + 60.0 * minutes
+    while perf_counter() < deadline:
+        began, number, better = perf_counter(), archive.iterations, 0
+        purpose, family = turns[number % len(turns)]
+        points, plants = find_candidates(archive, family, purpose, np.random.default_rng([seed, number]))
+        for gait in robust_gaits(family, points, plants, purpose == "tolerate"):
+            better += archive.offer(gait)
+            if (gait.M, gait.mu, gait.worst_speed) == (NOMINAL.M, NOMINAL.mu, None):
+                archive.offer_front(gait)
+        archive.iterations += 1
+        speeds = [gait.mean_speed for gait in archive.fastest().values()]
+        print(
+            f"iteration {number} ({purpose}, {family}): {better} entries better in {perf_counter() - began:.0f} s; "
+            f"mean of {len(speeds)} plants {np.mean(speeds or [0.0]):.2f} cm/s",
+            flush=True,
+        )
+        yield
 
-    def __init__(
-        self, archive: Archive, families: Sequence[str], purposes: Sequence[str], seed: int, command: str
-    ) -> None:
-        self.archive = archive
-        self.families, self.purposes = families or tuple(FAMILIES), purposes or tuple(PURPOSES)
-        self.seed, self.command = seed, command
 
-    def iterations(self, minutes: float) -> Iterator[None]:
-        """Runs iterations as it is iterated, until the time is up."""
-        deadline = perf_counter() + 60.0 * minutes
-        while perf_counter() < deadline:
-            began, number = perf_counter(), self.archive.iterations
-            family = self.families[number % len(self.families)]
-            purpose = self.purposes[number // len(self.families) % len(self.purposes)]
-            better = self._iterate(family, purpose, number)
-            self.archive.iterations += 1
-            speeds = [gait.mean_speed for gait in self.archive.fastest().values()]
-            print(
-                f"iteration {number} ({purpose}, {family}): {better} entries better in {perf_counter() - began:.0f} s; "
-                f"mean of {len(speeds)} plants {np.mean(speeds or [0.0]):.2f} cm/s",
-                flush=True,
-            )
-            yield
+def find_candidates(
+    archive: Archive, family: str, purpose: str, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Runs every CMA-ES of an iteration from the best of known, or of random, gaits on its plant.
 
-    def _iterate(self, family: str, purpose: str, number: int) -> int:
-        """Runs every CMA-ES of an iteration from the best of known, or of random, gaits on its plant.
+    Returns:
+        The best parameters and the mean of every run, shape (candidates, parameters), and their plants, M in kg and mu,
+        shape (candidates, 2).
+    """
+    settings, units = PURPOSES[purpose], np.array(FAMILIES[family].units)
+    targets = np.array([(M, mu, math.nan) for M, mu in PLANTS])
+    if purpose == "front":
+        nominal = archive.of_plant(NOMINAL.M, NOMINAL.mu)
+        top = nominal[0].mean_speed if nominal else FIRST_GOAL
+        targets = np.array([(NOMINAL.M, NOMINAL.mu, share * top) for share in FRONT_SHARES])
+    starts = np.array([gait.parameters for gait in archive.everything() if gait.family == family])
+    if not (len(starts) and settings.known):
+        draws = rng.standard_normal((RANDOM_STARTS, len(units)))
+        starts = np.array(FAMILIES[family].start) + np.array(FAMILIES[family].spread) * draws
 
-        Returns:
-            The number of entries of the archive that are better.
-        """
-        rng, settings = np.random.default_rng([self.seed, number]), PURPOSES[purpose]
-        units, (low, high) = np.array(FAMILIES[family].units), settings.sigmas
-        targets = np.array([(M, mu, math.nan) for M, mu in PLANTS])
-        if purpose == "front":
-            nominal = self.archive.of_plant(NOMINAL.M, NOMINAL.mu)
-            top = nominal[0].mean_speed if nominal else FIRST_GOAL
-            targets = np.array([(NOMINAL.M, NOMINAL.mu, share * top) for share in FRONT_SHARES])
-        starts = np.array([gait.parameters for gait in self.archive.everything() if gait.family == family])
-        if not (len(starts) and settings.known):
-            draws = rng.standard_normal((RANDOM_STARTS, len(units)))
-            starts = np.array(FAMILIES[family].start) + np.array(FAMILIES[family].spread) * draws
-        count = len(starts)
+    def scores_of(parameters: np.ndarray, targets: np.ndarray, horizon: float) -> np.ndarray:
+        """The scores of candidates for their targets: the worst over the variants of the plant."""
+        M, mu, goals = targets.T
+        results = simulate(family, parameters, M, mu, variants=settings.variants, horizon=horizon)
+        return score(results, horizon, goals if purpose == "front" else None).min(axis=0)
 
-        def scores_of(parameters: np.ndarray, targets: np.ndarray, horizon: float) -> np.ndarray:
-            """The scores of candidates for their targets: the worst over the variants of the plant."""
-            M, mu, goals = targets.T
-            results = simulate(family, parameters, M, mu, variants=settings.variants, horizon=horizon)
-            return score(results, horizon, goals if purpose == "front" else None).min(axis=0)
+    every = np.tile(starts, (len(targets), 1)), np.repeat(targets, len(starts), axis=0)
+    low, high = settings.sigmas
+    strategies = []
+    for order in np.argsort(-scores_of(*every, SHORT_HORIZON).reshape(-1, len(starts)), axis=1):
+        for restart in range(settings.restarts):
+            # Half of the restarts take the best, half the next best ones, which may lie in other basins.
+            rank = min((restart + 1) // 2 if restart % 2 else 0, len(starts) - 1)
+            sigma = low * (high / low) ** rng.random()
+            strategies.append(cma_strategy(starts[order[rank]] / units, sigma, POPULATION, rng))
+    targets = np.repeat(targets, settings.restarts, axis=0)
+    for _ in range(settings.generations):
+        points = np.array([strategy.ask() for strategy in strategies])
+        parameters = (points * units).reshape(-1, len(units))
+        scores = scores_of(parameters, np.repeat(targets, POPULATION, axis=0), settings.horizon)
+        for strategy, own, values in zip(strategies, points, scores.reshape(len(points), -1), strict=True):
+            strategy.tell(list(own), (-values).tolist())
+    results = [strategy.result for strategy in strategies]
+    points = np.array([point for result in results for point in (result.xbest, result.xfavorite)])
+    return points * units, np.repeat(targets[:, :2], 2, axis=0)
 
-        every = np.tile(starts, (len(targets), 1)), np.repeat(targets, count, axis=0)
-        strategies = []
-        for order in np.argsort(-scores_of(*every, SHORT_HORIZON).reshape(-1, count), axis=1):
-            for restart in range(settings.restarts):
-                # Half of the restarts take the best, half the next best ones, which may lie in other basins.
-                rank = min((restart + 1) // 2 if restart % 2 else 0, count - 1)
-                sigma = low * (high / low) ** rng.random()
-                strategies.append(cma_strategy(starts[order[rank]] / units, sigma, POPULATION, rng))
-        targets = np.repeat(targets, settings.restarts, axis=0)
-        for _ in range(settings.generations):
-            points = np.array([strategy.ask() for strategy in strategies])
-            parameters = (points * units).reshape(-1, len(units))
-            scores = scores_of(parameters, np.repeat(targets, POPULATION, axis=0), settings.horizon)
-            for strategy, own, values in zip(strategies, points, scores.reshape(len(points), -1), strict=True):
-                strategy.tell(list(own), (-values).tolist())
-        found = [strategy.result for strategy in strategies]
-        finalists = np.array([point for result in found for point in (result.xbest, result.xfavorite)]) * units
-        return self._keep(family, finalists, np.repeat(targets[:, :2], 2, axis=0), number, purpose == "tolerate")
 
-    def _keep(self, family: str, points: np.ndarray, plants: np.ndarray, number: int, tolerant: bool) -> int:
-        """Simulates candidates over the whole horizon and keeps better, robust ones; returns how many."""
-        # Rounded before the evaluation, as they are written.
-        points = np.array([[float(f"{value:.9g}") for value in point] for point in points])
-        results = simulate(family, points, *plants.T, variants=PERTURBED)
-        changes, speeds = sensitivity(results), results["mean_speed"][0]
-        if tolerant:
-            speeds = worst_speed(simulate(family, points, *plants.T, variants=TOLERATED))
-        better = 0
-        # The best first, so that an entry is replaced, and counted, once.
-        for i in np.argsort(-speeds):
-            if not changes[i] < LARGEST_SENSITIVITY:
-                continue
-            gait = Gait(
+def robust_gaits(family: str, points: np.ndarray, plants: np.ndarray, tolerant: bool) -> Iterator[Gait]:
+    """Simulates candidates over the whole horizon; the robust ones, the best first.
+
+    Args:
+        family: a name of `FAMILIES`.
+        points: parameters, shape (candidates, parameters).
+        plants: M in kg and mu, shape (candidates, 2).
+        tolerant: whether they shall be tolerant gaits.
+    """
+    # Rounded before the evaluation, as they are written.
+    points = np.array([[float(f"{value:.9g}") for value in point] for point in points])
+    results = simulate(family, points, *plants.T, variants=PERTURBED)
+    changes, speeds = sensitivity(results), results["mean_speed"][0]
+    if tolerant:
+        speeds = worst_speed(simulate(family, points, *plants.T, variants=TOLERATED))
+    for i in np.argsort(-speeds):
+        if changes[i] < LARGEST_SENSITIVITY:
+            yield Gait(
                 M=float(plants[i, 0]),
                 mu=float(plants[i, 1]),
                 family=family,
@@ -278,13 +259,7 @@ class Search:
                 cost_of_transport=float(results["cost_of_transport"][0, i]),
                 sensitivity=float(changes[i]),
                 worst_speed=float(speeds[i]) if tolerant else None,
-                seed=(self.seed, number),
-                command=self.command,
             )
-            better += self.archive.offer(gait)
-            if (gait.M, gait.mu) == (NOMINAL.M, NOMINAL.mu) and not tolerant:
-                self.archive.offer_front(gait)
-        return better
 
 
 def check(archive: Archive) -> list[str]:

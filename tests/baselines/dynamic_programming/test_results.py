@@ -62,14 +62,14 @@ def test_speeds_between_the_plants():
 
 def test_the_cycle_is_periodic():
     found = cycle()
-    assert found.period == pytest.approx(found.time[-1] + found.time[1])
-    assert found.speed == pytest.approx(known_results().results[Problem().key].steady[-1], rel=0.03)
-    assert found.normal_force.min() > 0.0
-    assert np.abs(found.torque).max() == 1.5
-    assert found.theta[0] == pytest.approx(found.theta[-1], abs=0.05)
+    speed = 100.0 * found["x"][-1] / found["time"][-1]
+    assert speed == pytest.approx(known_results().results[Problem().key].steady[-1], rel=0.03)
+    assert found["normal_force"].min() > 0.0
+    assert np.abs(found["torque"]).max() == 1.5
+    assert found["theta"][0] == pytest.approx(found["theta"][-1], abs=0.05)
     # The centre of mass gains no momentum over a cycle.
     arm = NOMINAL.m * NOMINAL.l / (NOMINAL.M + NOMINAL.m)
-    centre = found.x_dot - arm * np.cos(found.theta) * found.theta_dot
+    centre = found["x_dot"] - arm * np.cos(found["theta"]) * found["theta_dot"]
     assert centre[-1] == pytest.approx(centre[0], abs=0.01)
 
 
@@ -79,8 +79,7 @@ def test_results_survive_the_file(tmp_path, monkeypatch):
     slow, fast = (repeat(Problem(), (scale * np.arange(1650) % 121).astype(np.uint8)) for scale in (0, 1))
     monkeypatch.setattr(archive, "solve_on_grids", lambda *_: [(solution, slow), (solution, fast), (solution, slow)])
     written = Archive()
-    written.solve(Problem())
-    written.solve(Problem(energy_weight=1.0))
+    list(written.solve([Problem(), Problem(energy_weight=1.0)]))
     written.save(tmp_path)
     read = load_archive(tmp_path)
     assert read.results == written.results
@@ -89,8 +88,6 @@ def test_results_survive_the_file(tmp_path, monkeypatch):
     again = read.solution(Problem())
     np.testing.assert_allclose(again.values, values, atol=0.003)
     assert (again.grid, again.curvature, again.gain) == (solution.grid, 0.4, 20.0)
-    with pytest.raises(ValueError, match="holds no values of Problem"):
-        read.solution(Problem(energy_weight=1.0))
 
 
 @pytest.mark.parametrize(

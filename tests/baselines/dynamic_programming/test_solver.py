@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
@@ -9,7 +11,7 @@ from scipy.ndimage import map_coordinates
 from baselines.dynamic_programming import solver
 from baselines.dynamic_programming.grid import FAILED, Grid
 from baselines.dynamic_programming.problem import Problem, Transitions
-from baselines.dynamic_programming.solver import FAILURE_VALUE, run_policy, solve, transitions, values_at
+from baselines.dynamic_programming.solver import FAILURE_VALUE, run_policy, solve, transitions
 from capsule_gym import CapsuleEnv
 from capsule_gym.task import START_THETA
 
@@ -92,9 +94,11 @@ def test_the_solution_is_that_of_value_iteration(coarse):
     alive = values > 0.5 * FAILURE_VALUE
     # Without the parabola along w: of that it is exact, as of linear functions.
     a, b, c = np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij")
-    inside = positions[~failed][:50]
-    x, y, z = inside.T.astype(np.float64)
-    found = values_at((2.0 * a - 3.0 * b + 0.5 * c * c).astype(np.float32), inside, 0.5)
+    states = np.random.default_rng(0).uniform([[-1.0], [-3.0], [-0.1]], [[1.0], [3.0], [0.1]], (3, 50))
+    states = states[:, grid.positions(states)[:, 0] != FAILED]
+    x, y, z = grid.positions(states).T.astype(np.float64)
+    bent = (2.0 * a - 3.0 * b + 0.5 * c * c).astype(np.float32)
+    found = replace(solution, values=bent, curvature=0.5 / grid.axes[2, 1] ** 2).at(states)
     np.testing.assert_allclose(found, 2.0 * x - 3.0 * y + 0.5 * z * z, rtol=1e-5, atol=1e-4)
     # Its own values change by the gain alone, and other initial values converge to them.
     assert np.ptp((operator(values) - values)[alive]) < 0.05 * Problem().control_dt + 1e-4

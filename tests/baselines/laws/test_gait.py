@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from baselines.gaits.families import FAMILIES
+from baselines.gaits.families import phase_space
 from baselines.gaits.law_search import CONTROL_DT, make_batch, run_candidates
 from baselines.laws import gait as module
 from baselines.laws.gait import COEFFICIENTS, LIGHTEST, PARAMETERS, gait, gait_identifying, known_parameters
@@ -37,11 +37,11 @@ def torque(controller, theta, theta_dot, x_dot):
 
 def test_the_law_without_guard_has_the_torque_of_its_family():
     assert PARAMETERS[:-2] == COEFFICIENTS
-    family, rng = FAMILIES["phase-space"], np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     states = rng.uniform(-1.0, 1.0, (200, 3)) * (1.2, 8.0, 0.6)
     states[::5, 2] = 0.0
     for state in states.tolist():
-        expected = TORQUE_LIMIT * family.torque(FREE[:-2], 0.0, *state)
+        expected = TORQUE_LIMIT * phase_space(FREE[:-2], 0.0, *state)
         assert torque(gait(FREE), *state) == min(max(expected, -TORQUE_LIMIT), TORQUE_LIMIT)
 
 
