@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from baselines.laws.adaptive import adaptive, compliant, constants_of, eta_of, nominal_estimates
-from baselines.laws.adaptive_terms import MEMORY, Constants, adaptive_step, adaptive_terms, eta_of_root, saturation
+from baselines.laws.adaptive_terms import MEMORY, Constants, adaptive_step, adaptive_terms, eta_of_root
 from baselines.laws.gains import COMPLIANT, K_P, K_V, PUBLISHED, REGULARISED, UNREGULARISED, Gains
 from baselines.laws.profiles import PROPOSED
 from baselines.laws.reference import COLUMNS, reference_table
-from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, dynamics
-from capsule_gym.layout import ROWS
+from capsule_gym import Capsule, dynamics
 from capsule_gym.parameters import NOMINAL
 
 # No two are equal, so that none passes for another.
@@ -94,9 +93,20 @@ def test_every_term_and_the_euler_step_are_the_papers(form, n, contact):
     rng = np.random.default_rng(n)
     for trial in range(30):
         state, memory, reference = draw(rng, n=n)
+        theta, theta_dot, x, _ = state
         if trial % 5 == 0:
             # (39c) takes the absolute value of eta.
             memory = (*memory[:9], -memory[9], memory[10])
+        elif trial % 5 == 1:
+            # delta_theta = -0.1 rad/s, on the ramp of the saturation.
+            theta_dot = reference[1] - GAINS.Lambda_theta * (theta - reference[0]) - 0.1
+            state = (theta, theta_dot, *state[2:])
+        elif trial % 5 == 2:
+            # Stick: no friction.
+            state = (theta, theta_dot, x, 0.0)
+        elif trial % 5 == 3:
+            # The floor never pulls a platform that is thrown up.
+            state = (0.1 * theta, 20.0, *state[2:])
         terms = adaptive_terms(*state, memory, reference, constants)
         expected = printed(state, memory, reference, constants, n)
         assert terms.e_x == pytest.approx(expected["e_x"], rel=1e-12, abs=1e-15)
@@ -114,26 +124,6 @@ def test_every_term_and_the_euler_step_are_the_papers(form, n, contact):
         np.testing.assert_allclose(change, expected["alpha_dot"], rtol=1e-7, atol=1e-9)
         assert (after[9] - memory[9]) / 2e-4 == pytest.approx(expected["root_rate"], rel=1e-7)
         assert after[10] == memory[10]
-
-
-def test_saturation_has_its_ramp_and_sgn_has_none():
-    constants = some_constants(beta=0.7)
-    small = 0.2 * constants.saturation_width
-    assert saturation(small, constants.saturation_width) == pytest.approx(0.2)
-    assert saturation(-7.0, constants.saturation_width) == -1.0
-    assert [saturation(value, 0.0) for value in (-1e-9, 0.0, 1e-9)] == [-1.0, 0.0, 1.0]
-    # Within the ramp, too, every term is the paper's with the ramp in place of sgn.
-    rng = np.random.default_rng(5)
-    for sign in (-1.0, 1.0):
-        (theta, _, x, x_dot), memory, reference = draw(rng)
-        theta_dot = reference[1] - GAINS.Lambda_theta * (theta - reference[0]) + sign * small
-        state = (theta, theta_dot, x, x_dot)
-        terms, expected = (
-            adaptive_terms(*state, memory, reference, constants),
-            printed(state, memory, reference, constants, 1),
-        )
-        assert terms.delta_theta == pytest.approx(sign * small)
-        assert terms.T_n == pytest.approx(expected["T_n"], rel=1e-9)
 
 
 @pytest.mark.parametrize("contact", ["newton", "paper"])
@@ -169,22 +159,6 @@ def test_error_dynamics_are_those_of_the_plant(contact):
         right = np.array([u - np.dot(terms.Y_theta, alpha[:5]), -np.dot(terms.Y_x, alpha[5:])])
         np.testing.assert_allclose(left, right, rtol=1e-9, atol=1e-10)
     assert checked > 100
-
-
-def test_friction_enters_with_the_sign_of_the_motion_and_not_in_stick():
-    constants = some_constants()
-    rng = np.random.default_rng(3)
-    (theta, theta_dot, x, _), memory, reference = draw(rng)
-
-    def friction(x_dot):
-        return adaptive_terms(theta, theta_dot, x, x_dot, memory, reference, constants).Y_x[2]
-
-    # However slow.
-    for x_dot in (0.1, 1e-9):
-        assert friction(-x_dot) == -friction(x_dot) < 0.0 == friction(0.0)
-    # Thrown up hard enough the floor gives nothing, never a pull.
-    flying = adaptive_terms(0.0, 20.0, x, 0.1, memory, reference, constants)
-    assert flying.Y_x[2] == 0.0
 
 
 def test_memory_stays_within_its_bounds():
@@ -230,16 +204,11 @@ def test_plant_without_friction_or_spring_has_bounds_too():
     [
         (ValueError, lambda: adaptive(K1=-1.0), "K1 must be"),
         (ValueError, lambda: adaptive(beta=0.0), "beta must be"),
-        (ValueError, lambda: adaptive(beta=math.nan), "beta must be"),
         (ValueError, lambda: adaptive(n=0), "n must be"),
         (ValueError, lambda: adaptive(eta_0=0.0), "eta_0 must be"),
         (ValueError, lambda: adaptive(eta_0=10.1), "eta_0 must be a number > 0 and <= 10, got 10.1"),
         (ValueError, lambda: adaptive(dt=0.0), "dt must be"),
         (ValueError, lambda: adaptive(dt=7e-4), "multiple"),
-        (TypeError, lambda: adaptive(n=1.5), "n must be an integer"),
-        (TypeError, lambda: adaptive(beta="1"), "beta must be"),
-        (TypeError, lambda: adaptive(eta_0=True), "eta_0 must be"),
-        (TypeError, lambda: adaptive(dt=None), "dt must be"),
         (TypeError, lambda: adaptive(regularised=1), "regularised must be True or False, got 1"),
     ],
 )
@@ -249,23 +218,18 @@ def test_invalid_arguments_raise_an_error(error, make, message):
 
 
 @pytest.mark.parametrize("regularised", [True, False])
-def test_choices_enter_where_the_paper_has_them(regularised):
-    for n, eta_0 in ((1, 0.1), (2, 0.3), (3, 5.0)):
-        controller = adaptive(regularised=regularised, n=n, eta_0=eta_0)
-        assert eta_of(np.array(controller.memory), n) == pytest.approx(eta_0)
-    assert eta_of(np.array(adaptive(regularised=regularised).memory)) == 1.0
-
-    def torque(**choices):
-        controller = adaptive(regularised=regularised, **choices)
+def test_choices_reach_the_law(regularised):
+    default = FORMS["regularised" if regularised else "unregularised"]
+    for given in ({}, {"beta": 3.0, "n": 2, "eta_0": 0.3, "dt": 2e-4}):
+        controller = adaptive(regularised=regularised, **given)
+        choices = default._replace(**{name: value for name, value in given.items() if name != "dt"})
+        assert eta_of(np.array(controller.memory), choices.n) == pytest.approx(choices.eta_0)
+        constants = constants_of(PUBLISHED, choices, NOMINAL.plant(), controller.reference, controller.dt)
         row = tuple(controller.reference[250].tolist())
-        return controller.law(row[0] + 0.05, row[1], row[3] + 0.02, row[4], controller.memory, row)[0]
-
-    # A larger beta weakens the last two terms of (39c), a larger eta strengthens the first.
-    feedback = {beta: torque(beta=beta) for beta in (0.01, 1.0, 100.0)}
-    assert feedback[0.01] < feedback[1.0] < feedback[100.0]
-    assert torque(eta_0=3.0) < torque(eta_0=1.0)
-    # With eta = 1 its power does not matter at the first call.
-    assert torque(n=3) == torque(n=1)
+        state = (row[0] + 0.05, row[1], row[3] + 0.02, row[4])
+        assert controller.law(*state, controller.memory, row) == adaptive_step(
+            *state, controller.memory, row, constants
+        )
 
 
 def test_at_zero_error_the_law_is_the_inverse_dynamics_and_nothing_adapts():
@@ -280,17 +244,6 @@ def test_at_zero_error_the_law_is_the_inverse_dynamics_and_nothing_adapts():
     assert x_ddot == pytest.approx(row[5], rel=2e-2)
 
 
-def test_the_law_integrates_with_its_own_period():
-    slow, fast = adaptive(), adaptive(dt=2e-4)
-    assert (slow.dt, fast.dt) == (1e-3, 2e-4)
-    assert len(fast.reference) == 5 * len(slow.reference)
-    row = tuple(slow.reference[150].tolist())
-    state = (row[0] + 0.01, row[1] - 0.2, row[3] + 0.01, row[4])
-    changes = [np.subtract(law.law(*state, law.memory, row)[1], law.memory)[:10] for law in (slow, fast)]
-    np.testing.assert_allclose(changes[0], 5.0 * changes[1], rtol=1e-6, atol=1e-15)
-    assert (changes[1][:9] != 0.0).all()
-
-
 def test_the_compliant_law_has_a_small_stiffness():
     stiff, soft = adaptive(), compliant()
     row = tuple(stiff.reference[150].tolist())
@@ -301,42 +254,6 @@ def test_the_compliant_law_has_a_small_stiffness():
 
     # The feed-forward changes with theta in both alike; what is left is K1 Lambda_theta.
     assert stiffness(stiff) - stiffness(soft) == pytest.approx(15.6 - 0.2, rel=1e-6)
-
-
-def test_estimates_and_eta_stay_within_their_bounds():
-    env = CapsuleEnv(controller="baselines:adaptive", residual_limit=3.0)
-    env.reset(seed=0)
-    rng, nominal = np.random.default_rng(0), np.array(nominal_estimates(NOMINAL.plant()))
-    for _ in range(600):
-        terminated = env.step(rng.uniform(-1, 1, 1).astype(np.float32))[2]
-        cells = env.simulation.world[0, ROWS : ROWS + len(MEMORY), 0]
-        assert ((0.499 * nominal <= cells[:9]) & (cells[:9] <= 1.501 * nominal)).all()
-        assert 0.0 <= eta_of(cells) <= 10.0 * (1.0 + 1e-15)
-        if terminated:
-            env.reset()
-
-
-def run(M, mu, **kwargs):
-    """Metrics and largest tracking error of the adaptive law on some plants over 33 s."""
-    env = CapsuleVectorEnv(len(M), controller="baselines:adaptive", **kwargs)
-    env.reset(seed=0, options={"M": np.array(M), "mu": np.array(mu)})
-    error = 0.0
-    for _ in range(1650):
-        observations = env.step(np.zeros((len(M), 1), np.float32))[0]
-        error = max(error, float(np.abs(observations[:, 0] - observations[:, 5]).max()))
-    return env.episode_metrics(), error
-
-
-def test_the_law_tracks_over_the_whole_range_of_the_paper():
-    M, mu = zip(*[(M, mu) for M in (0.45, 0.5, 0.55) for mu in (0.009, 0.01, 0.011)], strict=True)
-    metrics, error = run(M, mu)
-    assert error < 1e-3
-    assert metrics["failed"].sum() == 0.0
-    assert metrics["peak_torque"].max() < 1.31
-    # Refining the integrator tenfold changes the nominal speed by less than 1e-6; exact tracking has nearly that speed.
-    fine = run([0.5], [0.01], physics_dt=1e-4)[0]["mean_speed"][0]
-    assert metrics["mean_speed"][4] == pytest.approx(fine, rel=1e-6)
-    assert fine == pytest.approx(100.0 * reference_table(PROPOSED, NOMINAL.plant())[-1, 3] / 6.6, rel=2e-3)
 
 
 def test_the_page_prints_the_constants_of_the_laws():
