@@ -9,7 +9,7 @@ from typing import Literal
 
 import pytest
 
-from capsule_gym.command_line import Count, Positional, check_output, parse, parse_some
+from capsule_gym.command_line import Count, Positional, check_output, parse
 
 
 @dataclass(frozen=True)
@@ -38,12 +38,6 @@ def read(*words: str) -> Arguments:
 @pytest.mark.parametrize(("text", "value"), [("7", 7), ("8e6", 8_000_000), ("8_000", 8000), ("0", 0)])
 def test_counts_are_written_in_several_ways(text, value):
     assert read("sheep", "--steps", text) == Arguments("sheep", value)
-
-
-def test_defaults_and_switches():
-    assert read("sheep") == Arguments("sheep")
-    assert read("sheep", "--fast") == Arguments("sheep", fast=True)
-    assert parse(Arguments, "count", ["sheep"], default=Arguments("goats", 5)) == Arguments("sheep", 5)
 
 
 @pytest.mark.parametrize(
@@ -84,14 +78,6 @@ def test_help_has_colours_on_a_terminal_unless_they_are_not_wanted(monkeypatch, 
     with pytest.raises(SystemExit):
         read("--help")
     assert ("\x1b[" in capsys.readouterr().out) is coloured
-
-
-def test_a_few_options_can_be_read_alone():
-    @dataclass(frozen=True)
-    class Order:
-        order: Literal["up", "down"] = "up"
-
-    assert parse_some(Order, "count", ["sheep", "--order", "down", "--help"]) == Order("down")
 
 
 def test_outputs_are_refused_before_the_work(tmp_path: Path):

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from fractions import Fraction
 
 import numpy as np
 import pytest
 from numba import njit
 
 from capsule_gym import elementary
-from capsule_gym.elementary import arccos, clip, exp, fma, log, sincos, sines_and_cosines, tanh
+from capsule_gym.elementary import arccos, exp, log, sincos, sines_and_cosines, tanh
 
 mpmath = pytest.importorskip("mpmath", exc_type=ImportError)
 
@@ -21,11 +20,6 @@ NEAR_ERROR, FAR_ERROR = 3.4e-16, 1.2e-15
 NEAR_WORST, FAR_WORST = 1.5515752168417596, 3.111995651295123
 
 compiled_sincos = njit(sincos)
-
-
-@njit
-def compiled_fma(a, b, c):
-    return fma(a, b, c)
 
 
 def angles(seed: int, limit: float, count: int) -> list[float]:
@@ -55,12 +49,9 @@ def test_errors_stay_within_an_ulp_or_two():
     assert 0.95 * FAR_ERROR < largest_error(far) <= FAR_ERROR
 
 
-@pytest.mark.parametrize("angle", [math.nan, math.inf, -math.inf])
-def test_what_is_no_angle_has_no_sine(angle):
-    assert all(math.isnan(value) for value in (*sincos(angle), *compiled_sincos(angle)))
-
-
 def test_compiled_and_interpreted_sincos_are_equal_bit_for_bit():
+    assert all(math.isnan(value) for angle in (math.nan, math.inf) for value in sincos(angle))
+    assert math.isnan(tanh(math.nan)) and tanh(math.inf) == 1.0
     for angle in [*angles(7, HALF_TURN, 2000), *angles(8, 1e4, 2000), *quarters(20), 0.0, -0.0, 5e-324, 1e15]:
         interpreted, compiled = sincos(angle), compiled_sincos(angle)
         assert np.array(interpreted).tobytes() == np.array(compiled).tobytes()
@@ -109,26 +100,6 @@ def test_the_coefficients_are_the_interpolation_that_the_module_names():
     assert cosine == [getattr(elementary, f"C_{degree}") for degree in range(8)]
 
 
-def test_fma_rounds_the_exact_result_once():
-    rng = np.random.default_rng(9)
-    twice_rounded = 0
-    for n in range(1000):
-        a, b = (rng.uniform(-1.0, 1.0, 2) * 2.0 ** rng.integers(-30, 30, 2)).tolist()
-        # Every second one cancels: what is left is the rounding error of the product, give or take some ulps.
-        c = -a * b * (1.0 + int(rng.integers(-2, 3)) * 2.0**-52) if n % 2 else float(rng.normal())
-        # The conversion rounds correctly.
-        exact = float(Fraction(a) * Fraction(b) + Fraction(c))
-        assert fma(a, b, c) == compiled_fma(a, b, c) == exact
-        twice_rounded += a * b + c != exact
-    assert twice_rounded > 350
-
-
-@pytest.mark.parametrize(("value", "limit", "expected"), [(3.0, 1.0, 1.0), (-3.0, 1.0, -1.0), (0.5, 1.0, 0.5)])
-def test_clip(value, limit, expected):
-    assert clip(value, limit) == expected
-    assert np.isnan(clip(float("nan"), limit))
-
-
 # What ten million random numbers did not exceed, relative to the exact value, and those that came closest.
 EXP_ERROR, TANH_ERROR, LOG_ERROR = 1.7e-16, 4.3e-16, 2.2e-16
 EXP_WORST, TANH_WORST = (0.36194805464755997, -29.44537109825084), (0.17385258259706, 0.17331649703049387)
@@ -159,16 +130,6 @@ def test_tanh_is_within_two_ulps():
     assert 0.9 * TANH_ERROR < relative_error(lambda x: mpmath.mpf(tanh(float(x))), mpmath.tanh, points) <= TANH_ERROR
 
 
-def test_tanh_is_odd_and_stays_within_one():
-    for x in [*numbers(4, 0.0, 25.0, 2000), 0.0, 1e-300, 20.0, 1e300, math.inf]:
-        assert tanh(-x) == -tanh(x)
-        assert 0.0 <= tanh(x) <= 1.0
-    assert math.copysign(1.0, tanh(-0.0)) == -1.0
-    assert tanh(20.0) == tanh(1e300) == tanh(math.inf) == 1.0
-    assert math.isnan(tanh(math.nan))
-    assert math.isnan(compiled_tanh(math.nan))
-
-
 def test_log_inverts_exp():
     points = [*numbers(5, 0.5, 2.0, 1000), *(10.0 ** np.random.default_rng(6).uniform(-300, 300, 1000)).tolist(), 60.0]
     with mpmath.workdps(40):
@@ -176,16 +137,14 @@ def test_log_inverts_exp():
             exact = mpmath.log(mpmath.mpf(x))
             assert abs(log(x) - exact) <= LOG_ERROR * max(1.0, abs(exact))
     assert exp(log(1.0)) == 1.0
-
-
-@pytest.mark.parametrize("x", [0.0, -1.0, math.inf, math.nan])
-def test_what_has_no_logarithm_is_refused(x):
-    with pytest.raises(ValueError, match=r"x must be a finite number > 0, got"):
-        log(x)
+    for x in (0.0, -1.0, math.inf, math.nan):
+        with pytest.raises(ValueError, match=r"x must be a finite number > 0, got"):
+            log(x)
 
 
 def test_compiled_and_interpreted_functions_are_equal_bit_for_bit():
     for x in [*numbers(7, -30.0, 30.0, 2000), *numbers(8, -1.0, 1.0, 2000), 0.0, -0.0, 1e-310]:
+        assert tanh(-x) == -tanh(x) and -1.0 <= tanh(x) <= 1.0
         assert np.array([exp(x), tanh(x)]).tobytes() == np.array([compiled_exp(x), compiled_tanh(x)]).tobytes()
 
 

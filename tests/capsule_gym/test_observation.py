@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,6 @@ from capsule_gym.observation import (
     LOW_M,
     SLOWEST,
     Memory,
-    balance,
     estimates,
     identify,
 )
@@ -49,10 +47,6 @@ def states(M: float, mu: float, seconds: float = 4.0, changes: Any = (), capsule
     return np.array(rows)[:, [0, 1, 3]]
 
 
-def is_slip(one: np.ndarray, next_one: np.ndarray) -> bool:
-    return bool(one[2] * next_one[2] > 0.0 and min(abs(one[2]), abs(next_one[2])) > SLOWEST)
-
-
 def memories_of(rows: np.ndarray, memory: Memory = EMPTY) -> list[Memory]:
     """The memories after each of some observations."""
     found = []
@@ -60,26 +54,6 @@ def memories_of(rows: np.ndarray, memory: Memory = EMPTY) -> list[Memory]:
         memory = identify(memory, *row, **PLANT)
         found.append(memory)
     return found
-
-
-def covariance(memory: Memory) -> np.ndarray:
-    _, _, _, P_MM, P_Mf, P_ff, *_ = memory
-    return np.array([[P_MM, P_Mf], [P_Mf, P_ff]])
-
-
-@pytest.mark.parametrize(("M", "mu"), PLANTS)
-def test_the_balance_of_momentum_holds_in_every_slip(M, mu):
-    rows = states(M, mu)
-    checked = 0
-    for one, next_one in pairwise(rows):
-        if not is_slip(one, next_one):
-            continue
-        across, along = (f(next_one[0]) * next_one[1] - f(one[0]) * one[1] for f in (math.cos, math.sin))
-        change, *_ = balance(M, math.log(mu), across, along, math.copysign(1.0, one[2]), **PLANT)
-        # The torque in between, which the balance does not know, is up to 1.5 N m. What is left is the integrator's.
-        assert change == pytest.approx(next_one[2] - one[2], abs=2e-5)
-        checked += 1
-    assert checked > 40
 
 
 @pytest.mark.parametrize(("M", "mu"), PLANTS)
@@ -138,7 +112,7 @@ def test_whatever_is_observed_the_estimates_stay_within_their_range(scale):
         _, M, log_mu, *_ = memory
         assert LOW_M <= M <= HIGH_M
         assert LOW_LOG_MU <= log_mu <= HIGH_LOG_MU
-        P = covariance(memory)
+        P = np.array([[memory[3], memory[4]], [memory[4], memory[5]]])
         assert np.isfinite(P).all()
         assert (np.diag(P) <= prior * (1.0 + 1e-12)).all()
         assert np.linalg.eigvalsh(P).min() >= -1e-12

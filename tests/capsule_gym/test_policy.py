@@ -166,26 +166,6 @@ def test_what_is_no_observation_is_refused(observation):
         make_policy()(observation)
 
 
-def test_what_is_remembered_is_an_episodes_own():
-    policy = make_remembering()
-    with pytest.raises(TypeError, match=r"'made' identifies M and mu .*policy.start\(\[0\]\)"):
-        policy(OBSERVATIONS[0])
-    # A slip, in which the last of three environments sees something else than the others.
-    history = [np.array([[0.1 * n, 2.0 - 0.3 * n, 0.3 - 0.02 * n, 0.0, 0.0]] * 3, np.float32) for n in range(6)]
-    for observations in history:
-        observations[2, 2] = 0.3
-    together = policy.start(range(3))
-    alone = [policy.start([0]) for _ in range(3)]
-    for observations in history:
-        actions = together(observations)
-        for i, act in enumerate(alone):
-            assert act(observations[i]).tobytes() == actions[i].tobytes()
-    assert actions[0] == actions[1] != actions[2]
-    # The same observation after another past; a new episode has none.
-    assert policy.start([0])(history[-1][0]) != actions[0]
-    assert policy.start([0])(history[0][0]).tobytes() == policy.start([1])(history[0][0]).tobytes()
-
-
 def test_another_energy_weight_is_told_and_nothing_else_changes():
     policy = make_remembering(identifies=False, **ENTRIES_AND_WEIGHT)
     heavier = policy.with_energy_weight(4.0)
@@ -209,9 +189,7 @@ def test_a_wanted_torque_takes_the_laws_off():
     wanting = replace(policy, output="torque")
     observation = np.zeros(10, np.float32)
     observation[9] = -0.9
-    assert policy(observation) == np.float32(0.4)
-    assert wanting(observation) == pytest.approx((0.4 * 1.5 + 0.9) / 3.0, rel=1e-6)
-    # The environment gives it: that torque, whatever the law asks for.
+    # The environment gives that torque, whatever the law asks for.
     env = gym.make(capsule_gym.ENV_ID, **env_kwargs)
     observation, _ = env.reset(seed=0)
     for _ in range(5):
@@ -300,25 +278,23 @@ def test_another_law_asks_for_consent(tmp_path):
     assert load_policy(tmp_path).env_kwargs["controller"] == "baselines:adaptive"
 
 
-def framed(header: bytes, data: bytes = b"") -> bytes:
-    return struct.pack("<Q", len(header)) + header + data
-
-
+HUGE = b'{"a":{"dtype":"F32","shape":[%s],"data_offsets":[0,%s]}}'
+TWICE = b'{"a":{"dtype":"F32","shape":[2],"data_offsets":[0,8]},"b":{"dtype":"F32","shape":[2],"data_offsets":[0,8]}}'
+HEADERS = {
+    "no JSON": b"{'a': 1}",
+    "deep JSON": b'{"a":' + b"[" * 100_000,
+    "no tensors": b"{}",
+    "huge shape": HUGE % (b"1099511627776,1099511627776", b"0"),
+    "more than there is": HUGE % (b"1000000000", b"4000000000"),
+    "overlapping tensors": TWICE,
+}
 HOSTILE_BYTES = {
     "empty": b"",
     "zip": b"PK\x03\x04" + bytes(100),
     "pickle": pickle.dumps({"a": 1}),
     "header of a gigabyte": struct.pack("<Q", 10**9) + b"{}",
     "header of all memory": struct.pack("<Q", 2**63) + b"{}",
-    "no JSON": framed(b"{'a': 1}"),
-    "deep JSON": framed(b'{"a":' + b"[" * 100_000),
-    "no tensors": framed(b"{}"),
-    "huge shape": framed(b'{"a":{"dtype":"F32","shape":[1099511627776,1099511627776],"data_offsets":[0,0]}}'),
-    "more than there is": framed(b'{"a":{"dtype":"F32","shape":[1000000000],"data_offsets":[0,4000000000]}}'),
-    "overlapping tensors": framed(
-        b'{"a":{"dtype":"F32","shape":[2],"data_offsets":[0,8]},"b":{"dtype":"F32","shape":[2],"data_offsets":[0,8]}}',
-        bytes(8),
-    ),
+    **{name: struct.pack("<Q", len(header)) + header + bytes(8) for name, header in HEADERS.items()},
 }
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Policy, load_policy
-from capsule_gym.layout import LANES, ROWS, Row
+from capsule_gym.layout import LANES, Row
 from capsule_gym.network import rollout
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import METRICS
@@ -145,11 +145,3 @@ def test_a_policy_for_another_observation_is_refused():
         rollout(env.simulation, load_policy("residual-ppo"), 10)
     with pytest.raises(ValueError, match="steps must be an integer >= 1, got 0"):
         rollout(env.simulation, load_policy("direct-ppo"), 0)
-
-
-def test_a_law_that_returns_no_number_is_reported():
-    policy = load_policy("residual-ppo")
-    env, _ = begun(policy, 2)
-    env.simulation.world[0, ROWS:, 1] = np.nan  # the second environment's memory of the law
-    with pytest.raises(ValueError, match=r"law 'adaptive' returned a torque that is not finite in environment 1 "):
-        rollout(env.simulation, policy, 200)
