@@ -375,16 +375,9 @@ def test_bad_arguments_are_named(kwargs, message):
         ({"state": [0.3, 1e120, 0.0, 0.0]}, ValueError, r"\|theta_dot\| <= 1000 rad/s"),
         ({"state": [0.3, 0.0, -1.1e6, 0.0]}, ValueError, r"\|x\| <= 1e\+06 m"),
         ({"state": [0.3, 0.0, 0.0, 1001.0]}, ValueError, r"\|x_dot\| <= 1000 m/s"),
-        ({"changes": 1.0}, TypeError, r"options\['changes'\] must be a list of dicts .*, got 1.0"),
         ({"changes": [1.0]}, TypeError, r"options\['changes'\]\[0\].*, got 1.0"),
         ({"changes": [{"t": 1.0, "M": 0.5}]}, ValueError, r"options\['changes'\]\[0\] must have the keys"),
-        ({"changes": [{**JUMP, "t": -1.0}]}, ValueError, r"options\['changes'\]\[0\]\['t'\] must be"),
-        (
-            {"changes": [JUMP, {**JUMP, "t": 0.5}]},
-            ValueError,
-            r"options\['changes'\]\[1\]\['t'\] must be later than the one before, 1 s, got 0.5 s",
-        ),
-        ({"changes": [{"t": 1.0, "M": -0.5, "mu": 0.01}]}, ValueError, r"options\['changes'\]\[0\]: M must be"),
+        ({"changes": [JUMP, {**JUMP, "t": 0.5}]}, ValueError, r"\[1\]\['t'\] must be later .*, 1 s, got 0.5 s"),
         ({"changes": [{"t": 1.0, "M": 0.001, "mu": 2.0}]}, ValueError, r"options\['changes'\]\[0\]: .*Painleve"),
     ],
 )
@@ -401,11 +394,3 @@ def test_bad_actions_are_named(action):
     env.reset(seed=0)
     with pytest.raises(ValueError, match="action must be"):
         env.step(action)
-
-
-@pytest.mark.parametrize(
-    ("seed", "error"), [(-1, ValueError), (2**128, ValueError), (1.0, TypeError), (True, TypeError), ("a", TypeError)]
-)
-def test_bad_seeds_are_named(seed, error):
-    with pytest.raises(error, match=r"^seed must be an integer in \[0, 2\*\*128\) or None, got"):
-        CapsuleEnv().reset(seed=seed)
