@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,8 @@ class Controller:
     with the state in SI units, `memory` a tuple of floats (its length fixed by the field below), `reference` the
     present row of the reference table as a tuple, and the torque in N m; the environment clips it to the torque
     limit. It is called once per `dt` with the state at that instant, and the torque is held until the next call.
-    Gains belong into the law's closure, where the compiler sees them as constants.
+    Gains belong into the law's closure, where the compiler sees them as constants. Compiled code does not check
+    indices: a law that reads beyond the end of an array reads foreign memory, unless NUMBA_BOUNDSCHECK=1 is set.
 
     Attributes:
         name: for messages and tables.
@@ -65,8 +67,10 @@ class Controller:
     def _try_law(self) -> None:
         """Calls the law once, so that a wrong signature is met here and not inside compiled code."""
         row = tuple(float(value) for value in self.reference[0])
+        # Compiled code does not check indices.
+        law = getattr(self.law, "py_func", self.law)
         try:
-            torque, memory = self.law(row[0], row[1], 0.0, 0.0, self.memory, row)
+            torque, memory = law(row[0], row[1], 0.0, 0.0, self.memory, row)
             values = (float(torque), *(float(cell) for cell in memory))
         except ArithmeticError as error:
             raise ValueError(
@@ -76,7 +80,7 @@ class Controller:
         except Exception as error:
             raise TypeError(
                 f"the control law of {self.name!r} must be law(theta, theta_dot, x, x_dot, memory, reference) -> "
-                f"(torque, memory), but a trial call failed: {error}"
+                f"(torque, memory), but a trial call failed: {first_cause(error)}"
             ) from error
         if len(values) - 1 != len(self.memory):
             raise ValueError(
@@ -87,6 +91,15 @@ class Controller:
             raise ValueError(
                 f"the control law of {self.name!r} must return finite numbers, got {values} on its reference"
             )
+
+
+def first_cause(error: Exception) -> str:
+    """An error in one line; of one of numba's, the first cause and the line of source that it is about."""
+    text = re.sub(r"\x1b\[\d*m", "", str(error))
+    lines = [line.strip() for line in text.splitlines() if line.strip() and "pipeline (step:" not in line]
+    cause = " ".join(lines[: 2 if lines and lines[0].endswith(":") else 1])
+    place = re.search(r'File "(.*)", line (\d+)', text) or re.search(r" at (\S+) \((\d+)\)", text)
+    return cause + (f" ({Path(place[1]).name}, line {place[2]})" if place else "")
 
 
 def _check_reference(reference: Any) -> np.ndarray:

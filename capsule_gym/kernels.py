@@ -35,6 +35,7 @@ from capsule_gym.compilation import (
     kernel,
     use_widest_vectors,
 )
+from capsule_gym.controller import first_cause
 from capsule_gym.elementary import clip
 from capsule_gym.layout import (
     AT,
@@ -463,7 +464,7 @@ def build(law_function: Callable[..., Any], memory_size: int, reference_size: in
     except (NumbaError, NotImplementedError, ValueError) as error:
         raise TypeError(
             f"{name} must be a function that numba compiles, of numbers and tuples of numbers, and return "
-            f"(torque, memory) with {memory_size} cells of memory; numba says: {error}"
+            f"(torque, memory) with {memory_size} cells of memory; numba says: {first_cause(error)}"
         ) from error
     if digest is not None:
         _built[digest] = built

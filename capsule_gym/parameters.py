@@ -48,12 +48,19 @@ class Plant(NamedTuple):
     backward_ratio: float
 
 
+# Subclasses of Python's and numpy's integers that are none.
+NO_NUMBERS = (bool, np.timedelta64)
+# Characters of a value in a message.
+LONGEST = 1000
+
+
 def written(value: Any) -> str:
-    """A value as a message shows it: Python writes no integer of thousands of digits out."""
+    """A value as a message shows it, without the middle of a long one."""
     try:
-        return repr(value)
-    except ValueError:
+        text = repr(value)
+    except ValueError:  # an integer of thousands of digits
         return f"{type(value).__name__} of more digits than can be shown"
+    return text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} .. {text[-LONGEST // 2 :]}"
 
 
 def nearest(given: str, names: Iterable[str]) -> str:
@@ -78,7 +85,7 @@ def check_number(
         TypeError: if `value` is no real number.
         ValueError: if it is not finite or outside the range.
     """
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
+    if isinstance(value, NO_NUMBERS) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise TypeError(f"{name} must be {accepted}, got {written(value)} of type {type(value).__name__}")
     try:
         number = float(value)
@@ -89,19 +96,24 @@ def check_number(
     return number
 
 
-def check_count(name: str, value: Any, most: int = sys.maxsize) -> int:
-    """Returns `value` as an int from 1 to `most`.
+def check_integer(name: str, value: Any, accepted: str, low: int, high: int) -> int:
+    """Returns `value` as an int, or says which argument is wrong, what it is and what would be accepted.
 
     Raises:
         TypeError: if it is no integer.
-        ValueError: if it is below 1 or above `most`.
+        ValueError: if it is below `low` or above `high`.
     """
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"{name} must be an integer >= 1, got {written(value)}")
-    if not 1 <= value <= most:
-        accepted = ">= 1" if value < 1 else f"<= {most}"
-        raise ValueError(f"{name} must be an integer {accepted}, got {written(value)}")
+    if isinstance(value, NO_NUMBERS) or not isinstance(value, (int, np.integer)):
+        raise TypeError(f"{name} must be {accepted}, got {written(value)}")
+    if not low <= value <= high:
+        raise ValueError(f"{name} must be {accepted}, got {written(value)}")
     return int(value)
+
+
+def check_count(name: str, value: Any, most: int = sys.maxsize) -> int:
+    """`check_integer` for a number of things, from 1 to `most`."""
+    accepted = f"an integer from 1 to {most}" if most < sys.maxsize else "an integer >= 1"
+    return check_integer(name, value, accepted, 1, most)
 
 
 def check_contact_is_regular(M: float, m: float, mu: float) -> None:

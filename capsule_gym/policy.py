@@ -48,6 +48,7 @@ from capsule_gym.parameters import (
     Randomization,
     check_number,
     nearest,
+    written,
 )
 
 if TYPE_CHECKING:
@@ -325,22 +326,23 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
         ValueError: if there is no such policy, its file is broken, or it names a law that is not trusted.
     """
     if not isinstance(name_or_path, (str, os.PathLike)):
-        raise TypeError(f"name_or_path must be a policy's name or a path, got {name_or_path!r}")
+        raise TypeError(f"name_or_path must be a policy's name or a path, got {written(name_or_path)}")
     path = pretrained().get(name_or_path) if isinstance(name_or_path, str) else None
     if path is not None:
         return _read(str(name_or_path), path, trust_controller)
     path = Path(name_or_path)
-    if path.is_dir():
+    # Unlike Path's own, these take names that no file can have.
+    if os.path.isdir(path):
         found = next((file for file in (path / "best" / POLICY, path / POLICY) if file.is_file()), None)
         if found is None:
             raise ValueError(f"{path} is no folder of a training run: it holds neither best/{POLICY} nor {POLICY}")
         path = found
-    if path.is_file():
+    if os.path.isfile(path):
         folder = path.absolute().parent
         return _read(folder.parent.name if folder.name == "best" else folder.name, path, trust_controller)
     raise ValueError(
         f"name_or_path must be one of {', '.join(policy_names())}, one run of it as NAME/seed-0, or the path of a "
-        f"policy file or of a run's folder, got {str(name_or_path)!r}{nearest(str(name_or_path), pretrained())}"
+        f"policy file or of a run's folder, got {written(str(name_or_path))}{nearest(str(name_or_path), pretrained())}"
     )
 
 

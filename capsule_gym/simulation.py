@@ -28,6 +28,7 @@ from capsule_gym.parameters import (
     EnvConfig,
     Randomization,
     check_count,
+    check_integer,
     check_number,
     written,
 )
@@ -49,22 +50,19 @@ COPIED_ATTRIBUTES = ("world", "observations", "_keys", "_episodes", "_due")
 CHANGE = ("t", "M", "mu")
 
 
-def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None") -> int:
+def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None", count: int = 1) -> int:
     """An environment's seed as an int.
 
     Args:
         seed: what the caller gave.
         accepted: in words, for the message.
+        count: how many environments get seeds from this one on.
 
     Raises:
         TypeError: if it is no integer.
-        ValueError: if it is negative, or has more bits than a stream's key.
+        ValueError: if it, or the last of the environments' seeds, is negative or has more bits than a stream's key.
     """
-    if isinstance(seed, (bool, np.bool_)) or not isinstance(seed, (int, np.integer)):
-        raise TypeError(f"seed must be {accepted}, got {written(seed)}")
-    if not 0 <= seed < 2**128:
-        raise ValueError(f"seed must be {accepted}, got {written(seed)}")
-    return int(seed)
+    return check_integer("seed", seed, accepted, 0, 2**128 - count)
 
 
 def divide(name: str, whole: float, part_name: str, part: float) -> int:

@@ -231,7 +231,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
         """Hands the seeds out: environment i of seed s gets s + i."""
-        accepted = f"an integer in [0, 2**128), None, or a sequence of {self.num_envs} of these"
+        last = "2**128" if self.num_envs == 1 else f"2**128 - {self.num_envs - 1}"
+        accepted = f"an integer in [0, {last}), None, or a sequence of {self.num_envs} integers in [0, 2**128) or None"
         fresh = self._np_random is None
         given: Sequence[int | None] = [None] * self.num_envs
         if isinstance(seed, (Sequence, np.ndarray)):
@@ -239,7 +240,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 raise ValueError(f"seed must be {accepted}, got {written(seed)}")
             given = [None if own is None else check_seed(own, accepted) for own in seed]
         elif seed is not None:
-            super().reset(seed=check_seed(seed, accepted))
+            super().reset(seed=check_seed(seed, accepted, self.num_envs))
             fresh = True
         # Without a seed the first reset draws one from the system's entropy.
         _ = self.np_random

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 
+import numba
 import numpy as np
 import pytest
 
@@ -116,10 +118,28 @@ def test_the_constants_of_a_law_may_be_of_any_type_that_numba_knows(gain):
     assert info["law_torque"] == float(gain) * info["state"][0]
 
 
-@pytest.mark.parametrize("gain", [np.float16(2.0), 10**30])
-def test_a_law_that_does_not_compile_is_named(gain):
-    with pytest.raises(TypeError, match=r"^the control law 'odd' must be a function that numba compiles"):
-        CapsuleEnv(controller=Controller("odd", law_of(gain), np.zeros((1, 2))))
+GAINS = SimpleNamespace(gain=1.0)
+
+
+@pytest.mark.parametrize(
+    ("law", "cause"),
+    [
+        (law_of(np.float16(2.0)), "float16'"),
+        (lambda *state: (GAINS.gain * state[0], state[4]), r"'GAINS': .* \(test_controller\.py, line \d+\)"),
+    ],
+)
+def test_a_law_that_does_not_compile_is_named(law, cause):
+    message = rf"^the control law 'odd' must be a function that numba compiles, .* numba says: .*{cause}$"
+    with pytest.raises(TypeError, match=message) as raised:
+        CapsuleEnv(controller=Controller("odd", law, np.zeros((1, 2))))
+    assert "\n" not in str(raised.value)
+
+
+def test_the_trial_call_checks_the_indices_of_a_compiled_law():
+    table = np.zeros(3)
+    law = numba.njit(lambda theta, theta_dot, x, x_dot, memory, reference: (table[int(reference[1])], memory))
+    with pytest.raises(TypeError, match="index 7 is out of bounds"):
+        Controller("odd", law, np.array([[0.0, 7.0]]))
 
 
 @pytest.mark.parametrize(("gain", "error"), [(10**400, ValueError), (1j, TypeError), ([], TypeError)])

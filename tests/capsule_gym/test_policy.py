@@ -230,6 +230,7 @@ def test_every_pretrained_policy_loads_and_drives_its_environment(name):
         ("direct-sac/seed-9", ValueError, r"did you mean 'direct-sac/seed-0'\?"),
         ("residual-ppo/../direct-ppo", ValueError, r"got 'residual-ppo/\.\./direct-ppo'"),
         ("residual-ppo/seed-00", ValueError, "got 'residual-ppo/seed-00'"),
+        ("a" * 10_000, ValueError, r"got 'a{499} \.\. a{499}'"),
         (3, TypeError, "name_or_path must be a policy's name or a path, got 3"),
     ],
 )

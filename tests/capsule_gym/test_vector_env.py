@@ -263,6 +263,8 @@ def test_bad_arguments_are_named(kwargs, message):
     ("seed", "options", "error", "message"),
     [
         ([1], None, ValueError, "seed must be"),
+        (np.timedelta64(5), None, TypeError, "seed must be"),
+        (2**128 - 1, None, ValueError, r"^seed must be an integer in \[0, 2\*\*128 - 1\)"),
         (0, {"M": [0.5]}, ValueError, r"options\['M'\] must have one entry per environment \(2\), got 1"),
         (0, {"changes": 1.0}, TypeError, r"options\['changes'\] must have one entry per environment .*, got 1.0"),
         (0, {"state": np.zeros((3, 4))}, ValueError, "state"),
