@@ -54,5 +54,9 @@ def printed_below(value: float, digits: int) -> str:
 
 
 def printed_above(value: float, digits: int) -> str:
-    """An upper bound with so many decimals: what is printed is a bound as well."""
+    """An upper bound with so many decimals: what is printed is a bound as well.
+
+    >>> printed_above(0.2500000000000001, 2), printed_above(2.0, 3), printed_above(-1.234, 2)
+    ('0.26', '2.000', '-1.23')
+    """
     return str(Decimal(value).quantize(Decimal(1).scaleb(-digits), ROUND_CEILING))

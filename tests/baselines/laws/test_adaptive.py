@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.laws.adaptive import adaptive, compliant, constants_of, eta_of, nominal_estimates
+from baselines.laws.adaptive import adaptive, constants_of, eta_of, nominal_estimates
 from baselines.laws.adaptive_terms import MEMORY, Constants, adaptive_step, adaptive_terms, eta_of_root
 from baselines.laws.gains import COMPLIANT, K_P, K_V, PUBLISHED, REGULARISED, UNREGULARISED, Gains
 from baselines.laws.profiles import PROPOSED
@@ -18,34 +18,30 @@ from capsule_gym.parameters import NOMINAL
 
 # No two are equal, so that none passes for another.
 GAINS = Gains(Lambda_theta=11.0, Lambda_x=7.0, K1=1.7, K2=3.0, K3=13.0, Gamma_1=0.19, Gamma_2=0.23)
-DT = 1e-3
 FORMS = {"regularised": REGULARISED, "unregularised": UNREGULARISED}
 
 
-def some_constants(choices=REGULARISED, *, contact="newton", dt=DT, **changes) -> Constants:
+def some_constants(choices=REGULARISED, *, contact="newton", dt=1e-3, **changes) -> Constants:
     """The law's constants on a plant with some of the choices changed."""
     plant = Capsule(M=0.47, mu=0.013, normal_force=contact).plant()
     return constants_of(GAINS, choices._replace(**changes), plant, reference_table(PROPOSED, plant), dt)
 
 
-def draw(rng, *, x_dot=None, eta=None, n=1):
+def draw(rng, *, n=1):
     """A random call: state, memory and reference, with nothing small that could hide."""
-    theta, theta_dot, x = rng.uniform(-1.2, 1.2), rng.uniform(-5.0, 5.0), rng.uniform(-0.2, 0.2)
-    x_dot = rng.choice([-1.0, 1.0]) * rng.uniform(0.05, 0.4) if x_dot is None else x_dot
-    estimates = rng.uniform(0.1, 1.0, 9)
-    root = (rng.uniform(0.2, 3.0) if eta is None else eta) ** (1.0 / (2 * n + 1))
-    reference = (
-        *rng.uniform(-1.0, 1.0, 1),
-        *rng.uniform(-4.0, 4.0, 2),
-        *rng.uniform(-0.3, 0.3, 2),
-        rng.uniform(-3, 3),
-        0.0,
-    )
-    return (theta, theta_dot, x, x_dot), (*estimates.tolist(), root, rng.uniform(-0.1, 0.1)), reference
+    theta, theta_dot, x = (rng.uniform(-1.0, 1.0, 3) * [1.2, 5.0, 0.2]).tolist()
+    x_dot = rng.choice([-1.0, 1.0]) * rng.uniform(0.05, 0.4)
+    root = rng.uniform(0.2, 3.0) ** (1.0 / (2 * n + 1))
+    reference = (*(rng.uniform(-1.0, 1.0, 6) * [1.0, 4.0, 4.0, 0.3, 0.3, 3.0]).tolist(), 0.0)
+    return (theta, theta_dot, x, x_dot), (*rng.uniform(0.1, 1.0, 9).tolist(), root, rng.uniform(-0.1, 0.1)), reference
 
 
 def printed(state, memory, reference, constants, n):
-    """(37) to (39) as the paper sets them, in matrices, with the corrections of the physics page."""
+    """(37) to (39) as the paper sets them, in matrices, with the corrections of the physics page.
+
+    Returns:
+        The torque, the rates of the estimates, and the rate of the root of eta.
+    """
     p, gains, width = constants.plant, constants.gains, constants.saturation_width
     q, q_dot = np.array([state[0], state[2]]), np.array([state[1], state[3]])
     q_d, q_d_dot, q_d_ddot = (np.array([reference[i], reference[i + 3]]) for i in range(3))
@@ -68,19 +64,9 @@ def printed(state, memory, reference, constants, n):
     T_n = -sgn * abs(dx) * abs(eta) - gains.K2 * sgn * abs(dx)
     T_n += -(eta + 1.0) * d * dx * gains.K3 * dx / denominator - (eta - 1.0) * d * abs(w) / denominator
     eta_dot = eta ** ((2 * n + 2) / (2 * n + 1)) * d**2 / denominator * (gains.K3 * dx**2 + abs(w))
-    alpha_theta_dot, alpha_x_dot = -gains.Gamma_1 * Y_theta * d, -gains.Gamma_2 * Y_x * dx
-    return {
-        "e_x": q[1] - q_d[1],
-        "delta": delta,
-        "Y_theta": Y_theta,
-        "Y_x": Y_x,
-        "T_c": T_c,
-        "T_n": T_n,
-        "power": w,
-        # r = eta^(1 / (2n + 1)), hence r' = eta' / ((2n + 1) r^(2n)).
-        "root_rate": eta_dot / ((2 * n + 1) * memory[9] ** (2 * n)),
-        "alpha_dot": np.concatenate([alpha_theta_dot, alpha_x_dot]),
-    }
+    # r = eta^(1 / (2n + 1)), hence r' = eta' / ((2n + 1) r^(2n)).
+    root_rate = eta_dot / ((2 * n + 1) * memory[9] ** (2 * n))
+    return T_c + T_n, np.concatenate([-gains.Gamma_1 * Y_theta * d, -gains.Gamma_2 * Y_x * dx]), root_rate
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -107,22 +93,12 @@ def test_every_term_and_the_euler_step_are_the_papers(form, n, contact):
         elif trial % 5 == 3:
             # The floor never pulls a platform that is thrown up.
             state = (0.1 * theta, 20.0, *state[2:])
-        terms = adaptive_terms(*state, memory, reference, constants)
-        expected = printed(state, memory, reference, constants, n)
-        assert terms.e_x == pytest.approx(expected["e_x"], rel=1e-12, abs=1e-15)
-        np.testing.assert_allclose([terms.delta_theta, terms.delta_x], expected["delta"], rtol=1e-11)
-        np.testing.assert_allclose(terms.Y_theta, expected["Y_theta"], rtol=1e-11, atol=1e-13)
-        np.testing.assert_allclose(terms.Y_x, expected["Y_x"], rtol=1e-11, atol=1e-13)
-        for name in ("T_c", "T_n", "power"):
-            assert getattr(terms, name) == pytest.approx(expected[name], rel=1e-10)
-        if memory[9] < 0.0:
-            continue
-        assert terms.root_rate == pytest.approx(expected["root_rate"], rel=1e-10)
+        expected, alpha_dot, root_rate = printed(state, memory, reference, constants, n)
         torque, after = adaptive_step(*state, memory, reference, constants)
-        assert torque == pytest.approx(expected["T_c"] + expected["T_n"], rel=1e-10)
-        change = np.subtract(after[:9], memory[:9]) / 2e-4
-        np.testing.assert_allclose(change, expected["alpha_dot"], rtol=1e-7, atol=1e-9)
-        assert (after[9] - memory[9]) / 2e-4 == pytest.approx(expected["root_rate"], rel=1e-7)
+        assert torque == pytest.approx(expected, rel=1e-10)
+        np.testing.assert_allclose(np.subtract(after[:9], memory[:9]) / 2e-4, alpha_dot, rtol=1e-7, atol=1e-9)
+        if trial % 5 > 0:
+            assert (after[9] - memory[9]) / 2e-4 == pytest.approx(root_rate, rel=1e-7)
         assert after[10] == memory[10]
 
 
@@ -146,12 +122,7 @@ def test_error_dynamics_are_those_of_the_plant(contact):
         reference = (*reference[:2], theta_ddot, *reference[3:])
         terms = adaptive_terms(theta, theta_dot, x, x_dot, memory, reference, constants)
         e_dot, e_x_dot = theta_dot - reference[1], x_dot - reference[4]
-        delta_dot = np.array(
-            [
-                theta_ddot - (theta_ddot - GAINS.Lambda_theta * e_dot),
-                x_ddot - (reference[5] - GAINS.Lambda_x * e_x_dot),
-            ]
-        )
+        delta_dot = np.array([GAINS.Lambda_theta * e_dot, x_ddot - (reference[5] - GAINS.Lambda_x * e_x_dot)])
         ml, s, c = p.m * p.l, math.sin(theta), math.cos(theta)
         mass = np.array([[ml * p.l, -ml * c], [-ml * c, p.M + p.m]])
         coriolis = np.array([[0.0, 0.0], [ml * s * theta_dot, 0.0]])
@@ -165,7 +136,7 @@ def test_memory_stays_within_its_bounds():
     constants = some_constants(beta=0.7)
     nominal = np.array(nominal_estimates(constants.plant))
     rng = np.random.default_rng(4)
-    for factor, bound in ((10.0, 1.5), (0.01, 0.5)):
+    for factor, bound in ((1e3, 1.5), (-1e3, 0.5)):
         state, _, reference = draw(rng)
         _, after = adaptive_step(*state, (*(factor * nominal).tolist(), 50.0, 0.0), reference, constants)
         np.testing.assert_allclose(after[:9], bound * nominal, rtol=1e-14)
@@ -189,7 +160,7 @@ def test_x_d_starts_anew_or_goes_on_at_the_start_of_a_cycle(form, expected):
 def test_plant_without_friction_or_spring_has_bounds_too():
     # Zero times infinity is no bound: the free estimate of a constant that is 0 on the nominal plant stays free.
     plant = Capsule(mu=0.0, k=0.0).plant()
-    constants = constants_of(GAINS, UNREGULARISED, plant, reference_table(PROPOSED, plant), DT)
+    constants = constants_of(GAINS, UNREGULARISED, plant, reference_table(PROPOSED, plant), 1e-3)
     state, memory, reference = draw(np.random.default_rng(8))
     _, after = adaptive_step(*state, memory, reference, constants)
     assert np.isfinite(after).all()
@@ -230,30 +201,6 @@ def test_choices_reach_the_law(regularised):
         assert controller.law(*state, controller.memory, row) == adaptive_step(
             *state, controller.memory, row, constants
         )
-
-
-def test_at_zero_error_the_law_is_the_inverse_dynamics_and_nothing_adapts():
-    controller, p = adaptive(), NOMINAL.plant()
-    row = controller.reference[250].tolist()
-    assert row[4] > 0.0
-    memory = (*controller.memory[:-1], 0.7)
-    torque, after = controller.law(row[0], row[1], 0.7 + row[3], row[4], memory, tuple(row))
-    np.testing.assert_allclose(after, memory, rtol=1e-15, atol=1e-15)
-    theta_ddot, x_ddot, _ = dynamics.accelerations(row[0], row[1], 1.0, torque, p)
-    assert theta_ddot == pytest.approx(row[2], rel=2e-3)
-    assert x_ddot == pytest.approx(row[5], rel=2e-2)
-
-
-def test_the_compliant_law_has_a_small_stiffness():
-    stiff, soft = adaptive(), compliant()
-    row = tuple(stiff.reference[150].tolist())
-
-    def stiffness(controller):
-        on, off = (controller.law(row[0] + e, row[1], row[3], row[4], controller.memory, row)[0] for e in (0.0, 1e-6))
-        return (on - off) / 1e-6
-
-    # The feed-forward changes with theta in both alike; what is left is K1 Lambda_theta.
-    assert stiffness(stiff) - stiffness(soft) == pytest.approx(15.6 - 0.2, rel=1e-6)
 
 
 def test_the_page_prints_the_constants_of_the_laws():

@@ -8,15 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.laws.profiles import EPC, PROPOSED
+from baselines.laws.profiles import EPC
 from baselines.paper.principles import (
     Cycle,
     check_lemmas,
     evaluate_demands,
     lemma_1,
     lemma_2,
-    principle_1,
-    principle_2,
     principle_3,
     principle_4,
     sample,
@@ -28,20 +26,11 @@ ROOT = Path(__file__).resolve().parents[3]
 NOMINAL = Capsule().plant()
 ML = 0.138 * 0.3
 WEIGHT = 0.638 * 9.81
-CYCLE = sample(PROPOSED)
 
 
 def state(theta: float, theta_dot: float, theta_ddot: float = 0.0) -> Cycle:
     """A single state of the pendulum."""
     return Cycle(np.zeros(1), np.zeros(1, np.int64), *(np.array([value]) for value in (theta, theta_dot, theta_ddot)))
-
-
-def test_principles_1_and_2_by_hand():
-    assert principle_1(CYCLE, math.radians(68.75)).by_phase.max() == pytest.approx(1.0, abs=1e-3)
-    velocity, acceleration = principle_2(CYCLE, 7.8, 200.0)
-    assert velocity.by_phase[[0, 4, 5]] == pytest.approx([1.0, *[PROPOSED.restoring_speed / 7.8] * 2])
-    # Phase I starts with 7.8 pi / (2 0.133).
-    assert acceleration.by_phase[:2] == pytest.approx([7.8 * math.pi / 0.266 / 200.0, 0.0])
 
 
 @pytest.mark.parametrize("form", ["newton", "paper"])

@@ -11,7 +11,7 @@ from baselines.laws.profiles import P2, PROPOSED, TABLE_1, V1
 from baselines.laws.reference import reference_table
 from baselines.paper import profile_search
 from baselines.paper.optimal_profiles import main
-from baselines.paper.profile_search import Problem, assess, exchange, load, problems, search
+from baselines.paper.profile_search import Problem, assess, load, problems, search
 from capsule_gym.parameters import NOMINAL
 
 SOLUTIONS = {each.problem: each for each in load()}
@@ -69,29 +69,26 @@ def test_short_search_is_seeded_and_says_when_it_fails():
     assert not hopeless.feasible and hopeless.excess > 1.0
 
 
-def test_exchange_takes_the_best_profile_of_all_searches():
-    tight, loose = SOLUTIONS[Problem(1.0)], SOLUTIONS[Problem(1.5)]
-    pair = exchange([tight, replace(tight, problem=loose.problem, mean_speed=0.0, found_by="poor")])
-    assert pair[0] == tight
-    assert (pair[1].problem, pair[1].found_by) == (loose.problem, tight.found_by)
-    assert pair[1].mean_speed == pytest.approx(tight.mean_speed)
-
-
 def test_command_solves_and_keeps_what_an_interrupted_search_found(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(profile_search, "search", lambda problem, *known, **options: SOLUTIONS[problem])
-    monkeypatch.setattr(profile_search, "exchange", list)
+    known = [SOLUTIONS[Problem(limit)] for limit in (1.0, 1.5)]
+    # The best profile of all searches counts.
+    poor = replace(known[0], problem=Problem(1.5), mean_speed=0.0, found_by="poor")
+    monkeypatch.setattr(profile_search, "problems", lambda: [each.problem for each in known])
+    monkeypatch.setattr(profile_search, "search", lambda problem, found, **options: [known[0], poor][len(found)])
     path = tmp_path / "found.json"
     assert main(["--json", str(path)]) == 0
-    assert load(path) == list(SOLUTIONS.values())
+    first, second = load(path)
+    assert first == known[0] and (second.problem, second.found_by) == (Problem(1.5), first.found_by)
+    assert second.mean_speed == pytest.approx(first.mean_speed)
     with pytest.raises(SystemExit):
         main(["--json", str(path)])
     assert "--overwrite" in capsys.readouterr().err
 
     def interrupt(problem, solutions, **options):
-        if len(solutions) == 2:
+        if solutions:
             raise KeyboardInterrupt
-        return SOLUTIONS[problem]
+        return known[1]
 
     monkeypatch.setattr(profile_search, "search", interrupt)
-    assert main(["--json", str(path), "--overwrite"]) == 130 and load(path) == list(SOLUTIONS.values())
-    assert load(tmp_path / "found-partial.json") == list(SOLUTIONS.values())[:2]
+    assert main(["--json", str(path), "--overwrite"]) == 130 and load(path) == [first, second]
+    assert load(tmp_path / "found-partial.json") == known[1:]

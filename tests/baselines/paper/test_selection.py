@@ -8,7 +8,6 @@ import pytest
 
 from baselines.laws.profiles import PROPOSED, TABLE_1, seven_phases
 from baselines.paper import selection
-from baselines.paper.principles import friction_bound
 
 
 def test_printed_profile_by_hand():
@@ -24,22 +23,6 @@ def test_printed_profile_by_hand():
     assert [name for name, phase in phases.items() if phase["deviates"]] == ["III", "IV", "V", "VII"]
     assert sum(phase["built"][2] for phase in phases.values()) == pytest.approx(0.0, abs=1e-12)
     assert math.degrees(sum(phase["printed"][2] for phase in phases.values())) == pytest.approx(-378, abs=0.5)
-
-
-def test_equation_27_both_ways():
-    P2 = selection.eq_27_p2()
-    assert selection.eq_27_t4(P2) == pytest.approx(0.9, rel=1e-12)
-    # It is Lemma 2 with an equals sign, at theta'' = -P2 / (t4 - t3) and theta = P2 t3.
-    load = -P2 / 0.63 + P2 * P2 + 0.36 * P2 * 0.27 + 0.0923 * P2
-    assert load == pytest.approx(friction_bound(selection.PLANT), rel=1e-12)
-
-
-def test_equations_30_and_31_are_23_and_equal_durations():
-    # P3 (t6 - t4) and P3 (t7 - t5) are each the angle of the return, 2 theta_0 and half of P2 (t4 - t3).
-    P3, P2 = 0.4, selection.P2
-    angle = 2.0 * math.pi / 3.0 + 0.5 * P2 * 0.63
-    assert P3 * (selection.eq_30_t6(P2, P3) - 0.9) == pytest.approx(angle, rel=1e-12)
-    assert P3 * (selection.eq_31_t7(P2, P3) - 1.7) == pytest.approx(angle, rel=1e-12)
 
 
 # What each row gives and implies, to half a unit of the last digit given.
