@@ -48,10 +48,6 @@ def __getattr__(name: str) -> Any:
     return getattr(import_module(_LAZY[name], __name__), name)
 
 
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
-
-
 if ENV_ID not in registry:
     register(
         id=ENV_ID,

@@ -116,32 +116,6 @@ def check_count(name: str, value: Any, most: int = sys.maxsize) -> int:
     return check_integer(name, value, accepted, 1, most)
 
 
-def check_contact_is_regular(M: float, m: float, mu: float) -> None:
-    """Refuses a plant whose slip equations can be singular (Painleve's paradox).
-
-    In slip N depends on theta'' and theta'' on N through friction; the pair has one solution at every angle only
-    while (M + m) / m > (1 + sqrt(1 + mu^2)) / 2.
-
-    Args:
-        M: mass of the platform in kg.
-        m: mass of the ball in kg.
-        mu: the largest friction coefficient that can act.
-
-    Raises:
-        ValueError: if the condition fails.
-    """
-    bound = (1.0 + math.sqrt(1.0 + mu * mu)) / 2.0
-    if (M + m) / m <= bound:
-        ratio = 2.0 * (M + m) / m - 1.0
-        # As a product: a power that overflows is an exception in Python.
-        largest = math.sqrt(ratio * ratio - 1.0)
-        raise ValueError(
-            f"M={M!r}, m={m!r} and friction coefficient mu={mu!r} admit Painleve's paradox: the slip equations need "
-            f"(M + m) / m > (1 + sqrt(1 + mu^2)) / 2 = {bound:.6g}, got {(M + m) / m:.6g}; with these masses "
-            f"mu must stay below {largest:.6g}"
-        )
-
-
 def _check_size(name: str, value: Any, smallest: float) -> float:
     """Returns a constant of the plant as a float; between larger or smaller ones no force would be a number."""
     return check_number(name, value, f"a finite number from {smallest:g} to {LARGEST:g}", smallest, LARGEST)
@@ -201,6 +175,9 @@ class Capsule:
     def check_plant(self, M: float, mu: float) -> None:
         """Refuses values of M and mu that this capsule cannot have.
 
+        In slip N depends on theta'' and theta'' on N through friction; the pair has one solution at every angle only
+        while (M + m) / m > (1 + sqrt(1 + mu^2)) / 2. Other plants admit Painleve's paradox.
+
         Args:
             M: mass of the platform in kg.
             mu: kinetic friction coefficient forwards.
@@ -210,7 +187,17 @@ class Capsule:
             ValueError: if one is out of range or together they admit Painleve's paradox.
         """
         M, mu = _check_size("M", M, SMALLEST), _check_size("mu", mu, 0.0)
-        check_contact_is_regular(M, self.m, mu * max(1.0, self.backward_ratio) * self.static_ratio)
+        # The largest coefficient that can act.
+        mu *= max(1.0, self.backward_ratio) * self.static_ratio
+        share, bound = (M + self.m) / self.m, (1.0 + math.sqrt(1.0 + mu * mu)) / 2.0
+        if share <= bound:
+            # As a product: a power that overflows is an exception in Python.
+            largest = math.sqrt((2.0 * share - 1.0) * (2.0 * share - 1.0) - 1.0)
+            raise ValueError(
+                f"M={M!r}, m={self.m!r} and friction coefficient mu={mu!r} admit Painleve's paradox: the slip "
+                f"equations need (M + m) / m > (1 + sqrt(1 + mu^2)) / 2 = {bound:.6g}, got {share:.6g}; with these "
+                f"masses mu must stay below {largest:.6g}"
+            )
 
     def fastest_rate(self, M: float, mu: float) -> float:
         """The largest rate in 1/s at which the pendulum moves by itself: what a step of the integrator must resolve.
@@ -390,21 +377,20 @@ def _or_none(check: Check) -> Check:
     return lambda name, value: None if value is None else check(name, value)
 
 
-def _is_capsule(name: str, value: Any) -> Capsule:
-    if not isinstance(value, Capsule):
-        raise TypeError(f"{name} must be a Capsule or None, got {written(value)}")
-    return value
-
-
 def _is_randomization(name: str, value: Any) -> str | Randomization:
     Randomization.named(value)
     return value
 
 
-def _is_bool(name: str, value: Any) -> bool:
-    if not isinstance(value, (bool, np.bool_)):
-        raise TypeError(f"{name} must be True or False, got {written(value)}")
-    return bool(value)
+def _instance(accepted: str, *kinds: type) -> Check:
+    """A check of a value's type."""
+
+    def check(name: str, value: Any) -> Any:
+        if not isinstance(value, kinds):
+            raise TypeError(f"{name} must be {accepted}, got {written(value)}")
+        return bool(value) if bool in kinds else value
+
+    return check
 
 
 def _is_render_mode(name: str, value: Any) -> str:
@@ -453,8 +439,10 @@ class EnvConfig:
     randomization: str | Randomization = _option(
         "paper", f"where M and mu of an episode come from: {_RANGES}; or a `Randomization`", _is_randomization
     )
-    capsule: Capsule | None = _option(None, "the plant's constants", _or_none(_is_capsule))
-    observe_parameters: bool = _option(False, "whether the observation ends with M and mu", _is_bool)
+    capsule: Capsule | None = _option(None, "the plant's constants", _or_none(_instance("a Capsule or None", Capsule)))
+    observe_parameters: bool = _option(
+        False, "whether the observation ends with M and mu", _instance("True or False", bool, np.bool_)
+    )
     energy_weight: float = _option(
         task.ENERGY_WEIGHT, "centimetres that a joule costs", _number(0.0, LARGEST_COST, "cm/J")
     )

@@ -18,7 +18,6 @@ from capsule_gym.parameters import (
     EnvConfig,
     Plant,
     Randomization,
-    check_contact_is_regular,
 )
 from capsule_gym.simulation import Simulation
 
@@ -70,9 +69,9 @@ def test_painleves_paradox_is_refused_exactly_where_the_slip_equations_can_be_si
         outcomes.add(singular)
         if singular:
             with pytest.raises(ValueError, match="Painleve"):
-                check_contact_is_regular(M, m, mu)
+                Capsule(M=M, m=m, mu=mu)
         else:
-            check_contact_is_regular(M, m, mu)
+            Capsule(M=M, m=m, mu=mu)
     assert outcomes == {True, False}
 
 

@@ -10,9 +10,7 @@ import pytest
 from capsule_gym import play
 from capsule_gym.demo import find_agent
 from capsule_gym.evaluation_sets import load_set
-from capsule_gym.parameters import Capsule
 from capsule_gym.play import STRENGTHS, Game
-from capsule_gym.rendering import Renderer
 from capsule_gym.task import HORIZON, Termination
 
 pygame = pytest.importorskip("pygame")
@@ -95,18 +93,6 @@ def test_a_whole_episode_ends_with_the_time(game):
     assert game.banner() == "" and game.episode.time == 0.0
 
 
-def test_keys_of_the_window_reach_the_game_until_it_ends(game):
-    renderer = Renderer(Capsule(), "human", 100_000, 1.5, "you and zero", game.on_key)
-    for key in (pygame.K_SPACE, pygame.K_q):
-        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
-    game.run(renderer, 0.02)
-    assert game.over and game.paused
-    game.over = False
-    pygame.event.post(pygame.event.Event(pygame.QUIT))
-    game.run(renderer, 0.02)
-    assert renderer.closed and not game.over
-
-
 def test_the_command_ends_by_a_key_and_by_an_interrupt(monkeypatch):
     events = iter([[], [pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE)]])
     monkeypatch.setattr(pygame.event, "get", lambda: next(events))
@@ -120,18 +106,3 @@ def test_the_command_ends_by_a_key_and_by_an_interrupt(monkeypatch):
     with pytest.raises(SystemExit) as ended:
         play.main(["--rival", "zero"])
     assert ended.value.code == 130 and not pygame.display.get_init()
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--rival", "adaptve"], "--rival must be one of .* got 'adaptve'; did you mean 'adaptive'"),
-        (["--speed", "21"], "--speed must be a number from 0.1 to 20, got 21"),
-    ],
-)
-def test_bad_arguments_are_refused_in_a_line(words, said, capsys):
-    with pytest.raises(SystemExit) as ended:
-        play.main(words)
-    error = capsys.readouterr().err
-    assert ended.value.code == 2 and error.count("\n") == 1
-    assert re.search(said, error)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from capsule_gym.parameters import Capsule
 from capsule_gym.rendering import (
     FLOOR,
-    FRAME_SECONDS,
     HEADER,
     HEIGHT,
     WIDTH,
@@ -27,21 +26,13 @@ from capsule_gym.rendering import (
 pygame = pytest.importorskip("pygame")
 Image = pytest.importorskip("PIL.Image")
 
-STATE: dict[str, Any] = {
-    "theta": 0.3,
-    "theta_dot": 0.0,
-    "x": 0.2,
-    "x_dot": 0.0,
-    "torque": 0.0,
-    "time": 1.0,
-    "M": 0.5,
-    "mu": 0.01,
-}
+NAMES = ("theta", "theta_dot", "x", "x_dot", "torque", "time", "M", "mu")
+STATE: dict[str, Any] = dict(zip(NAMES, (0.3, 0.0, 0.2, 0.0, 0.0, 1.0, 0.5, 0.01), strict=True))
 STAGE = slice(HEADER + 1, FLOOR)
 
 
 def frame(**changes: Any) -> NDArray[np.uint8]:
-    """One frame by a renderer of its own, so that no chart carries over."""
+    """One frame by a renderer of its own, so that nothing carries over."""
     renderer = Renderer(Capsule(), "rgb_array", 50, 1.5)
     pixels = renderer.draw(**{**STATE, **changes})
     renderer.close()
@@ -113,39 +104,36 @@ renderer.close()
     assert done.stdout == "" and done.stderr == ""
 
 
-class TestWindow:
-    """Mode "human", on SDL's driver without a screen."""
+@pytest.fixture
+def dummy(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """SDL's driver without a screen; leaves no window behind."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    yield
+    pygame.display.quit()
 
-    @pytest.fixture(autouse=True)
-    def no_screen(self, monkeypatch: pytest.MonkeyPatch) -> Any:
-        """Runs each test on the dummy driver and leaves no window behind."""
-        monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-        yield
-        pygame.display.quit()
 
-    def test_draws_into_the_window(self) -> None:
-        renderer = Renderer(Capsule(), "human", 200, 1.5, title="a title")
-        for k in range(3):
-            assert renderer.draw(**{**STATE, "time": 0.02 * k}) is None
-        window = pygame.display.get_surface()
-        assert window.get_size() == (WIDTH, HEIGHT)
-        assert pygame.display.get_caption()[0] == "a title"
-        shown = pygame.surfarray.array3d(window).swapaxes(0, 1)
-        np.testing.assert_array_equal(shown[STAGE, 250:700], frame(time=0.04)[STAGE, 250:700])
-        renderer.close()
-        renderer.close()
-        assert not pygame.display.get_init()
-        with pytest.raises(gymnasium.error.ClosedEnvironmentError):
-            renderer.draw(**STATE)
-
-    def test_a_window_closed_by_its_user_stays_closed(self) -> None:
-        renderer = Renderer(Capsule(), "human", 200, 1.5)
+def test_a_window_shows_the_frames(dummy) -> None:
+    renderer = Renderer(Capsule(), "human", 200, 1.5, title="a title")
+    for k in range(3):
+        assert renderer.draw(**{**STATE, "time": 0.02 * k}) is None
+    window = pygame.display.get_surface()
+    assert window.get_size() == (WIDTH, HEIGHT) and pygame.display.get_caption()[0] == "a title"
+    shown = pygame.surfarray.array3d(window).swapaxes(0, 1)
+    np.testing.assert_array_equal(shown[STAGE, 250:700], frame(time=0.04)[STAGE, 250:700])
+    renderer.close()
+    renderer.close()
+    assert not pygame.display.get_init()
+    with pytest.raises(gymnasium.error.ClosedEnvironmentError):
         renderer.draw(**STATE)
-        pygame.event.post(pygame.event.Event(pygame.QUIT))
+
+
+def test_a_window_closed_by_its_user_stays_closed(dummy) -> None:
+    renderer = Renderer(Capsule(), "human", 200, 1.5)
+    renderer.draw(**STATE)
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    for _ in range(2):
         assert renderer.draw(**STATE) is None
         assert not pygame.display.get_init()
-        assert renderer.draw(**STATE) is None
-        renderer.close()
 
 
 RED = (255, 0, 0)
@@ -159,25 +147,15 @@ def shaded(place: int) -> np.ndarray:
     return frame
 
 
-def read(path) -> tuple[list[np.ndarray], list[float]]:
-    """The pictures of a GIF, and how long each stands, in s."""
-    with Image.open(path) as moving:
-        pictures, seconds = [], []
-        for n in range(moving.n_frames):
-            moving.seek(n)
-            pictures.append(np.asarray(moving.convert("RGB"), int))
-            seconds.append(moving.info["duration"] / 1000)
-        assert moving.info["loop"] == 0
-    return pictures, seconds
-
-
 def test_every_frame_is_there_for_its_time_with_its_colours(tmp_path):
     frames = [shaded(20 * n) for n in range(6)]
-    write_gif(iter(frames), tmp_path / "moving.gif", width=200)
-    pictures, seconds = read(tmp_path / "moving.gif")
-    assert seconds == [FRAME_SECONDS] * 6
-    for picture, frame in zip(pictures, frames, strict=True):
-        assert np.abs(picture - frame).max() < 16
+    write_gif(iter(frames), tmp_path / "moving.gif", frame_seconds=0.1, width=200)
+    with Image.open(tmp_path / "moving.gif") as moving:
+        assert (moving.n_frames, moving.info["loop"]) == (6, 0)
+        for n, frame in enumerate(frames):
+            moving.seek(n)
+            assert moving.info["duration"] == 100
+            assert np.abs(np.asarray(moving.convert("RGB"), int) - frame).max() < 16
 
 
 def test_what_stood_there_stays_where_no_picture_can_be_written(tmp_path):

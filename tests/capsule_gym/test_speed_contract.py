@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv
-from capsule_gym.simulation import Simulation
 
 NEVER = sys.maxsize
 BATCH = 130
@@ -80,15 +79,3 @@ def test_a_step_and_a_reset_do_no_work_per_environment_in_python(reset):
     few, many = calls(64, reset=reset), calls(4096, reset=reset)
     assert few == many
     assert 10 < few.total() < 150
-
-
-def test_an_environment_of_a_large_batch_takes_half_a_kilobyte():
-    n = 262_144
-    Simulation(1)  # whatever is imported or compiled on the way
-    tracemalloc.start()
-    try:
-        simulation = Simulation(n)
-        held = tracemalloc.get_traced_memory()[0]
-    finally:
-        tracemalloc.stop()
-    assert simulation.world.nbytes + simulation.observations.nbytes <= held < 512 * n
