@@ -34,6 +34,8 @@ class Args:
     """Replace an existing file."""
     trust_controller: bool = False
     """Accept a policy with a control law from elsewhere: importing it runs its code."""
+    trust_pickle: bool = False
+    """Accept the folder of a run with an LSTM, whose agent is unpickled: that can run any code."""
 
     def check(self) -> None:
         """Checks that the file can be written."""
@@ -47,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from agents.report.page import write
 
     try:
-        write(args.output, args.policies, trust_controller=args.trust_controller)
+        write(args.output, args.policies, trust_controller=args.trust_controller, trust_pickle=args.trust_pickle)
     except ValueError as error:
         refuse(COMMAND, str(error))
     print(f"Written: {args.output}")

@@ -36,6 +36,6 @@ def compare(run: Path, set_name: str = "paper") -> None:
     moving = record(policy, seconds=ANIMATION_START + ANIMATION_SECONDS, frames_from=ANIMATION_START, name="agent")
     if moving.frames:
         write_gif(moving.frames, run / ANIMATION)
-    write(run / "report.html", [str(run)], trust_controller=True)
+    write(run / "report.html", [str(run)], trust_controller=True, trust_pickle=True)
     for what, name in {"Figure": "comparison.png", "Animation": ANIMATION, "Report": "report.html"}.items():
         print(f"{what + ':':10} {run / name}")

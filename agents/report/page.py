@@ -48,13 +48,14 @@ class Data(NamedTuple):
         return [row for row in self.results.rows if row.name != BASELINE] or list(self.results.rows)
 
 
-def collect(names: Sequence[str], *, trust_controller: bool = False) -> Data:
+def collect(names: Sequence[str], *, trust_controller: bool = False, trust_pickle: bool = False) -> Data:
     """Reads the rows of the leaderboard, and evaluates other runs.
 
     Args:
         names: rows of the leaderboard, or paths of runs, of folders with runs seed-0, seed-1, .. inside, or of policy
             files; none means all rows.
         trust_controller: as for `capsule_gym.load_policy`.
+        trust_pickle: load an agent with an LSTM, which is unpickled: that can run any code.
 
     Raises:
         OSError: if a file cannot be read.
@@ -70,7 +71,7 @@ def collect(names: Sequence[str], *, trust_controller: bool = False) -> Data:
         if name in published:
             rows.append(load_row(path_of(ROOT / RESULTS, name)))
             continue
-        path, candidate = Path(name), _candidate(name, trust_controller)
+        path, candidate = Path(name), _candidate(name, trust_controller, trust_pickle)
         row = make_row(candidate, sets, [evaluate_run(policy, sets, HORIZON) for policy in candidate.policies], {})
         # A recurrent policy has no file that says its seed.
         seeds = row.header["training_seeds"] or list(range(len(candidate.policies)))
@@ -89,10 +90,12 @@ def collect(names: Sequence[str], *, trust_controller: bool = False) -> Data:
     return Data(replace(results, learning=results.learning | curves), summaries, animations)
 
 
-def _candidate(name: str, trust_controller: bool) -> Candidate:
+def _candidate(name: str, trust_controller: bool, trust_pickle: bool) -> Candidate:
     """A policy, named by the last part of its path."""
     path = Path(name)
     if (path / BEST / MODEL).is_file() and not (path / BEST / POLICY).is_file():
+        if not trust_pickle:
+            raise ValueError(f"{path} holds an agent with an LSTM, which is unpickled: --trust-pickle accepts that")
         # Imports torch, which takes seconds.
         from agents.training.export import load_best
 
@@ -100,19 +103,20 @@ def _candidate(name: str, trust_controller: bool) -> Candidate:
     return replace(find_candidate(name, trust_controller=trust_controller), name=path.resolve().name)
 
 
-def write(path: Path, names: Sequence[str] = (), *, trust_controller: bool = False) -> None:
+def write(path: Path, names: Sequence[str] = (), *, trust_controller: bool = False, trust_pickle: bool = False) -> None:
     """Writes the report of some policies, atomically.
 
     Args:
         path: the page.
         names: as for `collect`.
         trust_controller: as for `capsule_gym.load_policy`.
+        trust_pickle: as for `collect`.
 
     Raises:
         OSError: if a file cannot be read or written.
         ValueError: if there is no such policy, or a file is broken.
     """
-    data = collect(names, trust_controller=trust_controller)
+    data = collect(names, trust_controller=trust_controller, trust_pickle=trust_pickle)
     title = ", ".join(row.name for row in data.subjects) if names else "Leaderboard of capsule_gym"
     write_atomically(path, render(data, title))
 
