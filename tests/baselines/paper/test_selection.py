@@ -18,10 +18,7 @@ def test_printed_profile_by_hand():
     # V: (t3 - t) / (t4 - t3) P3 falls from -P3 to -1.43 / 0.63 P3; VII rises from 0 to 0.8 / 4.1 P3.
     assert phases["V"]["printed"][:2] == pytest.approx((-P3, -1.43 / 0.63 * P3))
     assert phases["VII"]["printed"][1] == pytest.approx(0.8 / 4.1 * P3)
-    # III: sin(omega t - t2) with omega = pi / (2 t1).
-    assert phases["III"]["printed"][0] == pytest.approx(7.8 * math.sin(math.pi / 0.266 * 0.195 - 0.195))
     assert [name for name, phase in phases.items() if phase["deviates"]] == ["III", "IV", "V", "VII"]
-    assert sum(phase["built"][2] for phase in phases.values()) == pytest.approx(0.0, abs=1e-12)
     assert math.degrees(sum(phase["printed"][2] for phase in phases.values())) == pytest.approx(-378, abs=0.5)
 
 
