@@ -2,40 +2,23 @@
 
 from __future__ import annotations
 
-import inspect
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from tqdm import tqdm
 from tyro.conf import arg
 
-from agents.evaluation.episodes import (
-    TABLE_METRICS,
-    Episode,
-    difference,
-    evaluate,
-    failures,
-    make_result,
-    scores,
-    summarise,
-)
-from agents.evaluation.policies import BASELINE, Candidate, checkpoint_names, find_candidate
-from agents.evaluation.statistics import interquartile_mean
-from baselines.policies import SCRIPTED
+from agents.evaluation.episodes import TABLE_METRICS, Episode, evaluate, scores, summarise, versions
+from agents.evaluation.policies import BASELINE, find_candidate
+from agents.evaluation.statistics import paired_difference
 from baselines.tables import text_table
 from capsule_gym.command_line import Positional, check_output, parse, refuse
-from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, load_set
+from capsule_gym.evaluation_sets import load_set
 from capsule_gym.files import to_json, write_atomically
 
 PROG = "python -m agents.evaluate"
-RESAMPLED = {
-    "seeds": "over training seeds, resampled whole (with few of them read the interval as a range)",
-    "episodes": "over episodes (they say nothing about another training run)",
-    "nothing": "absent: a single episode has none",
-}
 
 
 @dataclass(frozen=True)
@@ -46,7 +29,7 @@ class Args:
 
     Examples:
       python -m agents.evaluate adaptive --set paper
-      python -m agents.evaluate residual-ppo --set drift --seed-runs
+      python -m agents.evaluate residual-ppo/seed-0 --set drift --against residual-ppo
       python -m agents.evaluate runs/my-run --set wide --json result.json
       python -m agents.evaluate my_module:policy --trust
     """
@@ -58,8 +41,6 @@ class Args:
     """A frozen set, or the path of a JSON file of the same form."""
     against: Annotated[str, arg(metavar="NAME_OR_PATH")] = BASELINE
     """The reference of the paired difference."""
-    seed_runs: bool = False
-    """Also show every training seed by itself."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the result, with all episodes, to this file."""
     overwrite: bool = False
@@ -72,21 +53,6 @@ class Args:
     def check(self) -> None:
         """Raises an error for a file that cannot be written."""
         check_output("--json", self.json, overwrite=self.overwrite)
-
-
-# The names are known only at run time.
-Args.__doc__ = (
-    f"{inspect.getdoc(Args)}\n\nSets: {', '.join(SET_NAMES)}.\n\nScripted policies: {', '.join(SCRIPTED)}.\n\n"
-    f"Checkpoints: {', '.join(checkpoint_names()) or 'none'}."
-)
-
-
-def _evaluate_all(candidate: Candidate, evaluation_set: EvaluationSet) -> list[Episode]:
-    """Evaluates all training seeds, with a progress bar on a terminal where there are several."""
-    # None lets tqdm find out whether stderr is a terminal.
-    silent = True if len(candidate.policies) == 1 else None
-    progress = tqdm(candidate.policies, desc=candidate.name, unit="seed", file=sys.stderr, disable=silent)
-    return [episode for policy in progress for episode in evaluate(policy, evaluation_set)]
 
 
 def comparison_table(name: str, episodes: Sequence[Episode], reference: str, others: Sequence[Episode] | None) -> str:
@@ -104,21 +70,10 @@ def comparison_table(name: str, episodes: Sequence[Episode], reference: str, oth
     for metric in TABLE_METRICS.values():
         cells = [metric.label, metric.with_interval(own[metric.name])]
         if theirs is not None and others is not None:
-            paired = difference(episodes, others, metric.name).to_dict()
+            paired = paired_difference(scores(episodes, metric.name), scores(others, metric.name)).to_dict()
             cells += [metric.with_interval(theirs[metric.name]), metric.with_interval(paired, sign=True)]
         rows.append(cells)
     rows.append(["failures", *(f"{each['failures']}/{each['episodes']}" for each in (own, theirs) if each)])
-    return text_table(rows)
-
-
-def seed_table(episodes: Sequence[Episode]) -> str:
-    """Interquartile means over the episodes of every training seed, one seed per row."""
-    metrics = TABLE_METRICS.values()
-    rows = [["training seed", *(metric.label for metric in metrics), "failures"]]
-    for seed in dict.fromkeys(episode["training_seed"] for episode in episodes):
-        own = [episode for episode in episodes if episode["training_seed"] == seed]
-        means = (metric.format(float(interquartile_mean(scores(own, metric.name)[0]))) for metric in metrics)
-        rows.append([str(seed), *means, f"{failures(own)}/{len(own)}"])
     return text_table(rows)
 
 
@@ -133,22 +88,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
     except ValueError as error:
         refuse(PROG, str(error))
-    episodes = _evaluate_all(candidate, evaluation_set)
-    others = None if args.policy == args.against else _evaluate_all(reference, evaluation_set)
+    episodes = evaluate(candidate, evaluation_set)
+    others = None if args.policy == args.against else evaluate(reference, evaluation_set)
+    summary = summarise(episodes)
     # Written before anything is printed: a closed pipe must not lose the result.
     if args.json is not None:
-        write_atomically(args.json, to_json(make_result(candidate.name, evaluation_set, episodes)))
-    count = len(evaluation_set.plants)
-    print(
-        f"{candidate.name} on the set {evaluation_set.name} ({count} episode{'s' if count > 1 else ''}, "
-        f"{evaluation_set.hash[:12]})\n"
-    )
+        result: dict[str, Any] = {"policy": candidate.name, "set": evaluation_set.name, "set_hash": evaluation_set.hash}
+        result |= {"versions": versions(), "episodes": episodes, "summary": summary}
+        write_atomically(args.json, to_json(result))
+    count = f"{len(evaluation_set.plants)} episodes, {evaluation_set.hash[:12]}"
+    print(f"{candidate.name} on the set {evaluation_set.name} ({count})\n")
     print(comparison_table(candidate.name, episodes, reference.name, others))
-    print(f"\nInterquartile means with 95 % intervals {RESAMPLED[summarise(episodes)['resampled']]}.")
+    print(f"\nInterquartile means with 95 % intervals; what is resampled: {summary['resampled']}.")
     if others is not None:
         print(f"Differences to {reference.name} are taken episode by episode.")
-    if args.seed_runs and candidate.trained:
-        print("\n" + seed_table(episodes))
     if args.json is not None:
         print(f"\nWritten to {args.json}")
     return 0

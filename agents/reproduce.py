@@ -123,11 +123,11 @@ def train(args: Args) -> tuple[list[list[str]], dict[str, str]]:
     ]
     for row in (row for row in args.rows if row in STUDENTS):
         folder = args.runs / row / f"seed-{args.seed}"
-        if not distil_all(row, {args.seed: folder}, STUDENTS[row].budget):
+        if not distil_all(row, {args.seed: folder}):
             raise KeyboardInterrupt
         result = read_result(folder)
         assert result is not None
-        lines.append(compare(row, folder, result.core_seconds))
+        lines.append(compare(row, folder, result["core_seconds"]))
     return lines, failed
 
 

@@ -8,28 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from tqdm import tqdm
 from tyro.conf import arg
 
-from agents.distillation.config import STUDENTS, Budget
-from agents.evaluation.episodes import (
-    SHARE_OF_OPTIMUM,
-    TABLE_METRICS,
-    Episode,
-    difference,
-    evaluate,
-    failures,
-    scores,
-)
-from agents.evaluation.policies import CHECKPOINTS, find_candidate
-from agents.evaluation.statistics import estimate
-from agents.study.jobs import check_revision, seeds_of
+from agents.distillation.config import STUDENTS
+from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, evaluate, failures, scores
+from agents.evaluation.statistics import estimate, paired_difference
+from agents.study.jobs import seeds_of
 from agents.training.presets import RunError
 from agents.training.signals import INTERRUPTED
 from baselines.tables import text_table
 from capsule_gym.command_line import Positional, parse, refuse
-from capsule_gym.files import write_atomically
-from capsule_gym.policy import POLICY
 
 PROG = "python -m agents.distillation"
 RUNS = Path("runs/distillation")
@@ -45,7 +33,7 @@ class Args:
     Finished runs are skipped. Ctrl-C stops; the best policy so far is in the run's folder.
 
     Examples:
-      python -m agents.distillation --seeds 0-4 --publish
+      python -m agents.distillation --seeds 0-4
       python -m agents.distillation optimum-distilled-wide --seeds 0
     """
 
@@ -54,8 +42,6 @@ class Args:
     """Training seeds, and ranges of them such as 0-9."""
     runs: Path = RUNS
     """Folder of the runs."""
-    publish: bool = False
-    """Copy the policies into agents/checkpoints."""
 
     def check(self) -> None:
         """Raises an error for students and seeds that do not exist."""
@@ -64,55 +50,29 @@ class Args:
         seeds_of(self.seeds)
 
 
-def comparison(name: str, folders: Sequence[Path], count: int) -> str:
+def comparison(name: str, folders: Sequence[Path]) -> str:
     """A table of the finished runs and their references on the same validation plants.
 
     Args:
         name: of the student.
         folders: of its runs.
-        count: plants.
     """
     from agents.distillation.dagger import validation_plants
 
-    student = STUDENTS[name]
-    plants = validation_plants(student, COMPARED_SEED, count)
-    policies = {name: [policy for folder in folders for policy in find_candidate(str(folder)).policies]}
-    policies |= {reference: list(find_candidate(reference).policies) for reference in student.references}
-    speed = TABLE_METRICS["mean_speed"]
+    plants, speed = validation_plants(STUDENTS[name], COMPARED_SEED, COMPARED_EPISODES), TABLE_METRICS["mean_speed"]
+    found = {name: [each for folder in folders for each in evaluate(folder, plants)]}
+    found |= {reference: evaluate(reference, plants) for reference in STUDENTS[name].references}
     rows = [["policy", "runs", f"{speed.label} [95 %]", SHARE_OF_OPTIMUM.label, "failed", "student minus it [95 %]"]]
-    own: list[Episode] = []
-    for label, runs in tqdm(policies.items(), "comparing", file=sys.stderr, disable=None):
-        episodes = [episode for policy in runs for episode in evaluate(policy, plants)]
-        own = own or episodes
-        mean, share = (estimate(scores(episodes, each.name)).to_dict() for each in (speed, SHARE_OF_OPTIMUM))
-        gain = "" if label == name else speed.with_interval(difference(own, episodes, speed.name).to_dict(), sign=True)
-        counts = f"{failures(episodes)}/{len(episodes)}"
-        cells = [speed.with_interval(mean), SHARE_OF_OPTIMUM.format(share["iqm"]), counts, gain]
-        rows.append([label, str(len(runs)), *cells])
+    own = scores(found[name], speed.name)
+    for label, episodes in found.items():
+        speeds, share = scores(episodes, speed.name), estimate(scores(episodes, SHARE_OF_OPTIMUM.name)).value
+        gain = speed.with_interval(paired_difference(own, speeds).to_dict(), sign=True) if label != name else ""
+        cells = [speed.with_interval(estimate(speeds).to_dict()), SHARE_OF_OPTIMUM.format(share)]
+        rows.append([label, str(len(speeds)), *cells, f"{failures(episodes)}/{len(episodes)}", gain])
     return text_table(rows, left=1)
 
 
-def publish(name: str, folders: dict[int, Path], checkpoints: Path = CHECKPOINTS) -> None:
-    """Copies the policies of finished runs into the folders of their row and seed.
-
-    Raises:
-        RunError: if one was started at a revision that nobody can check out.
-    """
-    from agents.distillation.dagger import read_result
-
-    for folder in folders.values():
-        result = read_result(folder)
-        assert result is not None
-        check_revision(folder, result.revision)
-    for seed, folder in folders.items():
-        target = checkpoints / name / f"seed-{seed}"
-        target.mkdir(parents=True, exist_ok=True)
-        write_atomically(target / POLICY, (folder / POLICY).read_bytes())
-
-
-def main(
-    arguments: Sequence[str] | None = None, *, budget: Budget | None = None, count: int = COMPARED_EPISODES
-) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, PROG, arguments)
     # Imported after the command line is checked: --help does not need torch.
@@ -120,15 +80,13 @@ def main(
 
     folders = {seed: args.runs / args.name / f"seed-{seed}" for seed in seeds_of(args.seeds)}
     try:
-        if not distil_all(args.name, folders, budget or STUDENTS[args.name].budget):
+        if not distil_all(args.name, folders):
             print("Stopped; the best policy so far is kept.")
             return INTERRUPTED
-        if args.publish:
-            publish(args.name, folders)
     except (RunError, OSError) as error:
         refuse(PROG, str(error))
-    print(comparison(args.name, list(folders.values()), count))
-    print(f"\nInterquartile means over {count} validation plants; differences plant by plant, cm/s.")
+    print(comparison(args.name, list(folders.values())))
+    print(f"\nInterquartile means over {COMPARED_EPISODES} validation plants; differences plant by plant, cm/s.")
     return 0
 
 

@@ -9,10 +9,17 @@ from baselines.dynamic_programming import MIN_NORMAL_FORCE
 
 
 @dataclass(frozen=True)
-class Budget:
-    """The size of a training run.
+class Student:
+    """What a student observes, the episodes it is trained on, and the size of its training.
 
     Attributes:
+        randomization: the distribution of M and mu.
+        observe_parameters: whether it observes them.
+        references: policies that it is compared with; the expert is the first.
+        identifies: whether it identifies them on line.
+        change_rate: how often M and mu are drawn anew within an episode, 1/s.
+        margin: normal force that the expert leaves, N: a student that does not know M needs more than the expert.
+        max_regret: largest regret of a torque in the data, cm. The end of an episode costs more.
         num_envs: episodes of a round.
         steps: of each episode.
         rounds: rounds of DAgger.
@@ -24,6 +31,13 @@ class Budget:
         evaluation_episodes: of an evaluation.
     """
 
+    randomization: str
+    observe_parameters: bool
+    references: tuple[str, ...]
+    identifies: bool = False
+    change_rate: float = 0.0
+    margin: float = MIN_NORMAL_FORCE
+    max_regret: float = 5.0
     num_envs: int = 64
     steps: int = 800
     rounds: int = 8
@@ -33,31 +47,6 @@ class Budget:
     batch_size: int = 512
     learning_rate: float = 4e-3
     evaluation_episodes: int = 128
-
-
-@dataclass(frozen=True)
-class Student:
-    """What a student observes, and the episodes it is trained on.
-
-    Attributes:
-        randomization: the distribution of M and mu.
-        observe_parameters: whether it observes them.
-        references: policies that it is compared with; the expert is the first.
-        identifies: whether it identifies them on line.
-        change_rate: how often M and mu are drawn anew within an episode, 1/s.
-        margin: normal force that the expert leaves, N: a student that does not know M needs more than the expert.
-        max_regret: largest regret of a torque in the data, cm. The end of an episode costs more.
-        budget: the size of its training run.
-    """
-
-    randomization: str
-    observe_parameters: bool
-    references: tuple[str, ...]
-    identifies: bool = False
-    change_rate: float = 0.0
-    margin: float = MIN_NORMAL_FORCE
-    max_regret: float = 5.0
-    budget: Budget = Budget()
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
@@ -78,7 +67,9 @@ STUDENTS = {
         change_rate=0.2,
         margin=0.4,
         max_regret=30.0,
-        budget=Budget(num_envs=96, rounds=10, final_updates=24_000),
+        num_envs=96,
+        rounds=10,
+        final_updates=24_000,
     ),
     "optimum-distilled-oracle": Student("wide", True, ("optimum-oracle", "robust", "direct-ppo-wide")),
 }

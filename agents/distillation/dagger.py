@@ -3,7 +3,8 @@
 The loss of a torque is its interpolated regret, not its distance from the expert's torque. A run's folder holds
 
     policy.safetensors   the best policy so far, by evaluations on validation plants
-    finished.json        once the run is finished: the fields of `Result`
+    finished.json        once the run is finished: mean_speed (cm/s) and share of failed episodes of that evaluation,
+                         the processor time of the run (core_seconds) and the git revision that it ran at
 """
 
 from __future__ import annotations
@@ -13,17 +14,17 @@ import math
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import nn
 from tqdm import tqdm
 
-from agents.distillation.config import STUDENTS, Budget, Student
-from agents.distillation.dataset import Collector, Dataset
+from agents.distillation.config import STUDENTS, Student
+from agents.distillation.dataset import Dataset, collect
 from agents.evaluation.episodes import evaluate, scores
 from agents.evaluation.sets import validation_set
 from agents.study.jobs import FINISHED
@@ -120,14 +121,7 @@ class Network:
                 break
 
     def policy(self, name: str, student: Student, seed: int, revision: str) -> Policy:
-        """The policy with the current weights.
-
-        Args:
-            name: as the others a field of `capsule_gym.Policy`.
-            student: its configuration.
-            seed: of its training.
-            revision: of the code.
-        """
+        """The policy with the current weights; name, seed of the training and revision are fields of it."""
         return Policy(
             name=name,
             algorithm=IMITATION,
@@ -147,27 +141,10 @@ class Network:
         )
 
 
-@dataclass(frozen=True)
-class Result:
-    """The result of a finished run.
-
-    Attributes:
-        mean_speed: of its best policy in the evaluation that selected it, cm/s.
-        failed: share of failed episodes in it.
-        core_seconds: of processor time that the run took.
-        revision: the git revision that it ran at.
-    """
-
-    mean_speed: float
-    failed: float
-    core_seconds: float
-    revision: str
-
-
-def read_result(folder: Path) -> Result | None:
-    """The result of a run; None if it is not finished."""
+def read_result(folder: Path) -> dict[str, Any] | None:
+    """The contents of a run's finished.json; None if it is not finished."""
     path = folder / FINISHED
-    return Result(**json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else None
+    return dict(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else None
 
 
 def validation_plants(student: Student, first_seed: int, count: int) -> EvaluationSet:
@@ -175,23 +152,16 @@ def validation_plants(student: Student, first_seed: int, count: int) -> Evaluati
     return validation_set(student.randomization, f"validation plants, {student.randomization}", first_seed, count)
 
 
-def schedule(budget: Budget) -> list[tuple[float | None, int, tuple[float, float]]]:
+def schedule(student: Student) -> list[tuple[float | None, int, tuple[float, float]]]:
     """The expert's share of each round, None without a round; the gradient steps after it and their step sizes."""
-    rate = budget.learning_rate
-    shares = (*EXPERT_SHARES, *[0.0] * budget.rounds)[: budget.rounds]
-    final = [rate * (1.0 - n / budget.final_parts) for n in range(budget.final_parts + 1)]
-    rounds = [(share, budget.updates, (rate, FINAL_RATE * rate)) for share in shares]
-    return [*rounds, *((None, budget.final_updates // budget.final_parts, rates) for rates in pairwise(final))]
+    rate = student.learning_rate
+    shares = (*EXPERT_SHARES, *[0.0] * student.rounds)[: student.rounds]
+    final = [rate * (1.0 - n / student.final_parts) for n in range(student.final_parts + 1)]
+    rounds = [(share, student.updates, (rate, FINAL_RATE * rate)) for share in shares]
+    return [*rounds, *((None, student.final_updates // student.final_parts, rates) for rates in pairwise(final))]
 
 
-def evaluate_policy(policy: Policy, plants: EvaluationSet) -> tuple[float, float]:
-    """The mean speed (cm/s) and the share of failed episodes."""
-    episodes = evaluate(policy, plants)
-    speed, failed = (float(scores(episodes, metric).mean()) for metric in ("mean_speed", "failed"))
-    return speed, failed
-
-
-def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop, budget: Budget) -> Result | None:
+def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop) -> bool:
     """Trains a student.
 
     Args:
@@ -200,10 +170,9 @@ def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop, bud
         seed: of everything: on one machine the same seed gives the same policy.
         folder: a new one, for the files above.
         stop: ends the run early; the folder then holds the best policy so far, if there is one.
-        budget: the size of the run.
 
     Returns:
-        The result; None if the run was stopped.
+        Whether the run is finished.
 
     Raises:
         FileExistsError: if the folder exists.
@@ -212,48 +181,42 @@ def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop, bud
     torch.set_num_threads(1)
     began, revision = time.process_time(), git_revision(Path(__file__).parent)
     rng = np.random.default_rng(seed)
-    collector = Collector(student, budget.num_envs, rng)
-    first_seed = SELECTION_SEED + seed * budget.evaluation_episodes
-    plants = validation_plants(student, first_seed, budget.evaluation_episodes)
-    rounds = schedule(budget)
+    plants = validation_plants(
+        student, SELECTION_SEED + seed * student.evaluation_episodes, student.evaluation_episodes
+    )
     datasets: list[Dataset] = []
     network: Network | None = None
     policy: Policy | None = None
     best = (-math.inf, 0.0, 0.0)
-    total = sum(updates for _, updates, _ in rounds)
-    with tqdm(total=total, desc=f"{name}/{folder.name}", file=sys.stderr, disable=None) as bar:
-
-        def count_update(loss: float) -> bool:
-            bar.update()
-            return not stop.requested
-
-        for expert_share, updates, rates in rounds:
-            if expert_share is not None:
-                act = policy.start(range(budget.num_envs)) if policy else None
-                datasets.append(collector.collect(budget.steps, expert_share, act, lambda: stop.requested))
-            network = network or Network(datasets[0], seed)
-            network.fit(datasets, updates, rates, budget.batch_size, rng, count_update)
-            if stop.requested:
-                return None
-            policy = network.policy(name, student, seed, revision)
-            speed, failed = evaluate_policy(policy, plants)
-            bar.set_postfix_str(f"{speed:.2f} cm/s, {100.0 * failed:.0f} % failed")
-            found = (speed - FAILURE_COST * failed, speed, failed)
-            if found > best:
-                best = found
-                policy.save(folder / POLICY)
-    result = Result(best[1], best[2], round(time.process_time() - began, 1), revision)
-    write_atomically(folder / FINISHED, to_json(asdict(result)))
-    return result
+    bar = tqdm(schedule(student), f"{name}/{folder.name}", unit="fit", file=sys.stderr, disable=None)
+    for expert_share, updates, rates in bar:
+        if expert_share is not None:
+            act = policy.start(range(student.num_envs)) if policy else None
+            datasets.append(collect(student, rng, expert_share, act, lambda: stop.requested))
+        network = network or Network(datasets[0], seed)
+        network.fit(datasets, updates, rates, student.batch_size, rng, lambda loss: not stop.requested)
+        if stop.requested:
+            return False
+        policy = network.policy(name, student, seed, revision)
+        episodes = evaluate(policy, plants)
+        speed, failed = (float(scores(episodes, metric).mean()) for metric in ("mean_speed", "failed"))
+        bar.set_postfix_str(f"{speed:.2f} cm/s, {100.0 * failed:.0f} % failed")
+        found = (speed - FAILURE_COST * failed, speed, failed)
+        if found > best:
+            best = found
+            policy.save(folder / POLICY)
+    seconds = round(time.process_time() - began, 1)
+    result = {"mean_speed": best[1], "failed": best[2], "core_seconds": seconds, "revision": revision}
+    write_atomically(folder / FINISHED, to_json(result))
+    return True
 
 
-def distil_all(name: str, folders: dict[int, Path], budget: Budget) -> bool:
+def distil_all(name: str, folders: dict[int, Path]) -> bool:
     """Runs what is not finished; returns whether all runs are.
 
     Args:
         name: of the student.
         folders: of its runs, by the seed.
-        budget: of each.
 
     Raises:
         RunError: if a run was started before and is not finished.
@@ -263,4 +226,4 @@ def distil_all(name: str, folders: dict[int, Path], budget: Budget) -> bool:
     if started:
         raise RunError(f"{', '.join(started)} was started and is not finished: remove it, or give other --runs")
     with Stop() as stop:
-        return all(distil(name, STUDENTS[name], seed, folder, stop, budget) for seed, folder in waiting.items())
+        return all(distil(name, STUDENTS[name], seed, folder, stop) for seed, folder in waiting.items())

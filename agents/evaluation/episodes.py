@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode
 
 import capsule_gym
 from agents.evaluation.policies import Candidate, Policy, find_candidate, wrap_policy
-from agents.evaluation.statistics import Estimate, estimate, paired_difference
+from agents.evaluation.statistics import estimate
 from capsule_gym import __version__
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, EvaluationSet, load_set
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA, TORQUE_LIMIT
@@ -24,6 +24,7 @@ Episode = dict[str, Any]
 
 # The fields of an episode that are no metrics.
 LABELS = ("M", "mu", "seed", "theta", "changes", "training_seed")
+NOISE_SEED = 1_000_000_007
 PACKAGES = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
 
 
@@ -66,7 +67,7 @@ TABLE_METRICS = {
         TableMetric("stuck_fraction", "fraction of time stuck", 3),
     )
 }
-# The mean speed over the optimum's for the episode's plant, on sets for which `has_optimum`.
+# The mean speed over the optimum's for the episode's plant, on sets that the table of optima covers.
 SHARE_OF_OPTIMUM = TableMetric("share_of_optimum", "share of optimum", 2)
 
 
@@ -74,25 +75,27 @@ def evaluate(
     policy: Any,
     evaluation_set: EvaluationSet | str | Path = "paper",
     *,
-    name: str | None = None,
     env_kwargs: Mapping[str, Any] | None = None,
     horizon: float = HORIZON,
+    action_noise: float = 0.0,
 ) -> list[Episode]:
     """Runs a policy once on every plant of a set, all plants at once, each from rest.
 
-    A trained policy runs in compiled code, `capsule_gym.network.rollout`; any other is called at every step.
+    A trained policy runs in compiled code, `capsule_gym.network.rollout`; any other is called at every step, and so is
+    any with noise.
 
     Args:
         policy: as for `wrap_policy`; or a candidate, or its name or path as for `find_candidate`: all its training
             seeds, one after the other.
         evaluation_set: a set, the name of a frozen one, or the path of one.
-        name: as for `wrap_policy`.
         env_kwargs: as for `wrap_policy`.
         horizon: length of an episode in s.
+        action_noise: half width of uniform noise on every action, different in every episode.
 
     Returns:
         One dict per plant, in order: M (kg), mu, seed, where it has them theta (rad) and changes, and the metrics of
-        `capsule_gym.task.Metrics`; where `has_optimum` also `share_of_optimum`; of a trained policy `training_seed`.
+        `capsule_gym.task.Metrics`; on a set that the table of optima covers also `share_of_optimum`; of a trained
+        policy `training_seed`.
 
     Raises:
         TypeError: if the policy is something else.
@@ -100,14 +103,15 @@ def evaluate(
     """
     chosen = evaluation_set if isinstance(evaluation_set, EvaluationSet) else load_set(evaluation_set)
     if isinstance(policy, (str, Path)):
-        if name is not None or env_kwargs is not None:
-            raise TypeError("name and env_kwargs must not be given with a policy's name or path, which has its own")
+        if env_kwargs is not None:
+            raise TypeError("env_kwargs must not be given with a policy's name or path, which has its own")
         policy = find_candidate(str(policy))
     if isinstance(policy, Candidate):
-        return [episode for each in policy.policies for episode in evaluate(each, chosen, horizon=horizon)]
-    policy = wrap_policy(policy, name=name, env_kwargs=env_kwargs)
+        options: dict[str, Any] = {"horizon": horizon, "action_noise": action_noise}
+        return [episode for each in policy.policies for episode in evaluate(each, chosen, **options)]
+    policy = wrap_policy(policy, env_kwargs=env_kwargs)
     settings: dict[str, Any] = {**policy.env_kwargs, **EPISODE_SETTINGS}
-    metrics = _run(policy, settings, chosen, round(horizon / settings.get("control_dt", CONTROL_DT)))
+    metrics = _run(policy, settings, chosen, round(horizon / settings.get("control_dt", CONTROL_DT)), action_noise)
     limited = settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
     seed = policy.training_seed if isinstance(policy, capsule_gym.Policy) else None
     return as_episodes(chosen, metrics, training_seed=seed, shared=limited)
@@ -128,13 +132,16 @@ def as_episodes(
         training_seed: of a trained policy; None for a scripted one.
         shared: whether the policy acts under the optimum's torque limit, so that its share of the optimum is defined.
     """
-    shared = shared and has_optimum(evaluation_set)
-    if shared:
-        # Imported here, as in other functions: it imports numba, which takes most of a second.
-        from baselines.dynamic_programming import optimal_speed
+    # Imported here, as in other functions: it imports numba, which takes most of a second.
+    from baselines.archive import in_grid
+    from baselines.dynamic_programming import optimal_speed
+
+    # The table of optima covers one start, its grid, and no changes of the plant.
+    plants = evaluation_set.plants
+    shared &= all(each.theta == START_THETA and not each.changes and in_grid(each.M, each.mu) for each in plants)
     label = {} if training_seed is None else {"training_seed": training_seed}
     episodes = []
-    for i, plant in enumerate(evaluation_set.plants):
+    for i, plant in enumerate(plants):
         values = {name: float(column[i]) for name, column in metrics.items()}
         if shared:
             values[SHARE_OF_OPTIMUM.name] = values["mean_speed"] / optimal_speed(plant.M, plant.mu)
@@ -146,7 +153,7 @@ def as_episodes(
 
 
 def _run(
-    policy: Policy, settings: Mapping[str, Any], evaluation_set: EvaluationSet, steps: int
+    policy: Policy, settings: Mapping[str, Any], evaluation_set: EvaluationSet, steps: int, action_noise: float
 ) -> dict[str, np.ndarray]:
     """The metrics of one episode per plant, all run in one batch; each of shape (plants,)."""
     plants = evaluation_set.plants
@@ -158,29 +165,22 @@ def _run(
         options = {key: [each[key] for each in resets] for key in resets[0]}
         arrays = {key: np.array(options[key]) for key in ("M", "mu", "state")}
         observations, _ = env.reset(seed=seeds, options={**options, **arrays})
-        if isinstance(policy, capsule_gym.Policy):
+        if isinstance(policy, capsule_gym.Policy) and not action_noise:
             from capsule_gym.network import rollout
 
             return rollout(env.simulation, policy, steps)
-        act = policy.start(seeds)
+        act, rng = policy.start(seeds), np.random.default_rng(NOISE_SEED)
         for _ in range(steps):
+            actions = act(observations)
+            if action_noise:
+                actions = (actions + action_noise * (2.0 * rng.random(actions.shape) - 1.0)).astype(np.float32)
             # An environment whose episode has ended ignores its actions.
-            observations, _, terminated, truncated, _ = env.step(act(observations))
+            observations, _, terminated, truncated, _ = env.step(actions)
             if (terminated | truncated).all():
                 break
         return env.episode_metrics()
     finally:
         env.close()
-
-
-def has_optimum(evaluation_set: EvaluationSet) -> bool:
-    """Whether the table of optima covers all episodes of a set: its start, its grid, no changes of the plant."""
-    from baselines.archive import in_grid
-
-    return all(
-        plant.theta == START_THETA and not plant.changes and in_grid(plant.M, plant.mu)
-        for plant in evaluation_set.plants
-    )
 
 
 def scores(episodes: Sequence[Episode], metric: str) -> np.ndarray:
@@ -222,11 +222,6 @@ def summarise(episodes: Sequence[Episode]) -> dict[str, Any]:
     }
 
 
-def difference(episodes: Sequence[Episode], reference: Sequence[Episode], metric: str) -> Estimate:
-    """The paired difference of a metric between two policies on the same set; see `paired_difference`."""
-    return paired_difference(scores(episodes, metric), scores(reference, metric))
-
-
 def versions() -> dict[str, str]:
     """Versions of this package, of Python and of the packages that a result depends on."""
     found = {"capsule_gym": __version__, "python": platform.python_version()}
@@ -237,21 +232,3 @@ def versions() -> dict[str, str]:
             # Scripted policies need neither torch nor Stable-Baselines3.
             continue
     return found
-
-
-def make_result(name: str, evaluation_set: EvaluationSet, episodes: Sequence[Episode]) -> dict[str, Any]:
-    """The content of a result file.
-
-    Args:
-        name: of the policy.
-        evaluation_set: the set of the episodes.
-        episodes: all of them; those of trained policies carry `training_seed`.
-    """
-    return {
-        "policy": name,
-        "set": evaluation_set.name,
-        "set_hash": evaluation_set.hash,
-        "versions": versions(),
-        "episodes": list(episodes),
-        "summary": summarise(episodes),
-    }

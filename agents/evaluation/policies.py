@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 import capsule_gym
-from baselines.policies import SCRIPTED
+from baselines.policies import SCRIPTED, ScriptedPolicy
 from capsule_gym.parameters import nearest
 from capsule_gym.task import TORQUE_LIMIT
 
@@ -27,17 +27,11 @@ Act = Callable[[np.ndarray], np.ndarray]
 BASELINE = "adaptive"
 CHECKPOINTS = Path(__file__).parents[1] / "checkpoints"
 REFERENCE = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*):([A-Za-z_]\w*)")
-ACCEPTED = "an object with predict() as Stable-Baselines3's have, or a function from observations to actions"
+EXTERNAL = "a policy of another project"
 
 
 class Policy(Protocol):
-    """What can be evaluated: scripted policies and trained ones alike.
-
-    Attributes:
-        name: as it appears in results.
-        env_kwargs: the arguments of the policy's `CapsuleVectorEnv`: controller, residual_limit, torque_limit and so
-            on. The evaluation sets `EPISODE_SETTINGS`, and the number and length of the episodes.
-    """
+    """What can be evaluated: scripted policies and trained ones alike."""
 
     @property
     def name(self) -> str:
@@ -45,7 +39,10 @@ class Policy(Protocol):
 
     @property
     def env_kwargs(self) -> Mapping[str, Any]:
-        """The arguments of the policy's environment."""
+        """The arguments of the policy's `CapsuleVectorEnv`: controller, residual_limit, torque_limit and so on.
+
+        The evaluation sets `EPISODE_SETTINGS`, and the number and length of the episodes.
+        """
 
     def start(self, seeds: Sequence[int], /) -> Act:
         """Starts a batch of episodes.
@@ -57,38 +54,6 @@ class Policy(Protocol):
             A function from observations of shape (episodes, entries) to actions of shape (episodes, 1), float32,
             called once per agent step.
         """
-
-
-@dataclass(frozen=True)
-class ExternalPolicy:
-    """A policy of another project.
-
-    Attributes:
-        name: as it appears in results.
-        env_kwargs: the arguments of its environment; by default it commands the whole torque every 20 ms.
-        new_episode: returns the function from observations to actions, once per batch of episodes.
-    """
-
-    name: str
-    env_kwargs: Mapping[str, Any]
-    new_episode: Callable[[], Callable[[np.ndarray], Any]]
-
-    def start(self, seeds: Sequence[int]) -> Act:
-        """Starts a batch of episodes; every action is checked."""
-        act, shape = self.new_episode(), (len(seeds), 1)
-
-        def checked(observations: np.ndarray) -> np.ndarray:
-            output = act(observations)
-            accepted = f"{self.name} must return finite actions of shape {shape}, one line per observation"
-            try:
-                actions = np.asarray(output, np.float32)
-            except (TypeError, ValueError, RuntimeError) as error:
-                raise ValueError(f"{accepted}, got {type(output).__name__}: {error}") from error
-            if actions.shape != shape or not np.isfinite(actions).all():
-                raise ValueError(f"{accepted}, got {'NaN or infinity in' if actions.shape == shape else actions.shape}")
-            return actions
-
-        return checked
 
 
 def wrap_policy(policy: Any, *, name: str | None = None, env_kwargs: Mapping[str, Any] | None = None) -> Policy:
@@ -110,30 +75,30 @@ def wrap_policy(policy: Any, *, name: str | None = None, env_kwargs: Mapping[str
         own: Policy = policy
         return own
     if isinstance(policy, type) or not (callable(policy) or hasattr(policy, "predict")):
+        accepted = "an object with predict() as Stable-Baselines3's have, or a function from observations to actions"
         what = f"the class {policy.__name__}" if isinstance(policy, type) else f"a {type(policy).__name__}"
-        raise TypeError(f"policy must be {ACCEPTED}, got {what}")
-    new_episode = _predict_function(policy) if callable(getattr(policy, "predict", None)) else lambda: policy
+        raise TypeError(f"policy must be {accepted}, got {what}")
+    start = _start_with_predict(policy) if callable(getattr(policy, "predict", None)) else lambda seeds: policy
     kwargs = getattr(policy, "env_kwargs", {}) if env_kwargs is None else env_kwargs
     default_name = getattr(policy, "__name__", type(policy).__name__)
-    return ExternalPolicy(default_name if name is None else name, dict(kwargs), new_episode)
+    return ScriptedPolicy(default_name if name is None else name, EXTERNAL, dict(kwargs), start)
 
 
-def _predict_function(policy: Any) -> Callable[[], Callable[[np.ndarray], Any]]:
+def _start_with_predict(policy: Any) -> Callable[[Sequence[int]], Act]:
     """Calls `predict`, and passes a recurrent policy its state."""
 
-    def new_episode() -> Callable[[np.ndarray], Any]:
-        state, first = None, True
+    def start(seeds: Sequence[int]) -> Act:
+        state, starts = None, np.ones(len(seeds), bool)
 
-        def act(observations: np.ndarray) -> Any:
-            nonlocal state, first
-            starts = np.full(len(observations), first)
+        def act(observations: np.ndarray) -> np.ndarray:
+            nonlocal state, starts
             actions, state = policy.predict(observations, state=state, episode_start=starts, deterministic=True)
-            first = False
-            return actions
+            starts = np.zeros(len(seeds), bool)
+            return np.asarray(actions)
 
         return act
 
-    return new_episode
+    return start
 
 
 @dataclass(frozen=True)
@@ -169,11 +134,11 @@ def _trained(name: str, folder: Path, trust_controller: bool = False) -> Candida
     seeds = [policy.training_seed for policy in loaded]
     if len(set(seeds)) < len(seeds):
         raise ValueError(f"{folder} must hold runs of different training seeds, got {seeds}")
-    descriptions = dict.fromkeys(policy.description for policy in loaded)
+    descriptions = {policy.description for policy in loaded}
     if len(descriptions) > 1:
-        raise ValueError(f"{folder} must hold runs of one kind, got: {'; '.join(descriptions)}")
-    policies = tuple(sorted(loaded, key=lambda policy: policy.training_seed))
-    return Candidate(name, policies, next(iter(descriptions)), folder)
+        raise ValueError(f"{folder} must hold runs of one kind, got: {'; '.join(sorted(descriptions))}")
+    loaded.sort(key=lambda policy: policy.training_seed)
+    return Candidate(name, tuple(loaded), descriptions.pop(), folder)
 
 
 def checkpoint_names() -> list[str]:
@@ -185,13 +150,10 @@ def all_candidates() -> list[Candidate]:
     """All rows of the leaderboard: scripted policies, then checkpoints.
 
     Raises:
-        ValueError: if a checkpoint is incomplete, has the name of a scripted policy, or has another torque limit than
-            the scripted policies.
+        ValueError: if a checkpoint is incomplete, or has another torque limit than the scripted policies.
     """
     found = [_scripted(name) for name in SCRIPTED]
     for name in checkpoint_names():
-        if name in SCRIPTED:
-            raise ValueError(f"{CHECKPOINTS / name} must not have the name of a scripted policy, got {name!r}")
         found.append(_trained(name, CHECKPOINTS / name))
         for policy in found[-1].policies:
             limit = policy.env_kwargs.get("torque_limit", TORQUE_LIMIT)
@@ -239,14 +201,12 @@ def _imported(name: str, trust: bool) -> Candidate:
     try:
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
-        if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
-            raise
-        raise ValueError(f"policy {name!r} names the module {module_name!r}, which does not exist") from None
+        raise ValueError(f"policy {name!r} cannot be imported: {error}") from error
     finally:
         sys.path.remove("")
     if not hasattr(module, attribute):
         raise ValueError(f"policy {name!r}: the module {module_name!r} has no {attribute!r}")
     try:
-        return Candidate(name, (wrap_policy(getattr(module, attribute), name=name),), "a policy of another project")
+        return Candidate(name, (wrap_policy(getattr(module, attribute), name=name),), EXTERNAL)
     except TypeError as error:
         raise ValueError(f"policy {name!r}: {error}") from error

@@ -1,7 +1,6 @@
 """The frozen evaluation sets: the plants that every policy is judged on, the same for all, and their hashes.
 
-`python -m agents.evaluation.sets` draws them anew and writes agents/evaluation/frozen/*.json; with --check it fails
-where a file differs from its draw.
+`python -m agents.evaluation.sets` draws them anew and writes agents/evaluation/frozen/*.json.
 
 | set | episodes | platform mass M and friction coefficient mu |
 |---|---|---|
@@ -59,7 +58,6 @@ LIGHTER, HEAVIER = (0.25, _WIDE.M[0]), (_WIDE.M[1], 1.2)
 SMOOTHER, ROUGHER = (0.002, _WIDE.mu[0]), (_WIDE.mu[1], 0.6)
 # Of the sets' own random streams. Frozen: a different set needs a different name.
 SEEDS = {"nominal": 20180, "paper": 20181, "wide": 20182, "extrapolation": 20183, "drift": 20184}
-assert tuple(SEEDS) == SET_NAMES
 CHANGE_WINDOWS = ((HORIZON / 6.0, HORIZON / 3.0), (HORIZON * 2.0 / 3.0, HORIZON * 5.0 / 6.0))
 
 
@@ -128,43 +126,22 @@ def validation_set(randomization: str, name: str, first_seed: int, count: int) -
     return EvaluationSet(name, tuple(plants))
 
 
-def stale_sets() -> list[str]:
-    """The names of the sets whose files differ from a new draw."""
-    paths = {name: SETS_FOLDER / f"{name}.json" for name in SET_NAMES}
-    return [
-        name
-        for name, path in paths.items()
-        if not path.is_file() or path.read_text(encoding="utf-8") != draw_set(name).to_json()
-    ]
-
-
 @dataclass(frozen=True)
 class Args:
     """Draws the frozen evaluation sets from their fixed seeds and writes agents/evaluation/frozen/*.json.
 
     Examples:
       python -m agents.evaluation.sets
-      python -m agents.evaluation.sets --check
     """
-
-    check: bool = False
-    """Write nothing; fail where a file differs from its draw."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    if parse(Args, PROG, arguments).check:
-        stale = stale_sets()
-        print(
-            f"Differ from their draws: {', '.join(stale)}"
-            if stale
-            else "The evaluation sets are what their seeds give."
-        )
-        return 1 if stale else 0
-    SETS_FOLDER.mkdir(exist_ok=True)
+    parse(Args, PROG, arguments)
     for name in SET_NAMES:
-        write_atomically(SETS_FOLDER / f"{name}.json", draw_set(name).to_json())
-        print(f"{name}: {len(draw_set(name).plants)} episodes, {draw_set(name).hash[:12]}")
+        found = draw_set(name)
+        write_atomically(SETS_FOLDER / f"{name}.json", found.to_json())
+        print(f"{name}: {len(found.plants)} episodes, {found.hash[:12]}")
     return 0
 
 

@@ -100,41 +100,38 @@ def _same_episodes(scores: ArrayLike, reference: ArrayLike) -> tuple[np.ndarray,
     """Both as arrays; raises an error unless they hold the same episodes."""
     array, other = _checked("scores", scores), _checked("reference", reference)
     if array.shape[1] != other.shape[1]:
-        raise ValueError(
-            f"scores and reference must hold the same episodes, got {array.shape[1]} and {other.shape[1]} of them"
-        )
+        raise ValueError(f"scores and reference must hold the same episodes, got {array.shape[1]} and {other.shape[1]}")
     return array, other
 
 
-def estimate(scores: ArrayLike, *, resamples: int = RESAMPLES) -> Estimate:
+def estimate(scores: ArrayLike) -> Estimate:
     """The interquartile mean of all scores with its 95 % percentile bootstrap interval.
 
     Args:
         scores: shape (training seeds, episodes).
-        resamples: number of bootstrap resamples.
 
     Raises:
         ValueError: if the scores are not of that shape.
     """
-    return _over_seeds(_checked("scores", scores), interquartile_mean, resamples)
+    return _over_seeds(_checked("scores", scores), interquartile_mean)
 
 
-def _over_seeds(array: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray], resamples: int) -> Estimate:
+def _over_seeds(array: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray]) -> Estimate:
     """A statistic over the last axis of all scores, shape (training seeds, episodes), with its interval."""
     seeds, episodes = array.shape
     value = float(statistic(array.reshape(-1)))
     rng = np.random.default_rng(BOOTSTRAP_SEED)
     if seeds > 1:
-        draws = rng.integers(seeds, size=(resamples, seeds))
+        draws = rng.integers(seeds, size=(RESAMPLES, seeds))
         low, high = _seed_percentiles(lambda rows: statistic(array[rows].reshape(len(rows), -1)), draws)
         return Estimate(value, low, high, "seeds")
     if episodes > 1:
-        low, high = _percentiles(statistic(array[0][rng.integers(episodes, size=(resamples, episodes))]))
+        low, high = _percentiles(statistic(array[0][rng.integers(episodes, size=(RESAMPLES, episodes))]))
         return Estimate(value, low, high, "episodes")
     return Estimate(value, float("nan"), float("nan"), "nothing")
 
 
-def paired_difference(scores: ArrayLike, reference: ArrayLike, *, resamples: int = RESAMPLES) -> Estimate:
+def paired_difference(scores: ArrayLike, reference: ArrayLike) -> Estimate:
     """The interquartile mean of the differences, episode by episode, between two policies on the same episodes.
 
     Differences are taken between every training seed of the one and every seed of the other. Where either has
@@ -144,7 +141,6 @@ def paired_difference(scores: ArrayLike, reference: ArrayLike, *, resamples: int
     Args:
         scores: shape (training seeds, episodes).
         reference: shape (training seeds of the reference, episodes), of the same episodes in the same order.
-        resamples: number of bootstrap resamples.
 
     Raises:
         ValueError: if the scores are not of these shapes.
@@ -153,14 +149,14 @@ def paired_difference(scores: ArrayLike, reference: ArrayLike, *, resamples: int
     # Infinite in both: undefined, and NaN says so.
     with np.errstate(invalid="ignore"):
         differences = array[:, None, :] - other[None, :, :]
-    return _over_pairs(differences, interquartile_mean, resamples)
+    return _over_pairs(differences, interquartile_mean)
 
 
-def _over_pairs(pairs: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray], resamples: int) -> Estimate:
+def _over_pairs(pairs: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray]) -> Estimate:
     """A statistic over the last axis of pairs, shape (seeds, seeds of the other, episodes), with its interval."""
     rows, columns, episodes = pairs.shape
     if rows == 1 or columns == 1:
-        return _over_seeds(pairs.reshape(-1, episodes), statistic, resamples)
+        return _over_seeds(pairs.reshape(-1, episodes), statistic)
     rng = np.random.default_rng(BOOTSTRAP_SEED)
 
     def drawn_statistic(drawn: np.ndarray) -> np.ndarray:
@@ -168,12 +164,12 @@ def _over_pairs(pairs: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray]
         return statistic(chosen.reshape(len(drawn), -1))
 
     low, high = _seed_percentiles(
-        drawn_statistic, rng.integers(rows, size=(resamples, rows)), rng.integers(columns, size=(resamples, columns))
+        drawn_statistic, rng.integers(rows, size=(RESAMPLES, rows)), rng.integers(columns, size=(RESAMPLES, columns))
     )
     return Estimate(float(statistic(pairs.reshape(-1))), low, high, "seeds")
 
 
-def probability_of_improvement(scores: ArrayLike, reference: ArrayLike, *, resamples: int = RESAMPLES) -> Estimate:
+def probability_of_improvement(scores: ArrayLike, reference: ArrayLike) -> Estimate:
     """How probable it is that one policy scores more than another on the same episode, a tie counting half.
 
     For every episode the share of pairs of training seeds, one of each policy, in which the first scores more (the
@@ -183,7 +179,6 @@ def probability_of_improvement(scores: ArrayLike, reference: ArrayLike, *, resam
     Args:
         scores: shape (training seeds, episodes).
         reference: shape (training seeds of the reference, episodes), of the same episodes in the same order.
-        resamples: number of bootstrap resamples.
 
     Raises:
         ValueError: if the scores are not of these shapes.
@@ -191,7 +186,7 @@ def probability_of_improvement(scores: ArrayLike, reference: ArrayLike, *, resam
     array, other = _same_episodes(scores, reference)
     won = array[:, None, :] > other[None, :, :]
     tied = array[:, None, :] == other[None, :, :]
-    return _over_pairs(_means_of_seeds(won + 0.5 * tied), _mean, resamples)
+    return _over_pairs(_means_of_seeds(won + 0.5 * tied), _mean)
 
 
 def _mean(values: np.ndarray) -> np.ndarray:
@@ -212,17 +207,15 @@ class Curve:
         value: shape (n,).
         low: lower ends of the intervals, shape (n,).
         high: upper ends, shape (n,).
-        resampled: what the bootstrap drew with replacement.
     """
 
     x: np.ndarray
     value: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    resampled: Unit
 
 
-def performance_profile(scores: ArrayLike, thresholds: ArrayLike, *, resamples: int = RESAMPLES) -> Curve:
+def performance_profile(scores: ArrayLike, thresholds: ArrayLike) -> Curve:
     """The share of all episodes of all training seeds that score more than a threshold, over the threshold.
 
     Rliable's run-score distribution; what is resampled is as for `estimate`. The area under it, from 0 on, is the mean
@@ -231,19 +224,16 @@ def performance_profile(scores: ArrayLike, thresholds: ArrayLike, *, resamples: 
     Args:
         scores: shape (training seeds, episodes).
         thresholds: ascending, shape (n,).
-        resamples: number of bootstrap resamples.
 
     Raises:
-        ValueError: if the scores are not of that shape, or the thresholds do not ascend.
+        ValueError: if the scores are not of that shape.
     """
     array, x = _checked("scores", scores), np.asarray(thresholds, dtype=np.float64)
-    if x.ndim != 1 or not x.size or not (x[1:] > x[:-1]).all():
-        raise ValueError(f"thresholds must be ascending numbers of shape (n >= 1,), got {thresholds!r}")
     above = [_means_of_seeds((array > threshold).astype(np.float64)) for threshold in x]
-    return _curve(x, [_over_seeds(each, _mean, resamples) for each in above])
+    return _curve(x, [_over_seeds(each, _mean) for each in above])
 
 
-def learning_curve(runs: Sequence[tuple[ArrayLike, ArrayLike]], *, resamples: int = RESAMPLES) -> Curve:
+def learning_curve(runs: Sequence[tuple[ArrayLike, ArrayLike]]) -> Curve:
     """The interquartile mean over training seeds of their evaluations, over the steps of training.
 
     A run counts with its last evaluation so far, never with a later one; the curve starts where all runs have been
@@ -251,30 +241,20 @@ def learning_curve(runs: Sequence[tuple[ArrayLike, ArrayLike]], *, resamples: in
 
     Args:
         runs: of each seed the steps of its evaluations, ascending, and their values; both of shape (evaluations,).
-        resamples: number of bootstrap resamples.
 
     Raises:
-        ValueError: if there is no run, a run's arrays do not fit each other, its steps do not ascend, or the runs have
-            no steps in common.
+        ValueError: if the runs have no steps in common.
     """
     checked = [(np.asarray(steps, np.float64), np.asarray(values, np.float64)) for steps, values in runs]
-    for steps, values in checked:
-        if steps.ndim != 1 or not steps.size or steps.shape != values.shape or not (steps[1:] > steps[:-1]).all():
-            raise ValueError(
-                "runs must hold ascending steps and as many values, both of shape (evaluations >= 1,), got "
-                f"{steps!r} and {values!r}"
-            )
-    if not checked:
-        raise ValueError("runs must hold at least one run, got none")
     first, last = max(steps[0] for steps, _ in checked), min(steps[-1] for steps, _ in checked)
     if first > last:
         raise ValueError(f"runs must overlap, got one that begins at {first:g} steps and one that ends at {last:g}")
     every = np.unique(np.concatenate([steps for steps, _ in checked]))
     x = every[(every >= first) & (every <= last)]
     held = np.stack([values[np.searchsorted(steps, x, side="right") - 1] for steps, values in checked])
-    return _curve(x, [estimate(column[:, None], resamples=resamples) for column in held.T])
+    return _curve(x, [estimate(column[:, None]) for column in held.T])
 
 
 def _curve(x: np.ndarray, found: Sequence[Estimate]) -> Curve:
     value, low, high = (np.array([getattr(each, name) for each in found]) for name in ("value", "low", "high"))
-    return Curve(x, value, low, high, found[0].resampled)
+    return Curve(x, value, low, high)

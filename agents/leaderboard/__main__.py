@@ -1,27 +1,36 @@
 """Writes and checks the leaderboard, every policy on every frozen set: `python -m agents.leaderboard`.
 
 The episodes of all policies are written to agents/leaderboard/results; leaderboard.json, LEADERBOARD.md and the
-README's head are made from these files alone. `agents.leaderboard.check` says what --check compares.
+README's head are made from these files alone.
+
+The check is exact. It compares the policies listed, their descriptions and training seeds, the sets' hashes, the hash
+of every policy's file and the revisions they were trained at; leaderboard.json and the pages must be what the results
+give. Then it evaluates everything again with the current code and compares every bit of every episode: networks, laws
+and plants give the same bits on every machine. It compares neither versions of packages nor the revision of the code: a
+commit makes the leaderboard stale exactly where it changes a number. Nor does it evaluate the sensitivity again, which
+the same policies on the same plants have.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy as np
 from tyro.conf import arg
 
-from agents.evaluation.policies import all_candidates
-from agents.leaderboard.check import check
-from agents.leaderboard.page import COMMAND, build, write
-from agents.leaderboard.rows import RESULTS, evaluate, load_rows, save_row
+from agents.evaluation.policies import Candidate, all_candidates
+from agents.leaderboard.page import COMMAND, build, files, training_commands
+from agents.leaderboard.rows import RESULTS, Row, evaluate, load_rows, save_row, static_header
 from capsule_gym.command_line import Positional, parse, refuse
-from capsule_gym.evaluation_sets import SET_NAMES, load_set
+from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, load_set
+from capsule_gym.files import write_atomically
 from capsule_gym.parameters import nearest
+from capsule_gym.task import HORIZON
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -45,6 +54,91 @@ class Args:
     """Evaluate nothing: write, or check, what the results give."""
     jobs: int = os.cpu_count() or 1
     """Processes."""
+
+
+def _changed(name: str, field: str, before: Any, now: Any) -> Iterator[str]:
+    """Compares a field of a row's header exactly; of a dict only the entries that differ are named."""
+    if before != now:
+        if isinstance(before, dict) and isinstance(now, dict):
+            before, now = (
+                {key: value for key, value in one.items() if key not in other or other[key] != value}
+                for one, other in ((before, now), (now, before))
+            )
+        yield f"{name}: {field} is {before!r} in its results and {now!r} now"
+
+
+def _stale_headers(
+    rows: Sequence[Row], candidates: Sequence[Candidate], sets: Sequence[EvaluationSet]
+) -> Iterator[str]:
+    """Compares the fields of the headers that need no evaluation."""
+    commands, hashes = training_commands(), {each.name: each.hash for each in sets}
+    for row, candidate in zip(rows, candidates, strict=True):
+        for field, now in {**static_header(candidate), "sets": hashes}.items():
+            yield from _changed(row.name, field, row.header[field], now)
+        if row.trained and row.name not in commands:
+            yield f"{row.name}: the table in agents/checkpoints/README.md has no command that trains it"
+
+
+def _stale_episodes(recorded: Row, found: Row) -> Iterator[str]:
+    """Compares every number of every episode, bit for bit; names the first that differs of every metric."""
+    seeds = recorded.header["training_seeds"]
+    for set_name, values in recorded.scores.items():
+        now = found.scores[set_name]
+        if values.shape != now.shape or recorded.header["metrics"] != found.header["metrics"]:
+            yield f"{recorded.name} on {set_name}: holds arrays of {values.shape}, now of {now.shape}"
+            continue
+        for name, before, after in zip(found.header["metrics"], values, now, strict=True):
+            differs = np.argwhere(before.view(np.uint64) != after.view(np.uint64))
+            if differs.size:
+                run, episode = differs[0].tolist()
+                where = f"training seed {seeds[run]}, episode {episode}" if seeds else f"episode {episode}"
+                yield (
+                    f"{recorded.name} on {set_name}: {name} is {before[run, episode].item()!r} in its results and "
+                    f"{after[run, episode].item()!r} now ({where}; {len(differs)} of {before.size} differ)"
+                )
+
+
+def check(
+    root: Path,
+    candidates: Sequence[Candidate],
+    sets: Sequence[EvaluationSet],
+    *,
+    evaluated: Sequence[Candidate],
+    jobs: int = 1,
+    horizon: float = HORIZON,
+) -> list[str]:
+    """What is stale, one line each.
+
+    Args:
+        root: the project's folder, with leaderboard.json, LEADERBOARD.md, README.md and the results.
+        candidates: the rows that should be there.
+        sets: the sets that they should be evaluated on.
+        evaluated: the rows to evaluate again.
+        jobs: number of processes.
+        horizon: length of an episode in s.
+    """
+    names = [candidate.name for candidate in candidates]
+    # What needs no evaluation comes first: it takes no time.
+    stale = [
+        f"{path.stem}: has results and does not exist"
+        for path in sorted((root / RESULTS).glob("*.npz"))
+        if path.stem not in names
+    ]
+    try:
+        rows = load_rows(root / RESULTS, names)
+        stale += _stale_headers(rows, candidates, sets)
+        if not stale:
+            for name, text in files(root, build(rows, sets)).items():
+                path = root / name
+                if not path.is_file() or path.read_text(encoding="utf-8") != text:
+                    stale.append(f"{name} is not what the results give")
+    except ValueError as error:
+        stale.append(str(error))
+    if stale:
+        return [*stale, *(["the numbers were not evaluated again"] if evaluated else [])]
+    recorded = {row.name: row for row in rows}
+    found = evaluate(evaluated, sets, jobs=jobs, horizon=horizon, disturbed=False)
+    return [line for row in found for line in _stale_episodes(recorded[row.name], row)]
 
 
 def main(arguments: Sequence[str] | None = None, *, root: Path = ROOT) -> int:
@@ -80,10 +174,11 @@ def main(arguments: Sequence[str] | None = None, *, root: Path = ROOT) -> int:
         print(f"Stopped. The rows that were finished are kept in {root / RESULTS}; the pages are as they were.")
         return 130
     try:
-        board = build(load_rows(root / RESULTS, names), sets)
+        texts = files(root, build(load_rows(root / RESULTS, names), sets))
     except ValueError as error:
-        refuse(COMMAND, f"{error}; `{COMMAND} NAME` evaluates it")
-    write(root, board)
+        refuse(COMMAND, str(error))
+    for name, text in texts.items():
+        write_atomically(root / name, text)
     print(f"Written: {len(candidates)} policies on {len(sets)} sets, to {root / 'LEADERBOARD.md'}")
     return 0
 

@@ -21,13 +21,10 @@ from __future__ import annotations
 
 import io
 import json
-import multiprocessing
 import sys
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,8 +34,8 @@ from tqdm import tqdm
 
 from agents.evaluation.episodes import Episode, as_episodes, versions
 from agents.evaluation.episodes import evaluate as evaluate_policy
-from agents.evaluation.policies import Act, Candidate, Policy
-from baselines.policies import SCRIPTED, ScriptedPolicy
+from agents.evaluation.policies import Candidate, Policy
+from baselines.policies import SCRIPTED
 from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet
 from capsule_gym.files import file_hash, write_atomically
 from capsule_gym.policy import POLICY
@@ -48,10 +45,8 @@ from capsule_gym.task import CONTROL_DT, HORIZON, METRICS
 RESULTS = Path("agents", "leaderboard", "results")
 COLUMNS = tuple(name for name in METRICS if name not in ("distance", "energy"))
 HEADER = "header"
-FIELDS = ("policy", "description", "training_seeds", "revision", "files", "base", "versions", "disturbed")
 # Half the width of the noise on the actions, in parts of the full action: the rounding error of a network in float32.
 NOISE = 1e-7
-NOISE_SEED = 1_000_000_007
 COPIES = 200
 
 
@@ -104,19 +99,6 @@ class Row:
                 f"{self.name}: the hash of the set {evaluation_set.name} is {recorded} in its results and "
                 f"{evaluation_set.hash} now"
             )
-        count = self.scores[evaluation_set.name].shape[-1]
-        if count != len(evaluation_set.plants):
-            raise ValueError(
-                f"{self.name}: its results hold {count} episodes of the set {evaluation_set.name}, which has "
-                f"{len(evaluation_set.plants)}"
-            )
-
-    def same_as(self, other: Row) -> bool:
-        """Whether both hold the same header and the same bits."""
-        return self.header == other.header and all(
-            name in other.scores and values.tobytes() == other.scores[name].tobytes()
-            for name, values in self.scores.items()
-        )
 
 
 def static_header(candidate: Candidate) -> dict[str, Any]:
@@ -145,50 +127,28 @@ def evaluate_run(policy: Policy, sets: Sequence[EvaluationSet], horizon: float) 
     return found
 
 
-def with_noise(policy: Policy, seed: int) -> Policy:
-    """The policy with uniform noise of at most `NOISE` on its actions, different in every episode."""
-
-    def start(seeds: Sequence[int]) -> Act:
-        act, rng = policy.start(seeds), np.random.default_rng(seed)
-
-        def act_with_noise(observations: np.ndarray) -> np.ndarray:
-            actions = act(observations)
-            return (actions + NOISE * (2.0 * rng.random(actions.shape) - 1.0)).astype(np.float32)
-
-        return act_with_noise
-
-    return ScriptedPolicy(policy.name, "with noise", dict(policy.env_kwargs), start)
-
-
-def disturbed_range(candidate: Candidate, horizon: float = HORIZON) -> dict[str, float]:
-    """The sensitivity of a policy to perturbations: the range of its mean speed under small noise on its actions.
+def disturbed_range(policy: Policy, horizon: float = HORIZON) -> tuple[float, float]:
+    """The sensitivity of a policy to perturbations: the range of its mean speed (cm/s) under noise on its actions.
 
     The check does not need it: the same code gives the same bits on every machine. Readers do. Trajectories of a
     chaotic policy diverge from a difference in their tenth digit, and the mean speed of a single episode is a sample
     from a wide distribution, on a robot as here.
 
     Args:
-        candidate: a row of the leaderboard; the training seed with the widest range counts.
-        horizon: length of the episode in s.
-
-    Returns:
-        The lowest and the highest mean speed of many copies of one episode, `{"low": .., "high": ..}` in cm/s.
+        policy: one training run.
+        horizon: length of the episode in s, of which there are `COPIES`.
     """
     copies = EvaluationSet("copies", (NOMINAL_PLANT,) * COPIES)
-    ranges = []
-    for policy in candidate.policies:
-        episodes = evaluate_policy(with_noise(policy, NOISE_SEED), copies, horizon=horizon)
-        speeds = [episode["mean_speed"] for episode in episodes]
-        ranges.append((min(speeds), max(speeds)))
-    low, high = max(ranges, key=lambda ends: ends[1] - ends[0])
-    return {"low": low, "high": high}
+    episodes = evaluate_policy(policy, copies, horizon=horizon, action_noise=NOISE)
+    speeds = [episode["mean_speed"] for episode in episodes]
+    return min(speeds), max(speeds)
 
 
 def make_row(
     candidate: Candidate,
     sets: Sequence[EvaluationSet],
     runs: Sequence[dict[str, np.ndarray]],
-    disturbed: dict[str, float],
+    ranges: Sequence[tuple[float, float]] = (),
 ) -> Row:
     """Puts a row together.
 
@@ -196,37 +156,22 @@ def make_row(
         candidate: the policy.
         sets: the sets it was evaluated on.
         runs: what `evaluate_run` returned for each of its policies, in order.
-        disturbed: what `disturbed_range` returned.
+        ranges: what `disturbed_range` returned for each; the widest counts.
     """
+    widest = max(ranges, key=lambda ends: ends[1] - ends[0], default=())
     header = {
         **static_header(candidate),
         "metrics": list(COLUMNS),
         "sets": {each.name: each.hash for each in sets},
         "versions": versions(),
-        "disturbed": disturbed,
+        "disturbed": dict(zip(("low", "high"), widest, strict=False)),
     }
     return Row(header, {each.name: np.stack([run[each.name] for run in runs], axis=1) for each in sets})
 
 
-@contextmanager
-def _process_map(jobs: int) -> Iterator[Any]:
-    """The `map` of a pool of processes."""
-    if jobs == 1:
-        yield map
-        return
-    # Spawned, not forked: Python warns about forking a process with threads.
-    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as executor:
-        try:
-            yield executor.map
-        except BaseException:
-            # Otherwise leaving the block waits for everything that has not started.
-            executor.shutdown(cancel_futures=True)
-            raise
-
-
-def _work(item: Policy | Candidate, sets: Sequence[EvaluationSet], horizon: float) -> Any:
-    """Evaluates one run on all sets, or the sensitivity of a candidate."""
-    return disturbed_range(item, horizon) if isinstance(item, Candidate) else evaluate_run(item, sets, horizon)
+def _work(policy: Policy, sets: Sequence[EvaluationSet], horizon: float, disturbed: bool) -> Any:
+    """Evaluates one run on all sets, and its sensitivity if asked for."""
+    return evaluate_run(policy, sets, horizon), disturbed_range(policy, horizon) if disturbed else None
 
 
 def evaluate(
@@ -246,17 +191,20 @@ def evaluate(
         horizon: length of an episode in s.
         disturbed: whether their sensitivity is evaluated too, which takes a third of the time; or else left empty.
     """
-    work = [item for each in candidates for item in (*each.policies, *([each] if disturbed else []))]
-    laws = {str(each.policies[0].env_kwargs.get("controller")): each.policies[0] for each in candidates}
-    with _process_map(jobs) as process_map:
-        if jobs > 1:
-            # Each law is compiled once: the other processes find it on disk.
-            list(process_map(evaluate_run, laws.values(), [sets[:1]] * len(laws), [CONTROL_DT] * len(laws)))
-        found = process_map(_work, work, [sets] * len(work), [horizon] * len(work))
-        found = iter(tqdm(found, "evaluating", len(work), file=sys.stderr, disable=None))
-        for candidate in candidates:
-            runs = [next(found) for _ in candidate.policies]
-            yield make_row(candidate, sets, runs, next(found) if disturbed else {})
+    # Slow to import, and --help does not need it.
+    from joblib import Parallel, delayed
+
+    work = [policy for candidate in candidates for policy in candidate.policies]
+    parallel = Parallel(jobs, return_as="generator")
+    if jobs > 1:
+        # Each law is compiled once: the other processes find it on disk.
+        laws = {str(policy.env_kwargs.get("controller")): policy for policy in work}
+        list(parallel(delayed(evaluate_run)(policy, sets[:1], CONTROL_DT) for policy in laws.values()))
+    results = parallel(delayed(_work)(policy, sets, horizon, disturbed) for policy in work)
+    found = iter(tqdm(results, "evaluating", len(work), file=sys.stderr, disable=None))
+    for candidate in candidates:
+        runs, ranges = zip(*(next(found) for _ in candidate.policies), strict=True)
+        yield make_row(candidate, sets, runs, ranges if disturbed else ())
 
 
 def path_of(folder: Path, name: str) -> Path:
@@ -264,21 +212,13 @@ def path_of(folder: Path, name: str) -> Path:
     return folder / f"{name}.npz"
 
 
-def save_row(folder: Path, row: Row) -> bool:
-    """Writes a row's file atomically, unless it holds the same already; returns whether it wrote."""
-    path = path_of(folder, row.name)
-    try:
-        if load_row(path).same_as(row):
-            return False
-    except ValueError:
-        # A file that is missing or malformed is written.
-        pass
+def save_row(folder: Path, row: Row) -> None:
+    """Writes a row's file atomically; the same row gives the same bytes."""
     folder.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = {HEADER: np.frombuffer(json.dumps(row.header).encode(), np.uint8), **row.scores}
     content = io.BytesIO()
     np.savez_compressed(content, **arrays)
-    write_atomically(path, content.getvalue())
-    return True
+    write_atomically(path_of(folder, row.name), content.getvalue())
 
 
 def load_row(path: Path) -> Row:
@@ -288,7 +228,7 @@ def load_row(path: Path) -> Row:
         ValueError: if there is none, or it is not what `save_row` writes.
     """
     if not path.is_file():
-        raise ValueError(f"{path.stem}: has no results, expected in {path.name}")
+        raise ValueError(f"{path.stem}: has no results, expected in {path.name}: `python -m agents.leaderboard NAME`")
     try:
         # From memory: numpy does not close a file that it cannot read.
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
@@ -296,9 +236,8 @@ def load_row(path: Path) -> Row:
             scores = {name: archive[name] for name in header["sets"]}
         shape = (len(header["metrics"]), max(1, len(header["training_seeds"])))
         fits = all(values.dtype == np.float64 and values.shape[:2] == shape for values in scores.values())
-        missing = sorted(set(FIELDS) - set(header))
-        if missing or header["policy"] != path.stem or not fits:
-            raise ValueError(f"its header does not fit its name or its arrays, or lacks {missing}")
+        if header["policy"] != path.stem or not fits:
+            raise ValueError("its header does not fit its name or its arrays")
     except (KeyError, TypeError, ValueError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
         raise ValueError(f"{path.stem}: {path.name} holds no results: {type(error).__name__}: {error}") from error
     return Row(header, scores)

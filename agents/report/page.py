@@ -72,7 +72,7 @@ def collect(names: Sequence[str], *, trust_controller: bool = False, trust_pickl
             rows.append(load_row(path_of(ROOT / RESULTS, name)))
             continue
         path, candidate = Path(name), _candidate(name, trust_controller, trust_pickle)
-        row = make_row(candidate, sets, [evaluate_run(policy, sets, HORIZON) for policy in candidate.policies], {})
+        row = make_row(candidate, sets, [evaluate_run(policy, sets, HORIZON) for policy in candidate.policies])
         # A recurrent policy has no file that says its seed.
         seeds = row.header["training_seeds"] or list(range(len(candidate.policies)))
         rows.append(replace(row, header={**row.header, "training_seeds": seeds}))

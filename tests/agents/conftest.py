@@ -2,7 +2,6 @@ import json
 
 import pytest
 
-from agents import evaluate
 from agents.evaluation import policies
 from tests.agents.fakes import PLANTS, Sine, write_run
 
@@ -18,8 +17,7 @@ def tiny_file(tmp_path):
 def world(tmp_path, monkeypatch):
     """Two scripted policies and a checkpoint of two seeds."""
     known = {name: Sine(amplitude, name=name) for name, amplitude in (("adaptive", 0.3), ("bold", 0.5))}
-    for module in (policies, evaluate):
-        monkeypatch.setattr(module, "SCRIPTED", known)
+    monkeypatch.setattr(policies, "SCRIPTED", known)
     monkeypatch.setattr(policies, "CHECKPOINTS", tmp_path / "checkpoints")
     for seed in (10, 2):
         write_run(tmp_path / "checkpoints" / "learnt" / f"seed-{seed}", seed)

@@ -1,5 +1,4 @@
 import dataclasses
-import json
 import os
 import signal
 
@@ -9,51 +8,33 @@ import torch
 
 from agents.distillation import __main__ as command
 from agents.distillation import dagger
-from agents.distillation.config import STUDENTS, Budget
+from agents.distillation.config import STUDENTS
 from agents.distillation.dagger import Network, interpolated_regret
-from agents.distillation.dataset import Collector, regrets_of
-from agents.training.presets import RunError
+from agents.distillation.dataset import collect
 from agents.training.signals import INTERRUPTED
-from baselines.dynamic_programming.policy import FAILURE_SCORE, NUM_TORQUES, TORQUES
+from baselines.dynamic_programming.policy import NUM_TORQUES, TORQUES
 from capsule_gym import load_policy
 from capsule_gym.task import CONTROL_DT
 
-TINY = Budget(
-    3, 30, updates=3, final_updates=4, final_parts=2, batch_size=16, learning_rate=1e-3, evaluation_episodes=2
-)
 NAME = "optimum-distilled"
+TINY = {"num_envs": 3, "steps": 30, "updates": 3, "final_updates": 4, "final_parts": 2, "batch_size": 16}
+TINY |= {"learning_rate": 1e-3, "evaluation_episodes": 2, "references": ("zero",)}
 
 
 def collected(name=NAME, *, expert_share=1.0, act=None, steps=60):
-    collector = Collector(STUDENTS[name], 4, np.random.default_rng(0))
-    return collector.collect(steps, expert_share, act, lambda: False)
+    student = dataclasses.replace(STUDENTS[name], num_envs=4, steps=steps)
+    return collect(student, np.random.default_rng(0), expert_share, act, lambda: False)
 
 
-@pytest.fixture(autouse=True)
-def cheap_references(monkeypatch):
-    monkeypatch.setitem(STUDENTS, NAME, dataclasses.replace(STUDENTS[NAME], references=("zero",)))
+@pytest.fixture
+def tiny(monkeypatch):
+    monkeypatch.setitem(STUDENTS, NAME, dataclasses.replace(STUDENTS[NAME], **TINY))
+    monkeypatch.setattr(command, "COMPARED_EPISODES", 1)
 
 
 @pytest.fixture(scope="module")
 def dataset():
     return collected()
-
-
-def distil(folder, *words: str) -> int:
-    return command.main([*words, "--seeds", "0", "--runs", str(folder)], budget=TINY, count=1)
-
-
-def test_regrets_are_losses_compared_with_the_best_torque():
-    scores = np.zeros((3, NUM_TORQUES))
-    scores[0] = -((np.arange(NUM_TORQUES) - 7.0) ** 2)
-    scores[1, 5:] = FAILURE_SCORE
-    scores[2] = FAILURE_SCORE
-    regrets = regrets_of(scores, 5.0)
-    assert regrets.dtype == np.float32
-    assert regrets[0, 7] == 0.0 and regrets[0, 8] == 1.0 and regrets[0, -1] == 5.0
-    assert (regrets[1, :5] == 0.0).all() and (regrets[1, 5:] == 5.0).all()
-    # Where every torque fails there is nothing to learn.
-    assert (regrets[2] == 0.0).all()
 
 
 def test_the_loss_is_linear_between_the_torques_of_the_expert(dataset):
@@ -71,6 +52,8 @@ def test_the_loss_is_linear_between_the_torques_of_the_expert(dataset):
 
 def test_students_observe_the_plant_only_if_configured(dataset):
     assert len(dataset.inputs) == len(dataset.regrets) and dataset.inputs.shape[1] == 5
+    assert dataset.regrets.dtype == np.float32
+    assert (dataset.regrets.min(axis=1) == 0.0).all() and dataset.regrets.max() == STUDENTS[NAME].max_regret
     observing = collected("optimum-distilled-oracle", steps=3)
     assert observing.inputs.shape[1] == 7
     # Drawn for every episode.
@@ -124,14 +107,16 @@ def test_a_fit_lowers_the_loss_and_the_file_acts_as_the_network(dataset, tmp_pat
     assert len(losses) == 151
 
 
+@pytest.mark.usefixtures("tiny")
 def test_the_same_seed_gives_the_same_policy_and_finished_runs_are_skipped(tmp_path, capsys):
-    assert distil(tmp_path / "a") == distil(tmp_path / "b") == 0
+    for folder in "ab":
+        assert command.main(["--seeds", "0", "--runs", str(tmp_path / folder)]) == 0
     files = [tmp_path / name / NAME / "seed-0" / "policy.safetensors" for name in "ab"]
     assert files[0].read_bytes() == files[1].read_bytes()
     assert load_policy(files[0]).training_seed == 0
     before = files[0].stat().st_mtime_ns
     capsys.readouterr()
-    assert command.main(["--seeds", "0-1", "--runs", str(tmp_path / "a")], budget=TINY, count=1) == 0
+    assert command.main(["--seeds", "0-1", "--runs", str(tmp_path / "a")]) == 0
     assert files[0].stat().st_mtime_ns == before
     assert (tmp_path / "a" / NAME / "seed-1" / "policy.safetensors").read_bytes() != files[0].read_bytes()
     shown = capsys.readouterr().out
@@ -139,19 +124,21 @@ def test_the_same_seed_gives_the_same_policy_and_finished_runs_are_skipped(tmp_p
     assert lines == {NAME: "2", "zero": "1"}
 
 
+@pytest.mark.usefixtures("tiny")
 def test_ctrl_c_keeps_the_best_policy_and_the_run_is_not_overwritten(tmp_path, monkeypatch, capsys):
     evaluated = []
 
-    def evaluate_policy(policy, plants):
+    def evaluate(policy, plants):
         evaluated.append(policy)
         if len(evaluated) == 2:
             os.kill(os.getpid(), signal.SIGINT)
-        return float(-len(evaluated)), 0.0
+        return [{"mean_speed": float(-len(evaluated)), "failed": 0.0}]
 
-    monkeypatch.setattr(dagger, "evaluate_policy", evaluate_policy)
+    monkeypatch.setattr(dagger, "evaluate", evaluate)
     before = signal.getsignal(signal.SIGINT)
+    words = ["--seeds", "0", "--runs", str(tmp_path)]
     try:
-        assert distil(tmp_path) == INTERRUPTED
+        assert command.main(words) == INTERRUPTED
     finally:
         signal.signal(signal.SIGINT, before)
     assert len(evaluated) == 2
@@ -161,23 +148,9 @@ def test_ctrl_c_keeps_the_best_policy_and_the_run_is_not_overwritten(tmp_path, m
     assert load_policy(folder)(observations).tobytes() == evaluated[0](observations).tobytes()
     assert "kept" in capsys.readouterr().out
     with pytest.raises(SystemExit) as stop:
-        distil(tmp_path)
+        command.main(words)
     assert stop.value.code == 2
     assert "was started and is not finished" in capsys.readouterr().err
-
-
-def test_only_clean_revisions_are_published(tmp_path):
-    folder, checkpoints = tmp_path / "run", tmp_path / "checkpoints"
-    folder.mkdir()
-    (folder / "policy.safetensors").write_bytes(b"policy")
-    result = {"mean_speed": 20.0, "failed": 0.0, "core_seconds": 1.0, "revision": "0123456789ab+"}
-    (folder / "finished.json").write_text(json.dumps(result))
-    with pytest.raises(RunError, match="nothing uncommitted"):
-        command.publish(NAME, {3: folder}, checkpoints)
-    assert not checkpoints.exists()
-    (folder / "finished.json").write_text(json.dumps({**result, "revision": "0123456789ab"}))
-    command.publish(NAME, {3: folder}, checkpoints)
-    assert (checkpoints / NAME / "seed-3" / "policy.safetensors").read_bytes() == b"policy"
 
 
 @pytest.mark.parametrize("words", [["another"], ["--seeds", "x"]])

@@ -2,7 +2,6 @@ import sys
 
 import numpy as np
 import pytest
-import torch
 from stable_baselines3 import PPO
 
 from agents.evaluation.episodes import evaluate
@@ -66,9 +65,6 @@ def test_malformed_checkpoints_raise_an_error(world):
         write_run(run.with_name(f"seed-{seed}"), seed, env_kwargs={"torque_limit": 1.0})
     with pytest.raises(ValueError, match=r"must act under a torque_limit of 1\.5 N m as all others, got 1\.0"):
         all_candidates()
-    (world / "checkpoints" / "learnt").rename(world / "checkpoints" / "bold")
-    with pytest.raises(ValueError, match="must not have the name of a scripted policy, got 'bold'"):
-        all_candidates()
 
 
 def test_a_control_law_of_another_package_must_be_trusted(world):
@@ -91,7 +87,7 @@ def test_a_module_is_imported_only_if_trusted(tmp_path, monkeypatch):
         (policy,) = find_candidate("my_rules:zero", trust=True).policies
         assert evaluate(policy, TINY, horizon=0.1) == evaluate(Sine(0.0), TINY, horizon=0.1)
         for name, message in (
-            ("no_such_module:zero", "names the module 'no_such_module', which does not exist"),
+            ("no_such_module:zero", "cannot be imported: No module named 'no_such_module'"),
             ("my_rules:jump", "has no 'jump'"),
             ("my_rules:number", "policy must be an object with predict.* got a int"),
             ("runs/a:b", "policy must be a scripted policy"),
@@ -100,7 +96,7 @@ def test_a_module_is_imported_only_if_trusted(tmp_path, monkeypatch):
                 find_candidate(name, trust=True)
         (tmp_path / "my_rules.py").write_text("import no_such_package")
         sys.modules.pop("my_rules")
-        with pytest.raises(ModuleNotFoundError, match="no_such_package"):
+        with pytest.raises(ValueError, match="cannot be imported: No module named 'no_such_package'"):
             find_candidate("my_rules:zero", trust=True)
     finally:
         sys.modules.pop("my_rules", None)
@@ -164,10 +160,9 @@ def test_arguments_of_the_environment_come_from_the_caller_or_the_policy():
 @pytest.mark.parametrize(
     ("output", "message"),
     [
-        (np.zeros(3), r"of shape \(3, 1\), one line per observation, got \(3,\)"),
-        (np.full((3, 1), np.nan), "got NaN or infinity"),
-        ("full", "got str"),
-        (torch.zeros((3, 1), requires_grad=True), "got Tensor: Can't call numpy"),
+        (np.zeros(3), r"of shape \(3, 1\), got array"),
+        (np.full((3, 1), np.nan), "must be finite"),
+        ("full", "got 'full'"),
     ],
 )
 def test_wrong_actions_raise_an_error(output, message):

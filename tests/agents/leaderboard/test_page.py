@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.evaluation.policies import checkpoint_names, find_candidate
-from agents.leaderboard.page import END, HEAD_ROWS, START, build, head, render, training_commands, with_head, write
+from agents.leaderboard.page import END, HEAD_ROWS, START, build, files, head, render, training_commands
 from agents.leaderboard.rows import evaluate
 from tests.agents.leaderboard.world import SETS, checked, make_set, read, row_of, table
 
@@ -104,17 +104,9 @@ def test_the_head_always_shows_the_baseline(written):
     assert names == [f"better-{i:02}" for i in range(HEAD_ROWS)] + ["adaptive"]
 
 
-def test_readme_markers(written):
-    board = read(written)
-    assert with_head("# No markers\n", board) == "# No markers\n"
-    for text in (START, END, END + START, START + END + END, START + START + END):
-        with pytest.raises(ValueError, match=r"README\.md must hold <!-- --8<-- \[start:leaderboard\] -->"):
-            with_head(text, board)
-    # Broken markers stop the writing before anything is written, and are named by the check.
-    (written / "README.md").write_text(START)
-    with pytest.raises(ValueError, match="once each, or neither"):
-        write(written, {**board, "rows": []})
-    assert read(written) == board
-    assert "once each, or neither" in checked(written)[0]
-    (written / "README.md").unlink()
-    assert checked(written, evaluated=[]) == []
+def test_a_readme_without_a_marker_raises_an_error(written):
+    for text in ("", START, END + START):
+        (written / "README.md").write_text(text)
+        assert checked(written)[0].startswith("README.md must hold <!-- --8<-- [start:leaderboard] --> and then")
+        with pytest.raises(ValueError, match="README"):
+            files(written, read(written))

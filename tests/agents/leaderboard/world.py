@@ -4,8 +4,8 @@ import dataclasses
 import json
 
 from agents.evaluation.policies import all_candidates
-from agents.leaderboard.check import check
-from agents.leaderboard.page import build, write
+from agents.leaderboard.__main__ import check
+from agents.leaderboard.page import build, files
 from agents.leaderboard.rows import RESULTS, evaluate, load_row, path_of, save_row
 from capsule_gym.evaluation_sets import parse_set
 
@@ -24,7 +24,12 @@ def write_all(root):
     rows = list(evaluate(all_candidates(), SETS, horizon=HORIZON))
     for row in rows:
         save_row(root / RESULTS, row)
-    write(root, build(rows, SETS))
+    write_files(root, rows)
+
+
+def write_files(root, rows):
+    for name, text in files(root, build(rows, SETS)).items():
+        (root / name).write_text(text)
 
 
 def checked(root, sets=SETS, evaluated=None):
@@ -36,20 +41,13 @@ def read(root):
     return json.loads((root / "leaderboard.json").read_text())
 
 
-def edit(root, change):
-    """Changes leaderboard.json."""
-    board = read(root)
-    change(board)
-    (root / "leaderboard.json").write_text(json.dumps(board))
-
-
 def edit_row(root, name, change):
     """Changes a row's results, and writes what is made of them."""
     row = load_row(path_of(root / RESULTS, name))
     row = dataclasses.replace(row, scores={name: values.copy() for name, values in row.scores.items()})
     change(row)
     save_row(root / RESULTS, row)
-    write(root, build([load_row(path_of(root / RESULTS, each.name)) for each in all_candidates()], SETS))
+    write_files(root, [load_row(path_of(root / RESULTS, each.name)) for each in all_candidates()])
 
 
 def row_of(board, name):
