@@ -19,7 +19,16 @@ from capsule_gym.task import START_THETA
 
 @dataclass(frozen=True)
 class Segment:
-    """One phase: theta_d'(s) = amplitude sin(phase + rate s) + offset + slope s, rad/s, for s in [0, duration) s."""
+    """One phase: theta_d'(s) = amplitude sin(phase + rate s) + offset + slope s for s in [0, duration).
+
+    Attributes:
+        duration: s.
+        amplitude: rad/s.
+        phase: rad.
+        rate: rad/s.
+        offset: rad/s.
+        slope: rad/s^2.
+    """
 
     duration: float
     amplitude: float = 0.0
@@ -117,16 +126,12 @@ def _durations(times: Sequence[float], count: int, V1: float, P2: float) -> list
     return [float(duration) for duration in durations]
 
 
-def _restoring(durations: Sequence[float], swept: float) -> list[Segment]:
-    """Phases V to VII: down to -P3, hold, back to zero, with the P3 that closes the cycle."""
+def _closed(name: str, progressive: Sequence[Segment], durations: Sequence[float]) -> Profile:
+    """A profile that ends with the slow return: down to -P3, hold, back to zero, with the P3 that closes the cycle."""
     down, hold, back = durations
+    swept = math.fsum(segment.turned(np.float64(segment.duration)) for segment in progressive)
     P3 = swept / (0.5 * down + hold + 0.5 * back)
-    return [_ramp(down, 0.0, -P3), Segment(hold, offset=-P3), _ramp(back, -P3, 0.0)]
-
-
-def _swept(segments: Sequence[Segment]) -> float:
-    """Angle that a chain of segments turns, rad."""
-    return math.fsum(segment.turned(np.float64(segment.duration)) for segment in segments)
+    return Profile(name, (*progressive, _ramp(down, 0.0, -P3), Segment(hold, offset=-P3), _ramp(back, -P3, 0.0)))
 
 
 def seven_phases(times: Sequence[float], V1: float, P2: float, name: str = "proposed") -> Profile:
@@ -148,7 +153,7 @@ def seven_phases(times: Sequence[float], V1: float, P2: float, name: str = "prop
         Segment(d[2], amplitude=V1, phase=math.pi / 2.0, rate=arccos(P2 / V1) / d[2]),
         _ramp(d[3], P2, 0.0),
     ]
-    return Profile(name, (*progressive, *_restoring(d[4:], _swept(progressive))))
+    return _closed(name, progressive, d[4:])
 
 
 def six_phases(times: Sequence[float], V1: float, P2: float, name: str = "EPC") -> Profile:
@@ -169,7 +174,7 @@ def six_phases(times: Sequence[float], V1: float, P2: float, name: str = "EPC") 
         _ramp(d[1], V1, P2),
         _ramp(d[2], P2, 0.0),
     ]
-    return Profile(name, (*progressive, *_restoring(d[3:], _swept(progressive))))
+    return _closed(name, progressive, d[3:])
 
 
 # Table 1: t1 to t7, and t1 to t6 of EPC, s.
