@@ -20,10 +20,6 @@ def helper(value):
     return 2.0 * value
 
 
-def other_helper(value):
-    return 3.0 * value
-
-
 def make_law(gain, function=helper):
     def law(theta, theta_dot, x, x_dot, memory, reference):
         return gain * function(theta), memory

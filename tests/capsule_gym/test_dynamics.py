@@ -200,13 +200,6 @@ def test_fourth_order_through_dozens_of_events():
 # Events inside one step
 
 
-def compare_one_step(capsule: Capsule, state: tuple, u: float, h: float) -> tuple[dynamics.Motion, list, float]:
-    """One step, the reference's events (time, before, after) in it, and the largest error in any state."""
-    expected = reference.simulate([u], state, capsule.plant(), hold=h)
-    motion = dynamics.step(*state, u, capsule.plant(), h)
-    return motion, expected.events, float(np.abs(np.array(motion[:4]) - expected.states[-1]).max())
-
-
 def test_several_events_in_one_large_step():
     rng = np.random.default_rng(42)
     h = 0.05

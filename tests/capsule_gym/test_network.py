@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,9 +18,6 @@ from capsule_gym.network import (
     pack,
     to_action,
 )
-from tests import bits
-
-ROOT = Path(__file__).parents[2]
 
 
 def make_layers(widths: tuple[int, ...], seed: int = 0) -> list[network.Layer]:
@@ -129,44 +122,3 @@ def test_a_wanted_torque_is_reached_within_the_residual_limit():
     # An output that is an action is clipped and no more.
     for output, action in ((0.3, 0.3), (0.95, 0.95), (1.7, 1.0), (-1e300, -1.0)):
         assert to_action(make_header(make_layers((5, 1))), output, 0.7) == action
-
-
-# Prints a hash of what every pretrained policy and a network of odd widths answer, alone and in batches.
-BITS_SCRIPT = """
-import hashlib
-import numpy as np
-from capsule_gym import load_policy, policy_names
-from tests.capsule_gym.test_network import make_network, run
-
-digest = hashlib.sha256()
-for name in policy_names(seeds=True):
-    policy = load_policy(name)
-    rng = np.random.default_rng(0)
-    entries = policy.entries
-    # Uniform numbers are exact, others come out of a library's logarithms.
-    noise = rng.uniform(-4.0, 4.0, (100, entries))
-    observations = (policy.mean[:entries] + np.sqrt(policy.variance[:entries]) * noise).astype(np.float32)
-    for asked in (observations, observations[:1], observations[:3]):
-        act = policy.start(range(len(asked)))
-        digest.update(act(asked).tobytes() + act(asked + np.float32(0.1)).tobytes())
-layers = [(rng.uniform(-1, 1, (k, i)), rng.uniform(-1, 1, k)) for i, k in ((3, 7), (7, 9), (9, 1))]
-packed = make_network(layers, np.ones(3), clip=2.0, relu=True, tanh_squashing=True)
-digest.update(run(packed, rng.uniform(-4.0, 4.0, (70, 3)).astype(np.float32)).tobytes())
-print(digest.hexdigest())
-"""
-
-
-def answers(cache: Path | None, **variables: str) -> str:
-    """The hash from a process of its own; without a folder for a cache it shares this one's."""
-    own = {} if cache is None else {"NUMBA_CACHE_DIR": str(cache)}
-    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1", **own, **variables}
-    command = [sys.executable, "-c", BITS_SCRIPT]
-    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
-    return done.stdout.strip()
-
-
-def test_neither_the_processor_nor_the_libraries_matter(tmp_path):
-    # `make bits` takes whole episodes to more processors.
-    other = answers(tmp_path, **bits.both_libraries(), **bits.processors().get("generic", {}))
-    assert len(other) == 64
-    assert other == answers(None)
