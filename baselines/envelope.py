@@ -74,7 +74,7 @@ def integrate_envelope(
         high: last angle, rad.
         steps: number of steps.
         u: the torque limit, N m.
-        along_theta: bound on |d theta'' / d theta|, 1/s^2 per rad; 0 for the envelope itself instead of a bound on it.
+        along_theta: bound on |d theta'' / d theta|, 1/s^2 per rad; 0 for an estimate.
         along_square: bound on the increase of theta'' per theta'^2, 1/rad.
         plants: with the largest friction coefficient both ways.
         frictionless: without friction.
@@ -89,7 +89,7 @@ def integrate_envelope(
     return squares
 
 
-def upper_envelope(limit: float, low: float, high: float, *plants: Plant, certified: bool = True) -> Envelope:
+def upper_envelope(limit: float, low: float, high: float, *plants: Plant) -> Envelope:
     """The fastest that any torque within +-limit can make the pendulum pass an angle.
 
     Theorem. Let |u| <= limit, let the motion start at rest in [low, high] and stay there. Then theta' <= E(theta),
@@ -115,23 +115,16 @@ def upper_envelope(limit: float, low: float, high: float, *plants: Plant, certif
         low: smallest angle of the swing, rad.
         high: largest, rad.
         plants: one plant, or several that differ in the option for the normal force alone: the envelope covers all.
-        certified: whether to widen the steps; without it the polygon approximates E itself.
 
     Raises:
         TypeError: if limit is no number.
-        ValueError: if limit is not positive, the angles do not grow, there is no plant, the damper could accelerate the
-            pendulum through the paper's normal force, or the steps are too wide for such a torque.
+        ValueError: if limit is not positive, the damper could accelerate the pendulum through the paper's normal force,
+            or the steps are too wide for such a torque.
     """
     limit = check_number("limit", limit, "a finite number > 0 (N m)", 0.0, open_low=True)
-    if not low < high:
-        raise ValueError(f"low must be below high, got low={low!r}, high={high!r} rad")
-    if not plants:
-        raise ValueError("plants must hold at least one plant, got none")
     rough = tuple(p._replace(mu=p.mu * max(1.0, p.backward_ratio), backward_ratio=1.0) for p in plants)
     frictionless = rough[0]._replace(mu=0.0)
     theta, integrate = np.linspace(low, high, STEPS + 1), compile_cached(integrate_envelope)
-    if not certified:
-        return Envelope(theta, np.sqrt(integrate(low, high, STEPS, limit, 0.0, 0.0, rough, frictionless)))
     squares = integrate(low, high, COARSE_STEPS, limit, 0.0, 0.0, rough, frictionless)
     largest, h = max(abs(low), abs(high)), (high - low) / STEPS
     fastest = HEADROOM * math.sqrt(squares[-1])

@@ -36,10 +36,10 @@ def text_table(rows: Rows, *, left: int | None = None, last_left: bool = True) -
 def markdown_table(rows: Rows) -> str:
     """A Markdown table.
 
-    >>> print(markdown_table([["policy", "cm/s"], ["adaptive", "1.39"]]))
+    >>> print(markdown_table([["policy", "cm/s"], ["adaptive", "1.390"]]))
     | policy   | cm/s   |
     |----------|--------|
-    | adaptive | 1.39   |
+    | adaptive | 1.390  |
     """
     return tabulate(rows, headers="firstrow", tablefmt="github", disable_numparse=True)
 

@@ -134,7 +134,7 @@ def as_episodes(
     """
     # Imported here, as in other functions: it imports numba, which takes most of a second.
     from baselines.archive import in_grid
-    from baselines.dynamic_programming import optimal_speed
+    from baselines.dynamic_programming.archive import optimal_speed
 
     # The table of optima covers one start, its grid, and no changes of the plant.
     plants = evaluation_set.plants

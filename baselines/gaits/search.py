@@ -198,8 +198,7 @@ def find_candidates(
     settings, units = PURPOSES[purpose], np.array(FAMILIES[family].units)
     targets = np.array([(M, mu, math.nan) for M, mu in PLANTS])
     if purpose == "front":
-        nominal = archive.of_plant(NOMINAL.M, NOMINAL.mu)
-        top = nominal[0].mean_speed if nominal else FIRST_GOAL
+        top = max((gait.mean_speed for gait in archive.of_plant(NOMINAL.M, NOMINAL.mu)), default=FIRST_GOAL)
         targets = np.array([(NOMINAL.M, NOMINAL.mu, share * top) for share in FRONT_SHARES])
     starts = np.array([gait.parameters for gait in archive.everything() if gait.family == family])
     if not (len(starts) and settings.known):

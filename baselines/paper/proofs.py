@@ -96,9 +96,7 @@ def torque_at_peak(
     return best
 
 
-def swing_envelope(
-    limit: float, low: float, high: float, capsule: Capsule | None = None, *, certified: bool = True
-) -> Envelope:
+def swing_envelope(limit: float, low: float, high: float, capsule: Capsule | None = None) -> Envelope:
     """Proof 2: the envelope of a swing from rest, whichever option for the normal force holds.
 
     The theorem and its argument are in `baselines.envelope.upper_envelope`.
@@ -108,9 +106,8 @@ def swing_envelope(
         low: smallest angle of the swing, rad.
         high: largest, rad.
         capsule: the plant; its option for the normal force does not matter.
-        certified: whether to return a certified bound; otherwise an approximation of the envelope itself.
     """
-    return upper_envelope(limit, low, high, *_both_contacts(capsule or Capsule()), certified=certified)
+    return upper_envelope(limit, low, high, *_both_contacts(capsule or Capsule()))
 
 
 def _both_contacts(capsule: Capsule) -> list[Plant]:

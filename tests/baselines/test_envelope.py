@@ -24,13 +24,6 @@ def test_envelope_of_a_free_pendulum_is_known():
     assert (np.diff(envelope.theta_dot) >= 0.0).all()
 
 
-def test_certainty_costs_little_and_the_bound_lies_above():
-    p = Capsule(mu=0.1).plant()
-    certified, estimate = (upper_envelope(100.0, -QUARTER, QUARTER, p, certified=c) for c in (True, False))
-    assert (certified.theta_dot >= estimate.theta_dot).all()
-    assert certified.fastest < 1.005 * estimate.fastest
-
-
 def test_several_plants_have_the_envelope_of_their_worst():
     newton, paper = (Capsule(mu=0.4, normal_force=force).plant() for force in ("newton", "paper"))
     both = upper_envelope(1.5, -1.0, 1.0, newton, paper).theta_dot
@@ -86,8 +79,6 @@ def test_the_bound_falls_with_the_mass_and_with_little_friction():
     ("call", "error", "message"),
     [
         (lambda p: upper_envelope("strong", -1.0, 1.0, p), TypeError, "limit must be a finite number > 0"),
-        (lambda p: upper_envelope(1.0, 1.0, -1.0, p), ValueError, "low must be below high, got low=1.0"),
-        (lambda p: upper_envelope(1.0, -1.0, 1.0), ValueError, "plants must hold at least one"),
         (
             lambda p: upper_envelope(1.0, -1.0, 1.0, p._replace(l=30.0, mu=5.0, pivot_torque_on_contact=1.0)),
             ValueError,

@@ -5,7 +5,7 @@ import pytest
 
 from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TableMetric, evaluate, failures, summarise
 from agents.evaluation.statistics import estimate
-from baselines.dynamic_programming import optimal_speed
+from baselines.dynamic_programming.archive import optimal_speed
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.evaluation_sets import parse_set
 from capsule_gym.task import METRICS

@@ -51,13 +51,11 @@ def test_proof_2(rates):
     assert found[1] == pytest.approx((6.778, 16.866, 1.1024, 1.1839), abs=1e-3)
     for row in rates:
         assert row["holds"] and row["torque"] < row["torque_needed"] < row["torque_enough"]
-        swing, reached = (START, SWINGS[row["name"]]), row["from_start"]
-        # Certification costs little.
-        estimate = proofs.swing_envelope(row["torque"], *swing, certified=False).fastest
-        assert estimate < reached < estimate + 1e-3 and reached < row["bound"]
-        # The needed torque is certified, and with a thousandth more the envelope itself reaches the rate.
+        assert row["from_start"] < row["bound"]
+        swing = START, SWINGS[row["name"]]
+        # With a thousandth more than the needed torque the envelope reaches the rate.
         assert proofs.swing_envelope(row["torque_needed"], *swing).fastest < row["published"]
-        assert proofs.swing_envelope(1.001 * row["torque_needed"], *swing, certified=False).fastest > row["published"]
+        assert proofs.swing_envelope(1.001 * row["torque_needed"], *swing).fastest > row["published"]
 
 
 def test_pages_print_the_bounds_rounded_outwards(rates):
