@@ -77,7 +77,8 @@ faults: $(STAMP)  ## Kill, stop and starve trainings, and damage caches; fail wh
 	$(BIN)/python -m tests.faults --short
 
 fuzz: $(STAMP)  ## Call the environments with many random and invalid arguments; fail where something breaks
-	$(BIN)/python -m pytest -n 2 --hypothesis-profile fuzz tests/capsule_gym/test_arguments.py
+	$(BIN)/python -m pytest -n 2 --hypothesis-profile fuzz tests/capsule_gym/test_arguments.py \
+		tests/capsule_gym/test_fingerprint.py
 
 bits-check: $(STAMP)  ## Compare the bits of whole episodes with the committed ones
 	$(BIN)/python -m tests.bits
@@ -85,7 +86,6 @@ bits-check: $(STAMP)  ## Compare the bits of whole episodes with the committed o
 bits: $(STAMP)  ## The same on every processor that this one can emulate, and the live page's episodes
 	$(BIN)/python -m tests.bits --variants
 	$(BIN)/python -m web.episodes
-	$(BIN)/python -m web.recordings
 
 # What asks whether kernels compiled for other processors agree would compile them a second time.
 CHECKED := $(addprefix tests/capsule_gym/test_,$(addsuffix .py,dynamics simulation resets network observation \

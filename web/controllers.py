@@ -22,7 +22,7 @@ DIRECT = "direct"
 TASKS = (DIRECT, *baselines.__all__)
 # The smallest mass of the platform with which friction up to the largest is accepted, kg.
 LIGHTEST = 0.2
-# Run in the browser by their recorded actions (`web.recordings`), on the frozen plants alone.
+# Run in the browser by their recorded actions (`web.episodes`), on the frozen plants alone.
 RECORDED = ("optimum-nominal", "optimum-oracle")
 
 

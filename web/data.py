@@ -37,9 +37,8 @@ from web.controllers import (
     is_trained,
     task_of,
 )
-from web.episodes import FILE, describe_plant, env_kwargs
+from web.episodes import FILE, OVER, describe_plant, env_kwargs, known_recordings
 from web.modules import COMMON, ENTRIES, STARTS, build
-from web.recordings import OVER, known_recordings
 
 GAITS: dict[str, Callable[[], GaitMap]] = {
     "gait-nominal": lambda: GaitMap((NOMINAL.M,), (NOMINAL.mu,), (tolerant_nominal(),), ((0,),)),
@@ -69,7 +68,7 @@ class Archive:
         return self._keep(f"{rows} {columns}", content, {"rows": rows, "columns": columns})
 
     def add_recordings(self, places: np.ndarray) -> dict[str, Any]:
-        """Keeps what `web.recordings.record` gives; returns what the header says of it."""
+        """Keeps what `web.episodes.record` gives; returns what the header says of it."""
         return {**self.add(places[places != OVER].tobytes()), "steps": (places != OVER).sum(axis=1).tolist()}
 
     def add_generators(self, count: int) -> dict[str, int]:

@@ -1,31 +1,39 @@
-"""Whole episodes by hash, which the module replays: `python -m web.episodes` compares Python's with the committed ones.
+"""Whole episodes that the module replays: `python -m web.episodes` compares Python's with the committed ones.
 
 Every driver has one, on a plant of the frozen set `drift`, whose M and mu jump twice; random torques that each hold for
 a while have two each, without a law and with one. A hash is over the bytes of all steps: each quantity of the
 environment, the law's memory and its line of the reference, float64, and then the observation, float32.
+
+The tables of the optimum's policies are many times the module's size; their torques are few bytes. So the module has
+these instead: for every frozen plant the place in `TORQUES` of each action, which it acts out in its own step.
 """
 
 from __future__ import annotations
 
 import hashlib
+import io
 import json
+import math
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import capsule_gym
-from baselines.policies import SCRIPTED
+from baselines.policies import SCRIPTED, Act
 from capsule_gym.command_line import parse
-from capsule_gym.evaluation_sets import PlantSpec, load_set
+from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, PlantSpec, load_set
 from capsule_gym.files import write_atomically
-from capsule_gym.task import CONTROL_DT, HORIZON
-from web.controllers import controller_names, is_trained
+from capsule_gym.task import CONTROL_DT, EPISODE_STEPS, HORIZON
+from web.controllers import RECORDED, controller_names, is_trained
 
 FILE = Path(__file__).with_name("episodes.json")
+RECORDINGS = Path(__file__).with_name("recordings.npz")
+# In a recording, behind the last action of an episode.
+OVER = 255
 # Random actions and for how many steps each holds, or nothing would move.
 ACTIONS, HOLD = 97, 5
 # The scale of random actions, by the driver that they are added to.
@@ -75,9 +83,50 @@ def compute(episode: Episode) -> tuple[int, str]:
     return step, digest.hexdigest()
 
 
+def record(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
+    """The actions of a policy, as places in `TORQUES`.
+
+    Args:
+        name: one of `RECORDED`.
+        plants: one episode each.
+
+    Returns:
+        Shape (plants, `EPISODE_STEPS`), uint8; `OVER` behind the end of an episode.
+    """
+    # Here, since numba comes with them, which takes most of a second to import.
+    from agents.evaluation.episodes import evaluate
+    from baselines.dynamic_programming.policy import TORQUES
+
+    policy, taken = SCRIPTED[name], []
+
+    def start(seeds: Sequence[int]) -> Act:
+        act = policy.start(seeds)
+
+        def noted(observations: np.ndarray) -> np.ndarray:
+            actions = act(observations)
+            taken.append(actions[:, 0])
+            return actions
+
+        return noted
+
+    episodes = evaluate(replace(policy, start=start), EvaluationSet(name, tuple(plants)))
+    places = np.full((len(plants), EPISODE_STEPS), OVER, np.uint8)
+    for row, actions, episode in zip(places, np.array(taken).T, episodes, strict=True):
+        # An episode may end within its last step.
+        steps = math.ceil(episode["duration"] / CONTROL_DT - 1e-6)
+        row[:steps] = np.searchsorted(TORQUES, actions[:steps])
+    return places
+
+
+def known_recordings() -> dict[str, dict[str, np.ndarray]]:
+    """The committed recordings, by policy and set; each as of `record`."""
+    with np.load(RECORDINGS) as file:
+        return {name: {each: file[f"{name} {each}"] for each in SET_NAMES} for name in RECORDED}
+
+
 @dataclass(frozen=True)
 class Args:
-    """Computes the episodes that the page replays; exit status 1 where they are not the committed ones.
+    """Computes the episodes that the page replays, and the optimum's actions; exit status 1 where they differ.
 
     Examples:
       python -m web.episodes
@@ -85,7 +134,7 @@ class Args:
     """
 
     write: bool = False
-    """Commit new ones: write them to web/episodes.json."""
+    """Commit new ones: write them to web/episodes.json and web/recordings.npz."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -95,15 +144,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for episode in episodes():
         steps, digest = compute(episode)
         found.append({**episode, "steps": steps, "sha256": digest})
+    recorded: dict[str, Any] = {}
+    for name in RECORDED:
+        for each in SET_NAMES:
+            print(f"{name} on {each} ..", file=sys.stderr, flush=True)
+            recorded[f"{name} {each}"] = record(name, load_set(each).plants)
     if args.write:
         write_atomically(FILE, "[\n" + ",\n".join(json.dumps(episode) for episode in found) + "\n]\n")
+        content = io.BytesIO()
+        np.savez_compressed(content, **recorded)
+        write_atomically(RECORDINGS, content.getvalue())
     committed = json.loads(FILE.read_text(encoding="utf-8"))
-    wrong = [episode["name"] for episode in found if episode not in committed]
-    print(
-        *(f"{name}: differs from web/episodes.json" for name in wrong),
-        f"{len(found)} episodes, {len(wrong)} differ",
-        sep="\n",
-    )
+    wrong = [f"{episode['name']}: differs from {FILE.name}" for episode in found if episode not in committed]
+    with np.load(RECORDINGS) as known:
+        differing = [key for key, places in recorded.items() if not np.array_equal(places, known[key])]
+    wrong += [f"{key}: differs from {RECORDINGS.name}" for key in differing]
+    print(*wrong, f"{len(found)} episodes and {len(recorded)} recordings, {len(wrong)} differ", sep="\n")
     return int(bool(wrong or len(found) != len(committed)))
 
 
