@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any, SupportsFloat
 
 import gymnasium as gym
@@ -11,10 +10,9 @@ import numpy as np
 from gymnasium import spaces
 
 from capsule_gym import task
-from capsule_gym.controller import Controller
 from capsule_gym.layout import Row
 from capsule_gym.observation import observation_bounds
-from capsule_gym.parameters import DOCS, RENDER_MODES, Capsule, EnvConfig, Randomization, check_count, written
+from capsule_gym.parameters import RENDER_MODES, EnvConfig, check_count, written
 from capsule_gym.rendering import Renderer
 from capsule_gym.simulation import Simulation, check_seed
 
@@ -159,24 +157,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     # Gymnasium declares it as the instance's, and wrappers change it: each instance gets a copy.
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012
 
-    def __init__(
-        self,
-        *,
-        controller: str | Controller | Callable[[], Controller] | None = EnvConfig.controller,
-        residual_limit: float | None = EnvConfig.residual_limit,
-        torque_limit: float = EnvConfig.torque_limit,
-        randomization: str | Randomization = EnvConfig.randomization,
-        capsule: Capsule | None = EnvConfig.capsule,
-        observe_parameters: bool = EnvConfig.observe_parameters,
-        energy_weight: float = EnvConfig.energy_weight,
-        termination_penalty: float = EnvConfig.termination_penalty,
-        initial_noise: float = EnvConfig.initial_noise,
-        control_dt: float = EnvConfig.control_dt,
-        physics_dt: float | None = EnvConfig.physics_dt,
-        render_mode: str | None = EnvConfig.render_mode,
-    ) -> None:
-        arguments = {name: value for name, value in locals().items() if name in DOCS}
-        self.simulation = make_simulation(1, EnvConfig(**arguments))
+    def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
+        self.simulation = make_simulation(1, EnvConfig(render_mode=render_mode, **options))
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": round(1.0 / self.simulation.options.control_dt)}
         self.action_space, self.observation_space = make_spaces(self.simulation)

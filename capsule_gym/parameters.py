@@ -1,7 +1,6 @@
 """What an environment is made of: the plant's constants, their randomisation, and the options, all checked here.
 
-`CapsuleEnv` and `CapsuleVectorEnv` write the options out in their signatures and docstrings, where editors and pages
-look for them; `tests/capsule_gym/test_parameters.py` compares those with `EnvConfig`.
+`EnvConfig` has the options of `CapsuleEnv` and `CapsuleVectorEnv`; the table of the former's docstring has their lines.
 """
 
 # ruff: noqa: RUF009 (`_option` returns a field of the dataclass)

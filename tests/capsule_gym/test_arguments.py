@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-import inspect
+import dataclasses
 import re
 from collections.abc import Callable
 from functools import lru_cache
@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization
+from capsule_gym.parameters import EnvConfig
 from capsule_gym.simulation import CHANGE, MOST_ENVS
 
 # That the imaginary parts of complex actions are discarded may be said.
@@ -72,11 +73,14 @@ def check_reset(env: Any, names: tuple[str, ...] = (), **arguments: Any) -> None
 
 
 def names_of(kind: type) -> list[str]:
-    return list(inspect.signature(kind).parameters)
+    return [each.name for each in dataclasses.fields(kind)]
+
+
+OWN = {CapsuleEnv: (), CapsuleVectorEnv: ("num_envs", "max_episode_steps", "autoreset_mode")}
 
 
 @pytest.mark.parametrize(
-    ("kind", "name"), [(kind, name) for kind in (CapsuleEnv, CapsuleVectorEnv) for name in names_of(kind)]
+    ("kind", "name"), [(kind, name) for kind, own in OWN.items() for name in (*own, *names_of(EnvConfig))]
 )
 @given(value=anything | likely)
 def test_an_argument_of_an_environment(kind, name, value):

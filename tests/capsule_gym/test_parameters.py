@@ -194,12 +194,9 @@ FIELDS = {field.name: field for field in dataclasses.fields(EnvConfig)}
 NUMBERS = [name for name, field in FIELDS.items() if "float" in field.type]
 
 
-def test_the_signature_and_the_page_of_the_environment_list_the_options():
-    parameters = inspect.signature(CapsuleEnv).parameters
-    assert list(parameters) == [name for name in FIELDS if name != "threads"]
+def test_the_page_of_the_environment_lists_the_options():
     page = inspect.getdoc(CapsuleEnv)
-    for name, parameter in parameters.items():
-        assert parameter.default is FIELDS[name].default or parameter.default == FIELDS[name].default
+    for name in [name for name in FIELDS if name != "threads"]:
         assert re.search(rf"^\| `{name}` \| .* \| {re.escape(DOCS[name])} \|$", page, re.MULTILINE), name
 
 
