@@ -55,25 +55,22 @@ class Args:
         check_output("--json", self.json, overwrite=self.overwrite)
 
 
-def comparison_table(name: str, episodes: Sequence[Episode], reference: str, others: Sequence[Episode] | None) -> str:
+def comparison_table(name: str, episodes: Sequence[Episode], reference: str, others: Sequence[Episode]) -> str:
     """Metrics as rows; the policy, the reference and the paired difference as columns.
 
     Args:
         name: of the policy.
         episodes: the policy's.
         reference: name of the reference.
-        others: the reference's episodes on the same set; None leaves the last two columns out.
+        others: the reference's episodes on the same set.
     """
-    own = summarise(episodes)
-    theirs = None if others is None else summarise(others)
-    rows = [["", name] if theirs is None else ["", name, reference, "difference"]]
+    own, theirs = summarise(episodes), summarise(others)
+    rows = [["", name, reference, "difference"]]
     for metric in TABLE_METRICS.values():
-        cells = [metric.label, metric.with_interval(own[metric.name])]
-        if theirs is not None and others is not None:
-            paired = paired_difference(scores(episodes, metric.name), scores(others, metric.name)).to_dict()
-            cells += [metric.with_interval(theirs[metric.name]), metric.with_interval(paired, sign=True)]
-        rows.append(cells)
-    rows.append(["failures", *(f"{each['failures']}/{each['episodes']}" for each in (own, theirs) if each)])
+        paired = paired_difference(scores(episodes, metric.name), scores(others, metric.name)).to_dict()
+        values = [metric.with_interval(each[metric.name]) for each in (own, theirs)]
+        rows.append([metric.label, *values, metric.with_interval(paired, sign=True)])
+    rows.append(["failures", *(f"{each['failures']}/{each['episodes']}" for each in (own, theirs))])
     return text_table(rows)
 
 
@@ -89,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ValueError as error:
         refuse(PROG, str(error))
     episodes = evaluate(candidate, evaluation_set)
-    others = None if args.policy == args.against else evaluate(reference, evaluation_set)
+    others = episodes if args.policy == args.against else evaluate(reference, evaluation_set)
     summary = summarise(episodes)
     # Written before anything is printed: a closed pipe must not lose the result.
     if args.json is not None:
@@ -100,10 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"{candidate.name} on the set {evaluation_set.name} ({count})\n")
     print(comparison_table(candidate.name, episodes, reference.name, others))
     print(f"\nInterquartile means with 95 % intervals; what is resampled: {summary['resampled']}.")
-    if others is not None:
-        print(f"Differences to {reference.name} are taken episode by episode.")
-    if args.json is not None:
-        print(f"\nWritten to {args.json}")
+    print(f"Differences to {reference.name} are taken episode by episode.")
     return 0
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -133,7 +132,7 @@ def train(args: Args) -> tuple[list[list[str]], dict[str, str]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit status."""
-    args, began = parse(Args, PROG, arguments), time.monotonic()
+    args = parse(Args, PROG, arguments)
     try:
         lines, failed = train(args)
     except (RunError, OSError) as error:
@@ -143,7 +142,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
     print(text_table([HEADER, *lines], left=1))
     print("\nexpected: the 95 % prediction interval of the published runs (normal, Student's t) for one more run.")
-    print(f"It took {(time.monotonic() - began) / 60.0:.0f} minutes.")
     for row, reason in failed.items():
         print(f"{row} failed: {reason}", file=sys.stderr)
     return 1 if failed or any(line[-1] == "below" for line in lines) else 0

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.analysis.data import SPEED, Learning, Results, fronts
+from agents.analysis.data import SPEED, Learning, fronts
 from agents.evaluation.statistics import (
     Curve,
     estimate,
@@ -40,19 +40,6 @@ def write_with(draw: Callable[..., Any], *arguments: Any) -> Callable[[Path], li
             return save(draw(*arguments), stem)
 
     return write
-
-
-def figures_of(results: Results) -> dict[str, Callable[[Path], Any]]:
-    """The figures that there is data for, by their path in docs/."""
-    trained = results.trained
-    found = {"transport": write_with(draw_transport, results.rows)}
-    if trained:
-        found["profiles"] = write_with(draw_profiles, trained, results.shown_sets)
-    if len(trained) > 1:
-        found["improvement"] = write_with(draw_improvement, trained, results.shown_sets)
-    if results.learning:
-        found["learning"] = write_with(draw_learning, results.learning)
-    return {f"figures/statistics_{name}": write for name, write in found.items()}
 
 
 def panels(names: Sequence[str], top: float, columns: int = 4, height: float = 1.3) -> tuple[Any, Iterator[Any]]:

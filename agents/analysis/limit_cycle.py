@@ -28,8 +28,7 @@ MAX_SWINGS, NEARLY = 6, 1.25
 # States closer than this, in standard deviations, count as the same: the error of a section between samples.
 SAME = 0.02
 # Phases of the contact by the sign of the displacement.
-PHASES = {1: "slips forward", 0: "sticks", -1: "slips backward"}
-SHADES = {1: "#dcebf5", 0: "#c9ced6", -1: "#fbe3d3"}
+PHASES = {1: ("slips forward", "#dcebf5"), 0: ("sticks", "#c9ced6"), -1: ("slips backward", "#fbe3d3")}
 # Characters of a title in a panel of a fifth of the width.
 TITLE = 17
 
@@ -134,7 +133,7 @@ def draw(cycles: Sequence[Cycle]) -> Any:
         for phase, group in itertools.groupby(np.sign(np.diff(recording.x)).tolist()):
             end = begin + len(list(group))
             for axes in column[:-1]:
-                axes.axvspan(t[begin], t[end], color=SHADES[phase], linewidth=0.0)
+                axes.axvspan(t[begin], t[end], color=PHASES[phase][1], linewidth=0.0)
             begin = end
         for axes in column[:-1]:
             axes.set_xlim(0.0, t[-1])
@@ -155,7 +154,7 @@ def draw(cycles: Sequence[Cycle]) -> Any:
     for axes, label in zip(grid[:, 0], labels, strict=True):
         axes.set_ylabel(label)
     figure.align_ylabels(grid[:, 0])
-    patches = [Patch(color=SHADES[phase], label=name) for phase, name in PHASES.items()]
+    patches = [Patch(color=shade, label=name) for name, shade in PHASES.values()]
     figure.legend(handles=patches, loc="outside upper left", ncols=len(patches))
     add_note(
         figure,

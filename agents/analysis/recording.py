@@ -171,7 +171,12 @@ def document(policies: Sequence[str] = ()) -> Document:
         policies: names or paths; by default those of the site.
     """
     media: dict[str, Any] = {f"media/{Path(name).name}.gif": partial(animate, name) for name in policies or POLICIES}
-    return Document(figures={**media, "figures/gallery.png": partial(compare, policies[:4] or COMPARED)})
+
+    def compare(path: Path) -> None:
+        names = policies[:4] or COMPARED
+        draw_comparison([record(find_candidate(name).policies[0], name=name) for name in names], path)
+
+    return Document(figures={**media, "figures/gallery.png": compare})
 
 
 def animate(name: str, path: Path) -> None:
@@ -179,8 +184,3 @@ def animate(name: str, path: Path) -> None:
     policy, end = find_candidate(name).policies[0], BEGIN + SECONDS
     recording = record(policy, seconds=end, frames_from=BEGIN, frame_seconds=GALLERY_FRAME_SECONDS, name=name)
     write_gif(recording.frames, path, GALLERY_FRAME_SECONDS, 480)
-
-
-def compare(names: Sequence[str], path: Path) -> None:
-    """Writes the figure that compares policies."""
-    draw_comparison([record(find_candidate(name).policies[0], name=name) for name in names], path)

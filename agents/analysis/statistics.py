@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
-from agents.analysis import figures
 from agents.analysis.data import SPEED, Document, Results, gather
+from agents.analysis.figures import draw_improvement, draw_learning, draw_profiles, draw_transport, write_with
 from agents.evaluation import policies as evaluation_policies
 from agents.evaluation.episodes import TABLE_METRICS
 from agents.evaluation.policies import BASELINE
@@ -36,7 +37,19 @@ def document(policies: Sequence[str] = ()) -> Document:
         "differences": differences(results),
         "learning": learning(results),
     }
-    return Document(sections, figures.figures_of(results))
+    return Document(sections, figures_of(results))
+
+
+def figures_of(results: Results) -> dict[str, Callable[[Path], Any]]:
+    """The figures that there is data for, by their path in docs/."""
+    trained, shown = results.trained, results.shown_sets
+    found = {"transport": write_with(draw_transport, results.rows)}
+    if trained:
+        found["profiles"] = write_with(draw_profiles, trained, shown)
+        found["improvement"] = write_with(draw_improvement, trained, shown)
+    if results.learning:
+        found["learning"] = write_with(draw_learning, results.learning)
+    return {f"figures/statistics_{name}": write for name, write in found.items()}
 
 
 def failures(results: Results) -> str:

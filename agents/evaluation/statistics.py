@@ -18,7 +18,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from functools import partial
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,6 +28,7 @@ RESAMPLES = 4000
 CONFIDENCE = 0.95
 BOOTSTRAP_SEED = 2018
 AT_ONCE = 100
+_mean: Any = partial(np.mean, axis=-1)
 
 Unit = Literal["seeds", "episodes", "nothing"]
 
@@ -187,10 +189,6 @@ def probability_of_improvement(scores: ArrayLike, reference: ArrayLike) -> Estim
     won = array[:, None, :] > other[None, :, :]
     tied = array[:, None, :] == other[None, :, :]
     return _over_pairs(_means_of_seeds(won + 0.5 * tied), _mean)
-
-
-def _mean(values: np.ndarray) -> np.ndarray:
-    return np.asarray(values.mean(axis=-1))
 
 
 def _means_of_seeds(values: np.ndarray) -> np.ndarray:

@@ -153,8 +153,7 @@ def main(arguments: Sequence[str] | None = None, *, root: Path = ROOT) -> int:
         names = [candidate.name for candidate in candidates]
         unknown = [name for name in args.names if name not in names]
         if unknown:
-            near = nearest(unknown[0], names)
-            raise ValueError(f"names must be out of {', '.join(names)}, got {', '.join(unknown)}{near}")
+            raise ValueError(f"names must be out of {', '.join(names)}, got {unknown[0]}{nearest(unknown[0], names)}")
     except ValueError as error:
         refuse(COMMAND, str(error))
     chosen = [] if args.from_results else [each for each in candidates if each.name in (args.names or names)]
