@@ -6,6 +6,9 @@ TRAIN_ARGS ?=
 BIN := .venv/bin
 STAMP := .venv/.installed
 
+# Without its bytecode on disk every process that imports torch compiles it anew, for five seconds.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help train test examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression faults fuzz bits bits-check boundscheck check clean
 
@@ -15,9 +18,11 @@ help:  ## List the targets
 train: $(STAMP)  ## Set everything up and train the default agent (TRAIN_ARGS="--help" for more)
 	$(BIN)/python train.py $(TRAIN_ARGS)
 
-# The tests of a file share compiled laws and fixtures, and stay together.
+# A worker that has no tests left takes those at the end of the other's: neighbours share fixtures. Each keeps to one
+# core, or torch's threads would wait for one another.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 test: $(STAMP)  ## Set everything up and run the tests (PYTEST_ARGS="-k kernels" for some)
-	$(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST_ARGS)
+	$(PYTEST) $(PYTEST_ARGS)
 
 # Those whose library is missing are skipped: each has an extra of its own, and they do not all go together.
 examples: export EXAMPLES = 1
@@ -32,7 +37,7 @@ notebooks: $(STAMP)  ## Run the notebooks, and keep what they show
 # Up to a half longer than the tests alone before Python 3.12, hardly since. The floor stands in pyproject.toml.
 coverage: $(STAMP)  ## Run the tests and measure their coverage, which must reach its floor
 	COVERAGE_CORE=$$($(BIN)/python -c "import sys; print('sysmon' if sys.version_info >= (3, 12) else 'ctrace')") \
-		$(BIN)/python -m pytest -n 2 --dist loadfile --cov $(PYTEST_ARGS)
+		$(PYTEST) --cov $(PYTEST_ARGS)
 
 venv: $(STAMP)  ## Create .venv with the pinned versions (PYTHON=python3.12 chooses the interpreter)
 
@@ -92,7 +97,7 @@ CHECKED := $(addprefix tests/capsule_gym/test_,$(addsuffix .py,dynamics simulati
 	rollout env vector_env)) tests/baselines/laws tests/agents/training/test_collection.py
 boundscheck: export NUMBA_BOUNDSCHECK = 1
 boundscheck: $(STAMP)  ## Run the kernels with every index checked: their tests, and the episodes whose bits are committed
-	$(BIN)/python -m pytest -n 2 --dist loadfile $(CHECKED) -k "not libraries"
+	$(PYTEST) $(CHECKED) -k "not libraries"
 	$(BIN)/python -m tests.bits
 
 check: lint types docs leaderboard-check regression faults fuzz bits boundscheck  ## All checks but the tests

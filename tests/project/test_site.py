@@ -80,15 +80,6 @@ def test_rankings_link_to_the_live_page(hooks, page) -> None:
     assert hooks.on_page_content(rows, page) == rows
 
 
-def test_numbers_of_tables_do_not_break_and_figures_open(hooks, page) -> None:
-    page.file.src_uri = "physics.md"
-    found = hooks.on_page_content('<a title="5 %">5 %</a>' + table(["mu"], ["2.1e-12 (1e-9)"], ["3.5 %, x 2.0"]), page)
-    assert re.findall('<span class="number">(.*?)</span>', found) == ["2.1e-12", "1e-9", "3.5 %", "x 2.0"]
-    image = '<img alt="a" src="../figures/a.png" />'
-    found = hooks.on_page_content(f'{image}<img src="../media/b.gif" />', page)
-    assert found.endswith(f'{image}</a><img src="../media/b.gif" />') and found.startswith('<a href="../figures/a.png"')
-
-
 def test_a_link_to_a_scene_leads_to_the_live_page(hooks, page) -> None:
     found = hooks.on_page_markdown("See [it](live.md#driver=epc&M=0.5&t=2), [live](live.md).", page)
     assert found == 'See <a href="../live/index.html#driver=epc&amp;M=0.5&amp;t=2">it</a>, [live](live.md).'
