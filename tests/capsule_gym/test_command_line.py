@@ -60,15 +60,6 @@ def test_a_wrong_command_line_ends_with_2_and_says_what_is_wrong(words, said, ca
     assert said.lower() in capsys.readouterr().err.lower()
 
 
-def test_help_tells_what_the_dataclass_says(capsys):
-    with pytest.raises(SystemExit) as ended:
-        read("--help")
-    assert ended.value.code == 0
-    shown = capsys.readouterr().out
-    for said in ("python -m count", "Counts things.", "what is counted", "how many", "100", "without waiting"):
-        assert said in shown
-
-
 @pytest.mark.parametrize(("variable", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False), ({"TERM": "dumb"}, False)])
 def test_help_has_colours_on_a_terminal_unless_they_are_not_wanted(monkeypatch, capsys, variable, coloured):
     monkeypatch.delenv("NO_COLOR", raising=False)

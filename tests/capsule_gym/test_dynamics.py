@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -200,36 +199,6 @@ def test_fourth_order_through_dozens_of_events():
 # Events inside one step
 
 
-def test_several_events_in_one_large_step():
-    rng = np.random.default_rng(42)
-    h = 0.05
-    counts = []
-    kinds = set()
-    for _ in range(900):
-        capsule = Capsule(mu=rng.uniform(0.02, 0.3))
-        state = (rng.uniform(-1.2, 1.2), rng.uniform(-6, 6), 0.0, rng.uniform(-0.02, 0.02))
-        u = rng.uniform(-1.0, 1.0)
-        motion = reference.step(*state, u, capsule.plant(), h)
-        if motion.events < 2:
-            continue
-        expected = reference.simulate([u], state, capsule.plant(), hold=h)
-        if len(expected.events) != motion.events:
-            # A graze that a large step may miss must be one: refining the step has to recover it.
-            fine = reference.run(np.array([u]), state, capsule.plant(), h, 100)
-            assert fine.events[-1] == len(expected.events)
-            continue
-        counts.append(motion.events)
-        kinds.update(event[1:] for event in expected.events)
-        assert np.abs(np.array(motion[:4]) - expected.states[-1]).max() < 0.02
-        assert abs(motion.stuck - expected.stuck[-1]) < 2e-3
-        assert motion.forward == pytest.approx(expected.forward[-1], abs=2e-4)
-        assert motion.backward == pytest.approx(expected.backward[-1], abs=2e-4)
-        assert motion.forward - motion.backward == pytest.approx(motion.x, abs=1e-15)
-    assert len(counts) >= 25
-    assert max(counts) >= 3
-    assert {(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, -1.0), (-1.0, 1.0)} <= kinds
-
-
 def test_a_load_at_the_limit_to_the_last_bit_neither_hangs_nor_chatters():
     rng = np.random.default_rng(43)
     nearly = 1.0 + np.array([0.0, 0.0, 2.3e-16, -1.2e-16, 1e-15, -1e-15, 1e-12, -1e-12, 1e-6])
@@ -312,23 +281,3 @@ def test_python_and_compiled_steps_are_equal_bit_for_bit():
         assert interpreted == compiled
         events += interpreted.events
     assert events > 150
-
-
-def test_the_step_does_not_depend_on_where_the_platform_is_and_mirrors():
-    rng = np.random.default_rng(51)
-    for _ in range(200):
-        capsule = Capsule(mu=0.05)
-        p = capsule.plant()
-        state = np.array((rng.uniform(-1.2, 1.2), rng.uniform(-6, 6), 0.0, rng.choice([0.0, rng.uniform(-0.02, 0.02)])))
-        u = rng.uniform(-1, 1)
-        motion = reference.step(*state, u, p, 0.005)
-        mirrored = reference.step(*-state, -u, p, 0.005)
-        assert -np.array(mirrored[:4]) == pytest.approx(np.array(motion[:4]), abs=1e-15)
-        assert (mirrored.forward, mirrored.backward) == pytest.approx((motion.backward, motion.forward), abs=1e-15)
-        assert (mirrored.stuck, mirrored.events) == (motion.stuck, motion.events)
-        moved = reference.step(state[0], state[1], 4.0, state[3], u, p, 0.005)
-        assert moved.x - 4.0 == pytest.approx(motion.x, abs=4e-15)
-        rough_backwards = replace(capsule, backward_ratio=3.0).plant()
-        if motion.backward == 0.0 and motion.stuck == 0.0:
-            # What only acts backwards cannot show while the platform moves forwards.
-            assert reference.step(*state, u, rough_backwards, 0.005) == motion

@@ -53,9 +53,7 @@ def test_the_checker_is_silent_and_observations_lie_within_tight_bounds(kwargs):
     "kwargs",
     [
         {"randomization": Randomization(M=(0.3, 9.0), mu=(0.001, 3.0))},
-        {"randomization": Randomization(M=(5.0, 5.0), mu=(0.1, 3.0), log_mu=True)},
         {"capsule": Capsule(M=0.05)},
-        {"capsule": Capsule(mu=1.7), "randomization": "none"},
         {"capsule": Capsule(M=0.1, mu=0.7)},
     ],
 )

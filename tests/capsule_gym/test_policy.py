@@ -182,24 +182,6 @@ def test_another_energy_weight_is_told_and_nothing_else_changes():
             policy.with_energy_weight(weight)
 
 
-def test_a_wanted_torque_takes_the_laws_off():
-    env_kwargs = {"controller": "baselines:adaptive", "residual_limit": 3.0}
-    weights = np.zeros((1, 10), np.float32)
-    policy = make_policy(**{**TEN_ENTRIES, "layers": ((weights, np.full(1, 0.4, np.float32)),)}, env_kwargs=env_kwargs)
-    wanting = replace(policy, output="torque")
-    observation = np.zeros(10, np.float32)
-    observation[9] = -0.9
-    # The environment gives that torque, whatever the law asks for.
-    env = gym.make(capsule_gym.ENV_ID, **env_kwargs)
-    observation, _ = env.reset(seed=0)
-    for _ in range(5):
-        law_torque = observation[9]
-        action = wanting(observation)
-        assert law_torque + 3.0 * action[0] == pytest.approx(0.6, abs=1e-6)
-        observation, *_ = env.step(action)
-    env.close()
-
-
 # Pretrained policies.
 
 
