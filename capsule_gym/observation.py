@@ -19,18 +19,12 @@ X_DOT_BOUND = 2.0
 M_BOUND = 4.0
 MU_BOUND = 1.0
 
-BASE_OBSERVATION = ("theta", "theta_dot", "x_dot", "stick", "last_action")
-REFERENCE_OBSERVATION = ("theta_d", "theta_d_dot", "sin_phase", "cos_phase", "law_torque")
-PARAMETER_OBSERVATION = ("M", "mu")
-
 
 def observation_names(with_reference: bool, with_parameters: bool) -> tuple[str, ...]:
     """The entries of the observation, in order."""
-    return (
-        BASE_OBSERVATION
-        + (REFERENCE_OBSERVATION if with_reference else ())
-        + (PARAMETER_OBSERVATION if with_parameters else ())
-    )
+    reference = ("theta_d", "theta_d_dot", "sin_phase", "cos_phase", "law_torque") if with_reference else ()
+    parameters = ("M", "mu") if with_parameters else ()
+    return ("theta", "theta_dot", "x_dot", "stick", "last_action", *reference, *parameters)
 
 
 def parameter_bounds(capsule: Capsule, randomization: Randomization) -> tuple[float, float]:

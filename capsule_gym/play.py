@@ -62,15 +62,7 @@ class Game:
         """
         if name in LEFT | RIGHT:
             self._held = [held for held in self._held if held != name] + [name] * pressed
-        elif pressed:
-            self._command(name)
-        # The key that was pressed last wins.
-        side = 0.0 if not self._held else 1.0 if self._held[-1] in LEFT else -1.0
-        self.action = side * STRENGTHS[self._strength]
-
-    def _command(self, name: str) -> None:
-        """What a key does at the moment it is pressed."""
-        match name:
+        match name if pressed else "":
             case "n":
                 self.begin(self._number + 1)
             case "r":
@@ -83,6 +75,9 @@ class Game:
                 self._strength = max(self._strength - 1, 0)
             case "q" | "escape":
                 self.over = True
+        # The key that was pressed last wins.
+        side = 0.0 if not self._held else 1.0 if self._held[-1] in LEFT else -1.0
+        self.action = side * STRENGTHS[self._strength]
 
     def tick(self, seconds: float) -> None:
         """Advances the game by that much time of the player, s."""
