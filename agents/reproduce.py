@@ -16,12 +16,13 @@ from agents.distillation.config import STUDENTS
 from agents.evaluation.episodes import evaluate, failures, scores
 from agents.evaluation.policies import checkpoint_names
 from agents.evaluation.statistics import interquartile_mean
-from agents.study.jobs import check_jobs, evaluations, plan, train_all
+from agents.study.jobs import evaluations, plan, train_all
 from agents.training.presets import LARGEST_SEED, ROWS, RunError, row_settings
 from agents.training.signals import INTERRUPTED
 from baselines.tables import text_table
 from capsule_gym.command_line import Count, Positional, parse, refuse
 from capsule_gym.evaluation_sets import load_set
+from capsule_gym.parameters import check_count
 
 PROG = "python -m agents.reproduce"
 # Trained with reinforcement learning, or distilled from the optimum.
@@ -59,7 +60,8 @@ class Args:
                 row_settings(row)
         if self.seed > LARGEST_SEED:
             raise ValueError(f"--seed must be an integer >= 0 and <= {LARGEST_SEED}, got {self.seed}")
-        check_jobs(self.jobs)
+        if self.jobs is not None:
+            check_count("--jobs", self.jobs)
 
 
 def prediction_interval(values: Sequence[float]) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from tyro.conf import arg
 from agents.distillation.config import STUDENTS
 from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, evaluate, failures, scores
 from agents.evaluation.statistics import estimate, paired_difference
-from agents.study.jobs import seeds_of
+from agents.study.jobs import check_seeds
 from agents.training.presets import RunError
 from agents.training.signals import INTERRUPTED
 from baselines.tables import text_table
@@ -33,13 +33,13 @@ class Args:
     Finished runs are skipped. Ctrl-C stops; the best policy so far is in the run's folder.
 
     Examples:
-      python -m agents.distillation --seeds 0-4
+      python -m agents.distillation --seeds {0..4}
       python -m agents.distillation optimum-distilled-wide --seeds 0
     """
 
     name: Annotated[Positional[str], arg(metavar="NAME", help=f"One of {', '.join(STUDENTS)}.")] = "optimum-distilled"
-    seeds: Annotated[tuple[str, ...], arg(metavar="N")] = ("0-2",)
-    """Training seeds, and ranges of them such as 0-9."""
+    seeds: Annotated[tuple[int, ...], arg(metavar="N")] = (0, 1, 2)
+    """Training seeds."""
     runs: Path = RUNS
     """Folder of the runs."""
 
@@ -47,7 +47,7 @@ class Args:
         """Raises an error for students and seeds that do not exist."""
         if self.name not in STUDENTS:
             raise ValueError(f"NAME must be one of {', '.join(STUDENTS)}, got {self.name!r}")
-        seeds_of(self.seeds)
+        check_seeds(self.seeds)
 
 
 def comparison(name: str, folders: Sequence[Path]) -> str:
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Imported after the command line is checked: --help does not need torch.
     from agents.distillation.dagger import distil_all
 
-    folders = {seed: args.runs / args.name / f"seed-{seed}" for seed in seeds_of(args.seeds)}
+    folders = {seed: args.runs / args.name / f"seed-{seed}" for seed in args.seeds}
     try:
         if not distil_all(args.name, folders):
             print("Stopped; the best policy so far is kept.")

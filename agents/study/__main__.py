@@ -11,10 +11,11 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from agents.study.jobs import Backend, check_jobs, plan, publish, results_table, seeds_of, train_all
+from agents.study.jobs import Backend, check_seeds, plan, publish, results_table, train_all
 from agents.training.presets import ROWS, RunError, row_settings
 from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Positional, parse, refuse
+from capsule_gym.parameters import check_count
 
 PROG = "python -m agents.study"
 
@@ -27,14 +28,14 @@ class Args:
     A run that fails does not stop the others; the exit status is then 1.
 
     Examples:
-      python -m agents.study direct-ppo --seeds 0-9
-      python -m agents.study direct-ppo residual-ppo --seeds 0-4 7 --jobs 4
-      python -m agents.study direct-ppo --seeds 0-9 --publish
+      python -m agents.study direct-ppo --seeds {0..9}
+      python -m agents.study direct-ppo residual-ppo --seeds {0..4} 7 --jobs 4
+      python -m agents.study direct-ppo --publish
     """
 
     rows: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME", help=f"Which of {', '.join(ROWS)}.")]
-    seeds: Annotated[tuple[str, ...], arg(metavar="N")] = ("0-9",)
-    """Training seeds, and ranges of seeds such as 0-9."""
+    seeds: Annotated[tuple[int, ...], arg(metavar="N")] = tuple(range(10))
+    """Training seeds."""
     jobs: int | None = None
     """Number of runs in parallel; one per core by default."""
     backend: Backend = "loky"
@@ -50,8 +51,9 @@ class Args:
             raise ValueError(f"NAME must be one or several of {', '.join(ROWS)}")
         for row in self.rows:
             row_settings(row)
-        seeds_of(self.seeds)
-        check_jobs(self.jobs)
+        check_seeds(self.seeds)
+        if self.jobs is not None:
+            check_count("--jobs", self.jobs)
         if self.backend == "ray" and find_spec("ray") is None:
             raise ValueError("--backend ray needs Ray: pip install 'capsule-gym[cluster]'")
 
@@ -60,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit status."""
     args = parse(Args, PROG, arguments)
     try:
-        jobs = plan({row: row_settings(row) for row in args.rows}, seeds_of(args.seeds), args.runs)
+        jobs = plan({row: row_settings(row) for row in args.rows}, args.seeds, args.runs)
         failures = train_all(jobs, args.jobs, args.backend)
     except (RunError, OSError) as error:
         refuse(PROG, str(error))

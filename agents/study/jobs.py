@@ -10,6 +10,7 @@ import re
 import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +18,7 @@ from agents.evaluation.policies import CHECKPOINTS
 from agents.training.presets import BEST, CONFIG, EVALUATIONS, LARGEST_SEED, Config, RunError, read_config
 from baselines.tables import text_table
 from capsule_gym.files import to_json, write_atomically
+from capsule_gym.parameters import check_integer
 from capsule_gym.policy import POLICY
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -27,6 +29,7 @@ Backend = Literal["loky", "ray"]
 # A line of evaluations.csv by its columns: `steps`, `seconds` and `core_seconds` of training so far, `mean_speed_cm_s`,
 # the share of episodes that `failed` and `score_cm_s` (which selects the best policy).
 Evaluation = dict[str, float]
+score = itemgetter("score_cm_s")
 
 
 @dataclass(frozen=True)
@@ -54,37 +57,14 @@ class Job:
         return (self.run / FINISHED).is_file()
 
 
-def seeds_of(words: Sequence[str], option: str = "--seeds") -> list[int]:
-    """Parses training seeds from the words of a command line; sorted, each once.
-
-    Args:
-        words: seeds, and ranges of seeds.
-        option: name of the option, for the error.
+def check_seeds(seeds: Sequence[int]) -> None:
+    """Checks the training seeds of a command line.
 
     Raises:
-        ValueError: if a word is neither a seed nor a range of seeds.
-
-    >>> seeds_of(["0-2", "7"])
-    [0, 1, 2, 7]
+        ValueError: if one is out of range.
     """
-    seeds: set[int] = set()
-    for word in words:
-        match = re.fullmatch(r"(\d+)(?:-(\d+))?", word)
-        first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
-        if not first <= last <= LARGEST_SEED:
-            raise ValueError(f"{option} must be integers and ranges such as 0-9 up to {LARGEST_SEED}, got {word!r}")
-        seeds.update(range(first, last + 1))
-    return sorted(seeds)
-
-
-def check_jobs(jobs: int | None) -> None:
-    """Checks the number of runs that are trained in parallel.
-
-    Raises:
-        ValueError: if it is below one.
-    """
-    if jobs is not None and jobs < 1:
-        raise ValueError(f"--jobs must be an integer >= 1, got {jobs}")
+    for seed in seeds:
+        check_integer("--seeds", seed, f"integers from 0 to {LARGEST_SEED}", 0, LARGEST_SEED)
 
 
 def plan(settings: Mapping[str, Config], seeds: Sequence[int], folder: Path) -> list[Job]:
@@ -194,40 +174,16 @@ def evaluations(run: Path) -> list[Evaluation]:
     return [{name: float(value) for name, value in row.items()} for row in rows]
 
 
-def best(lines: Sequence[Evaluation]) -> Evaluation | None:
-    """The evaluation of a run's best policy; None if it has none yet."""
-    return max(lines, key=lambda line: line["score_cm_s"], default=None)
-
-
 def results_table(jobs: Sequence[Job]) -> str:
     """The runs as a table, each with the evaluation of its best policy."""
     rows = [["run", "steps", "best at", "cm/s", "failed"]]
     for job in jobs:
         lines = evaluations(job.run)
-        chosen = best(lines)
-        if chosen is not None:
+        if lines:
+            chosen = max(lines, key=score)
             steps = (f"{line['steps']:,.0f}" for line in (lines[-1], chosen))
             rows.append([job.name, *steps, f"{chosen['mean_speed_cm_s']:.2f}", f"{chosen['failed']:.1%}"])
     return text_table(rows, left=1)
-
-
-def revision_of(run: Path) -> str:
-    """The git revision that a run was begun at."""
-    return str(json.loads((run / CONFIG).read_text(encoding="utf-8")).get("revision"))
-
-
-def check_revision(run: Path, revision: str) -> None:
-    """Checks that a run was begun at a revision that can be checked out.
-
-    Args:
-        run: its folder.
-        revision: as `agents.training.checkpoint.git_revision` returns it.
-
-    Raises:
-        RunError: if it is not a commit, or had uncommitted changes.
-    """
-    if not re.fullmatch(r"[0-9a-f]+", revision):
-        raise RunError(f"{run} must be begun at a revision with nothing uncommitted, got {revision!r}: train it again")
 
 
 def publish(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
@@ -244,7 +200,11 @@ def publish(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
     if not job.finished:
         raise RunError(f"{job.run} is not finished")
     check_settings(job)
-    check_revision(job.run, revision_of(job.run))
+    revision = json.loads((job.run / CONFIG).read_text(encoding="utf-8")).get("revision")
+    if not re.fullmatch(r"[0-9a-f]+", str(revision)):
+        raise RunError(
+            f"{job.run} must be begun at a revision with nothing uncommitted, got {revision!r}: train it again"
+        )
     policy, evaluated = ((job.run / name).read_bytes() for name in (f"{BEST}/{POLICY}", EVALUATIONS))
     folder = checkpoints / job.row / f"seed-{job.config.seed}"
     folder.mkdir(parents=True, exist_ok=True)

@@ -19,11 +19,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import arg
 
 from agents.evaluation.episodes import versions
-from agents.study.jobs import Job, best, check_settings, evaluations, train_job
+from agents.study.jobs import Job, check_settings, evaluations, score, train_job
 from agents.training.presets import Algorithm, Config, OffPolicyConfig, RunError, named_settings
 from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Count, Positional, parse, refuse
 from capsule_gym.files import canonical_hash, to_json, write_atomically
+from capsule_gym.parameters import check_count
 
 if TYPE_CHECKING:
     from optuna import Study, Trial
@@ -118,8 +119,7 @@ class Args:
     def check(self) -> None:
         """Checks names and ranges."""
         self.settings().check()
-        if self.trials < 1:
-            raise ValueError(f"--trials must be an integer >= 1, got {self.trials}")
+        check_count("--trials", self.trials)
         if find_spec("optuna") is None:
             raise ValueError("tuning needs Optuna: pip install 'capsule-gym[tune]'")
 
@@ -177,10 +177,9 @@ def objective(trial: Trial, base: Config, folder: Path) -> float:
             process.terminate()
             process.join()
         trial.set_user_attr("evaluations", lines)
-    chosen = best(lines)
-    if chosen is None or not job.finished:
+    if not (lines and job.finished):
         raise RunError(f"trial {trial.number} failed, see {job.run}.log")
-    return chosen["score_cm_s"]
+    return max(map(score, lines))
 
 
 def tune(args: Args) -> Study:

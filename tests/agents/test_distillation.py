@@ -116,7 +116,7 @@ def test_the_same_seed_gives_the_same_policy_and_finished_runs_are_skipped(tmp_p
     assert load_policy(files[0]).training_seed == 0
     before = files[0].stat().st_mtime_ns
     capsys.readouterr()
-    assert command.main(["--seeds", "0-1", "--runs", str(tmp_path / "a")]) == 0
+    assert command.main(["--seeds", "0", "1", "--runs", str(tmp_path / "a")]) == 0
     assert files[0].stat().st_mtime_ns == before
     assert (tmp_path / "a" / NAME / "seed-1" / "policy.safetensors").read_bytes() != files[0].read_bytes()
     shown = capsys.readouterr().out
@@ -153,7 +153,7 @@ def test_ctrl_c_keeps_the_best_policy_and_the_run_is_not_overwritten(tmp_path, m
     assert "was started and is not finished" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [["another"], ["--seeds", "x"]])
+@pytest.mark.parametrize("words", [["another"], ["--seeds", "4294967296"]])
 def test_wrong_options_are_named_in_one_line(words, capsys):
     with pytest.raises(SystemExit) as stop:
         command.main(words)
