@@ -1,19 +1,14 @@
-"""What mkdocs does besides: the leaderboard and links to scenes lead to the live page, and every link is checked.
-
-Nothing of the site is fetched from elsewhere: it reads the same without a network and from any host.
-"""
+"""What mkdocs does besides: the leaderboard and links to scenes lead to the live page."""
 
 from __future__ import annotations
 
 import html
 import json
 import re
-from collections.abc import Iterator
 from functools import cache
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs, unquote, urlencode, urlsplit
+from urllib.parse import parse_qs, urlencode
 
 from mkdocs.exceptions import PluginError
 from mkdocs.utils import get_relative_url
@@ -38,10 +33,6 @@ FIGURE = re.compile(r'<img\b[^>]*\bsrc="(?P<file>[^"]*figures/[^"]*)"[^>]*>')
 CELL = re.compile(r"(?<=<td>).*?(?=</td>)")
 # On GitHub such a link leads to the page about the live page, here to the scene itself.
 SCENE = re.compile(r"\[(?P<text>[^\]]+)\]\(live\.md#(?P<scene>driver=[^)\s]+)\)")
-# What loads a file; any other link may lead elsewhere.
-LOADING = {"audio", "iframe", "img", "link", "script", "source", "video"}
-# Links that load nothing, among those of `link`.
-UNLOADED = {"canonical", "next", "prev"}
 
 
 @cache
@@ -142,53 +133,3 @@ def _link(page: Any, scene: str, text: str, attributes: dict[str, str]) -> str:
     address = f"{get_relative_url(LIVE + 'index.html', page.url)}#{scene}"
     written = (f'{name}="{html.escape(value)}"' for name, value in {**attributes, "href": address}.items())
     return f"<a {' '.join(written)}>{text}</a>"
-
-
-class _Links(HTMLParser):
-    """What a page links to: pairs of an address and whether the page loads it."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.found: list[tuple[str, bool]] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        given = dict(attrs)
-        loaded = tag in LOADING and given.get("rel") not in UNLOADED
-        self.found += [(address, loaded) for name in ("href", "src") if (address := given.get(name))]
-
-
-def broken_links(site: Path, base: str = "/") -> Iterator[str]:
-    """What is wrong with the links of a built site, in words.
-
-    Args:
-        site: its folder.
-        base: the path of the address that it will stand at, which begins addresses from the root.
-    """
-    for page in sorted(site.rglob("*.html")):
-        name = page.relative_to(site).as_posix()
-        if name.startswith(LIVE):
-            continue
-        links = _Links()
-        links.feed(page.read_text(encoding="utf-8"))
-        for address, loaded in links.found:
-            parts = urlsplit(address)
-            if parts.scheme or parts.netloc:
-                if loaded and parts.scheme != "data":
-                    yield f"{name} loads {address} from elsewhere"
-            elif parts.path and not _exists(site, page, unquote(parts.path), base):
-                yield f"{name} links to {address}, which does not exist"
-
-
-def _exists(site: Path, page: Path, path: str, base: str) -> bool:
-    target = site / path.removeprefix(base).lstrip("/") if path.startswith("/") else page.parent / path
-    target = target.resolve()
-    if target.is_relative_to((site / LIVE).resolve()):
-        return True
-    return (target / "index.html").is_file() if target.is_dir() else target.is_file()
-
-
-def on_post_build(config: Any, **_: Any) -> None:
-    """Fails where a link or a picture of the built site leads nowhere, or a page loads something from elsewhere."""
-    broken = list(broken_links(Path(config["site_dir"]), urlsplit(config["site_url"] or "").path or "/"))
-    if broken:
-        raise PluginError("\n".join(["The site is broken:", *broken]))
