@@ -17,7 +17,7 @@ import numpy as np
 from baselines.laws.profiles import P2, PROPOSED, TABLE_1, V1, seven_phases
 from baselines.paper.principles import THETA_0, friction_bound
 from baselines.paper.published import NATURAL_FREQUENCY
-from capsule_gym.parameters import NOMINAL, Plant
+from capsule_gym.parameters import NOMINAL
 
 PLANT = NOMINAL.plant()
 OMEGA_N = NATURAL_FREQUENCY.value
@@ -62,7 +62,7 @@ def printed_profile() -> list[dict[str, Any]]:
     return phases
 
 
-def eq_21_p2(t: Times = TABLE_1, V1: float = V1, P2: float = P2, p: Plant = PLANT) -> float:
+def eq_21_p2(t: Times) -> float:
     """Eq. (21): P2 in rad/s, its integrals taken along the profile (9) from -theta_0 with V1 and P2.
 
     It is the momentum balance (20) between two instants at rest. In print (20) multiplies x' by g, and its integrals
@@ -72,30 +72,23 @@ def eq_21_p2(t: Times = TABLE_1, V1: float = V1, P2: float = P2, p: Plant = PLAN
     """
     s = np.linspace(0.0, t[2], 3001)
     theta, _, _ = seven_phases(t, V1, P2).evaluate(s)
-    ml = p.m * p.l
+    p, ml = PLANT, PLANT.m * PLANT.l
     int_sin, int_cos = _integral(theta * np.sin(theta), s), _integral(theta * np.cos(theta), s)
     edge = float(theta[-1] * math.sin(theta[-1]) - theta[0] * math.sin(theta[0]))
     pushed = p.mu * (p.M + p.m) * p.g * t[2] - p.mu * p.k * int_sin + p.mu * p.c * (edge - int_cos)
     return pushed / (ml * math.cos(THETA_0) + p.mu * ml * math.sin(THETA_0))
 
 
-def eq_22_swing(omega: float, t: Times = TABLE_1, V1: float = V1, P2: float = P2, N: int = 1) -> float:
-    """Eq. (22), left side: the angle swept until t3, rad; the paper equates it with 2 theta_0.
+def eq_22_swing(omega: float, t: Times) -> float:
+    """Eq. (22), left side: the angle in rad swept until t3 at omega (rad/s); the paper equates it with 2 theta_0.
 
     The third integral keeps the printed argument omega t - t2, and the last term is not needed: the three integrals
     are the whole angle.
-
-    Args:
-        omega: frequency of the excitation, rad/s.
-        t: t1 to t7, s.
-        V1: rad/s.
-        P2: rad/s.
-        N: half periods of the excitation.
     """
     t1, t2, t3 = t[:3]
     rise = V1 / omega * (1.0 - math.cos(omega * t1))
     fall = V1 / omega * (math.cos(omega * t2 - t2) - math.cos(omega * t3 - t2))
-    return rise + V1 * (t2 - t1) + fall - 0.5 * P2 * (N * math.pi / omega + t2 - t3)
+    return rise + V1 * (t2 - t1) + fall - 0.5 * P2 * (math.pi / omega + t2 - t3)
 
 
 def eq_23_p3(P2: float, t: Times = TABLE_1) -> float:
@@ -107,53 +100,54 @@ def eq_23_p3(P2: float, t: Times = TABLE_1) -> float:
     return (0.5 * P2 * (t4 - t3) + 2.0 * THETA_0) / (0.5 * ((t7 - t4) + (t6 - t5)))
 
 
-def eq_24_t1(V1: float = V1, p: Plant = PLANT) -> float:
+def eq_24_t1() -> float:
     """Eq. (24): t1 in s, from Lemma 1 at t1 with theta(t1) = V1 t1, which leaves out the start at -theta_0."""
-    return (_lemma_1_bound(p) / V1**3 - p.c) / p.k
+    bound = ((PLANT.M + PLANT.m) * PLANT.g) ** 2 / (2.0 * PLANT.m * PLANT.l)  # the right side of (10)
+    return (bound / V1**3 - PLANT.c) / PLANT.k
 
 
-def eq_25_t2(omega: float, t3: float = TABLE_1[2], V1: float = V1, P2: float = P2, *, falling: bool = False) -> float:
+def eq_25_t2(omega: float, t: Times, *, falling: bool = False) -> float:
     """Eq. (25): t2, a number of radians that the paper reads as seconds.
 
     With `falling` the arcsin takes the branch on which the sine falls from V1 to P2, as phase III does; printed is the
     rising one.
     """
     angle = math.asin(P2 / V1)
-    return omega * t3 - (math.pi - angle if falling else angle)
+    return omega * t[2] - (math.pi - angle if falling else angle)
 
 
-def eq_26_omega(t3: float = TABLE_1[2], N: int = 1) -> float:
-    """Eq. (26) solved for omega, rad/s: the excitation has gone through N half periods at t3."""
-    return N * math.pi / t3
+def eq_26_omega(t: Times) -> float:
+    """Eq. (26) solved for omega, rad/s: the excitation has gone through N = 1 half period at t3."""
+    return math.pi / t[2]
 
 
-def eq_27_t4(P2: float = P2, t3: float = TABLE_1[2], p: Plant = PLANT) -> float:
+def eq_27_t4(t: Times) -> float:
     """Eq. (27): t4 in s, from the printed Lemma 2 at t3 with theta(t3) = P2 t3."""
-    return -P2 / (friction_bound(p) - P2 * P2 - p.k * P2 * t3 - p.c * P2) + t3
+    return -P2 / (friction_bound(PLANT) - P2 * P2 - PLANT.k * P2 * t[2] - PLANT.c * P2) + t[2]
 
 
-def eq_27_p2(t: Times = TABLE_1, p: Plant = PLANT) -> float:
+def eq_27_p2(t: Times = TABLE_1) -> float:
     """Eq. (27) solved for P2, rad/s: the positive root of a quadratic."""
-    half = 0.5 * (p.k * t[2] + p.c - 1.0 / (t[3] - t[2]))
-    return math.sqrt(half * half + friction_bound(p)) - half
+    half = 0.5 * (PLANT.k * t[2] + PLANT.c - 1.0 / (t[3] - t[2]))
+    return math.sqrt(half * half + friction_bound(PLANT)) - half
 
 
-def eq_28_t5(P3: float, p: Plant = PLANT) -> float:
+def eq_28_t5(P3: float) -> float:
     """Eq. (28): t5 in s, from the printed Lemma 2 at t5 with theta(t5) = P3 t5 and theta'(t5) = +P3; it is -P3."""
-    return (friction_bound(p) - P3 * P3 - p.c * P3) / (p.k * P3)
+    return (friction_bound(PLANT) - P3 * P3 - PLANT.c * P3) / (PLANT.k * P3)
 
 
-def eq_29_p3(P2: float, t: Times = TABLE_1) -> float:
+def eq_29_p3(P2: float, t: Times) -> float:
     """Eq. (29) solved for P3, rad/s. Equal areas of phases IV and V would read P2 (t4 - t3) = P3 (t5 - t4)."""
     return P2 * (t[4] - t[3]) / (t[3] - t[2])
 
 
-def eq_30_t6(P2: float, P3: float, t: Times = TABLE_1) -> float:
+def eq_30_t6(P2: float, P3: float, t: Times) -> float:
     """Eq. (30): t6 in s."""
     return (4.0 * THETA_0 + t[3] * (P2 + 2.0 * P3) - P2 * t[2]) / (2.0 * P3)
 
 
-def eq_31_t7(P2: float, P3: float, t: Times = TABLE_1) -> float:
+def eq_31_t7(P2: float, P3: float, t: Times) -> float:
     """Eq. (31): t7 in s."""
     return (4.0 * THETA_0 - P2 * t[2] + P2 * t[3] + 2.0 * P3 * t[4]) / (2.0 * P3)
 
@@ -169,14 +163,14 @@ def evaluate_selection() -> list[dict[str, Any]]:
     rows: list[tuple[str, str, str, Callable[[Times], tuple[float, float]], str]] = [
         ("(21)", "P2", "rad/s", lambda t: (eq_21_p2(t), eq_27_p2(t)), "implied by (27) and t4"),
         ("(22)", "swing", "rad", lambda t: (eq_22_swing(OMEGA_N, t), 2 * THETA_0), "omega = omega_n"),
-        ("(22)", "swing", "rad", lambda t: (eq_22_swing(eq_26_omega(t[2]), t), 2 * THETA_0), "omega of (26)"),
+        ("(22)", "swing", "rad", lambda t: (eq_22_swing(eq_26_omega(t), t), 2 * THETA_0), "omega of (26)"),
         ("(22)", "swing", "rad", lambda t: (eq_22_swing(_quarter(t), t), 2 * THETA_0), "omega = pi / (2 t1)"),
         ("(24)", "t1", "s", lambda t: (eq_24_t1(), t[0]), f"at V1 = {V1} rad/s"),
-        ("(25)", "t2", "s", lambda t: (eq_25_t2(_quarter(t), t[2]), t[1]), "radians as seconds, as printed"),
-        ("(25)", "t2", "s", lambda t: (eq_25_t2(_quarter(t), t[2], falling=True), t[1]), "on the falling branch"),
-        ("(26)", "omega", "rad/s", lambda t: (eq_26_omega(t[2]), _quarter(t)), "against pi / (2 t1) of phase I"),
-        ("(26)", "omega", "rad/s", lambda t: (eq_26_omega(t[2]), OMEGA_N), "against the natural frequency"),
-        ("(27)", "t4", "s", lambda t: (eq_27_t4(t3=t[2]), t[3]), f"at P2 = {P2} rad/s"),
+        ("(25)", "t2", "s", lambda t: (eq_25_t2(_quarter(t), t), t[1]), "radians as seconds, as printed"),
+        ("(25)", "t2", "s", lambda t: (eq_25_t2(_quarter(t), t, falling=True), t[1]), "on the falling branch"),
+        ("(26)", "omega", "rad/s", lambda t: (eq_26_omega(t), _quarter(t)), "against pi / (2 t1) of phase I"),
+        ("(26)", "omega", "rad/s", lambda t: (eq_26_omega(t), OMEGA_N), "against the natural frequency"),
+        ("(27)", "t4", "s", lambda t: (eq_27_t4(t), t[3]), f"at P2 = {P2} rad/s"),
         ("(27)", "P2", "rad/s", lambda t: (eq_27_p2(t), P2), "solved for P2, against the published swing"),
         ("(28)", "t5", "s", lambda t: (eq_28_t5(_implied_p3(t)), t[4]), "P3 of (23)"),
         ("(29)", "P3", "rad/s", lambda t: (eq_29_p3(eq_27_p2(t), t), _implied_p3(t)), "against (23)"),
@@ -230,11 +224,6 @@ def _quarter(t: Times) -> float:
 def _implied_p3(t: Times) -> float:
     """P3 in rad/s as Table 1 implies it: (23) with the P2 of (27)."""
     return eq_23_p3(eq_27_p2(t), t)
-
-
-def _lemma_1_bound(p: Plant) -> float:
-    """The right side of Lemma 1 (10)."""
-    return ((p.M + p.m) * p.g) ** 2 / (2.0 * p.m * p.l)
 
 
 def _integral(values: np.ndarray, t: np.ndarray) -> float:
