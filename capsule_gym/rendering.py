@@ -141,10 +141,7 @@ class Canvas:
     def ribbon(self, points: Points, width: float, colour: Colour) -> None:
         """A line through the points as one polygon: pygame's own thick lines are thin where they slant, and gape."""
         points = np.asarray(points, np.float64)
-        along = np.empty_like(points)
-        along[0], along[-1] = points[1] - points[0], points[-1] - points[-2]
-        along[1:-1] = points[2:] - points[:-2]
-        across = along[:, ::-1] * (-1.0, 1.0)
+        across = np.gradient(points, axis=0)[:, ::-1] * (-1.0, 1.0)
         across *= (0.5 * width / np.maximum(np.hypot(across[:, 0], across[:, 1]), 1e-9))[:, None]
         self.polygon(np.concatenate((points + across, (points - across)[::-1])), colour)
 
