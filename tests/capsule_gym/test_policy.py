@@ -96,30 +96,17 @@ def test_a_file_is_what_the_format_says(tmp_path):
     policy = make_policy()
     policy.save(tmp_path / POLICY)
     tensors = load_file(tmp_path / POLICY)
-    assert {name: (array.dtype.name, array.shape) for name, array in tensors.items()} == {
-        "layers.0.weight": ("float32", (8, 5)),
-        "layers.0.bias": ("float32", (8,)),
-        "layers.1.weight": ("float32", (1, 8)),
-        "layers.1.bias": ("float32", (1,)),
-        "inputs.mean": ("float64", (5,)),
-        "inputs.variance": ("float64", (5,)),
-    }
+    float64 = {"inputs.mean": ("float64", (5,)), "inputs.variance": ("float64", (5,))}
+    shapes = {"0.weight": (8, 5), "0.bias": (8,), "1.weight": (1, 8), "1.bias": (1,)}
+    expected = float64 | {f"layers.{name}": ("float32", shape) for name, shape in shapes.items()}
+    assert {name: (array.dtype.name, array.shape) for name, array in tensors.items()} == expected
     content = (tmp_path / POLICY).read_bytes()
     header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
     assert header["__metadata__"] == {
-        "format": "capsule_gym policy",
-        "format_version": "2",
-        "algorithm": "ppo",
-        "activation": "tanh",
-        "squashing": "clip",
-        "output": "action",
-        "identifies": "false",
-        "told_energy_weight": "false",
-        "clip": "10.0",
-        "epsilon": "1e-08",
+        **{"format": "capsule_gym policy", "format_version": "2", "training_seed": "3", "revision": "0123456789ab"},
+        **{"algorithm": "ppo", "activation": "tanh", "squashing": "clip", "output": "action"},
+        **{"identifies": "false", "told_energy_weight": "false", "clip": "10.0", "epsilon": "1e-08"},
         "env_kwargs": '{"randomization": "wide", "torque_limit": 1.25}',
-        "training_seed": "3",
-        "revision": "0123456789ab",
     }
 
 

@@ -45,31 +45,22 @@ def test_stepping_does_not_grow_memory(num_envs):
     env.close()
 
 
-def calls_of(function: Callable[[], object]) -> Counter[str]:
-    """Functions that one calls, with how often."""
-    found: Counter[str] = Counter()
-
-    def note(frame, event, argument):
-        if event == "call":
-            found[frame.f_code.co_name] += 1
-        elif event == "c_call":
-            found[argument.__name__] += 1
-
-    sys.setprofile(note)
-    try:
-        function()
-    finally:
-        sys.setprofile(None)
-    return found
-
-
 def calls(n: int, *, reset: bool) -> Counter[str]:
-    """The calls of a reset, or of a step in which no episode ends, of n environments whose seeds are given."""
-    env = CapsuleVectorEnv(n, max_episode_steps=NEVER, initial_noise=0.1)
+    """Functions that a reset calls, or a step in which no episode ends, of n environments with seeds, and how often."""
+    env, found = CapsuleVectorEnv(n, max_episode_steps=NEVER, initial_noise=0.1), Counter[str]()
     env.reset(seed=0)
     actions = np.zeros((n, 1), np.float32)
     env.step(actions)
-    found = calls_of(env.reset if reset else lambda: env.step(actions))
+
+    def note(frame, event, argument):
+        if event in ("call", "c_call"):
+            found[frame.f_code.co_name if event == "call" else argument.__name__] += 1
+
+    sys.setprofile(note)
+    try:
+        env.reset() if reset else env.step(actions)
+    finally:
+        sys.setprofile(None)
     env.close()
     return found
 
