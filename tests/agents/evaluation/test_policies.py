@@ -67,15 +67,6 @@ def test_malformed_checkpoints_raise_an_error(world):
         all_candidates()
 
 
-def test_a_control_law_of_another_package_must_be_trusted(world):
-    fields = {"layers": ((np.zeros((1, 10), np.float32), np.zeros(1, np.float32)),), "mean": np.zeros(10)}
-    write_run(world / "run", 0, **fields, variance=np.ones(10), env_kwargs={"controller": "somewhere:law"})
-    with pytest.raises(ValueError, match="names the control law 'somewhere:law', which does not come with"):
-        find_candidate(str(world / "run"))
-    (policy,) = find_candidate(str(world / "run"), trust_controller=True).policies
-    assert policy.env_kwargs["controller"] == "somewhere:law"
-
-
 def test_a_module_is_imported_only_if_trusted(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_rules.py").write_text(MODULE)
