@@ -26,8 +26,7 @@ from benchmarks.measurement import OutputArgs, describe, machine, spread, take_t
 from capsule_gym.command_line import Count, parse, refuse
 from capsule_gym.task import EPISODE_STEPS
 from web import build
-from web.controllers import is_trained
-from web.episodes import env_kwargs
+from web.episodes import env_kwargs, is_trained
 
 COMMAND = "python -m benchmarks.web"
 # Nothing in the step, a law, a network, and both with a filter.

@@ -160,7 +160,7 @@ export class Episode extends Capsule {
 
 export function load(task: string): Promise<Capsule>;
 export function drive(driver: string, options?: (Start | Frozen) & Told): Promise<Episode>;
-/** A policy of one's own: the JSON of what `web.controllers.describe_policy` says of it in Python. */
+/** A policy of one's own: the JSON of what `web.data.describe_policy` says of it in Python. */
 export interface OwnDriver {
   /** Not that of another driver. */
   name: string;

@@ -481,7 +481,7 @@ export async function drive(name, { energyWeight, ...options } = {}) {
   return episode;
 }
 
-/** Makes a policy from elsewhere one of `drivers`: what `web.controllers.describe_policy` says of it in Python. */
+/** Makes a policy from elsewhere one of `drivers`: what `web.data.describe_policy` says of it in Python. */
 export function addDriver(driver) {
   const { name, task, settings, network, units } = driver;
   if (typeof name !== "string") throw new TypeError(`name must be a string, got ${String(name)}`);

@@ -19,27 +19,27 @@ from agents.training.presets import ROWS, PPOConfig
 from baselines.dynamic_programming.policy import TORQUES
 from baselines.gaits.archive import GaitMap, encode_gaits, known_gaits, tolerant_nominal
 from baselines.policies import SCRIPTED
-from capsule_gym import load_policy, task
+from capsule_gym import Policy, load_policy, task
 from capsule_gym.evaluation_sets import SET_NAMES, load_set
-from capsule_gym.layout import LANES, SETTINGS, Row, StepSettings
-from capsule_gym.network import Header
-from capsule_gym.observation import CELLS, M_BOUND, MU_BOUND
+from capsule_gym.layout import LANES, SETTINGS, Row, StepSettings, pack
+from capsule_gym.network import HEADER, Header
+from capsule_gym.observation import CELLS, M_BOUND, MU_BOUND, observation_names
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, EnvConfig
-from capsule_gym.simulation import NO_CONTROLLER, count_rows
-from web.controllers import (
-    LIGHTEST,
+from capsule_gym.simulation import NO_CONTROLLER, check_step, count_rows, make_settings
+from web.episodes import (
+    FILE,
+    OVER,
     RECORDED,
-    TASKS,
     controller_names,
-    describe_policy,
-    describe_settings,
-    find_law,
+    describe_plant,
+    env_kwargs,
     is_trained,
-    task_of,
+    known_recordings,
 )
-from web.episodes import FILE, OVER, describe_plant, env_kwargs, known_recordings
-from web.modules import COMMON, ENTRIES, STARTS, build
+from web.modules import COMMON, DIRECT, ENTRIES, STARTS, TASKS, build, find_law
 
+# The smallest mass of the platform with which friction up to the largest is accepted, kg.
+LIGHTEST = 0.2
 GAITS: dict[str, Callable[[], GaitMap]] = {
     "gait-nominal": lambda: GaitMap((NOMINAL.M,), (NOMINAL.mu,), (tolerant_nominal(),), ((0,),)),
     "gait-oracle": lambda: known_gaits().oracle,
@@ -130,6 +130,64 @@ def describe_task(name: str, archive: Archive) -> dict[str, Any]:
         "memory": acting.memory,
         "table": archive.add_array(acting.reference),
         "settings": describe_settings(EnvConfig(controller=f"baselines:{name}" if law else None)),
+    }
+
+
+def task_of(options: EnvConfig) -> str:
+    """Which of `TASKS` an environment has.
+
+    Raises:
+        ValueError: if its law is none of `baselines`.
+    """
+    if options.controller is None:
+        return DIRECT
+    place, _, name = str(options.controller).partition(":")
+    if place != "baselines" or name not in TASKS:
+        raise ValueError(f"controller must be None or a law of baselines, as in baselines:adaptive, got {place}:{name}")
+    return name
+
+
+def describe_settings(options: EnvConfig) -> dict[str, Any]:
+    """The arguments of the compiled step for an environment, and the length of its episodes.
+
+    Raises:
+        ValueError: if it is not an environment of the paper's capsule, or its law is none of `baselines`.
+    """
+    if options.capsule not in (None, NOMINAL):
+        raise ValueError(f"options must be of the nominal capsule, got {options}")
+    law = find_law(task_of(options))
+    settings = make_settings(options, law)
+    # For all M and mu that the page accepts.
+    check_step(NOMINAL, LIGHTEST, MU_BOUND, settings)
+    return {
+        "fixed": pack(NOMINAL.plant(), settings, np.zeros((0, 0))).tolist(),
+        "entries": len(observation_names(law is not None, options.observe_parameters)),
+        "control_dt": options.control_dt,
+        "steps": round(task.HORIZON / options.control_dt),
+    }
+
+
+def describe_policy(name: str, policy: Policy) -> dict[str, Any]:
+    """A trained policy as the browser runs it; its network is an array of float64.
+
+    Args:
+        name: that it has in the browser.
+        policy: the policy.
+
+    Raises:
+        ValueError: as `describe_settings`, of the policy's environment.
+    """
+    options = EnvConfig(**policy.env_kwargs)
+    network = policy._network
+    return {
+        "name": name,
+        "task": task_of(options),
+        "settings": describe_settings(options),
+        "kind": "policy",
+        "description": policy.description,
+        "seed": policy.training_seed,
+        "network": network,
+        "units": int(network[HEADER : HEADER + len(policy.layers) + 1].max()),
     }
 
 

@@ -27,9 +27,11 @@ from baselines.policies import SCRIPTED, Act
 from capsule_gym.command_line import parse
 from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, PlantSpec, load_set
 from capsule_gym.files import write_atomically
+from capsule_gym.policy import policy_names
 from capsule_gym.task import CONTROL_DT, EPISODE_STEPS, HORIZON
-from web.controllers import RECORDED, controller_names, is_trained
 
+# Run in the browser by their recorded actions, on the frozen plants alone.
+RECORDED = ("optimum-nominal", "optimum-oracle")
 FILE = Path(__file__).with_name("episodes.json")
 RECORDINGS = Path(__file__).with_name("recordings.npz")
 # In a recording, behind the last action of an episode.
@@ -40,6 +42,16 @@ ACTIONS, HOLD = 97, 5
 SCALES = {"zero": 0.15, "adaptive": 0.05, "gait-identifying": 0.05}
 
 Episode = dict[str, Any]
+
+
+def is_trained(name: str) -> bool:
+    """Whether a policy of the browser is a trained one."""
+    return name in policy_names()
+
+
+def controller_names() -> list[str]:
+    """The policies that run in the browser; of a trained one the run with the lowest seed."""
+    return [*SCRIPTED, *policy_names()]
 
 
 def env_kwargs(name: str) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +28,11 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.arrayobj import get_cfarray_intrinsic
 
+import baselines
 from baselines.gaits import families
 from capsule_gym import kernels, layout, resets
 from capsule_gym.compilation import fingerprint, inlined, inner, rebound
-from capsule_gym.controller import Controller
+from capsule_gym.controller import Controller, find_controller
 from capsule_gym.elementary import logarithm
 from capsule_gym.files import write_atomically
 from capsule_gym.layout import LANES
@@ -40,9 +42,11 @@ from capsule_gym.parameters import NOMINAL
 from capsule_gym.simulation import NO_CONTROLLER
 from web import assembly
 from web.assembly import Entry, assemble, optimise
-from web.controllers import find_law
 from web.fused import fused
 
+# The task without a law; the other names are those of laws.
+DIRECT = "direct"
+TASKS = (DIRECT, *baselines.__all__)
 # The module that all tasks need besides their own, which has the task's name.
 COMMON = "common"
 # The name under which a law is linked to the step.
@@ -58,6 +62,12 @@ STARTS = layout.Row.torque
 NUMBERS, FLOATS, INTEGERS = types.CPointer(types.float64), types.CPointer(types.float32), types.CPointer(types.int64)
 
 array = get_cfarray_intrinsic("C", None)
+
+
+@lru_cache
+def find_law(name: str) -> Controller | None:
+    """The law of one of `TASKS`; None for `DIRECT`."""
+    return None if name == DIRECT else find_controller(f"baselines:{name}")
 
 
 @intrinsic
@@ -145,7 +155,7 @@ def build(names: Sequence[str], cache: Path | None = CACHE) -> dict[str, bytes]:
     """The modules of these names.
 
     Args:
-        names: `COMMON`, or of `web.controllers.TASKS`.
+        names: `COMMON`, or of `TASKS`.
         cache: a folder of modules that were built before; None builds all.
 
     Raises:

@@ -113,10 +113,3 @@ def test_mujoco_has_the_same_plant_and_about_the_same_friction(friction: mujoco.
     difference = np.abs(states - end(mu)).max()
     assert difference < (0.03 if friction else 1e-8)
     assert not friction or np.abs(states - end(0.0)).max() > 5.0 * difference
-
-
-def test_mujoco_steps_a_batch() -> None:
-    pytest.importorskip("mujoco")
-    step, close = throughput.step_mujoco(mujoco.FRICTIONS[1], 2e-3, 4, 2)
-    step(3)
-    close()

@@ -11,7 +11,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from web import assembly, bundle, modules
+from web import assembly, build, modules
 from web.fused import fused
 
 # --- WebAssembly -----------------------------------------------------------------------------------------------------
@@ -87,41 +87,20 @@ def test_products_and_sums_are_rounded_once(case: str) -> None:
 # --- one HTML file ---------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def page(tmp_path, monkeypatch):
-    """A folder to which the modules of a page are written."""
-    monkeypatch.setattr(bundle, "PAGE", tmp_path)
-    (tmp_path / "index.html").write_text("<style>/* style */</style><script>/* script */</script>", encoding="utf-8")
-    (tmp_path / "page.css").write_text("body { color: var(--ink); }", encoding="utf-8")
-    return tmp_path
-
-
-def test_modules_follow_what_they_import(page) -> None:
+def test_modules_follow_what_they_import(tmp_path, monkeypatch) -> None:
+    page = tmp_path
+    monkeypatch.setattr(build, "PAGE", page)
+    (page / "index.html").write_text("<style>/* style */</style><script>/* script */</script>", encoding="utf-8")
+    (page / "page.css").write_text("body { color: var(--ink); }", encoding="utf-8")
     (page / "page.js").write_text('import { a } from "./a.js";\nimport { b as c } from "./b.js";\n', "utf-8")
     (page / "a.js").write_text('import { b } from "./b.js";\nexport const a = b;\n', "utf-8")
     (page / "b.js").write_text(
         'import { figure } from "./figure.js";\nimport { drive } from "./capsule.mjs";\nexport async function b() {}\n',
         "utf-8",
     )
-    built = bundle.bundle("export function drive() {}\n")
+    built = build.build_page("export function drive() {}\n")
     order = re.findall(r'^modules\["(.*?)"\] =', built, re.MULTILINE)
     assert order == ["figure.js", "capsule.mjs", "b.js", "a.js", "page.js"]
     assert 'const { b: c } = modules["b.js"];' in built and "return { b };" in built
     assert "import" not in built and "export" not in built
     assert "--ink: #1e293b;" in built and '"ROD": 168.0' in built
-
-
-@pytest.mark.parametrize(
-    ("source", "error", "words"),
-    [
-        ('import * as all from "./a.js";\n', ValueError, "page.js must import as in"),
-        ("export default 1;\n", ValueError, "page.js must import as in"),
-        ('import { a } from "./page.js";\n', ValueError, "page.js -> page.js"),
-        ('const text = "</script>";\n', ValueError, "must not contain '</script'"),
-        ('import { a } from "./gone.js";\n', FileNotFoundError, "gone.js"),
-    ],
-)
-def test_other_forms_raise_an_error(page, source: str, error: type[Exception], words: str) -> None:
-    (page / "page.js").write_text(source, encoding="utf-8")
-    with pytest.raises(error, match=re.escape(words)):
-        bundle.bundle("")
