@@ -21,8 +21,11 @@ from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization
 from capsule_gym.parameters import EnvConfig
 from capsule_gym.simulation import CHANGE, MOST_ENVS
 
-# That the imaginary parts of complex actions are discarded may be said.
-pytestmark = pytest.mark.filterwarnings("ignore::numpy.exceptions.ComplexWarning")
+# numpy may warn of imaginary parts, and of numbers beyond float32, before an action is refused.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::numpy.exceptions.ComplexWarning"),
+    pytest.mark.filterwarnings("ignore:overflow encountered in cast"),
+]
 
 # Infinite in an episode without forward travel, or in one that has not been stepped.
 INFINITE = ("cost_of_transport", "backward_ratio", "smallest_normal_ratio")
