@@ -14,8 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from examples import publish_data
-
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples"
 ID = "capsule_gym:CapsuleStickSlip-v0"
@@ -90,13 +88,6 @@ def test_the_data_are_the_episodes_of_their_actions(name: str, monkeypatch: pyte
             states.append(info["state"])
         assert (terminated, truncated) == (False, True)
         assert np.array_equal(episode.observations, seen) and np.array_equal(episode.infos["state"], states)
-
-
-@pytest.mark.parametrize("missing", publish_data.NEEDED)
-def test_a_missing_library_is_named(missing: str, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    monkeypatch.setattr(publish_data, "find_spec", lambda name: None if name == missing else "found")
-    assert publish_data.main() == 2
-    assert 'pip install "capsule-gym[minari]"' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "notebooks").glob("*.ipynb")), ids=lambda path: path.stem)
