@@ -26,50 +26,39 @@ from capsule_gym.network import (
     write_inputs,
 )
 from capsule_gym.observation import CELLS, observation_names
-from capsule_gym.resets import Stream, draw_two, plant_at, plant_ranges, random_stream
+from capsule_gym.resets import Stream, draw_two, plant_at, plant_ranges
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.simulation import episode_metrics
 
 # Inputs of a privileged critic in addition to the policy's.
 PRIVILEGED = ("M", "log_mu")
-# Largest number of ended episodes that a rollout reports, unless more are truncated.
-MOST_ENDED = 1024
 DISTURBANCES = np.uint64(Stream.disturbances)
-
-
-class EpisodeConfig(NamedTuple):
-    """Episodes of training.
-
-    Attributes:
-        steps: agent steps of an episode.
-        privileged: whether M and log(mu) follow the policy's inputs.
-        weighted: whether the policy's last input is the logarithm of an energy weight, drawn at every reset.
-        least: smallest logarithm, of a weight in cm/J; draws are uniform.
-        most: largest logarithm.
-        jump: probability that M and mu are drawn anew in a step.
-    """
-
-    steps: int
-    privileged: bool
-    weighted: bool
-    least: float
-    most: float
-    jump: float
 
 
 draw_noinline, renew_noinline = inner(resets.draw), inner(resets.renew)
 
 
 @inlined
-def append_inputs(
-    config: EpisodeConfig, block: np.ndarray, j: int, log_weights: np.ndarray, i: int, columns: int, inputs: np.ndarray
+def observe(
+    network: np.ndarray,
+    observations: np.ndarray,
+    first: int,
+    n: int,
+    memory: np.ndarray,
+    block: np.ndarray,
+    log_weights: np.ndarray,
+    inputs: np.ndarray,
 ) -> None:
-    """Writes the inputs that the environment's observation does not hold to the end of environment i's inputs."""
-    if config.weighted:
-        inputs[i, columns - 1] = log_weights[i]
-    if config.privileged:
-        inputs[i, columns] = block[AT.M + j]
-        inputs[i, columns + 1] = math.log(block[AT.mu + j])
+    """Writes the inputs of policy and critic of environments first..first + n - 1; arrays as in `collect`."""
+    write_inputs(network, observations, first, n, memory, inputs)
+    header = record(network, 0, Header)
+    columns = header.inputs
+    for i in range(first, first + n):
+        if header.observes_energy_weight:
+            inputs[i, columns - 1] = log_weights[i]
+        if columns < inputs.shape[1]:
+            inputs[i, columns] = block[AT.M + i % LANES]
+            inputs[i, columns + 1] = math.log(block[AT.mu + i % LANES])
 
 
 def collect(
@@ -79,7 +68,10 @@ def collect(
     end: int,  # one past the last environment
     fixed: np.ndarray,
     observations: np.ndarray,  # changed
-    episode_config: np.ndarray,  # the fields of `EpisodeConfig`
+    steps: int,  # agent steps of an episode
+    jump: float,  # probability that M and mu are drawn anew in a step
+    least: float,  # smallest logarithm of an energy weight (cm/J), which are drawn uniformly
+    most: float,  # largest such logarithm
     lines: np.ndarray,  # `resets.draw` documents this and the next three
     start_noise: float,
     keys: np.ndarray,
@@ -109,9 +101,7 @@ def collect(
         How many rows of `cut` and of `ended` are written; an environment whose law returned no finite torque, or -1.
     """
     header = record(network, 0, Header)
-    given = episode_config
-    steps, privileged, weighted = int(given[0]), given[1] != 0.0, given[2] != 0.0
-    config = EpisodeConfig(steps, privileged, weighted, given[3], given[4], given[5])
+    weighted = header.observes_energy_weight
     # Only fields of the plant that do not depend on the law are read here.
     plant, settings = layout.unpack(fixed, 0.0)
     lanes = workspace(network)
@@ -121,9 +111,11 @@ def collect(
         block, first = world[b], b * LANES
         n = min(LANES, end - first)
         if fresh:
-            write_inputs(network, observations, first, n, memory, inputs)
-            for j in range(n):
-                append_inputs(config, block, j, log_weights, first + j, header.inputs, inputs)
+            for i in range(first, first + n):
+                # `episodes` counts the episodes that begin here already.
+                share, _ = draw_two(keys[i, 0], keys[i, 1], DISTURBANCES, np.uint64(episodes[i] - 1))
+                log_weights[i] = least + share * (most - least)
+            observe(network, observations, first, n, memory, block, log_weights, inputs)
         for t in range(len(noise)):
             for j in range(n):
                 for k in range(inputs.shape[1]):
@@ -136,7 +128,7 @@ def collect(
                 law_torque = observations[i, LAW_TORQUE] if header.has_law else 0.0
                 block[AT.action + j] = np.float32(to_action(header, drawn, law_torque))
                 block[AT.active + j] = 1.0
-                if len(chances) > 0 and chances[t, i, 0] < config.jump:
+                if len(chances) > 0 and chances[t, i, 0] < jump:
                     block[AT.M + j], block[AT.mu + j] = plant_at(lines, chances[t, i, 1], chances[t, i, 2])
             broken = advance(world, first, first + n, False, fixed, observations)
             if broken >= 0:
@@ -155,20 +147,17 @@ def collect(
                 if not over:
                     continue
                 if not failed:
-                    write_inputs(network, observations, i, 1, memory, inputs)
-                    append_inputs(config, block, j, log_weights, i, header.inputs, inputs)
+                    observe(network, observations, i, 1, memory, block, log_weights, inputs)
                     cut[cuts, 0], cut[cuts, 1] = t, i
                     cut_inputs[cuts] = inputs[i]
                     cuts += 1
-                if endings < len(ended):
-                    ended[endings, 0], ended[endings, 1] = returns[i], lengths[i]
-                    for k in range(layout.ROWS):
-                        ended[endings, 2 + k] = block[k * LANES + j]
-                    endings += 1
+                ended[endings, 0], ended[endings, 1] = returns[i], lengths[i]
+                for k in range(layout.ROWS):
+                    ended[endings, 2 + k] = block[k * LANES + j]
+                endings += 1
                 row[0] = i
-                if weighted:
-                    share, _ = draw_two(keys[i, 0], keys[i, 1], DISTURBANCES, np.uint64(episodes[i]))
-                    log_weights[i] = config.least + share * (config.most - config.least)
+                share, _ = draw_two(keys[i, 0], keys[i, 1], DISTURBANCES, np.uint64(episodes[i]))
+                log_weights[i] = least + share * (most - least)
                 draw_noinline(lines, start_noise, row, keys, episodes, starts)
                 renew_noinline(world[b : b + 1], law_memory, plant.m, plant.g, row - first, starts, episodes[first:])
                 # This is step 0 of the new episode; the others have `active` set to 0 by `renew`.
@@ -178,9 +167,7 @@ def collect(
                 returns[i], lengths[i] = 0.0, 0
                 for k in range(CELLS if header.identifies else 0):
                     memory[i * CELLS + k] = 0.0
-            write_inputs(network, observations, first, n, memory, inputs)
-            for j in range(n):
-                append_inputs(config, block, j, log_weights, first + j, header.inputs, inputs)
+            observe(network, observations, first, n, memory, block, log_weights, inputs)
     return cuts, endings, -1
 
 
@@ -192,7 +179,8 @@ def _compiled() -> Any:
     numbers, rows, indices = types.float64[::1], types.float64[:, ::1], types.int64[::1]
     many, cube = types.float32[:, ::1], types.float32[:, :, ::1]
     simulation = (step, world, begin, end, fixed, observations)
-    episodes = (numbers, numbers, types.float64, types.uint64[:, ::1], indices, numbers)
+    number = types.float64
+    episodes = (types.int64, number, number, number, numbers, number, types.uint64[:, ::1], indices, numbers)
     policy = (numbers, numbers, numbers, many, types.boolean, types.float64, rows, types.float64[:, :, ::1])
     written = (numbers, indices, cube, many, many, many, types.int64[:, ::1], many, rows)
     return compile_entry(collect, (*simulation, *episodes, *policy, *written), "the rollouts of training")
@@ -267,9 +255,8 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         simulation = self.batch.simulation
         if privileged and not (simulation.randomization.mu or (simulation.capsule.mu,))[0] > 0.0:
             raise ValueError("privileged must be False where mu may be 0: the critic observes its logarithm, got True")
-        low, high = energy_weights or (1.0, 1.0)
-        weighted = energy_weights is not None
-        self.config = EpisodeConfig(episode_steps, privileged, weighted, math.log(low), math.log(high), jump)
+        self.steps, self.jump = episode_steps, jump
+        self.least, self.most = map(math.log, energy_weights or (1.0, 1.0))
         self.header = make_header(
             simulation.options,
             layers=0,
@@ -277,11 +264,12 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
             tanh_squashing=False,
             clip=0.0,
             identifies=identifies,
-            observes_energy_weight=self.config.weighted,
+            observes_energy_weight=energy_weights is not None,
             outputs_torque=outputs_torque,
         )
         observed = observation_names(simulation.settings.with_reference, simulation.settings.with_parameters)
-        self.names = (*input_names(observed, identifies, self.config.weighted), *(PRIVILEGED if privileged else ()))
+        added = input_names(observed, identifies, energy_weights is not None)
+        self.names = (*added, *(PRIVILEGED if privileged else ()))
         self.columns = len(self.names)
         if self.columns > self.header.observed:
             self.observation_space = spaces.Box(-np.inf, np.inf, (self.columns,), np.float32)
@@ -300,13 +288,7 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         self.over[:] = 1.0
         simulation = self.batch.simulation
         # Staggered in time, so that a rollout holds every part of an episode.
-        simulation.write(layout.Row.steps, np.arange(self.num_envs) * self.config.steps // self.num_envs)
-        if self.config.weighted:
-            low, high = self.config.least, self.config.most
-            # `_episodes` counts the episodes that begin here already.
-            begun = zip(simulation._keys.tolist(), simulation._episodes.tolist(), strict=True)
-            streams = (random_stream(key + (rest << 64), n - 1, Stream.disturbances) for (key, rest), n in begun)
-            self.log_weights[:] = [low + stream.random() * (high - low) for stream in streams]
+        simulation.write(layout.Row.steps, np.arange(self.num_envs) * self.steps // self.num_envs)
         return np.pad(observations, ((0, 0), (0, self.columns - observations.shape[1])))
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -340,44 +322,21 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         )
         seen = np.empty((steps, count, self.columns), np.float32)
         actions, rewards, ends = (np.empty((steps, count), np.float32) for _ in range(3))
-        compiled, episode_config = _compiled(), np.array(self.config, np.float64)
+        compiled = _compiled()
         lines, law_memory = plant_ranges(simulation.randomization, simulation.capsule), np.array(simulation.memory)
 
         def run(first: int, last: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-            # The largest number of truncated episodes of a rollout.
-            most = (last - first) * (steps // self.config.steps + 1)
+            # Memory that no episode needs is never touched.
+            most = (last - first) * steps
             cut, cut_inputs = np.empty((most, 2), np.int64), np.empty((most, self.columns), np.float32)
-            ended = np.empty((max(most, MOST_ENDED), 2 + layout.ROWS))
+            ended = np.empty((most, 2 + layout.ROWS))
+            # The groups of `_compiled`.
             cuts, endings, broken = compiled(
-                simulation._kernel,
-                blocks,
-                first,
-                last,
-                simulation.fixed,
-                simulation.observations,
-                episode_config,
-                lines,
-                simulation.options.initial_noise,
-                simulation._keys,
-                simulation._episodes,
-                law_memory,
-                network,
-                self.memory,
-                self.log_weights,
-                self.inputs,
-                self.fresh,
-                deviation,
-                noise,
-                chances,
-                self._returns,
-                self._lengths,
-                seen,
-                actions,
-                rewards,
-                ends,
-                cut,
-                cut_inputs,
-                ended,
+                *(simulation._kernel, blocks, first, last, simulation.fixed, simulation.observations),
+                *(self.steps, self.jump, self.least, self.most, lines, simulation.options.initial_noise),
+                *(simulation._keys, simulation._episodes, law_memory),
+                *(network, self.memory, self.log_weights, self.inputs, self.fresh, deviation, noise, chances),
+                *(self._returns, self._lengths, seen, actions, rewards, ends, cut, cut_inputs, ended),
             )
             return cut[:cuts], cut_inputs[:cuts], ended[:endings], broken
 
@@ -390,21 +349,12 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         starts = np.concatenate([self.over[None], ends[:-1]])
         self.over = ends[-1].copy()
         cut, cut_inputs, ended = (np.concatenate([part[n] for part in parts]) for n in range(3))
-        # As many as with one thread.
-        reported = max(count * (steps // self.config.steps + 1), MOST_ENDED)
-        return Rollout(
-            *(seen, actions, rewards, starts, cut, cut_inputs, self.inputs.copy(), self.over.copy()),
-            self._infos(ended[:reported]),
-        )
-
-    def _infos(self, ended: np.ndarray) -> list[dict[str, Any]]:
-        """Infos of ended episodes, as SB3 expects them."""
-        world = ended[:, 2:].T
-        metrics = episode_metrics(world, self.config.steps * self.batch.simulation.options.control_dt)
-        return [
+        metrics = episode_metrics(ended[:, 2:].T, self.steps * simulation.options.control_dt)
+        infos: list[dict[str, Any]] = [
             {
                 "episode": {"r": float(ended[n, 0]), "l": int(ended[n, 1])},
                 "metrics": {name: float(values[n]) for name, values in metrics.items()},
             }
             for n in range(len(ended))
         ]
+        return Rollout(seen, actions, rewards, starts, cut, cut_inputs, self.inputs.copy(), self.over.copy(), infos)

@@ -17,13 +17,13 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.torch_layers import MlpExtractor
 from stable_baselines3.common.utils import explained_variance
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
-from torch import nn
 
 from agents.fast_ppo.collection import Rollout, RolloutVecEnv
-from agents.fast_ppo.update import LOSSES, Numbers, UpdateConfig, make_steps
+from agents.fast_ppo.update import LOSSES, compiled, pack, unpack
 from agents.training.algorithms import HALF_LOG_2_PI, FastTanh
 from agents.training.presets import PPOConfig
-from capsule_gym.network import Layer, pack
+from capsule_gym import network
+from capsule_gym.network import Layer
 
 
 class FastPolicy(ActorCriticPolicy):
@@ -103,8 +103,9 @@ class FastPPO(PPO):
         - Episodes of training begin staggered in time, so that a rollout holds every part of an episode.
         - Minibatches are drawn from one permutation per epoch of torch's generator, SB3's from numpy's.
         - tanh is computed as 2 / (1 + exp(-2 x)) - 1, in float32.
-        - Only one action, `RolloutVecEnv` in a `VecNormalize` and `FastPolicy` are supported; gSDE, clipping of the
-          value function, a target divergence and squashed actions are not.
+        - Only one action, `RolloutVecEnv` in a `VecNormalize`, and `FastPolicy` with tanh are supported; gSDE, clipping
+          of the value function, a target divergence, squashed actions, other constants of Adam than SB3's, and
+          advantages that are not normalised are not.
 
     Where an option asks for it:
         - `least_log_std`: floor of the standard deviation of the actions; below it its gradient is 0.
@@ -152,26 +153,26 @@ class FastPPO(PPO):
     def _collect(self, env: VecNormalize, steps: int) -> Rollout:
         """A rollout by the present policy."""
         venv: Any = env.venv
-        network = self._network(env)
+        acting = self._network(env)
         noise = torch.randn(steps, self.n_envs).double().numpy()
-        chances = torch.rand(steps, self.n_envs, 3).double().numpy() if venv.config.jump > 0.0 else None
+        chances = torch.rand(steps, self.n_envs, 3).double().numpy() if venv.jump > 0.0 else None
         deviation = float(self.policy.log_std.detach().clamp_min(self.policy.least_log_std).exp())
-        rollout: Rollout = venv.collect(network, deviation, noise, chances)
+        rollout: Rollout = venv.collect(acting, deviation, noise, chances)
         return rollout
 
     def _network(self, env: VecNormalize) -> np.ndarray:
         """The present policy, packed."""
         venv: Any = env.venv
         rms: Any = env.obs_rms
-        layers = linear_layers(self.policy)
+        layers, _, _ = self._arrays(torch.Tensor.detach)
         header = venv.header._replace(
             layers=len(layers),
-            relu=self.policy.activation_fn is nn.ReLU,
+            relu=False,
             tanh_squashing=self.policy.tanh_mean,
             clip=env.clip_obs,
         )
         mean, variance = rms.mean[: header.inputs], rms.var[: header.inputs]
-        return pack(layers, mean, 1.0 / np.sqrt(variance + env.epsilon), header)
+        return network.pack(layers, mean, 1.0 / np.sqrt(variance + env.epsilon), header)
 
     def _count(self, rollout: Rollout, callback: BaseCallback) -> bool:
         """Counts a rollout's steps and reports its episodes; returns whether to continue."""
@@ -186,68 +187,62 @@ class FastPPO(PPO):
         """Values, log probabilities, returns and advantages of a rollout."""
         steps, count, columns = rollout.inputs.shape
         inputs = torch.from_numpy(env.normalize_obs(rollout.inputs.reshape(-1, columns)))
-        values = self._values(inputs).numpy().reshape(steps, count)
+        values = self.policy.predict_values(inputs).numpy().reshape(steps, count)
         rewards = rollout.rewards
         if len(rollout.cut):
-            beyond = self._values(torch.from_numpy(env.normalize_obs(rollout.cut_inputs))).numpy()
+            beyond = self.policy.predict_values(torch.from_numpy(env.normalize_obs(rollout.cut_inputs))).numpy().ravel()
             rewards[rollout.cut[:, 0], rollout.cut[:, 1]] += self.gamma * beyond
         buffer.values, buffer.rewards, buffer.episode_starts = values, rewards, rollout.starts
         buffer.advantages = np.empty_like(values)
-        last = self._values(torch.from_numpy(env.normalize_obs(rollout.last)))
+        last = self.policy.predict_values(torch.from_numpy(env.normalize_obs(rollout.last)))
         buffer.compute_returns_and_advantage(last, rollout.over)
         if self.num_timesteps <= self.critic_steps:
             # No advantage, no gradient of the policy's.
             buffer.advantages = np.zeros_like(values)
         actions = torch.from_numpy(rollout.actions.reshape(-1, 1))
-        mean, log_std = self._distribution(inputs)
+        mean, log_std = self.policy.mean_and_log_std(self.policy.mlp_extractor.forward_actor(inputs))
         self._samples = (
             inputs,
             actions,
-            log_density(actions, mean, log_std),
+            # The logarithm of a normal density.
+            -0.5 * ((actions - mean) * (-log_std).exp()).square() - log_std - HALF_LOG_2_PI,
             torch.from_numpy(buffer.advantages.reshape(-1, 1)),
             torch.from_numpy(buffer.returns.reshape(-1, 1)),
         )
-
-    def _values(self, inputs: torch.Tensor) -> torch.Tensor:
-        """The critic's values of normalised inputs, shape (n,)."""
-        policy = self.policy
-        return policy.value_net(policy.mlp_extractor.forward_critic(inputs)).flatten()
-
-    def _distribution(self, inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Mean and logarithm of the standard deviation of the action for normalised inputs."""
-        return self.policy.mean_and_log_std(self.policy.mlp_extractor.forward_actor(inputs))
 
     def train(self) -> None:
         """Makes `n_epochs` passes over the rollout."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         clip_range: Any = self.clip_range
-        adam: Any = self.policy.optimizer.param_groups[0]
         inputs, *others = (each.numpy() for each in self._samples)
         orders = torch.stack([torch.randperm(len(inputs)) for _ in range(self.n_epochs)]).numpy()
         states = self._states()
-        beta_1, beta_2 = adam["betas"]
-        settings = UpdateConfig(
-            batch_size=self.batch_size,
-            normalize_advantage=self.normalize_advantage,
-            clip_range=clip_range(self._current_progress_remaining),
-            ent_coef=self.ent_coef,
-            vf_coef=self.vf_coef,
-            max_grad_norm=self.max_grad_norm,
-            learning_rate=adam["lr"],
-            beta_1=beta_1,
-            beta_2=beta_2,
-            eps=adam["eps"],
-            step=int(states[self.policy.log_std]["step"]),
-            relu=self.policy.activation_fn is nn.ReLU,
-            tanh_mean=self.policy.tanh_mean,
-            least_log_std=self.policy.least_log_std,
+        tensors = (
+            torch.Tensor.detach,
+            lambda parameter: states[parameter]["exp_avg"],
+            lambda parameter: states[parameter]["exp_avg_sq"],
         )
-        changed = [
-            self._numbers({parameter: parameter.detach() for parameter in states}),
-            *(self._numbers({key: state[name] for key, state in states.items()}) for name in ("exp_avg", "exp_avg_sq")),
-        ]
-        losses = make_steps(settings, changed, orders, inputs, *(each.ravel() for each in others))
+        changed = [self._arrays(of) for of in tensors]
+        packed = [pack([*actor, *critic], log_std) for actor, critic, log_std in changed]
+        actor, critic = (
+            np.array([layers[0][0].shape[1], *(len(bias) for _, bias in layers)]) for layers in changed[0][:2]
+        )
+        losses = np.empty(len(LOSSES))
+        compiled()(
+            self.batch_size,
+            clip_range(self._current_progress_remaining),
+            self.ent_coef,
+            self.vf_coef,
+            self.max_grad_norm,
+            self.policy.optimizer.param_groups[0]["lr"],
+            int(states[self.policy.log_std]["step"]),
+            self.policy.tanh_mean,
+            self.policy.least_log_std,
+            *(actor, critic, orders, inputs, *(each.ravel() for each in others), *packed, losses),
+        )
+        for array, (of_actor, of_critic, log_std) in zip(packed, changed, strict=True):
+            unpack(array, [*of_actor, *of_critic], log_std)
         for state in states.values():
             state["step"] += self.n_epochs * -(-len(inputs) // self.batch_size)
         self._n_updates += self.n_epochs
@@ -268,32 +263,15 @@ class FastPPO(PPO):
                 states[parameter] = {"step": torch.zeros(()), **moments}
         return states
 
-    def _numbers(self, of: dict[torch.Tensor, torch.Tensor]) -> Numbers:
-        """The given tensors of the parameters, as arrays that share their memory."""
+    def _arrays(self, of: Callable[[torch.Tensor], torch.Tensor]) -> tuple[list[Layer], list[Layer], np.ndarray]:
+        """Actor, critic and log_std: the numbers of a tensor of each parameter, as arrays that share its memory."""
         policy: Any = self.policy
-        networks = acting_layers(policy), [*policy.mlp_extractor.value_net[::2], policy.value_net]
+        hidden = policy.mlp_extractor
+        networks = [*hidden.policy_net[::2], policy.action_net], [*hidden.value_net[::2], policy.value_net]
         actor, critic = (
-            [(of[layer.weight].numpy(), of[layer.bias].numpy()) for layer in layers] for layers in networks
+            [(of(layer.weight).numpy(), of(layer.bias).numpy()) for layer in layers] for layers in networks
         )
-        return Numbers(actor, critic, of[policy.log_std].numpy())
-
-
-def acting_layers(policy: FastPolicy) -> list[Any]:
-    """The linear layers that a policy acts by."""
-    hidden: Any = policy.mlp_extractor.policy_net
-    return [*hidden[::2], policy.action_net]
-
-
-def linear_layers(policy: FastPolicy) -> list[Layer]:
-    """Weights and biases of the layers that a policy acts by, copied, float32."""
-    return [
-        (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in acting_layers(policy)
-    ]
-
-
-def log_density(actions: torch.Tensor, mean: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:
-    """The logarithm of a normal density."""
-    return -0.5 * ((actions - mean) * (-log_std).exp()).square() - log_std - HALF_LOG_2_PI
+        return actor, critic, of(policy.log_std).numpy()
 
 
 def make_env(config: PPOConfig, seed: int, episode_steps: int) -> RolloutVecEnv:
@@ -312,13 +290,13 @@ def make_env(config: PPOConfig, seed: int, episode_steps: int) -> RolloutVecEnv:
     )
 
 
-def make_model(config: PPOConfig, env: VecNormalize, network: dict[str, Any], kwargs: dict[str, Any]) -> FastPPO:
+def make_model(config: PPOConfig, env: VecNormalize, policy_kwargs: dict[str, Any], kwargs: dict[str, Any]) -> FastPPO:
     """A fresh agent.
 
     Args:
         config: its hyperparameters.
         env: the environments, `make_env`'s.
-        network: the arguments that SB3's policy has as well.
+        policy_kwargs: the arguments that SB3's policy has as well.
         kwargs: the arguments that SB3's PPO has as well.
     """
     venv: Any = env.venv
@@ -326,8 +304,8 @@ def make_model(config: PPOConfig, env: VecNormalize, network: dict[str, Any], kw
         "policy_inputs": venv.header.inputs,
         "least_log_std": config.least_log_std,
         "tanh_mean": config.tanh_mean,
-        "activation_fn": {"tanh": FastTanh, "relu": nn.ReLU}[config.activation],
+        "activation_fn": FastTanh,
     }
-    model = FastPPO(FastPolicy, env, policy_kwargs={**network, **own}, **kwargs)
+    model = FastPPO(FastPolicy, env, policy_kwargs={**policy_kwargs, **own}, **kwargs)
     model.critic_steps = config.critic_steps
     return model

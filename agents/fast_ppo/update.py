@@ -11,6 +11,7 @@ on one machine, not from one kind of processor to another.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import lru_cache
 from itertools import chain
 from typing import Any, NamedTuple
@@ -23,7 +24,6 @@ from numba.extending import intrinsic
 
 from agents.training.algorithms import HALF_LOG_2_PI
 from capsule_gym.compilation import compile_entry, inlined, inner, jitable, use_widest_vectors
-from capsule_gym.layout import check_arrays, record
 from capsule_gym.network import Layer
 
 # Samples that are taken through the networks together.
@@ -47,33 +47,12 @@ LN_2_REST = F32(math.log(2.0) - float(LN_2))
 ROUNDING = F32(1.5 * 2.0**23)
 # Taylor's coefficients of exp.
 E_2, E_3, E_4, E_5, E_6, E_7 = (F32(1.0 / math.factorial(n)) for n in range(2, 8))
+# Adam's constants, SB3's defaults.
+BETA_1, BETA_2, EPS = 0.9, 0.999, 1e-5
 # Exponents that are taken as they are: beyond, 2^n is no normal number.
 LARGEST = F32(87.0)
 # From here on the tangent is 1 to the last digit.
 FLAT = F32(10.0)
-
-
-class UpdateConfig(NamedTuple):
-    """The numbers of an update; those of SB3's PPO and torch's Adam have their names and meanings there."""
-
-    batch_size: int
-    normalize_advantage: bool
-    clip_range: float
-    ent_coef: float
-    vf_coef: float
-    max_grad_norm: float
-    learning_rate: float
-    beta_1: float
-    beta_2: float
-    eps: float
-    # Steps that Adam has made before.
-    step: int
-    # Whether max(0, .) follows the hidden layers, else tanh.
-    relu: bool
-    # Whether tanh brings the action's mean to [-1, 1].
-    tanh_mean: bool
-    # Floor of the logarithm of the standard deviation.
-    least_log_std: float
 
 
 class Rows(NamedTuple):
@@ -101,45 +80,34 @@ def filled(width: int) -> int:
     return -(-width // TILE) * TILE
 
 
-class Numbers(NamedTuple):
-    """The parameters of an agent, or a moment of each of them: float32 arrays.
+def matrices(packed: np.ndarray, layers: list[Layer]) -> Iterator[np.ndarray]:
+    """The part of a packed array that each layer has: weights and, as one more column, biases.
 
-    Attributes:
-        actor: weights (outputs, inputs) and biases (outputs,) of each layer, in order.
-        critic: the same of the critic.
-        log_std: logarithm of the standard deviation, shape (1,).
+    A packed array holds these matrices row by row, filled up with zeros to multiples of TILE, of actor and critic, and
+    at last the logarithm of the standard deviation.
     """
-
-    actor: list[Layer]
-    critic: list[Layer]
-    log_std: np.ndarray
-
-
-def pack(numbers: Numbers) -> np.ndarray:
-    """All numbers in one array.
-
-    Of each layer it holds the matrix, row by row, with the bias for the weight of one more input and filled up with
-    zeros; of actor, critic and at last the standard deviation.
-    """
-    parts = [numbers.log_std]
-    for weights, bias in reversed([*numbers.actor, *numbers.critic]):
-        outputs, inputs = weights.shape
-        matrix = np.zeros((filled(outputs), filled(inputs + 1)), np.float32)
-        matrix[:outputs, :inputs], matrix[:outputs, inputs] = weights, bias
-        parts.append(matrix.ravel())
-    return np.concatenate(parts[::-1])
-
-
-def unpack(packed: np.ndarray, numbers: Numbers) -> None:
-    """Writes a packed array back to the arrays that `pack` took."""
     at = 0
-    for weights, bias in [*numbers.actor, *numbers.critic]:
+    for weights, _ in layers:
         outputs, inputs = weights.shape
         rows, columns = filled(outputs), filled(inputs + 1)
-        matrix = packed[at : at + rows * columns].reshape(rows, columns)
-        weights[:], bias[:] = matrix[:outputs, :inputs], matrix[:outputs, inputs]
-        at += matrix.size
-    numbers.log_std[:] = packed[at:]
+        yield packed[at : at + rows * columns].reshape(rows, columns)[:outputs, : inputs + 1]
+        at += rows * columns
+
+
+def pack(layers: list[Layer], log_std: np.ndarray) -> np.ndarray:
+    """The layers of actor and critic, and the logarithm of the standard deviation, as one array."""
+    size = sum(filled(len(bias)) * filled(weights.shape[1] + 1) for weights, bias in layers)
+    packed = np.append(np.zeros(size, np.float32), log_std)
+    for matrix, (weights, bias) in zip(matrices(packed, layers), layers, strict=True):
+        matrix[:, :-1], matrix[:, -1] = weights, bias
+    return packed
+
+
+def unpack(packed: np.ndarray, layers: list[Layer], log_std: np.ndarray) -> None:
+    """Writes a packed array back to the arrays that `pack` took."""
+    for matrix, (weights, bias) in zip(matrices(packed, layers), layers, strict=True):
+        weights[:], bias[:] = matrix[:, :-1], matrix[:, -1]
+    log_std[:] = packed[-1:]
 
 
 FLOAT, INTEGER = ir.FloatType(), ir.IntType(32)
@@ -306,26 +274,18 @@ def tanh(x: float) -> float:
     return ONE - TWO / (exponential(TWO * x) + ONE)
 
 
-def activate(rows: np.ndarray, relu: bool) -> None:
+def activate(rows: np.ndarray) -> None:
     """Applies the activation."""
     use_widest_vectors()
-    if relu:
-        for j in range(len(rows)):
-            rows[j] = ZERO if rows[j] < ZERO else rows[j]
-    else:
-        for j in range(len(rows)):
-            rows[j] = tanh(rows[j])
+    for j in range(len(rows)):
+        rows[j] = tanh(rows[j])
 
 
-def activate_backward(errors: np.ndarray, activations: np.ndarray, relu: bool) -> None:
+def activate_backward(errors: np.ndarray, activations: np.ndarray) -> None:
     """Multiplies with the slopes of the activation where it has these values."""
     use_widest_vectors()
-    if relu:
-        for j in range(len(errors)):
-            errors[j] = errors[j] if activations[j] > ZERO else ZERO
-    else:
-        for j in range(len(errors)):
-            errors[j] *= ONE - activations[j] * activations[j]
+    for j in range(len(errors)):
+        errors[j] *= ONE - activations[j] * activations[j]
 
 
 def sum_of(row: np.ndarray) -> float:
@@ -428,13 +388,12 @@ policy_loss_noinline, value_loss_noinline = _inner(policy_loss, "contract"), _in
 adam_noinline = _inner(adam, "contract")
 
 
-def forward(parameters: np.ndarray, widths: np.ndarray, relu: bool, rows: np.ndarray) -> int:
+def forward(parameters: np.ndarray, widths: np.ndarray, rows: np.ndarray) -> int:
     """Takes LANES samples through a network.
 
     Args:
         parameters: its part of a packed array.
         widths: of its inputs and its layers.
-        relu: whether max(0, .) follows the hidden layers, else tanh.
         rows: the padded inputs; the outputs of every layer are written behind them, shape (.., LANES) but flat.
 
     Returns:
@@ -452,7 +411,7 @@ def forward(parameters: np.ndarray, widths: np.ndarray, relu: bool, rows: np.nda
                 multiply(parameters, start, columns, 1, columns, rows, given + j, rows, target)
         if layer < layers - 1:
             end = sums + units * LANES
-            activate_noinline(rows[sums:end], relu)
+            activate_noinline(rows[sums:end])
             # The input that the next layer's bias multiplies.
             rows[end : end + LANES] = ONE
         at += filled(units) * columns
@@ -461,10 +420,9 @@ def forward(parameters: np.ndarray, widths: np.ndarray, relu: bool, rows: np.nda
 
 
 def backward(
-    parameters: np.ndarray,  # this and the next three as in `forward`
+    parameters: np.ndarray,  # this and `widths` as in `forward`
     gradients: np.ndarray,  # of the parameters; changed
     widths: np.ndarray,
-    relu: bool,
     rows: np.ndarray,  # as `forward` leaves them
     errors: np.ndarray,  # slopes of the loss over the padded outputs; changed
     spare: np.ndarray,  # of the size of `errors`; changed
@@ -488,7 +446,7 @@ def backward(
                 for i in range(0, filled(inputs), TILE):
                     multiply(parameters, at + i, 1, columns, outputs, errors, j, spare, i * LANES + j)
             size = inputs * LANES
-            activate_backward_noinline(spare[:size], rows[given : given + size], relu)
+            activate_backward_noinline(spare[:size], rows[given : given + size])
             # Padding must stay zero.
             spare[size : filled(inputs) * LANES] = ZERO
             errors, spare = spare, errors
@@ -536,7 +494,15 @@ def moments(advantages: np.ndarray, chosen: np.ndarray) -> tuple[float, float]:
 
 
 def update(
-    settings: np.ndarray,  # the fields of `UpdateConfig`
+    batch_size: int,  # this and the next five as in SB3's PPO
+    clip_range: float,
+    ent_coef: float,
+    vf_coef: float,
+    max_grad_norm: float,
+    learning_rate: float,
+    step: int,  # steps that Adam has made before
+    tanh_mean: bool,  # whether tanh brings the action's mean to [-1, 1]
+    least_log_std: float,  # floor of the logarithm of the standard deviation
     actor: np.ndarray,  # widths of its inputs and its layers, the last of which is 1
     critic: np.ndarray,  # the same of the critic, which may have more inputs
     orders: np.ndarray,  # the samples in the order of each epoch, shape (epochs, samples)
@@ -551,7 +517,6 @@ def update(
     losses: np.ndarray,  # written: means of LOSSES over the minibatches
 ) -> None:
     """Makes a step of Adam for every minibatch."""
-    s = record(settings, 0, UpdateConfig)
     split = size_of(actor)
     last = split + size_of(critic)
     rows_a, rows_c = zeros_aligned(rows_of(actor) * LANES), zeros_aligned(rows_of(critic) * LANES)
@@ -562,18 +527,18 @@ def update(
     rows_a[actor[0] * LANES : (actor[0] + 1) * LANES] = ONE
     rows_c[critic[0] * LANES : (critic[0] + 1) * LANES] = ONE
     sums = np.zeros(len(losses))
-    power_1, power_2 = s.beta_1**s.step, s.beta_2**s.step
+    power_1, power_2 = BETA_1**step, BETA_2**step
     batches = 0
     for order in orders:
-        for begin in range(0, len(order), s.batch_size):
-            chosen = order[begin : begin + s.batch_size]
+        for begin in range(0, len(order), batch_size):
+            chosen = order[begin : begin + batch_size]
             size = len(chosen)
             centre, scale = 0.0, 1.0
-            if s.normalize_advantage and size > 1:
+            if size > 1:
                 centre, deviation = moments(advantages, chosen)
                 scale = 1.0 / (deviation + 1e-8)
             gradients[:] = ZERO
-            log_std = max(parameters[last], F32(s.least_log_std))
+            log_std = max(parameters[last], F32(least_log_std))
             for start in range(0, size, LANES):
                 n = min(LANES, size - start)
                 for j in range(n):
@@ -584,7 +549,7 @@ def update(
                         rows_a[k * LANES + j] = inputs[i, k]
                     for k in range(critic[0]):
                         rows_c[k * LANES + j] = inputs[i, k]
-                out = forward_noinline(parameters[:split], actor, s.relu, rows_a)
+                out = forward_noinline(parameters[:split], actor, rows_a)
                 errors[LANES : TILE * LANES] = ZERO
                 policy_loss_noinline(
                     samples,
@@ -593,35 +558,35 @@ def update(
                     n,
                     F32(1.0 / size),
                     log_std,
-                    F32(s.clip_range),
-                    s.tanh_mean,
+                    F32(clip_range),
+                    tanh_mean,
                 )
-                backward_noinline(parameters[:split], gradients[:split], actor, s.relu, rows_a, errors, spare)
-                out = forward_noinline(parameters[split:last], critic, s.relu, rows_c)
+                backward_noinline(parameters[:split], gradients[:split], actor, rows_a, errors, spare)
+                out = forward_noinline(parameters[split:last], critic, rows_c)
                 errors[LANES : TILE * LANES] = ZERO
-                value_loss_noinline(samples, rows_c[out : out + LANES], errors[:LANES], n, F32(2.0 * s.vf_coef / size))
-                backward_noinline(parameters[split:last], gradients[split:last], critic, s.relu, rows_c, errors, spare)
+                value_loss_noinline(samples, rows_c[out : out + LANES], errors[:LANES], n, F32(2.0 * vf_coef / size))
+                backward_noinline(parameters[split:last], gradients[split:last], critic, rows_c, errors, spare)
                 gradients[last] += sum_noinline(samples[ROW.log_std_slope])
                 sums[0] -= sum_noinline(samples[ROW.gain]) / size
                 sums[1] += sum_noinline(samples[ROW.squared_error]) / size
                 sums[3] += sum_noinline(samples[ROW.divergence]) / size
                 sums[4] += sum_noinline(samples[ROW.clipped]) / size
             sums[2] -= log_std + NORMAL + HALF
-            gradients[last] = gradients[last] - s.ent_coef if parameters[last] >= F32(s.least_log_std) else 0.0
+            gradients[last] = gradients[last] - ent_coef if parameters[last] >= F32(least_log_std) else 0.0
             norm = math.sqrt(sum_of_squares_noinline(gradients))
-            power_1 *= s.beta_1
-            power_2 *= s.beta_2
+            power_1 *= BETA_1
+            power_2 *= BETA_2
             adam_noinline(
                 parameters,
                 gradients,
                 first,
                 second,
-                F32(1.0 - s.beta_1),
-                F32(1.0 - s.beta_2),
-                F32(min(1.0, s.max_grad_norm / (norm + 1e-6))),
-                F32(s.learning_rate / (1.0 - power_1)),
+                F32(1.0 - BETA_1),
+                F32(1.0 - BETA_2),
+                F32(min(1.0, max_grad_norm / (norm + 1e-6))),
+                F32(learning_rate / (1.0 - power_1)),
                 F32(1.0 / math.sqrt(1.0 - power_2)),
-                F32(s.eps),
+                F32(EPS),
             )
             batches += 1
     for k in range(len(losses)):
@@ -631,48 +596,8 @@ def update(
 @lru_cache(maxsize=1)
 def compiled() -> Any:
     """`update` as compiled code: it checks neither dtype nor shape nor contiguity of its arrays."""
-    numbers, widths, row = types.float64[::1], types.int64[::1], types.float32[::1]
-    given = (types.int64[:, ::1], types.float32[:, ::1], row, row, row, row)
-    signature = (numbers, widths, widths, *given, row, row, row, numbers)
+    number, row, widths = types.float64, types.float32[::1], types.int64[::1]
+    settings = (types.int64, *[number] * 5, types.int64, types.boolean, number)
+    samples = (types.int64[:, ::1], types.float32[:, ::1], row, row, row, row)
+    signature = (*settings, widths, widths, *samples, row, row, row, number[::1])
     return compile_entry(update, signature, "the updates of training")
-
-
-def make_steps(
-    settings: UpdateConfig,
-    changed: list[Numbers],
-    orders: np.ndarray,
-    inputs: np.ndarray,
-    actions: np.ndarray,
-    old_log_probs: np.ndarray,
-    advantages: np.ndarray,
-    targets: np.ndarray,
-) -> np.ndarray:
-    """Makes a step of Adam for every minibatch, as `update`, which documents the arrays.
-
-    `changed` holds the parameters and Adam's first and second moments.
-
-    Returns:
-        The means of LOSSES over the minibatches, float64.
-
-    Raises:
-        TypeError: if an array is of another dtype or shape.
-    """
-    actor, critic = (
-        np.array([layers[0][0].shape[1], *(len(bias) for _, bias in layers)])
-        for layers in (changed[0].actor, changed[0].critic)
-    )
-    count = len(inputs)
-    check_arrays(
-        orders=(orders, np.int64, (None, count)),
-        inputs=(inputs, np.float32, (count, int(critic[0]))),
-        actions=(actions, np.float32, (count,)),
-        old_log_probs=(old_log_probs, np.float32, (count,)),
-        advantages=(advantages, np.float32, (count,)),
-        targets=(targets, np.float32, (count,)),
-    )
-    samples = (orders, inputs, actions, old_log_probs, advantages, targets)
-    packed, losses = [pack(numbers) for numbers in changed], np.empty(len(LOSSES))
-    compiled()(np.array(settings, np.float64), actor, critic, *samples, *packed, losses)
-    for array, numbers in zip(packed, changed, strict=True):
-        unpack(array, numbers)
-    return losses

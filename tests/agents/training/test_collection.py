@@ -14,7 +14,6 @@ import torch
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.logger import configure
 
-from agents.fast_ppo import collection
 from agents.fast_ppo.collection import Rollout, RolloutVecEnv
 from agents.training import algorithms as loop
 from capsule_gym import Capsule, CapsuleVectorEnv, Controller, Policy, Randomization
@@ -65,7 +64,7 @@ def make_network(env: RolloutVecEnv, tanh_squashing: bool = False, layers: Any =
 def draws(env: RolloutVecEnv, steps: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray | None]:
     rng = np.random.default_rng(seed)
     noise = rng.normal(size=(steps, env.num_envs))
-    return noise, rng.random((steps, env.num_envs, 3)) if env.config.jump else None
+    return noise, rng.random((steps, env.num_envs, 3)) if env.jump else None
 
 
 class Loop:
@@ -172,8 +171,7 @@ class Loop:
 
 @pytest.mark.parametrize("count", [3, LANES + 6])
 @pytest.mark.parametrize("changes", CASES.values(), ids=CASES)
-def test_a_rollout_gives_the_bits_of_a_loop_in_python(changes, count, monkeypatch):
-    monkeypatch.setattr(collection, "MOST_ENDED", 10_000)
+def test_a_rollout_gives_the_bits_of_a_loop_in_python(changes, count):
     env, loop = make_env(count, **changes), Loop(count, **changes)
     network, happened = make_network(env), {"failed": 0, "cut": 0, "diverged": 0, "jumped": 0}
     for n, steps in enumerate((70, 1, 30)):
@@ -254,36 +252,6 @@ def test_threads_share_a_rollout(threads):
         for name in set(Rollout._fields) - {"infos"}:
             assert getattr(alone, name).tobytes() == getattr(shared, name).tobytes(), name
     assert len(rollouts[1].cut) > 0
-
-
-def test_more_ended_episodes_than_are_reported_change_nothing_else(monkeypatch):
-    # All pendulums fall over at once, again and again; 2 rows are what a rollout of 60 steps needs for cut episodes.
-    rollouts = []
-    for most in (1024, 1):
-        monkeypatch.setattr(collection, "MOST_ENDED", most)
-        env = make_env(2, torque_limit=20.0, episode_steps=1000)
-        rollouts.append(env.collect(make_network(env), 0.0, np.zeros((60, 2))))
-    many, few = rollouts
-    assert len(few.infos) == 2 < len(many.infos)
-    assert few.infos == many.infos[:2]
-    assert few.inputs.tobytes() == many.inputs.tobytes()
-    assert few.rewards.tobytes() == many.rewards.tobytes()
-
-
-def test_a_second_reset_draws_the_weights_of_the_episodes_that_begin():
-    env = make_env(4, energy_weights=(0.1, 10.0))
-    first = env.log_weights.copy()
-    env.reset()
-    expected = [
-        math.log(0.1) + random_stream(SEED + i, 1, Stream.disturbances).random() * (math.log(10.0) - math.log(0.1))
-        for i in range(4)
-    ]
-    assert env.log_weights.tolist() == expected
-    assert not np.array_equal(first, env.log_weights)
-    env.seed(2**64 + 1)
-    env.reset()
-    assert env.log_weights[0] != first[0]
-    assert (env.log_weights >= math.log(0.1)).all() and (env.log_weights <= math.log(10.0)).all()
 
 
 def test_a_law_that_returns_no_number_is_reported_and_a_reset_goes_on():

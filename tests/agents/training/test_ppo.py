@@ -8,7 +8,6 @@ import torch
 from gymnasium import spaces
 from stable_baselines3 import PPO
 from stable_baselines3.common.logger import configure
-from torch import nn
 
 from agents.fast_ppo.ppo import FastPolicy, FastPPO
 from agents.training.algorithms import FastTanh, make_env, make_model
@@ -76,20 +75,14 @@ def moments(model: FastPPO, name: str) -> np.ndarray:
 
 
 AGENTS = {
-    "tanh": {},
-    "relu": {"activation_fn": nn.ReLU},
-    "relu, odd widths": {"activation_fn": nn.ReLU, "net_arch": [9, 7, 5]},
+    "odd widths": {"net_arch": [9, 7, 5]},
     "no hidden layer": {"net_arch": []},
-    "tanh brings the mean to [-1, 1]": {"tanh_mean": True},
-    "privileged critic": {"inputs": 9, "policy_inputs": 4, "tanh_mean": True},
+    "privileged critic, tanh of the mean": {"inputs": 9, "policy_inputs": 4, "tanh_mean": True},
     "wide": {"net_arch": [64, 64], "inputs": 5, "policy_inputs": 5, "samples": 4096, "batch_size": 2048},
     "minibatches of one and of whole lanes": {"samples": 257, "batch_size": 128},
-    "no normalisation": {"normalize_advantage": False},
     "log_std below its floor": {"least_log_std": 0.0},
-    "log_std at its floor": {"least_log_std": -0.5},
     "gradients clipped to nearly nothing": {"max_grad_norm": 1e-4},
-    "gradients never clipped": {"max_grad_norm": 1e4},
-    "other weights": {"ent_coef": 0.3, "vf_coef": 2.0, "clip_range": 0.05},
+    "other weights": {"ent_coef": 0.3, "vf_coef": 2.0, "clip_range": 0.05, "max_grad_norm": 1e4},
 }
 
 
@@ -143,14 +136,6 @@ def test_below_its_floor_the_standard_deviation_is_not_trained():
     model.train()
     assert model.policy.log_std.item() == -0.5
     assert not model.policy.optimizer.state[model.policy.log_std]["exp_avg"].any()
-
-
-def test_the_same_start_gives_the_same_bits():
-    models = [agent(net_arch=[64, 64]) for _ in range(2)]
-    for model in models:
-        torch.manual_seed(1)
-        model.train()
-    np.testing.assert_array_equal(*map(weights, models))
 
 
 def test_first_only_the_critic_learns():
