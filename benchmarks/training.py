@@ -77,7 +77,7 @@ def trainer(name: str, *, stock: bool = False, **changes: Any) -> Trainer:
 
 
 PRESET, PEER = trainer("preset"), trainer("SB3's PPO", stock=True, **TUNED)
-LEARNERS = (PRESET, PEER, trainer("ReLU", activation="relu"), trainer("256 x 64", num_envs=256, n_steps=64))
+LEARNERS = (PRESET, PEER, trainer("256 x 64", num_envs=256, n_steps=64))
 # Whose speed is measured; ratios refer to the first.
 CONTENDERS = (PRESET, PEER, trainer("SB3's PPO, untuned", stock=True, **UNTUNED))
 

@@ -20,7 +20,7 @@ from tyro.conf import arg
 
 from agents.evaluation.episodes import versions
 from agents.study.jobs import Job, check_settings, evaluations, score, train_job
-from agents.training.presets import Algorithm, Config, OffPolicyConfig, RunError, named_settings
+from agents.training.presets import PRESETS, ROWS, Algorithm, Config, OffPolicyConfig, RunError, row_settings
 from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Count, Positional, parse, refuse
 from capsule_gym.files import canonical_hash, to_json, write_atomically
@@ -125,7 +125,7 @@ class Args:
 
     def settings(self) -> Config:
         """The configuration that all trials share, apart from what is tuned."""
-        row = named_settings(self.row)
+        row = row_settings(self.row, ROWS | {f"{task}-{algo}": preset for (task, algo), preset in PRESETS.items()})
         steps = self.total_steps or row.total_steps
         evaluate_every = max(1, steps // EVALUATIONS_PER_TRIAL)
         return dataclasses.replace(row, seed=self.seed, total_steps=steps, evaluate_every=evaluate_every)

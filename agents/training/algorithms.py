@@ -198,18 +198,13 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
         names = ("buffer_size", "learning_starts", "gradient_steps", "tau")
     kwargs |= {name: getattr(config, name) for name in names}
     if isinstance(config, PPOConfig):
-        network["activation_fn"] = {"tanh": nn.Tanh, "relu": nn.ReLU}[config.activation]
+        network["activation_fn"] = nn.Tanh
     elif isinstance(config, RecurrentPPOConfig):
         policy = "MlpLstmPolicy" if config.stock else RecurrentPolicy
-        network |= {"lstm_hidden_size": config.hidden, "enable_critic_lstm": config.recurrent_critic}
+        network |= {"lstm_hidden_size": config.hidden, "enable_critic_lstm": False}
         network["activation_fn"] = nn.Tanh if config.stock else FastTanh
     elif isinstance(config, TD3Config):
-        kwargs |= {
-            "action_noise": _action_noise(config),
-            "policy_delay": config.policy_delay,
-            "target_policy_noise": config.target_policy_noise,
-            "target_noise_clip": config.target_noise_clip,
-        }
+        kwargs["action_noise"] = _action_noise(config)
     elif isinstance(config, TQCConfig):
         kwargs["top_quantiles_to_drop_per_net"] = config.dropped_quantiles
         network["n_quantiles"] = config.quantiles

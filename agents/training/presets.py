@@ -10,6 +10,7 @@ import dataclasses
 import json
 import math
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -54,8 +55,6 @@ RANGES: dict[str, tuple[str, float, float, bool]] = {
     "tau": ("a number in (0, 1]", 0.0, 1.0, True),
     "action_noise": ("a finite number >= 0", 0.0, math.inf, False),
     "noise_time": ("a finite number >= 0", 0.0, math.inf, False),
-    "target_policy_noise": ("a finite number >= 0", 0.0, math.inf, False),
-    "target_noise_clip": ("a finite number >= 0", 0.0, math.inf, False),
 }
 
 
@@ -177,8 +176,6 @@ class PPOConfig(OnPolicyConfig):
     """Floor of that logarithm."""
     tanh_mean: bool = False
     """Whether tanh brings the mean of the action to [-1, 1]; else it is clipped."""
-    activation: Literal["tanh", "relu"] = "tanh"
-    """Activation of the hidden layers."""
     control_dt: Annotated[float, _option("control_dt")] = EnvConfig.control_dt
     episode_seconds: float = HORIZON
     """Length of an episode of training, s."""
@@ -235,8 +232,6 @@ class RecurrentPPOConfig(OnPolicyConfig):
     """Steps of each environment between updates: the longest sequence of an update."""
     evaluate_every: Count = 100_000
     """Environment steps between evaluations and checkpoints."""
-    recurrent_critic: bool = False
-    """Whether the critic has an LSTM of its own; else it is a function of the present observation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -286,12 +281,6 @@ class TD3Config(OffPolicyConfig):
     """Standard deviation of the noise on actions while training."""
     noise_time: float = 0.0
     """Time over which that noise is correlated, s: without, it hardly swings the pendulum."""
-    policy_delay: Count = 2
-    """Updates of the critics in one of the actor."""
-    target_policy_noise: float = 0.2
-    """Standard deviation of the noise on the target's actions."""
-    target_noise_clip: float = 0.5
-    """Largest such noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -442,35 +431,15 @@ ROWS: dict[str, Config] = {
 }
 
 
-def row_settings(name: str) -> Config:
-    """The settings of a row of the leaderboard, with seed 0.
-
-    Args:
-        name: a key of `ROWS`.
+def row_settings(name: str, choices: Mapping[str, Config] = ROWS) -> Config:
+    """The settings of that name: of a row of the leaderboard with seed 0, or of other choices.
 
     Raises:
-        ValueError: if there is no such row.
+        ValueError: if there is none.
     """
-    if name not in ROWS:
-        raise ValueError(f"a row must be one of {', '.join(ROWS)}, got {name!r}{nearest(name, ROWS)}")
-    return ROWS[name]
-
-
-def named_settings(name: str) -> Config:
-    """The preset of that name, such as "direct-sac", or else the settings of the row of that name.
-
-    Args:
-        name: TASK-ALGO, or a key of `ROWS`.
-
-    Raises:
-        ValueError: if it is neither.
-    """
-    presets = {f"{task}-{algo}": config for (task, algo), config in PRESETS.items()}
-    found = presets.get(name) or ROWS.get(name)
-    if found is None:
-        names = list(dict.fromkeys((*presets, *ROWS)))
-        raise ValueError(f"a preset or row must be one of {', '.join(names)}, got {name!r}{nearest(name, names)}")
-    return found
+    if name not in choices:
+        raise ValueError(f"a row must be one of {', '.join(choices)}, got {name!r}{nearest(name, choices)}")
+    return choices[name]
 
 
 def read_config(run: Path) -> Config:
@@ -485,21 +454,17 @@ def read_config(run: Path) -> Config:
     path = run / CONFIG
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise RunError(f"--resume must name the folder of a run, got {str(run)!r}, which has no {CONFIG}") from None
-    except (OSError, ValueError) as error:
-        raise RunError(f"{path} cannot be read: {error}") from error
-    try:
-        preset = PRESETS[content["task"], content["algo"]]
         # JSON knows lists only.
         given: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value
             for name, value in content["hyperparameters"].items()
         }
-        config = type(preset)(**given)
+        config = type(PRESETS[content["task"], content["algo"]])(**given)
         config.check()
+    except FileNotFoundError:
+        raise RunError(f"--resume must name the folder of a run, got {str(run)!r}, which has no {CONFIG}") from None
     except KeyError as error:
         raise RunError(f"{path} is no configuration of a run: it lacks or does not know {error}") from error
-    except (AttributeError, TypeError, ValueError) as error:
+    except (OSError, AttributeError, TypeError, ValueError) as error:
         raise RunError(f"{path} is no configuration of a run: {error}") from error
     return config
