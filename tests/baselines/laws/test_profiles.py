@@ -74,6 +74,8 @@ def test_reference_platform_obeys_the_second_row():
     # Within a phase the integrated columns are consistent, to the second order of the fine step.
     np.testing.assert_allclose(np.gradient(table["x_d"], 1e-3)[300:850], table["x_d_dot"][300:850], atol=1e-4)
     assert table["cycle_start"].tolist() == [1.0] + [0.0] * (len(rows) - 1)
+    # Laws share it.
+    assert not rows.flags.writeable
 
 
 @pytest.mark.parametrize(("theta", "theta_dot", "x_dot"), [(0.3, 1, 0.2), (-0.9, 3, -0.1), (0.5, 0.01, 0), (0.5, 6, 0)])
