@@ -197,9 +197,8 @@ def evaluate(
     work = [policy for candidate in candidates for policy in candidate.policies]
     parallel = Parallel(jobs, return_as="generator")
     if jobs > 1:
-        # Each law is compiled once: the other processes find it on disk.
-        laws = {str(policy.env_kwargs.get("controller")): policy for policy in work}
-        list(parallel(delayed(evaluate_run)(policy, sets[:1], CONTROL_DT) for policy in laws.values()))
+        # The step is compiled once: the processes find it on disk.
+        evaluate_run(work[-1], sets[:1], CONTROL_DT)
     results = parallel(delayed(_work)(policy, sets, horizon, disturbed) for policy in work)
     found = iter(tqdm(results, "evaluating", len(work), file=sys.stderr, disable=None))
     for candidate in candidates:
