@@ -17,7 +17,6 @@ from agents.evaluation.statistics import (
     estimate,
     learning_curve,
     performance_profile,
-    probability_of_improvement,
 )
 from agents.leaderboard.rows import Row
 from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, Pen, add_note, new_figure, save, style
@@ -72,7 +71,12 @@ def plot_curve(axes: Any, curve: Curve, pen: Pen, **more: Any) -> None:
 
 
 def draw_profiles(rows: Sequence[Row], set_names: Sequence[str]) -> Any:
-    """Performance profiles: the share of episodes faster than a speed, a panel per row."""
+    """Performance profiles: the share of episodes faster than a speed (cm/s), a panel per row.
+
+    Args:
+        rows: one or more.
+        set_names: at most two, each with a pen of its own.
+    """
     figure, places = panels([row.name for row in rows], 0.9)
     fastest = max(float(row.score(name, SPEED).max()) for row in rows for name in set_names)
     for row, axes in zip(rows, places, strict=False):
@@ -92,7 +96,11 @@ def draw_profiles(rows: Sequence[Row], set_names: Sequence[str]) -> Any:
 
 
 def draw_learning(learning: Mapping[str, Learning]) -> Any:
-    """Learning curves: the speeds of all seeds over steps, and their interquartile mean, a panel per row."""
+    """Learning curves: the speeds of all seeds over steps, and their interquartile mean, a panel per row.
+
+    Args:
+        learning: by the row's name.
+    """
     figure, places = panels(list(learning), 0.75)
     for runs, axes in zip(learning.values(), places, strict=False):
         for steps, speeds in runs.values():
@@ -110,37 +118,6 @@ def draw_learning(learning: Mapping[str, Learning]) -> Any:
     return figure
 
 
-def draw_improvement(rows: Sequence[Row], set_names: Sequence[str]) -> Any:
-    """The probability that one policy is faster than another on the same episode: a triangle of a matrix per set."""
-    names, count = [row.name for row in rows], len(rows)
-    above, below = set_names[0], set_names[-1]
-    figure = new_figure(2.2 + 0.27 * count)
-    axes = figure.subplots()
-    values = np.full((count, count), np.nan)
-    for i, j in np.argwhere(~np.eye(count, dtype=bool)).tolist():
-        # Each pair is computed once; below the diagonal it is the other way round.
-        scores = [rows[k].score(above if j > i else below, SPEED) for k in sorted((i, j))]
-        found = probability_of_improvement(*scores)
-        values[i, j] = found.value if j > i else 1.0 - found.value
-        text = f"({values[i, j]:.2f})" if found.low <= 0.5 <= found.high else f"{values[i, j]:.2f}"
-        axes.text(j, i, text, ha="center", va="center", fontsize=7.0, color=INK)
-    # Wider than the values: pale colours keep the numbers readable.
-    axes.imshow(values, vmin=-0.4, vmax=1.4, cmap="PuOr_r", aspect="auto")
-    axes.plot([-0.5, count - 0.5], [-0.5, count - 0.5], color=INK, linewidth=0.8)
-    axes.set_title(f"Probability of improvement: above the diagonal on {above}, below it on {below}")
-    axes.set_yticks(range(count), names)
-    axes.set_xticks(range(count), names, rotation=40.0, ha="right", rotation_mode="anchor")
-    axes.grid(visible=False)
-    axes.spines[:].set_visible(False)
-    axes.tick_params(length=0.0)
-    add_note(
-        figure,
-        "Probability that the policy of the line is faster than that of the column on the same episode, over all pairs "
-        "of their training seeds. In brackets: the 95 % interval over seeds contains 0.5.",
-    )
-    return figure
-
-
 def plot_fronts(axes: Any) -> None:
     """Known Pareto fronts of the nominal plant, cost of transport across and mean speed up."""
     for (name, points), pen in zip(fronts().items(), FRONT_PENS, strict=True):
@@ -149,7 +126,11 @@ def plot_fronts(axes: Any) -> None:
 
 
 def draw_transport(rows: Sequence[Row]) -> Any:
-    """Speed against cost of transport on the nominal plant, with the known fronts and a legend above."""
+    """Speed against cost of transport on the nominal plant, with the known fronts and a legend above.
+
+    Args:
+        rows: those that make no progress have no cost, and are named in the note.
+    """
     figure = new_figure(max(4.4, 1.4 + 0.145 * len(rows)))
     # Room for the labels on the right, whose width the layout underestimates.
     figure.get_layout_engine().set(rect=(0.0, 0.0, 0.985, 1.0))

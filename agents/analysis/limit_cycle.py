@@ -105,7 +105,11 @@ def median_run(candidate: Candidate) -> Recording:
 
 
 def table(cycles: Sequence[Cycle]) -> str:
-    """The cycles in numbers, those of the first as the reference."""
+    """The cycles in numbers, as Markdown.
+
+    Args:
+        cycles: the first is the reference of the ratios.
+    """
     lines = [
         ["policy", "period (s)", "step (cm)", "as often", "as far", "speed (cm/s)", "at the limit", "closes within"]
     ]

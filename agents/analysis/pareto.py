@@ -65,7 +65,11 @@ def measure(name: str, evaluation_set: EvaluationSet, weights: Sequence[float] =
 
 
 def table(points: Sequence[Point]) -> str:
-    """The points, with their cost over that of the best-known gaits at the same speed, linear between gaits."""
+    """The points as Markdown, with their cost over that of the best-known gaits at the same speed.
+
+    Args:
+        points: the gaits' cost is linear in the speed between two gaits; beyond the fastest there is none.
+    """
     costs, speeds = zip(*fronts()["best-known gaits"], strict=True)
     measured = (f"{each.label} [95 %]" for each in (SPEED, COST))
     rows = [["energy weight (cm/J)", *measured, "over the gaits'", "failures"]]

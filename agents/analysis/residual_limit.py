@@ -93,7 +93,11 @@ def table(results: Results) -> str:
 
 
 def draw(results: Results) -> Any:
-    """Speed and failures over the residual limit, a column per recipe."""
+    """Speed and failures over the residual limit, a column per recipe.
+
+    Args:
+        results: agents that are absent are left out.
+    """
     figure = new_figure(5.0)
     grid = figure.subplots(2, len(RECIPES), sharex=True, sharey="row", height_ratios=(1.6, 1.0), squeeze=False)
     limits = sorted({agent.limit for agent in results if agent.base})

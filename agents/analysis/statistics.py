@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.analysis.data import SPEED, Document, Results, gather
-from agents.analysis.figures import draw_improvement, draw_learning, draw_profiles, draw_transport, write_with
+from agents.analysis.figures import draw_learning, draw_profiles, draw_transport, write_with
 from agents.evaluation import policies as evaluation_policies
 from agents.evaluation.episodes import TABLE_METRICS
 from agents.evaluation.policies import BASELINE
@@ -46,7 +46,6 @@ def figures_of(results: Results) -> dict[str, Callable[[Path], Any]]:
     found = {"transport": write_with(draw_transport, results.rows)}
     if trained:
         found["profiles"] = write_with(draw_profiles, trained, shown)
-        found["improvement"] = write_with(draw_improvement, trained, shown)
     if results.learning:
         found["learning"] = write_with(draw_learning, results.learning)
     return {f"figures/statistics_{name}": write for name, write in found.items()}

@@ -121,7 +121,14 @@ class Network:
                 break
 
     def policy(self, name: str, student: Student, seed: int, revision: str) -> Policy:
-        """The policy with the current weights; name, seed of the training and revision are fields of it."""
+        """The policy with the current weights.
+
+        Args:
+            name: as the others a field of `capsule_gym.Policy`.
+            student: its configuration.
+            seed: of its training.
+            revision: of the code.
+        """
         return Policy(
             name=name,
             algorithm=IMITATION,
@@ -148,12 +155,26 @@ def read_result(folder: Path) -> dict[str, Any] | None:
 
 
 def validation_plants(student: Student, first_seed: int, count: int) -> EvaluationSet:
-    """Plants drawn as those of the student's episodes, never a frozen set."""
+    """Plants drawn as those of the student's episodes, never a frozen set.
+
+    Args:
+        student: its configuration.
+        first_seed: the plants' seeds are this and those that follow.
+        count: how many.
+    """
     return validation_set(student.randomization, f"validation plants, {student.randomization}", first_seed, count)
 
 
 def schedule(student: Student) -> list[tuple[float | None, int, tuple[float, float]]]:
-    """The expert's share of each round, None without a round; the gradient steps after it and their step sizes."""
+    """The rounds of DAgger and the parts of the final fit.
+
+    Args:
+        student: gives their number and size.
+
+    Returns:
+        For each the expert's share of the time (None where no data is collected), the gradient steps, and the step
+        sizes of Adam at the first and at the last of them.
+    """
     rate = student.learning_rate
     shares = (*EXPERT_SHARES, *[0.0] * student.rounds)[: student.rounds]
     final = [rate * (1.0 - n / student.final_parts) for n in range(student.final_parts + 1)]

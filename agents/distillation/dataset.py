@@ -96,7 +96,12 @@ def collect(
 
 
 def _plant_changes(student: Student, rng: np.random.Generator) -> dict[str, Any]:
-    """The options of a reset: the times at which M and mu change within an episode, and their new values."""
+    """The options of a reset: the times at which M and mu change within an episode, and their new values.
+
+    Args:
+        student: its change rate and episodes; at a rate of 0 there are no changes.
+        rng: draws times and values.
+    """
     if not student.change_rate:
         return {}
     distribution, seconds, changes = Randomization.named(student.randomization), student.steps * CONTROL_DT, []

@@ -1,4 +1,4 @@
-"""Bootstrap intervals of interquartile means, probabilities of improvement, profiles and learning curves.
+"""Bootstrap intervals of interquartile means, profiles and learning curves.
 
 Scores have the shape (training seeds, episodes): every seed is judged on the same episodes. A scripted policy has
 one row.
@@ -38,7 +38,7 @@ class Estimate:
     """A summary with its interval.
 
     Attributes:
-        value: the interquartile mean, or the probability.
+        value: the interquartile mean, or the mean.
         low: lower end of the 95 % interval.
         high: upper end.
         resampled: what the bootstrap drew with replacement.
@@ -98,14 +98,6 @@ def _checked(name: str, scores: ArrayLike) -> np.ndarray:
     return array
 
 
-def _same_episodes(scores: ArrayLike, reference: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """Both as arrays; raises an error unless they hold the same episodes."""
-    array, other = _checked("scores", scores), _checked("reference", reference)
-    if array.shape[1] != other.shape[1]:
-        raise ValueError(f"scores and reference must hold the same episodes, got {array.shape[1]} and {other.shape[1]}")
-    return array, other
-
-
 def estimate(scores: ArrayLike) -> Estimate:
     """The interquartile mean of all scores with its 95 % percentile bootstrap interval.
 
@@ -147,48 +139,25 @@ def paired_difference(scores: ArrayLike, reference: ArrayLike) -> Estimate:
     Raises:
         ValueError: if the scores are not of these shapes.
     """
-    array, other = _same_episodes(scores, reference)
+    array, other = _checked("scores", scores), _checked("reference", reference)
+    if array.shape[1] != other.shape[1]:
+        raise ValueError(f"scores and reference must hold the same episodes, got {array.shape[1]} and {other.shape[1]}")
     # Infinite in both: undefined, and NaN says so.
     with np.errstate(invalid="ignore"):
-        differences = array[:, None, :] - other[None, :, :]
-    return _over_pairs(differences, interquartile_mean)
-
-
-def _over_pairs(pairs: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray]) -> Estimate:
-    """A statistic over the last axis of pairs, shape (seeds, seeds of the other, episodes), with its interval."""
+        pairs = array[:, None, :] - other[None, :, :]
     rows, columns, episodes = pairs.shape
     if rows == 1 or columns == 1:
-        return _over_seeds(pairs.reshape(-1, episodes), statistic)
+        return _over_seeds(pairs.reshape(-1, episodes), interquartile_mean)
     rng = np.random.default_rng(BOOTSTRAP_SEED)
 
-    def drawn_statistic(drawn: np.ndarray) -> np.ndarray:
+    def statistic(drawn: np.ndarray) -> np.ndarray:
         chosen = pairs[drawn[:, :rows, None], drawn[:, None, rows:]]
-        return statistic(chosen.reshape(len(drawn), -1))
+        return interquartile_mean(chosen.reshape(len(drawn), -1))
 
     low, high = _seed_percentiles(
-        drawn_statistic, rng.integers(rows, size=(RESAMPLES, rows)), rng.integers(columns, size=(RESAMPLES, columns))
+        statistic, rng.integers(rows, size=(RESAMPLES, rows)), rng.integers(columns, size=(RESAMPLES, columns))
     )
-    return Estimate(float(statistic(pairs.reshape(-1))), low, high, "seeds")
-
-
-def probability_of_improvement(scores: ArrayLike, reference: ArrayLike) -> Estimate:
-    """How probable it is that one policy scores more than another on the same episode, a tie counting half.
-
-    For every episode the share of pairs of training seeds, one of each policy, in which the first scores more (the
-    statistic U of Mann and Whitney over the number of pairs), averaged over the episodes; rliable's definition with
-    episodes as tasks. What is resampled is as for `paired_difference`.
-
-    Args:
-        scores: shape (training seeds, episodes).
-        reference: shape (training seeds of the reference, episodes), of the same episodes in the same order.
-
-    Raises:
-        ValueError: if the scores are not of these shapes.
-    """
-    array, other = _same_episodes(scores, reference)
-    won = array[:, None, :] > other[None, :, :]
-    tied = array[:, None, :] == other[None, :, :]
-    return _over_pairs(_means_of_seeds(won + 0.5 * tied), _mean)
+    return Estimate(float(interquartile_mean(pairs.reshape(-1))), low, high, "seeds")
 
 
 def _means_of_seeds(values: np.ndarray) -> np.ndarray:

@@ -195,6 +195,8 @@ def evaluate(
     from joblib import Parallel, delayed
 
     work = [policy for candidate in candidates for policy in candidate.policies]
+    if not work:
+        return
     parallel = Parallel(jobs, return_as="generator")
     if jobs > 1:
         # The step is compiled once: the processes find it on disk.

@@ -11,7 +11,6 @@ from PIL import Image
 from agents.analysis import __main__ as analysis
 from agents.analysis import limit_cycle, pareto, recording, residual_limit
 from agents.analysis.data import fronts, gather, read_learning
-from agents.analysis.figures import draw_improvement
 from agents.analysis.limit_cycle import find_cycle, median_run
 from agents.analysis.recording import Recording, record
 from agents.evaluation import policies as evaluation_policies
@@ -86,14 +85,12 @@ def test_tables_of_the_statistics(results):
 def test_figures_of_the_statistics(results, tmp_path, monkeypatch):
     monkeypatch.setattr(drawing, "DPI", 50)
     found = analysis.statistics.figures_of(results)
-    assert {name.rpartition("_")[2] for name in found} == {*("transport", "profiles", "improvement", "learning")}
+    assert {name.rpartition("_")[2] for name in found} == {*("transport", "profiles", "learning")}
     for name, write in found.items():
         for path in write(tmp_path / name.rpartition("/")[2]):
             assert path.stat().st_size > 5000
     scripted = gather([row for row in ROWS if not row.trained], SETS, tmp_path)
     assert list(analysis.statistics.figures_of(scripted)) == ["figures/statistics_transport"]
-    (axes,) = draw_improvement(results.trained, results.shown_sets).axes
-    assert [text.get_text() for text in axes.texts] == ["1.00", "0.00"]
 
 
 def test_the_last_of_two_evaluations_at_the_same_step_counts(tmp_path):

@@ -9,7 +9,6 @@ from agents.evaluation.statistics import (
     learning_curve,
     paired_difference,
     performance_profile,
-    probability_of_improvement,
 )
 
 
@@ -79,30 +78,6 @@ def test_paired_difference_known_answers():
     assert np.isnan(undefined.value)
 
 
-def test_probability_of_improvement_is_mann_and_whitneys_u():
-    rng = np.random.default_rng(5)
-    ours, theirs = (rng.integers(0, 6, size=(seeds, 12)).astype(float) for seeds in (4, 7))
-    u = [stats.mannwhitneyu(ours[:, i], theirs[:, i]).statistic / (4 * 7) for i in range(12)]
-    assert probability_of_improvement(ours, theirs).value == pytest.approx(np.mean(u))
-
-
-def test_probability_of_improvement_known_answers():
-    zeros = np.zeros((3, 8))
-    assert probability_of_improvement(zeros + 1.0, zeros).to_dict() == {"iqm": 1.0, "low": 1.0, "high": 1.0}
-    assert probability_of_improvement(zeros - 1.0, zeros).value == 0.0
-    assert probability_of_improvement(zeros, zeros).value == 0.5
-    assert probability_of_improvement([[np.inf]], [[np.inf]]).value == 0.5
-    # One seed of three is better everywhere: 1/3, and between none and all of the seeds drawn are that one.
-    one = probability_of_improvement(np.repeat([[1.0], [-1.0], [-1.0]], 8, axis=1), zeros[:1])
-    assert one.value == pytest.approx(1.0 / 3.0)
-    assert (one.low, one.high, one.resampled) == (0.0, 1.0, "seeds")
-    # The binomial of eight episodes of which six are won.
-    single = probability_of_improvement([[1.0] * 6 + [-1.0] * 2], zeros[:1])
-    assert (single.value, single.resampled) == (0.75, "episodes")
-    assert single.low == stats.binom.ppf(0.025, 8, 0.75) / 8.0
-    assert single.high == stats.binom.ppf(0.975, 8, 0.75) / 8.0
-
-
 def test_performance_profile_known_answers():
     scores = np.array([[0.0, 1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 0.0]])
     profile = performance_profile(scores, [-1.0, 0.0, 1.0, 2.5, 3.0])
@@ -128,6 +103,5 @@ def test_malformed_scores_are_refused():
     for scores in ([1.0, 2.0, 3.0], np.empty((1, 0))):
         with pytest.raises(ValueError, match=r"scores must have the shape .* got \((3,|1, 0)\)"):
             estimate(scores)
-    for compare in (paired_difference, probability_of_improvement):
-        with pytest.raises(ValueError, match="same episodes, got 3 and 2"):
-            compare([[1.0, 2.0, 3.0]], [[1.0, 2.0]])
+    with pytest.raises(ValueError, match="same episodes, got 3 and 2"):
+        paired_difference([[1.0, 2.0, 3.0]], [[1.0, 2.0]])
