@@ -353,33 +353,6 @@ def _first_guess(g_low: float, rate_low: float, g_high: float, rate_high: float,
 
 
 @jitable
-def _beyond(start: Phase, before: float, rate: float, whole: Piece) -> Piece:
-    """A piece that ends beyond the boundary, or `whole` where there is none; `before` and `rate` are at the start."""
-    if whole.boundary < 0.0:
-        return whole
-    dip = _dip(before, rate, whole.boundary, whole.tau)
-    if dip >= whole.tau:
-        return whole
-    deepest = piece(start, dip)
-    return deepest if deepest.boundary < 0.0 else whole
-
-
-@jitable
-def _leave(start: Phase, beyond: Piece) -> tuple[Piece, Piece]:
-    """The ends of the bracket around the event of a phase that starts on its own boundary.
-
-    From such a start the bracket is void until the boundary has been left; where that is never, the first end stays
-    beyond it too.
-    """
-    for _ in range(ROOT_ITERATIONS):
-        left = piece(start, 0.5 * beyond.tau)
-        if left.boundary > 0.0:
-            break
-        beyond = left
-    return left, beyond
-
-
-@jitable
 def _shifted(end: Piece, correction: float) -> Piece:
     """The piece, longer by a time so small that its end follows the tangent, to where the boundary is met."""
     return Piece(
@@ -426,15 +399,23 @@ def _root(start: Phase, low: float, before: float, rate: float, beyond: Piece) -
 @jitable
 def _until_event(start: Phase, before: float, rate: float, whole: Piece) -> Piece:
     """The piece up to the first event of a step that may have crossed the phase's boundary; `whole` where none has."""
-    beyond = _beyond(start, before, rate, whole)
-    if beyond.boundary >= 0.0:
-        return whole
+    beyond = whole
+    if whole.boundary >= 0.0:
+        dip = _dip(before, rate, whole.boundary, whole.tau)
+        if dip >= whole.tau:
+            return whole
+        beyond = piece(start, dip)
+        if beyond.boundary >= 0.0:
+            return whole
     if before > EVENT_TOLERANCE:
         return _root(start, 0.0, before, rate, beyond)
-    left, beyond = _leave(start, beyond)
-    if left.boundary <= 0.0:
-        return beyond
-    return _root(start, left.tau, left.boundary, left.boundary_rate, beyond)
+    # A phase that starts on its own boundary: the bracket is void until that has been left.
+    for _ in range(ROOT_ITERATIONS):
+        left = piece(start, 0.5 * beyond.tau)
+        if left.boundary > 0.0:
+            return _root(start, left.tau, left.boundary, left.boundary_rate, beyond)
+        beyond = left
+    return beyond
 
 
 @inlined
