@@ -188,7 +188,7 @@ def guards() -> list[Guard]:
         Guard(f"reset of one environment against {SINGLE_PEER}'s", 0.4, resets(ENV_ID), resets(SINGLE_PEER)),
         Guard(
             f"episodes of {EVALUATED_POLICY} against the kernel alone",
-            0.03,
+            0.3,
             episodes(load_policy(EVALUATED_POLICY)),
             direct,
         ),
