@@ -151,12 +151,3 @@ def test_ctrl_c_keeps_the_best_policy_and_the_run_is_not_overwritten(tmp_path, m
         command.main(words)
     assert stop.value.code == 2
     assert "was started and is not finished" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("words", [["another"], ["--seeds", "4294967296"]])
-def test_wrong_options_are_named_in_one_line(words, capsys):
-    with pytest.raises(SystemExit) as stop:
-        command.main(words)
-    assert stop.value.code == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and words[-1] in error

@@ -49,7 +49,6 @@ def test_a_control_law_of_another_package_must_be_trusted(world, tiny_file, caps
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nobody"], "got 'nobody'"),
         (["bold", "--set", "papr"], "got 'papr'"),
         (["bold", "--against", "nobody"], "got 'nobody'"),
         (["bold", "--json", "/nowhere/x.json"], "--json must name a file in a folder that exists"),

@@ -116,21 +116,10 @@ def test_nothing_is_unpickled_unless_it_is_trusted(tmp_path, monkeypatch, capsys
     assert Path("loaded").exists()
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["nobody"], "got 'nobody'"),
-        (["adaptive", "-o", "/nowhere/x.html"], "--output must name a file in a folder that exists"),
-        (["adaptive", "-o", "there.html"], "--output must name a new file unless --overwrite is given"),
-    ],
-)
-def test_wrong_options_are_named(words, message, capsys, tmp_path, monkeypatch):
+def test_an_existing_file_is_kept(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there.html").write_text("mine")
-    with pytest.raises(SystemExit) as stop:
-        report.main(words)
-    assert stop.value.code == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
+    with pytest.raises(SystemExit):
+        report.main(["adaptive", "-o", "there.html"])
+    assert "--output must name a new file unless --overwrite is given" in capsys.readouterr().err
     assert (tmp_path / "there.html").read_text() == "mine"
