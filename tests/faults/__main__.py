@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
-import itertools
 import sys
 import tempfile
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
-from capsule_gym.command_line import Count, parse
-
-Fault = Literal["kill", "stop", "disk", "readonly", "processes", "cache", "fork"]
+from capsule_gym.command_line import parse
 
 
 @dataclass(frozen=True)
 class Args:
-    """Injects faults of a machine into trainings and caches, and reports what is lost.
+    """Injects faults of a machine into trainings, and reports what is lost.
 
     Examples:
       python -m tests.faults --short
-      python -m tests.faults --fault kill stop --kills 20
+      python -m tests.faults
     """
 
-    fault: tuple[Fault, ...] = ("kill", "stop", "disk", "readonly", "processes", "cache", "fork")
-    """The faults."""
-    kills: Count = 100
-    """Times that a training is killed; signals stop it half as often."""
     short: bool = False
     """What CI runs: each fault once or a few times."""
-    seed: Count = 0
-    """Seed of the moments."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -39,17 +30,15 @@ def main(arguments: list[str] | None = None) -> int:
     # After the options, so that the help comes without torch.
     from tqdm import tqdm
 
-    from tests.faults.run import Faults, plan
+    from tests.faults.run import Faults
 
-    with tempfile.TemporaryDirectory(prefix="faults-") as folder, tqdm(unit=" faults") as bar:
-        faults = Faults(Path(folder), 5 if args.short else 12, args.seed)
-        for name in itertools.chain.from_iterable(plan(faults, args)):
-            faults.tried[name] = faults.tried.get(name, 0) + 1
-            bar.update()
+    with tempfile.TemporaryDirectory(prefix="faults-") as folder:
+        faults = Faults(Path(folder), short=args.short)
+        tried = Counter(tqdm(faults.inject(), unit=" faults"))
     for message in faults.broken:
         print(f"\n{message}", file=sys.stderr)
-    for name, tried in faults.tried.items():
-        print(f"{name:48} {tried:4d} times")
+    for name, times in tried.items():
+        print(f"{name:48} {times:4d} times")
     print(f"{len(faults.broken)} broken; at most {faults.lost} steps were trained again.")
     return 1 if faults.broken else 0
 

@@ -1,29 +1,37 @@
-"""The faults, and the order in which they are injected."""
+"""The faults, and the processes that they are injected into."""
 
 from __future__ import annotations
 
+import hashlib
 import itertools
+import multiprocessing
 import os
 import random
+import resource
 import shutil
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from signal import SIGINT, SIGKILL, SIGTERM, Signals
-from typing import TYPE_CHECKING
+from typing import Any
+
+import numba
+import numpy as np
+from tqdm import tqdm
 
 from agents.training import checkpoint
 from agents.training.signals import INTERRUPTED
+from capsule_gym import CapsuleVectorEnv
 from tests.agents.training.small import differences, log
-from tests.faults.processes import Child, fork, rollout, train
 
-if TYPE_CHECKING:
-    from tests.faults.__main__ import Args
-
+HANG_SECONDS = 240.0
+# Modules are imported once, by a process that is forked for each child.
+CONTEXT = multiprocessing.get_context("forkserver")
+CONTEXT.set_forkserver_preload(["agents.training.loop", "agents.report.comparison", "train", "tests.faults.run"])
 # Trainings of seconds with many checkpoints. An update is 128 steps (PPO) or 8 (SAC).
 SHARED = ["--task", "direct", "--num-envs", "8", "--hidden", "8", "--evaluation-episodes", "2", "--no-comparison"]
 TINY = {
@@ -32,19 +40,105 @@ TINY = {
 }
 # Steps between checkpoints.
 INTERVAL = {"ppo": 1024, "sac": 512}
-# Moments of a kill or a stop: name, when, the signals (one of them, or both if they are equal), and their share.
-KILLS = (
-    ("kill -9 after a checkpoint", "training", (SIGKILL,), 0.60),
-    ("kill -9 while a checkpoint is written", "writing", (SIGKILL,), 0.25),
-    ("kill -9 at the start", "starting", (SIGKILL,), 0.15),
+# Moments of a kill or a stop: name, when, the signals (one of them, or both if they are equal), and times.
+MOMENTS = (
+    ("kill -9 after a checkpoint", "training", (SIGKILL,), 60),
+    ("kill -9 while a checkpoint is written", "writing", (SIGKILL,), 25),
+    ("kill -9 at the start", "starting", (SIGKILL,), 15),
+    ("SIGTERM or Ctrl-C while training", "training", (SIGTERM, SIGINT), 20),
+    ("SIGTERM or Ctrl-C while a checkpoint is written", "writing", (SIGTERM, SIGINT), 10),
+    ("Ctrl-C twice", "training", (SIGINT, SIGINT), 8),
+    ("SIGTERM or Ctrl-C while importing", "importing", (SIGTERM, SIGINT), 8),
+    ("SIGTERM or Ctrl-C while compiling", "compiling", (SIGTERM, SIGINT), 5),
 )
-STOPS = (
-    ("SIGTERM or Ctrl-C while training", "training", (SIGTERM, SIGINT), 0.40),
-    ("SIGTERM or Ctrl-C while a checkpoint is written", "writing", (SIGTERM, SIGINT), 0.20),
-    ("Ctrl-C twice", "training", (SIGINT, SIGINT), 0.15),
-    ("SIGTERM or Ctrl-C while importing", "importing", (SIGTERM, SIGINT), 0.15),
-    ("SIGTERM or Ctrl-C while compiling", "compiling", (SIGTERM, SIGINT), 0.10),
-)
+
+
+class Child:
+    """A process that calls a function; its output goes to a file.
+
+    Args:
+        output: that file.
+        function: the function.
+        arguments: of the function.
+    """
+
+    def __init__(self, output: Path, function: Callable[..., None], *arguments: Any) -> None:
+        self.output = output
+        output.write_text("")
+        self.process = CONTEXT.Process(target=_call, args=(str(output), function, arguments))
+        self.process.start()
+
+    def send(self, number: Signals) -> None:
+        """Sends a signal, if the process still runs."""
+        if self.process.exitcode is None:
+            os.kill(self.process.pid or 0, number)
+
+    def wait(self, condition: Callable[[], bool] = lambda: False, seconds: float = HANG_SECONDS) -> None:
+        """Waits until the process has ended, the condition holds or the time is over."""
+        deadline = time.monotonic() + seconds
+        while self.process.exitcode is None and not condition() and time.monotonic() < deadline:
+            time.sleep(0.001)
+
+    def end(self) -> int | None:
+        """Waits for the end and returns the exit status; kills a process that hangs and returns None."""
+        self.wait()
+        status = self.process.exitcode
+        self.send(SIGKILL)
+        return status
+
+    def printed(self) -> str:
+        """The end of its output."""
+        return self.output.read_text(errors="replace")[-2000:]
+
+    def handles_signals(self) -> bool:
+        """Whether it has run the first lines of train.py."""
+        try:
+            status = Path(f"/proc/{self.process.pid}/status").read_text()
+        except OSError:
+            return False
+        caught = next(line for line in status.splitlines() if line.startswith("SigCgt"))
+        return bool(int(caught.split()[1], 16) >> (SIGTERM - 1) & 1)
+
+
+def _call(output: str, function: Callable[..., None], arguments: Sequence[Any]) -> None:
+    """In the child: calls the function, with its output in a file."""
+    # Ctrl-C in a terminal is for the parent.
+    os.setsid()
+    descriptor = os.open(output, os.O_WRONLY | os.O_APPEND)
+    os.dup2(descriptor, 1)
+    os.dup2(descriptor, 2)
+    # tqdm's own lock belongs to the system, and outlives a process that is killed.
+    tqdm.set_lock(threading.RLock())
+    function(*arguments)
+    sys.stdout.flush()
+
+
+def train(arguments: Sequence[str], cache: str, limit: int) -> None:
+    """In the child: train.py; `cache` is a folder of compiled code or "", `limit` the largest size of a file or 0."""
+    import train as command
+
+    command.QUIET_EXIT.install()
+    if cache:
+        numba.config.CACHE_DIR = cache
+    if limit:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+    sys.exit(command.main(arguments))
+
+
+def execute(arguments: Sequence[str]) -> None:
+    """In the child: a new Python with train.py."""
+    os.execv(sys.executable, [sys.executable, "train.py", *arguments])
+
+
+def rollout(cache: str) -> None:
+    """In the child: prints a hash of a hundred steps of a batch, with a folder of compiled code."""
+    numba.config.CACHE_DIR = cache
+    env, rng = CapsuleVectorEnv(70), np.random.default_rng(0)
+    found = hashlib.sha256(env.reset(seed=1)[0].tobytes())
+    for _ in range(100):
+        observations, rewards, *_ = env.step(rng.uniform(-1.0, 1.0, (env.num_envs, 1)).astype(np.float32))
+        found.update(observations.tobytes() + rewards.tobytes())
+    print(found.hexdigest())
 
 
 class Faults:
@@ -52,23 +146,34 @@ class Faults:
 
     Args:
         folder: of all files.
-        intervals: checkpoints of a training.
-        seed: of the moments.
+        short: whether each is injected once or a few times only.
 
     Attributes:
-        tried: times that each fault was injected, by its name.
         broken: messages about what went wrong.
         lost: the most agent steps that had to be trained again.
     """
 
-    def __init__(self, folder: Path, intervals: int, seed: int) -> None:
-        self.folder, self.intervals, self.rng = folder, intervals, random.Random(seed)
-        self.tried: dict[str, int] = {}
+    def __init__(self, folder: Path, *, short: bool) -> None:
+        self.folder, self.short, self.rng = folder, short, random.Random(0)
+        self.intervals = 5 if short else 12
         self.broken: list[str] = []
         self.lost = 0
         self._names = itertools.count(1)
         self._references: dict[str, Path] = {}
-        self._compiled: tuple[Path, str] | None = None
+
+    def inject(self) -> Iterator[str]:
+        """Injects all faults; yields a fault's name after every time."""
+        moments = [
+            (name, when, signals)
+            for name, when, signals, times in MOMENTS
+            for _ in range(1 + times // 50 if self.short else times)
+        ]
+        self.rng.shuffle(moments)
+        for i, algo in enumerate(TINY):
+            yield from self.stop(algo, moments[i :: len(TINY)])
+        yield from self.small_files(2 if self.short else 10)
+        yield from self.read_only(1 if self.short else 3)
+        yield from self.compile_at_once(2 if self.short else 8)
 
     def expect(self, name: str, condition: bool, message: str) -> None:
         """Notes what does not hold."""
@@ -78,8 +183,6 @@ class Faults:
     def new(self, name: str) -> Path:
         """A path that does not exist."""
         return self.folder / f"{name}-{next(self._names)}"
-
-    # --- trainings ---------------------------------------------------------------------------------------------------
 
     def arguments(self, algo: str, run: Path) -> list[str]:
         """The command line that starts or resumes a run."""
@@ -107,7 +210,7 @@ class Faults:
             self.expect(name, not found, f"{run.name} differs in {', '.join(found)}")
         shutil.rmtree(run, ignore_errors=True)
 
-    def stop(self, algo: str, tries: list[tuple[str, str, tuple[Signals, ...]]]) -> Iterator[str]:
+    def stop(self, algo: str, tries: Sequence[tuple[str, str, tuple[Signals, ...]]]) -> Iterator[str]:
         """Sends signals to trainings at random moments."""
         run, name = self.new(algo), ""
         for name, when, signals in tries:
@@ -115,7 +218,7 @@ class Faults:
                 self.finish(name, algo, run)
                 run = self.new(algo)
             if when == "importing":
-                child = Child(self.new("log"), None, sys.executable, "train.py", *self.arguments(algo, run))
+                child = Child(self.new("log"), execute, self.arguments(algo, run))
             else:
                 child = self.train(algo, run, cache=str(self.new("cache")) if when == "compiling" else "")
             self.wait(child, run, when)
@@ -133,8 +236,7 @@ class Faults:
             self.expect(name, lost <= INTERVAL[algo], f"{lost} steps are lost")
             self.lost = max(self.lost, lost)
             yield name
-        if tries:
-            self.finish(name, algo, run)
+        self.finish(name, algo, run)
 
     def wait(self, child: Child, run: Path, when: str) -> None:
         """Waits for a moment, and a random time after it."""
@@ -149,8 +251,6 @@ class Faults:
         condition, longest = conditions[when]
         child.wait(condition)
         child.wait(seconds=self.rng.uniform(0.0, longest))
-
-    # --- disks -------------------------------------------------------------------------------------------------------
 
     def killed(self) -> Path:
         """A run that was killed after its first checkpoint."""
@@ -168,9 +268,9 @@ class Faults:
         right = error.startswith("train.py: error: ") and str(path) in error and "Traceback" not in printed
         self.expect(name, status == 2 and right, f"exit status {status}: {printed}")
 
-    def small_files(self, name: str, tries: int) -> Iterator[str]:
-        """Trains where no file may grow beyond a random limit."""
-        run = self.killed()
+    def small_files(self, tries: int) -> Iterator[str]:
+        """Trains where no file may grow beyond a random limit, as on a full disk."""
+        name, run = "a file that may not grow", self.killed()
         for _ in range(tries):
             self.expect_one_line(name, self.train("ppo", run, limit=round(10.0 ** self.rng.uniform(3.3, 4.5))), run)
             latest = checkpoint.newest(run)
@@ -178,25 +278,9 @@ class Faults:
             yield name
         self.finish(name, "ppo", run)
 
-    def full_disk(self, name: str, tries: int) -> Iterator[str]:
-        """Trains in a file system that is too small for all checkpoints, then enlarges it; only root may mount one."""
-        for _ in range(tries):
-            disk = self.new("disk")
-            disk.mkdir()
-            size = f"size={self.rng.randrange(100, 400)}k"
-            if subprocess.run(["mount", "-t", "tmpfs", "-o", size, "none", disk], capture_output=True).returncode:
-                return
-            try:
-                self.expect_one_line(name, self.train("ppo", disk / "run"), disk)
-                subprocess.run(["mount", "-o", "remount,size=16m", str(disk)], check=True)
-                self.finish(name, "ppo", disk / "run")
-            finally:
-                subprocess.run(["umount", "-l", str(disk)], check=True)
-            yield name
-
-    def read_only(self, name: str, tries: int) -> Iterator[str]:
+    def read_only(self, tries: int) -> Iterator[str]:
         """Starts and resumes runs in folders that cannot be written to."""
-        run, parent = self.killed(), self.new("parent")
+        name, run, parent = "a folder that is read-only", self.killed(), self.new("parent")
         parent.mkdir()
         for _ in range(tries):
             for folder, child in ((run, run), (parent, parent / "run")):
@@ -207,64 +291,14 @@ class Faults:
             yield name
         self.finish(name, "ppo", run)
 
-    # --- compiled code -----------------------------------------------------------------------------------------------
-
-    def compiled(self) -> tuple[Path, str]:
-        """A copy of a cache of a batch, and the hash of the batch."""
-        if self._compiled is None:
-            cache = self.new("cache")
-            child = Child(self.new("log"), rollout, str(cache))
-            if child.end() != 0:
-                raise RuntimeError(f"a batch without faults failed: {child.printed()}")
-            self._compiled = cache, child.printed().splitlines()[-1]
-        cache, expected = self._compiled
-        return Path(shutil.copytree(cache, self.new("cache"))), expected
-
-    def expect_bits(self, name: str, child: Child) -> None:
-        """Expects that a process prints the hash of the batch."""
-        status, printed = child.end(), child.printed()
-        right = status == 0 and printed.splitlines()[-1:] == [self.compiled()[1]]
-        self.expect(name, right, f"exit status {status}: {printed}")
-
-    def compile_at_once(self, name: str, tries: int) -> Iterator[str]:
+    def compile_at_once(self, tries: int) -> Iterator[str]:
         """Compiles for one empty cache in many processes at once."""
-        cache = str(self.new("cache"))
+        name, cache = "processes that compile at once", str(self.new("cache"))
+        hashes = set()
         for child in [Child(self.new("log"), rollout, cache) for _ in range(tries)]:
-            self.expect_bits(name, child)
-            yield name
-        self.expect_bits(name, Child(self.new("log"), rollout, cache))
-
-    def damaged_cache(self, name: str, tries: int, how: str) -> Iterator[str]:
-        """Runs a batch with a cache that is truncated, changed by a bit, read-only, or deleted in use."""
-        for _ in range(tries):
-            cache, _ = self.compiled()
-            for path in cache.rglob("*.nb?"):
-                content = bytearray(path.read_bytes())
-                if how == "truncated":
-                    del content[self.rng.randrange(len(content)) :]
-                elif how == "changed by a bit":
-                    content[self.rng.randrange(len(content))] ^= 1 << self.rng.randrange(8)
-                else:
-                    content = bytearray(self.rng.randbytes(len(content)))
-                path.write_bytes(content)
-            if how == "read-only":
-                with read_only(cache):
-                    self.expect_bits(name, Child(self.new("log"), rollout, str(cache)))
-            else:
-                child = Child(self.new("log"), rollout, str(cache))
-                if how == "deleted":
-                    child.wait(seconds=self.rng.uniform(0.0, 5.0))
-                    shutil.rmtree(cache, ignore_errors=True)
-                self.expect_bits(name, child)
-            yield name
-
-    def forks(self, name: str, tries: int) -> Iterator[str]:
-        """Forks processes whose threads have run."""
-        for _ in range(tries):
-            child = Child(self.new("log"), fork)
-            status, printed = child.end(), child.printed().split()
-            right = status == 0 and len(printed) == 2 and len(set(printed)) == 1
-            self.expect(name, right, f"exit status {status}: {child.printed()}")
+            status = child.end()
+            hashes.add(child.printed().splitlines()[-1])
+            self.expect(name, status == 0 and len(hashes) == 1, f"exit status {status}: {child.printed()}")
             yield name
 
 
@@ -293,30 +327,3 @@ def steps_of(run: Path) -> int:
     """Agent steps of the newest checkpoint; 0 without one."""
     newest = checkpoint.newest(run)
     return int(newest.name.split("-")[1]) if newest is not None else 0
-
-
-def plan(faults: Faults, args: Args) -> Iterator[Iterator[str]]:
-    """The faults that are injected; each iterator yields a fault's name after every time."""
-    few = args.short
-    totals = (4, 5) if few else (args.kills, args.kills // 2)
-    moments = [
-        (name, when, signals)
-        for fault, kinds, total in (("kill", KILLS, totals[0]), ("stop", STOPS, totals[1]))
-        for name, when, signals, share in kinds
-        for _ in range(max(1, round(total * share)) if fault in args.fault else 0)
-    ]
-    faults.rng.shuffle(moments)
-    for i, algo in enumerate(TINY):
-        yield faults.stop(algo, moments[i :: len(TINY)])
-    cache = ("changed by a bit",) if few else ("changed by a bit", "truncated", "garbled", "read-only", "deleted")
-    others: list[tuple[str, Callable[[], Iterator[str]]]] = [
-        ("disk", partial(faults.small_files, "a file that may not grow", 2 if few else 10)),
-        ("disk", partial(faults.full_disk, "a full file system", 1 if few else 5)),
-        ("readonly", partial(faults.read_only, "a folder that is read-only", 1 if few else 3)),
-        ("processes", partial(faults.compile_at_once, "processes that compile at once", 2 if few else 8)),
-        *(("cache", partial(faults.damaged_cache, f"a cache that is {how}", 1 if few else 3, how)) for how in cache),
-        ("fork", partial(faults.forks, "fork after use", 2 if few else 10)),
-    ]
-    for fault, start in others:
-        if fault in args.fault:
-            yield start()
