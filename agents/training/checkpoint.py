@@ -51,6 +51,7 @@ class Progress:
     """How far a run is.
 
     Attributes:
+        settings: the hyperparameters of the run, but for its length.
         elapsed: seconds of training.
         core_seconds: processor seconds of training.
         evaluations: the lines of evaluations.csv.
@@ -58,6 +59,7 @@ class Progress:
         resumed_at: agent steps at which the run was resumed.
     """
 
+    settings: dict[str, Any]
     elapsed: float = 0.0
     core_seconds: float = 0.0
     evaluations: list[dict[str, float]] = field(default_factory=list)

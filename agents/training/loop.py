@@ -19,7 +19,7 @@ from agents.training.algorithms import LinearSchedule, algorithm, make_env, make
 from agents.training.callbacks import Stopped, TrainingCallback, make_logger
 from agents.training.checkpoint import Progress, git_revision, locked
 from agents.training.export import save
-from agents.training.presets import BEST, CONFIG, Config, RunError, read_config
+from agents.training.presets import BEST, CONFIG, MODEL, Config, RunError, read_config
 from agents.training.signals import Stop
 from capsule_gym.files import naming, to_json, write_atomically
 
@@ -91,11 +91,25 @@ def train(run: Path, total_steps: int | None = None, *, wandb: bool = False) -> 
         for file in (*run.glob(".*.tmp*"), *(run / BEST).glob(".*.tmp*")):
             file.unlink()
         latest = checkpoint.newest_whole(run)
-        env = make_env(config, config.seed)
-        if latest is None:
-            model, progress, restore_streams = make_model(config, env), Progress(), lambda: None
-        else:
-            model, progress, restore_streams = checkpoint.restore(latest, algorithm(config), env)
+        if latest is None and (run / MODEL).exists():
+            raise RunError(f"{run} has a trained agent, {MODEL}, but no checkpoint from which training can go on")
+        settings = {name: value for name, value in config.to_dict().items() if name != "total_steps"}
+        try:
+            env = make_env(config, config.seed)
+            if latest is None:
+                model, progress, restore_streams = make_model(config, env), Progress(settings), lambda: None
+            else:
+                model, progress, restore_streams = checkpoint.restore(latest, algorithm(config), env)
+        except RunError:
+            raise
+        except Exception as error:
+            reason = str(error).partition("\n")[0]
+            raise RunError(f"{run / CONFIG} gives no agent: {type(error).__name__}: {reason}") from error
+        if latest is not None:
+            for name, value in progress.settings.items():
+                if settings[name] != value:
+                    was = f"{value!r} as in {latest.name}"
+                    raise RunError(f"{run / CONFIG}: {name} must stay {was}, got {settings[name]!r}")
             progress.resumed_at.append(model.num_timesteps)
             # The schedule has another end where total_steps has changed.
             model.learning_rate = LinearSchedule(config.learning_rate, config.final_learning_rate)

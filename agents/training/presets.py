@@ -465,6 +465,6 @@ def read_config(run: Path) -> Config:
         raise RunError(f"--resume must name the folder of a run, got {str(run)!r}, which has no {CONFIG}") from None
     except KeyError as error:
         raise RunError(f"{path} is no configuration of a run: it lacks or does not know {error}") from error
-    except (OSError, AttributeError, TypeError, ValueError) as error:
+    except (OSError, AttributeError, TypeError, ValueError, RecursionError) as error:
         raise RunError(f"{path} is no configuration of a run: {error}") from error
     return config

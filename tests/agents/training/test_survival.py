@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -141,6 +143,30 @@ def test_without_a_whole_checkpoint_every_damaged_one_is_named(tmp_path, whole, 
     assert all(str(path) in str(error.value) for path in paths)
 
 
+def change(run: Path, name: str, value: object) -> None:
+    content = json.loads((run / "config.json").read_text())
+    content["hyperparameters"][name] = value
+    (run / "config.json").write_text(json.dumps(content))
+
+
+UNFIT = {
+    "hidden must stay 8 as in checkpoint-": lambda run: change(run, "hidden", 10**9),
+    "gives no agent: ValueError: .*'nope'": lambda run: change(run, "controller", "baselines:nope"),
+    "no checkpoint from which": lambda run: [path.unlink() for path in run.glob("checkpoint-*")],
+}
+
+
+@pytest.mark.parametrize("message", UNFIT)
+def test_a_folder_that_has_been_changed_is_not_trained_further(tmp_path, capsys, whole, message):
+    run = copy_of(whole["ppo"], tmp_path / "run")
+    UNFIT[message](run)
+    before = (run / "model.zip").read_bytes()
+    assert command_line.main(["--resume", str(run), "--no-comparison"]) == 2
+    error = capsys.readouterr().err
+    assert re.match(f"train.py: error: .*{message}", error) and error.count("\n") == 1
+    assert (run / "model.zip").read_bytes() == before
+
+
 def test_a_checkpoint_that_cannot_be_understood_is_named(tmp_path):
     path = tmp_path / "checkpoint-000000000001"
     path.write_bytes(hashlib.sha256(b"no pickle").digest() + b"no pickle")
@@ -170,6 +196,7 @@ def test_two_processes_cannot_train_one_run(tmp_path, capsys, whole):
 
 BROKEN = {
     "half": '{"algo": "ppo", ',
+    "deeply nested": "[" * 100_000,
     "no object": "[]",
     "no algorithm": '{"task": "direct", "hyperparameters": {}}',
     "unknown algorithm": '{"task": "direct", "algo": "dqn", "hyperparameters": {}}',
