@@ -88,9 +88,8 @@ def new_figure(height: float, width: float = WIDTH) -> Any:
 
 def add_note(figure: Any, text: str) -> None:
     """Sets a note under the figure: what is found and what is published."""
-    figure.supxlabel(
-        textwrap.fill(text, NOTE_COLUMNS, break_on_hyphens=False), x=0.012, ha="left", fontsize=7.5, color=INK
-    )
+    text = textwrap.fill(text, NOTE_COLUMNS, break_on_hyphens=False)
+    figure.supxlabel(text, x=0.012, ha="left", fontsize=7.5, color=INK, parse_math=False)
 
 
 def mark_published(axes: Any, value: float, text: str, pen: Pen, *, x: float = 0.99) -> None:

@@ -56,7 +56,8 @@ def panels(names: Sequence[str], top: float, columns: int = 4, height: float = 1
     grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     for axes, name in zip(grid.flat, names, strict=False):
         # The name of a run contains its date.
-        axes.set_title("\n".join(textwrap.wrap(name.replace("-", "- "), TITLE)).replace("- ", "-"))
+        title = "\n".join(textwrap.wrap(name.replace("-", "- "), TITLE)).replace("- ", "-")
+        axes.set_title(title, parse_math=False)
     for n in range(len(names), grid.size):
         grid.flat[n].set_visible(False)
         # The panel above an empty place has the numbers of the axis.
@@ -174,7 +175,7 @@ def _label_marks(axes: Any, marks: Sequence[tuple[float, float, str, str]]) -> N
     places = spread(heights, min(LABEL_SPACING, 1.0 / max(1, len(marks))))
     for (x, y, name, colour), place in zip(marks, places.tolist(), strict=True):
         text = {"xytext": (4.0, 0.0), "textcoords": "offset points", "va": "center", "fontsize": 7.5, "color": colour}
-        axes.annotate(name, (1.0, place), xycoords="axes fraction", **text)
+        axes.annotate(name, (1.0, place), xycoords="axes fraction", parse_math=False, **text)
         line = ConnectionPatch((x, y), (1.0, place), "data", "axes fraction", axesA=axes, color=FAINT, linewidth=0.6)
         line.set_in_layout(False)
         axes.add_artist(line)

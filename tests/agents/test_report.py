@@ -19,10 +19,13 @@ from tests.agents.training.small import small
 ROOT = Path(__file__).resolve().parents[2]
 
 
+NAME = "a$\\bad$b"  # not to be taken for a formula
+
+
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """A run's folder with what a report reads of it."""
-    folder = tmp_path_factory.mktemp("runs") / "mine"
+    folder = tmp_path_factory.mktemp("runs") / NAME
     write_run(folder, 3)
     (folder / "evaluations.csv").write_text("steps,mean_speed_cm_s,failed\n100,1.0,0\n200,2.0,0\n")
     (folder / "animation.gif").write_bytes(b"GIF89a")
@@ -44,7 +47,7 @@ def test_a_report_shows_the_numbers_of_the_leaderboard(both, monkeypatch):
     assert re.findall(r'src="(data:image/\w+)', text) == ["data:image/gif", *["data:image/png"] * 4]
     assert not re.search(r'(src|href)="(?!data:)', text)
     assert "<title>A &lt;title&gt;</title>" in text and "<h1>A &lt;title&gt;</h1>" in text
-    assert "Learning curve" in text and "mine in motion" in text
+    assert "Learning curve" in text and f"{NAME} in motion" in text
     board = json.loads((ROOT / "leaderboard.json").read_text())
     tables = text.split("<h3>")[1:]
     assert [each.partition("<")[0] for each in tables] == list(board["sets"])
@@ -65,7 +68,7 @@ def test_a_finished_run_is_compared_and_drawn(run, both, tmp_path, capsys, monke
     mine = both._replace(results=replace(both.results, rows=rows))
     monkeypatch.setattr(page, "collect", lambda *names, **options: mine)
     monkeypatch.setattr(page, "_figure", lambda *arguments: "")
-    folder, set_file = tmp_path / "mine", tmp_path / "two.json"
+    folder, set_file = tmp_path / NAME, tmp_path / "two.json"
     shutil.copytree(run, folder)
     content = {"task": "direct", "algo": "ppo", "hyperparameters": small("direct", "ppo").to_dict()}
     (folder / "config.json").write_text(json.dumps(content))
@@ -79,14 +82,14 @@ def test_a_finished_run_is_compared_and_drawn(run, both, tmp_path, capsys, monke
     for name in ("comparison.png", "animation.gif", "report.html"):
         assert (folder / name).stat().st_size > 1000
     assert not list(folder.glob("*.tmp*"))
-    assert "<h1>mine</h1>" in html.unescape((folder / "report.html").read_text())
+    assert f"<h1>{NAME}</h1>" in html.unescape((folder / "report.html").read_text())
 
 
 def test_two_policies_of_one_name_are_refused(run, tmp_path, monkeypatch):
     monkeypatch.setattr(page, "HORIZON", 0.2)
-    write_run(tmp_path / "other" / "mine", 4)
-    with pytest.raises(ValueError, match="different names, got mine more than once"):
-        page.collect([str(run), str(tmp_path / "other" / "mine")])
+    write_run(tmp_path / "other" / NAME, 4)
+    with pytest.raises(ValueError, match=f"different names, got {re.escape(NAME)} more than once"):
+        page.collect([str(run), str(tmp_path / "other" / NAME)])
 
 
 class Touch:
