@@ -135,10 +135,10 @@ def _lower(entry: Entry) -> Any:
     given = ", ".join(f"{kind} %{n}" for n, kind in enumerate(kinds))
     kind, inner = LLVM_TYPES[entry.result], result.fndesc.mangled_name
     # numba's functions return whether they have raised an exception, which none of these does, and the result through
-    # a pointer.
+    # a pointer. Inlined at each of its calls, the multiply-add would make the step many times as long.
     wrapper = (
         f'declare i32 @"{inner}"(ptr, ptr, {", ".join(kinds)})\n'
-        f"define {kind} @{entry.name}({given}) {{\n"
+        f"define {kind} @{entry.name}({given}) noinline {{\n"
         f"  %room = alloca {kind}\n"
         f'  %status = call i32 @"{inner}"(ptr %room, ptr null, {given})\n'
         f"  %value = load {kind}, ptr %room\n"

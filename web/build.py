@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
+from urllib.parse import quote
 
 from tyro.conf import arg
 
@@ -28,7 +29,6 @@ SOURCES = Path(__file__).parent
 PLACE = 'const ARCHIVE = "";'
 LINK = '<a id="documentation"'
 PAGE = SOURCES / "page"
-ENTRY = "page.js"
 MODULE = "capsule.mjs"
 # What the page draws as `capsule_gym.rendering` does: names of its lengths, and of its colours.
 LENGTHS = (
@@ -40,9 +40,6 @@ COLOURS = (
     *("BALL_COLOUR", "TORQUE", "STICK", "SLIP"),
 )
 
-_IMPORT = re.compile(r'^import \{([^}]*)\} from "\./([^"]+)";\n', re.MULTILINE)
-_EXPORT = re.compile(r"^export (?=(?:(?:async )?function|class|const|let) (\w+))", re.MULTILINE)
-
 
 def build_module(archive: str) -> str:
     """The text of capsule.mjs with the archive in it."""
@@ -52,27 +49,21 @@ def build_module(archive: str) -> str:
 
 
 def build_page(module: str) -> str:
-    """The text of the page, one HTML file.
-
-    Every JavaScript module becomes a function that returns what it exports, so that no name of one meets another's.
-    They may say `import {a, b as c} from "./NAME";` and put `export` before a declaration, nothing else of the kind.
+    """The text of the page, one HTML file: an import map holds every JavaScript module, in its text, by its name.
 
     Args:
         module: the text of capsule.mjs.
-
-    Raises:
-        ValueError: if a module cannot stand in HTML.
     """
     lengths = {name: getattr(rendering, name) for name in LENGTHS}
     sources = {MODULE: module, "figure.js": f"export const figure = {json.dumps(lengths)};\n"}
-    order: list[str] = []
-    _visit(ENTRY, sources, order)
-    script = "const modules = {};\n" + "\n".join(_wrapped(name, sources[name]) for name in order)
-    if "</script" in script.lower() or "<!--" in script:
-        raise ValueError("the modules must not contain '</script' or '<!--', which would end or hide them in HTML")
-    parts = {"style": palette() + (PAGE / "page.css").read_text("utf-8"), "script": script}
+    sources |= {path.name: path.read_text("utf-8") for path in sorted(PAGE.glob("*.js"))}
+    imports = {name: "data:text/javascript," + quote(text, safe="/+= ;:,()[]{}*!?&|") for name, text in sources.items()}
+    parts = {
+        "style": palette() + (PAGE / "page.css").read_text("utf-8"),
+        "import map": json.dumps({"imports": imports}),
+    }
     template = (PAGE / "index.html").read_text("utf-8")
-    return re.sub(r"/\* (style|script) \*/", lambda match: parts[match[1]], template)
+    return re.sub(r"/\* (style|import map) \*/", lambda match: parts[match[1]], template)
 
 
 def palette() -> str:
@@ -81,29 +72,6 @@ def palette() -> str:
     colours = {**robot, "RIVAL": drawing.PURPLE, "ACCENT": drawing.BLUE, "WARNING": drawing.VERMILION}
     lines = (f"  --{name.lower().replace('_', '-')}: {value};\n" for name, value in colours.items())
     return ":root {\n" + "".join(lines) + "}\n"
-
-
-def _visit(name: str, sources: dict[str, str], order: list[str]) -> None:
-    """Puts a module behind all those that it imports."""
-    if name in order:
-        return
-    if name not in sources:
-        sources[name] = (PAGE / name).read_text("utf-8")
-    for _, other in _IMPORT.findall(sources[name]):
-        _visit(other, sources, order)
-    order.append(name)
-
-
-def _wrapped(name: str, source: str) -> str:
-    """The module as the constant `modules[name]`, an object of what it exports."""
-
-    def take(match: re.Match[str]) -> str:
-        names = re.sub(r"(\w+) as (\w+)", r"\1: \2", match[1])
-        return f'const {{{names}}} = modules["{match[2]}"];\n'
-
-    exported = _EXPORT.findall(source)
-    body = _EXPORT.sub("", _IMPORT.sub(take, source))
-    return f'modules["{name}"] = await (async () => {{\n{body}\nreturn {{ {", ".join(exported)} }};\n}})();'
 
 
 @dataclass(frozen=True)

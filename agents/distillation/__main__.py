@@ -1,4 +1,4 @@
-"""Distils the optimum into networks and compares them with it and with agents: `python -m agents.distillation`."""
+"""Distils the optimum into networks: `python -m agents.distillation`."""
 
 from __future__ import annotations
 
@@ -11,24 +11,18 @@ from typing import Annotated
 from tyro.conf import arg
 
 from agents.distillation.config import STUDENTS
-from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, evaluate, failures, scores
-from agents.evaluation.statistics import estimate, paired_difference
 from agents.study.jobs import check_seeds
 from agents.training.presets import RunError
 from agents.training.signals import INTERRUPTED
-from baselines.tables import text_table
 from capsule_gym.command_line import Positional, parse, refuse
 
 PROG = "python -m agents.distillation"
 RUNS = Path("runs/distillation")
-COMPARED_EPISODES = 256
-# First seed of the validation plants of the comparison, far from other seeds.
-COMPARED_SEED = 7_000_000
 
 
 @dataclass(frozen=True)
 class Args:
-    """Distils the optimum into a network, and compares it with the expert and with agents on validation plants.
+    """Distils the optimum into a network.
 
     Finished runs are skipped. Ctrl-C stops; the best policy so far is in the run's folder.
 
@@ -50,28 +44,6 @@ class Args:
         check_seeds(self.seeds)
 
 
-def comparison(name: str, folders: Sequence[Path]) -> str:
-    """A table of the finished runs and their references on the same validation plants.
-
-    Args:
-        name: of the student.
-        folders: of its runs.
-    """
-    from agents.distillation.dagger import validation_plants
-
-    plants, speed = validation_plants(STUDENTS[name], COMPARED_SEED, COMPARED_EPISODES), TABLE_METRICS["mean_speed"]
-    found = {name: [each for folder in folders for each in evaluate(folder, plants)]}
-    found |= {reference: evaluate(reference, plants) for reference in STUDENTS[name].references}
-    rows = [["policy", "runs", f"{speed.label} [95 %]", SHARE_OF_OPTIMUM.label, "failed", "student minus it [95 %]"]]
-    own = scores(found[name], speed.name)
-    for label, episodes in found.items():
-        speeds, share = scores(episodes, speed.name), estimate(scores(episodes, SHARE_OF_OPTIMUM.name)).value
-        gain = speed.with_interval(paired_difference(own, speeds).to_dict(), sign=True) if label != name else ""
-        cells = [speed.with_interval(estimate(speeds).to_dict()), SHARE_OF_OPTIMUM.format(share)]
-        rows.append([label, str(len(speeds)), *cells, f"{failures(episodes)}/{len(episodes)}", gain])
-    return text_table(rows, left=1)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, PROG, arguments)
@@ -85,8 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return INTERRUPTED
     except (RunError, OSError) as error:
         refuse(PROG, str(error))
-    print(comparison(args.name, list(folders.values())))
-    print(f"\nInterquartile means over {COMPARED_EPISODES} validation plants; differences plant by plant, cm/s.")
+    print(f"Distilled; python -m agents.evaluate {args.runs / args.name} --against optimum-oracle compares it.")
     return 0
 
 

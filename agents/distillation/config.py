@@ -14,8 +14,6 @@ class Student:
 
     Attributes:
         randomization: the distribution of M and mu.
-        observe_parameters: whether it observes them.
-        references: policies that it is compared with; the expert is the first.
         identifies: whether it identifies them on line.
         change_rate: how often M and mu are drawn anew within an episode, 1/s.
         margin: normal force that the expert leaves, N: a student that does not know M needs more than the expert.
@@ -32,8 +30,6 @@ class Student:
     """
 
     randomization: str
-    observe_parameters: bool
-    references: tuple[str, ...]
     identifies: bool = False
     change_rate: float = 0.0
     margin: float = MIN_NORMAL_FORCE
@@ -51,18 +47,14 @@ class Student:
     @property
     def env_kwargs(self) -> dict[str, Any]:
         """The arguments of the environment that it acts in."""
-        return {"randomization": self.randomization, "observe_parameters": self.observe_parameters}
+        return {"randomization": self.randomization, "observe_parameters": False}
 
 
-# By name; those that are published have the same name on the leaderboard.
+# By the name of their rows on the leaderboard.
 STUDENTS = {
-    "optimum-distilled": Student(
-        "paper", False, ("optimum-oracle", "optimum-nominal", "residual-on-gait", "direct-ppo")
-    ),
+    "optimum-distilled": Student("paper"),
     "optimum-distilled-wide": Student(
         "wide",
-        False,
-        ("optimum-oracle", "robust", "direct-ppo-wide"),
         identifies=True,
         change_rate=0.2,
         margin=0.4,
@@ -71,5 +63,4 @@ STUDENTS = {
         rounds=10,
         final_updates=24_000,
     ),
-    "optimum-distilled-oracle": Student("wide", True, ("optimum-oracle", "robust", "direct-ppo-wide")),
 }

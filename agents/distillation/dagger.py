@@ -35,7 +35,6 @@ from agents.training.presets import RunError
 from agents.training.signals import Stop
 from baselines.dynamic_programming.policy import NUM_TORQUES
 from capsule_gym import Policy
-from capsule_gym.evaluation_sets import EvaluationSet
 from capsule_gym.files import to_json, write_atomically
 from capsule_gym.policy import IMITATION, POLICY
 from capsule_gym.task import CONTROL_DT
@@ -154,17 +153,6 @@ def read_result(folder: Path) -> dict[str, Any] | None:
     return dict(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else None
 
 
-def validation_plants(student: Student, first_seed: int, count: int) -> EvaluationSet:
-    """Plants drawn as those of the student's episodes, never a frozen set.
-
-    Args:
-        student: its configuration.
-        first_seed: the plants' seeds are this and those that follow.
-        count: how many.
-    """
-    return validation_set(student.randomization, f"validation plants, {student.randomization}", first_seed, count)
-
-
 def schedule(student: Student) -> list[tuple[float | None, int, tuple[float, float]]]:
     """The rounds of DAgger and the parts of the final fit.
 
@@ -202,9 +190,9 @@ def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop) -> 
     torch.set_num_threads(1)
     began, revision = time.process_time(), git_revision(Path(__file__).parent)
     rng = np.random.default_rng(seed)
-    plants = validation_plants(
-        student, SELECTION_SEED + seed * student.evaluation_episodes, student.evaluation_episodes
-    )
+    # Never a frozen set.
+    count = student.evaluation_episodes
+    plants = validation_set(student.randomization, "validation plants", SELECTION_SEED + seed * count, count)
     datasets: list[Dataset] = []
     network: Network | None = None
     policy: Policy | None = None

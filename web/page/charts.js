@@ -1,9 +1,9 @@
 // Curves over time, and the phase portrait.
 
-import { constants } from "./capsule.mjs";
-import { clamp, decimals, niceStep, written } from "./numbers.js";
-import { Sheet, colour, font, rem } from "./paint.js";
-import { END } from "./scene.js";
+import { constants } from "capsule.mjs";
+import { clamp, decimals, niceStep, written } from "numbers.js";
+import { Sheet, colour, font, rem } from "paint.js";
+import { END } from "scene.js";
 
 const LIMIT = constants.torque_limit;
 const MARK = niceStep(LIMIT / 3);

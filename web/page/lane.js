@@ -1,7 +1,7 @@
 // One driver on one plant: an episode, everything that was recorded of it, and the way back to any step.
 
-import { constants, drive, load } from "./capsule.mjs";
-import { YOURSELF, driverNamed, titleOf } from "./scene.js";
+import { constants, drive, load } from "capsule.mjs";
+import { YOURSELF, driverNamed, titleOf } from "scene.js";
 
 // As `Simulation` compares an episode's time with that of a jump.
 const TIME_TOLERANCE = 1e-9;

@@ -1,13 +1,13 @@
 // The page: its controls, its lanes, and what is drawn of them.
 
-import { check, constants, drivers, sets } from "./capsule.mjs";
-import { CURVES, PhasePortrait, TimeChart } from "./charts.js";
-import { Lane } from "./lane.js";
-import { clamp, written } from "./numbers.js";
-import { Player } from "./player.js";
-import { END, ONLY_FROZEN, YOURSELF, driverNamed, firstScene, handAction, hasOwnJumps } from "./scene.js";
-import { hasRecorded, keepFrozen, limits, readScene, takePlant, titleOf, writeScene } from "./scene.js";
-import { Contact, Stage } from "./stage.js";
+import { check, constants, drivers, sets } from "capsule.mjs";
+import { CURVES, PhasePortrait, TimeChart } from "charts.js";
+import { Lane } from "lane.js";
+import { clamp, written } from "numbers.js";
+import { Player } from "player.js";
+import { END, ONLY_FROZEN, YOURSELF, driverNamed, firstScene, handAction, hasOwnJumps } from "scene.js";
+import { hasRecorded, keepFrozen, limits, readScene, takePlant, titleOf, writeScene } from "scene.js";
+import { Contact, Stage } from "stage.js";
 
 const DT = constants.control_dt;
 const SPEEDS = [0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10, 15, 20];

@@ -1,8 +1,8 @@
 // Time: what is simulated, what is shown, and how fast.
 
-import { constants } from "./capsule.mjs";
-import { END } from "./scene.js";
-import { clamp } from "./numbers.js";
+import { constants } from "capsule.mjs";
+import { END } from "scene.js";
+import { clamp } from "numbers.js";
 
 const DT = constants.control_dt;
 // Of a frame of 16.7 ms: so much may be spent on simulating, s and ms.

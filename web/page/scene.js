@@ -1,7 +1,7 @@
 // What a link says: who drives which plant, how it is shown, and when.
 
-import { constants, drivers, sets } from "./capsule.mjs";
-import { clamp } from "./numbers.js";
+import { constants, drivers, sets } from "capsule.mjs";
+import { clamp } from "numbers.js";
 
 /** The name of the driver who is the reader of the page. */
 export const YOURSELF = "yourself";

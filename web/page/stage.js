@@ -1,9 +1,9 @@
 // The robot on its floor, as `capsule_gym.rendering` draws it. Lengths are that drawing's pixels; SCALE maps them.
 
-import { constants } from "./capsule.mjs";
-import { figure } from "./figure.js";
-import { clamp, decimals, niceStep, written } from "./numbers.js";
-import { Sheet, colour, font, rem } from "./paint.js";
+import { constants } from "capsule.mjs";
+import { figure } from "figure.js";
+import { clamp, decimals, niceStep, written } from "numbers.js";
+import { Sheet, colour, font, rem } from "paint.js";
 
 const { ROD, BALL, PIVOT, SHELL_HALF, SHELL_HEIGHT, GAUGE } = figure;
 const PER_METRE = ROD / constants.l;
