@@ -34,7 +34,7 @@ from agents.training.presets import (  # noqa: E402
     read_config,
     row_settings,
 )
-from capsule_gym.command_line import parse, parse_some, refuse  # noqa: E402
+from capsule_gym.command_line import NO_NEGATIONS, parse, refuse  # noqa: E402
 from capsule_gym.controller import is_own  # noqa: E402
 from capsule_gym.policy import POLICY  # noqa: E402
 
@@ -89,7 +89,10 @@ def read_args(arguments: Sequence[str] | None = None) -> Args:
     Returns:
         The arguments; `hyperparameters` are those of the new run or, with --resume, of the run that is resumed.
     """
-    choice = parse_some(Choice, PROG, arguments)
+    # The options that decide which others there are.
+    choice, _ = tyro.cli(
+        Choice, prog=PROG, args=arguments, config=NO_NEGATIONS, return_unknown_args=True, add_help=False
+    )
     if choice.resume is not None:
         return _read_resumed(choice.resume, arguments)
     if choice.row is None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import inspect
 import math
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +19,7 @@ try:
 except ImportError as error:
     raise ImportError('this command needs tyro: pip install "capsule-gym[render]"') from error
 
-__all__ = ["Count", "Positional", "check_output", "parse", "parse_some", "refuse"]
+__all__ = ["Count", "Positional", "check_output", "parse", "refuse"]
 
 T = TypeVar("T")
 # No option --no-fast beside --fast.
@@ -64,9 +63,6 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
     Raises:
         SystemExit: with 0 after `--help`, with 2 where the command line is wrong.
     """
-    # tyro knows nothing of https://no-color.org.
-    if os.environ.get("NO_COLOR"):
-        os.environ["TERM"] = "dumb"
     defaults: dict[str, Any] = {} if default is None else {"default": default}
     options: T = tyro.cli(
         kind, prog=prog, args=arguments, description=inspect.getdoc(kind), config=NO_NEGATIONS, **defaults
@@ -78,17 +74,6 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
         except (TypeError, ValueError) as error:
             refuse(prog, str(error))
     return options
-
-
-def parse_some(kind: type[T], prog: str, arguments: Sequence[str] | None = None) -> T:
-    """Reads a few options of a command line, those that decide which others there are, and passes over the rest.
-
-    Takes the arguments of `parse`, and raises its errors.
-    """
-    options: tuple[T, list[str]] = tyro.cli(
-        kind, prog=prog, args=arguments, config=NO_NEGATIONS, return_unknown_args=True, add_help=False
-    )
-    return options[0]
 
 
 def refuse(prog: str, message: str) -> NoReturn:

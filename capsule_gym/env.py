@@ -344,10 +344,7 @@ def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> 
 
 
 def shown_state(simulation: Simulation, i: int) -> dict[str, Any]:
-    """The arguments of `Renderer.draw` for environment i; no reference where the table is all zeros."""
+    """The arguments of `Renderer.draw` for environment i."""
     row = simulation.columns(np.array([i]))[:, 0]
-    # Laws that follow none, the gaits and no law at all, carry a table of zeros.
-    reference = float(simulation.reference[int(row[Row.clock]), 0]) if simulation.reference.any() else None
-    names = ("theta", "theta_dot", "x", "x_dot", "torque", "M", "mu")
-    shown = {name: float(row[getattr(Row, name)]) for name in names}
-    return {**shown, "time": float(row[Row.duration]), "theta_reference": reference}
+    names = ("theta", "x", "x_dot", "torque", "M", "mu")
+    return {**{name: float(row[getattr(Row, name)]) for name in names}, "time": float(row[Row.duration])}

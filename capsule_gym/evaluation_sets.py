@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from capsule_gym.files import canonical_hash
-from capsule_gym.parameters import NOMINAL, check_number, nearest
+from capsule_gym.parameters import NOMINAL, check_integer, check_number, nearest, written
 from capsule_gym.task import HORIZON, START_THETA, THETA_LIMIT
 
 SET_NAMES = ("nominal", "paper", "wide", "extrapolation", "drift")
@@ -100,51 +100,35 @@ class EvaluationSet:
 
 
 def _fields(where: str, value: Any, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Any]:
-    """The JSON object, after a check that it has these fields and no others."""
-    accepted = f"an object with the fields {', '.join(required)}" + "".join(f" and optionally {o}" for o in optional)
-    if not isinstance(value, dict):
-        raise ValueError(f"{where} must be {accepted}, got {value!r}")
-    for name in required:
-        if name not in value:
-            raise ValueError(f"{where} must be {accepted}; {name} is missing")
-    for name in value:
-        if name not in required and name not in optional:
-            raise ValueError(f"{where} must be {accepted}, got a field {name!r}")
-    return value
-
-
-def _mass_and_friction(where: str, entry: dict[str, Any]) -> tuple[float, float]:
-    M = check_number(f"{where}.M", entry["M"], "a finite number > 0 (kg)", 0.0, open_low=True)
-    mu = check_number(f"{where}.mu", entry["mu"], "a finite number > 0", 0.0, open_low=True)
+    """The JSON object, after a check that it has these fields and no others, and of M and mu where it has them."""
+    if not isinstance(value, dict) or not set(required) <= set(value) <= {*required, *optional}:
+        accepted = ", ".join(required) + (f" and optionally {', '.join(optional)}" if optional else "")
+        raise ValueError(f"{where} must be an object with the fields {accepted}, got {written(value)}")
+    if "M" not in required:
+        return value
     try:
-        NOMINAL.check_plant(M, mu)
-    except ValueError as error:
+        NOMINAL.check_plant(value["M"], value["mu"])
+    except (TypeError, ValueError) as error:
         raise ValueError(f"{where}: {error}") from None
-    return M, mu
-
-
-def _parse_change(where: str, value: Any, after: float) -> Change:
-    entry = _fields(where, value, ("t", "M", "mu"))
-    accepted = f"a number of seconds within (0, {HORIZON:g}), later than the change before"
-    t = check_number(f"{where}.t", entry["t"], accepted, after, math.nextafter(HORIZON, 0.0), open_low=True)
-    return Change(t, *_mass_and_friction(where, entry))
+    return {**value, "M": float(value["M"]), "mu": float(value["mu"])}
 
 
 def _parse_plant(where: str, value: Any) -> PlantSpec:
     entry = _fields(where, value, ("M", "mu", "seed"), ("theta", "changes"))
-    M, mu = _mass_and_friction(where, entry)
     accepted = f"an angle in rad within {THETA_LIMIT:.4g} of 0"
     largest = math.nextafter(THETA_LIMIT, 0.0)
     theta = check_number(f"{where}.theta", entry.get("theta", START_THETA), accepted, -largest, largest)
-    seed = entry["seed"]
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise ValueError(f"{where}.seed must be an integer >= 0, got {seed!r}")
-    changes: list[Change] = []
-    if not isinstance(entry.get("changes", []), list):
-        raise ValueError(f"{where}.changes must be a list of changes, got {entry['changes']!r}")
-    for j, change in enumerate(entry.get("changes", [])):
-        changes.append(_parse_change(f"{where}.changes[{j}]", change, changes[-1].t if changes else 0.0))
-    return PlantSpec(M, mu, seed, tuple(changes), theta)
+    seed = check_integer(f"{where}.seed", entry["seed"], "an integer in [0, 2**128)", 0, 2**128 - 1)
+    given, changes, t = entry.get("changes", []), [], 0.0
+    if not isinstance(given, list):
+        raise ValueError(f"{where}.changes must be a list of changes, got {written(given)}")
+    for j, change in enumerate(given):
+        name = f"{where}.changes[{j}]"
+        fields = _fields(name, change, ("t", "M", "mu"))
+        accepted = f"a number of seconds within (0, {HORIZON:g}), later than the change before"
+        t = check_number(f"{name}.t", fields["t"], accepted, t, math.nextafter(HORIZON, 0.0), open_low=True)
+        changes.append(Change(t, fields["M"], fields["mu"]))
+    return PlantSpec(entry["M"], entry["mu"], seed, tuple(changes), theta)
 
 
 def parse_set(content: Any) -> EvaluationSet:

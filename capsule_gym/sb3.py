@@ -39,21 +39,12 @@ class CapsuleSB3VecEnv(VecEnv):
     def __init__(self, num_envs: int, seed: int | None = None, **env_kwargs: Any) -> None:
         self.batch = CapsuleVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs)
         self.render_mode = self.batch.render_mode
-        self._quiet: list[dict[str, Any]] = [{} for _ in range(num_envs)]
         self._actions: np.ndarray | None = None
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, np.int64)
         super().__init__(num_envs, self.batch.single_observation_space, self.batch.single_action_space)
-        self._seed = seed
-
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Sets the seed of the next reset; environment i gets seed + i.
-
-        Args:
-            seed: any integer >= 0, or None to go on.
-        """
-        self._seed = seed
-        return [None if seed is None else seed + i for i in range(self.num_envs)]
+        if seed is not None:
+            self.seed(seed)
 
     def reset(self) -> VecEnvObs:
         """Begins new episodes everywhere, with what `set_options` has set.
@@ -69,8 +60,8 @@ class CapsuleSB3VecEnv(VecEnv):
         if any(options.keys() != names for options in self._options):
             raise ValueError(f"options must have the same keys for every environment, got {written(self._options)}")
         gathered = {name: [options[name] for options in self._options] for name in names}
-        observations, _ = self.batch.reset(seed=self._seed, options=gathered or None)
-        self._seed = None
+        observations, _ = self.batch.reset(seed=self._seeds, options=gathered or None)
+        self._reset_seeds()
         self._reset_options()
         self._returns[:] = 0.0
         self._lengths[:] = 0
@@ -87,9 +78,8 @@ class CapsuleSB3VecEnv(VecEnv):
         dones = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        infos = self._quiet
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if dones.any():
-            infos = [{} for _ in range(self.num_envs)]
             metrics = info["final_info"]["metrics"]
             for i in np.flatnonzero(dones):
                 infos[i] = {
@@ -121,19 +111,15 @@ class CapsuleSB3VecEnv(VecEnv):
         Raises:
             AttributeError: always.
         """
-        raise AttributeError(
-            f"cannot set {attr_name!r}: the environments of a batch share their settings; make a new batch"
-        )
+        raise AttributeError(f"cannot set {attr_name!r}: the environments of a batch share their settings")
 
-    def env_method(
-        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
-    ) -> list[Any]:
-        """Calls a method of the batch and returns its result, split where it has one entry per environment."""
-        result = getattr(self.batch, method_name)(*method_args, **method_kwargs)
-        rows = list(self._get_indices(indices))
-        if isinstance(result, dict):
-            return [{name: values[i] for name, values in result.items()} for i in rows]
-        return [result[i] if isinstance(result, (tuple, list, np.ndarray)) else result for i in rows]
+    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
+        """Refused: a batch has no objects for its environments.
+
+        Raises:
+            AttributeError: always.
+        """
+        raise AttributeError(f"cannot call {method_name!r} of one environment: call it of the attribute `batch`")
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
         """False but for `Monitor`, whose infos a batch gives: where it is True, SB3 evaluates by whole episodes."""

@@ -33,7 +33,7 @@ MODULE = "capsule.mjs"
 # What the page draws as `capsule_gym.rendering` does: names of its lengths, and of its colours.
 LENGTHS = (
     *("ROD", "BALL", "PIVOT", "SHELL_HEIGHT", "SHELL_HALF", "PLATFORM_HALF", "PLATFORM_HEIGHT", "GAUGE"),
-    *("SPRING_INNER", "SPRING_OUTER", "SPRING_TURNS", "SPEED_ARROW", "SPEED_ARROW_LIMIT", "TRAIL_SECONDS"),
+    *("SPRING_INNER", "SPRING_OUTER", "SPRING_TURNS"),
 )
 COLOURS = (
     *("PAPER", "WHITE", "FLOOR_FILL", "GRID", "HAIRLINE", "TICK", "GREY", "INK", "SLATE", "SHELL", "INSIDE"),

@@ -19,6 +19,7 @@ follows from speed and plant.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import sys
@@ -37,7 +38,7 @@ from agents.evaluation.episodes import evaluate as evaluate_policy
 from agents.evaluation.policies import Candidate, Policy
 from baselines.policies import SCRIPTED
 from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet
-from capsule_gym.files import file_hash, write_atomically
+from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY
 from capsule_gym.task import CONTROL_DT, HORIZON, METRICS
 
@@ -113,7 +114,11 @@ def static_header(candidate: Candidate) -> dict[str, Any]:
         "description": candidate.description,
         "training_seeds": [policy.training_seed for policy in trained],
         "revision": ", ".join(dict.fromkeys(policy.revision for policy in trained)) or None,
-        "files": {path.relative_to(folder).as_posix(): file_hash(path) for path in files if folder},
+        "files": {
+            path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in files
+            if folder
+        },
         "base": next(iter(bases), None),
     }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -58,17 +57,6 @@ def test_a_wrong_command_line_ends_with_2_and_says_what_is_wrong(words, said, ca
         read(*words)
     assert ended.value.code == 2
     assert said.lower() in capsys.readouterr().err.lower()
-
-
-@pytest.mark.parametrize(("variable", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False), ({"TERM": "dumb"}, False)])
-def test_help_has_colours_on_a_terminal_unless_they_are_not_wanted(monkeypatch, capsys, variable, coloured):
-    monkeypatch.delenv("NO_COLOR", raising=False)
-    for name, value in {"TERM": "xterm", **variable}.items():
-        monkeypatch.setenv(name, value)
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
-    with pytest.raises(SystemExit):
-        read("--help")
-    assert ("\x1b[" in capsys.readouterr().out) is coloured
 
 
 def test_outputs_are_refused_before_the_work(tmp_path: Path):

@@ -1,4 +1,4 @@
-// The robot on its floor, as `capsule_gym.rendering` draws it. Lengths are that drawing's pixels; SCALE maps them.
+// The robot on its floor, as `capsule_gym.rendering` draws it, with trail and speed arrow. Lengths are that drawing's pixels; SCALE maps them.
 
 import { constants } from "capsule.mjs";
 import { figure } from "figure.js";
@@ -16,6 +16,10 @@ const WIDEST = 1.6;
 // Changes of the contact's colour in a second; three flashes, which are six, may harm.
 const MOST_CHANGES = 4;
 const TURN = 2 * Math.PI;
+// Pixels of the speed arrow per m/s, and its longest.
+const SPEED_ARROW = 320;
+const SPEED_ARROW_LIMIT = 220;
+const TRAIL_SECONDS = 0.07;
 
 /** Stick or slip, as it can be shown: neither, where it would flash. */
 export class Contact {
@@ -228,7 +232,7 @@ function drawGhost(context, view, offset, half, scale) {
 
 /** An arrow above the shell, as long as the platform is fast. */
 function drawSpeed(context, x_dot) {
-  const length = clamp(figure.SPEED_ARROW * x_dot, -figure.SPEED_ARROW_LIMIT, figure.SPEED_ARROW_LIMIT);
+  const length = clamp(SPEED_ARROW * x_dot, -SPEED_ARROW_LIMIT, SPEED_ARROW_LIMIT);
   if (Math.abs(length) < 1) return;
   const slip = colour("slip");
   const y = -SHELL_HEIGHT - 16;
@@ -256,7 +260,7 @@ function drawTorque(context, share) {
 
 /** The spring, the rod, and the ball with a trail of its last moments. */
 function drawPendulum(context, { theta, theta_dot }, still) {
-  const { SPRING_INNER, SPRING_OUTER, SPRING_TURNS, TRAIL_SECONDS } = figure;
+  const { SPRING_INNER, SPRING_OUTER, SPRING_TURNS } = figure;
   const ball = colour("ball-colour");
   const swept = clamp(TRAIL_SECONDS * theta_dot, -1, 1);
   if (!still && Math.abs(swept) > 0.02) {
