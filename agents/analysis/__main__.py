@@ -19,7 +19,7 @@ COMMAND = "python -m agents.analysis"
 ROOT = Path(__file__).resolve().parents[2]
 
 
-# Each has a function `document`, which takes the names of policies.
+# Each has a function `document`.
 DOCUMENTS = {
     "statistics": statistics,
     "limit_cycle": limit_cycle,
@@ -36,7 +36,7 @@ class Args:
     Examples:
       python -m agents.analysis
       python -m agents.analysis statistics --check
-      python -m agents.analysis limit_cycle --policies adaptive direct-ppo/seed-2 --output elsewhere
+      python -m agents.analysis limit_cycle gallery --output elsewhere
     """
 
     names: Annotated[
@@ -44,8 +44,6 @@ class Args:
     ] = ()
     check: bool = False
     """Write nothing; fail if the tables in the folder are not up to date."""
-    policies: Annotated[tuple[str, ...], arg(metavar="NAME_OR_PATH")] = ()
-    """Policies that are shown, as for python -m agents.evaluate; those of the documentation by default."""
     output: Annotated[Path, arg(metavar="DIR", aliases=["-o"])] = ROOT / "docs"
     """Folder of the files, which are replaced."""
 
@@ -65,22 +63,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if unknown:
         refuse(COMMAND, f"NAME must be one of {', '.join(DOCUMENTS)}, got {unknown[0]!r}")
     stale = False
-    try:
-        for name in args.names or DOCUMENTS:
-            document, path = DOCUMENTS[name].document(args.policies), args.output / f"{name}_tables.md"
-            if args.check:
-                if document.sections and (not path.is_file() or path.read_text(encoding="utf-8") != render(document)):
-                    print(f"{path} is not up to date: run `{COMMAND} {name}` and commit what it writes.")
-                    stale = True
-                continue
-            for place, write in document.figures.items():
-                (args.output / place).parent.mkdir(parents=True, exist_ok=True)
-                write(args.output / place)
-            if document.sections:
-                write_atomically(path, render(document))
-            print(f"Written: {name}", flush=True)
-    except ValueError as error:
-        refuse(COMMAND, str(error))
+    for name in args.names or DOCUMENTS:
+        document, path = DOCUMENTS[name].document(), args.output / f"{name}_tables.md"
+        if args.check:
+            if document.sections and (not path.is_file() or path.read_text(encoding="utf-8") != render(document)):
+                print(f"{path} is not up to date: run `{COMMAND} {name}` and commit what it writes.")
+                stale = True
+            continue
+        for place, write in document.figures.items():
+            (args.output / place).parent.mkdir(parents=True, exist_ok=True)
+            write(args.output / place)
+        if document.sections:
+            write_atomically(path, render(document))
+        print(f"Written: {name}", flush=True)
     return 1 if stale else 0
 
 

@@ -82,16 +82,9 @@ def find_cycle(recording: Recording) -> Cycle:
     return Cycle(recording.cut(begin, begin + int(rises[i + swings] - rises[i])), float(gaps[swings][i]))
 
 
-def document(policies: Sequence[str] = ()) -> Document:
-    """The table and the figure.
-
-    Args:
-        policies: names or paths; by default `POLICIES`.
-
-    Raises:
-        ValueError: if there is no such policy, or its motion has no cycle.
-    """
-    cycles = [find_cycle(median_run(find_candidate(name))) for name in policies or POLICIES]
+def document() -> Document:
+    """The table and the figure."""
+    cycles = [find_cycle(median_run(find_candidate(name))) for name in POLICIES]
     return Document({"shapes": table(cycles)}, {"figures/limit_cycle": write_with(draw, cycles)})
 
 

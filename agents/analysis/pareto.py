@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-import capsule_gym
 from agents.analysis.data import Document, fronts
 from agents.analysis.figures import plot_fronts, write_with
 from agents.evaluation.episodes import TABLE_METRICS, evaluate, failures, scores
@@ -31,13 +30,9 @@ class Point(NamedTuple):
     failures: str
 
 
-def document(policies: Sequence[str] = ()) -> Document:
-    """The table and the figure.
-
-    Args:
-        policies: name or path of the policy, the first counts; by default the row `pareto`.
-    """
-    points = measure((*policies, "pareto")[0], load_set("paper"))
+def document() -> Document:
+    """The table and the figure."""
+    points = measure("pareto", load_set("paper"))
     return Document({"table": table(points)}, {"figures/pareto": write_with(draw, points)})
 
 
@@ -50,15 +45,12 @@ def measure(name: str, evaluation_set: EvaluationSet, weights: Sequence[float] =
         weights: cm/J.
 
     Raises:
-        ValueError: if there is no such policy, or it does not observe the weight.
+        ValueError: if a run does not observe the weight.
     """
     points = []
     for weight in weights:
-        episodes = []
-        for policy in find_candidate(name).policies:
-            if not isinstance(policy, capsule_gym.Policy):
-                raise ValueError(f"policy must be a trained one that observes the energy weight, got {name!r}")
-            episodes += evaluate(policy.with_energy_weight(weight), evaluation_set)
+        runs = [policy.with_energy_weight(weight) for policy in find_candidate(name).trained]
+        episodes = [episode for policy in runs for episode in evaluate(policy, evaluation_set)]
         speed, cost = (estimate(scores(episodes, each.name)) for each in (SPEED, COST))
         points.append(Point(weight, speed, cost, f"{failures(episodes)}/{len(episodes)}"))
     return points

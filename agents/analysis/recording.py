@@ -164,17 +164,12 @@ def draw_comparison(recordings: Sequence[Recording], path: Path) -> None:
             figure.savefig(temporary, dpi=DPI)
 
 
-def document(policies: Sequence[str] = ()) -> Document:
-    """The files of the gallery.
-
-    Args:
-        policies: names or paths; by default those of the site.
-    """
-    media: dict[str, Any] = {f"media/{Path(name).name}.gif": partial(animate, name) for name in policies or POLICIES}
+def document() -> Document:
+    """The files of the gallery."""
+    media: dict[str, Any] = {f"media/{name}.gif": partial(animate, name) for name in POLICIES}
 
     def compare(path: Path) -> None:
-        names = policies[:4] or COMPARED
-        draw_comparison([record(find_candidate(name).policies[0], name=name) for name in names], path)
+        draw_comparison([record(find_candidate(name).policies[0], name=name) for name in COMPARED], path)
 
     return Document(figures={**media, "figures/gallery.png": compare})
 

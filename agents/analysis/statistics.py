@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +20,9 @@ ROOT = Path(__file__).resolve().parents[2]
 METRIC = TABLE_METRICS[SPEED]
 
 
-def document(policies: Sequence[str] = ()) -> Document:
-    """Tables and figures of the leaderboard's results; nothing is evaluated.
-
-    Args:
-        policies: rows; all by default.
-
-    Raises:
-        ValueError: if a policy has no results, or results on other sets.
-    """
-    names = policies or [candidate.name for candidate in evaluation_policies.all_candidates()]
-    rows = load_rows(ROOT / RESULTS, names)
+def document() -> Document:
+    """Tables and figures of the leaderboard's results; nothing is evaluated."""
+    rows = load_rows(ROOT / RESULTS, [candidate.name for candidate in evaluation_policies.all_candidates()])
     results = gather(rows, [load_set(name) for name in SET_NAMES], evaluation_policies.CHECKPOINTS)
     sections = {
         "failures": failures(results),

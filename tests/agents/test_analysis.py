@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from agents.analysis import __main__ as analysis
-from agents.analysis import limit_cycle, pareto, recording, residual_limit
+from agents.analysis import limit_cycle, pareto, recording
 from agents.analysis.data import fronts, gather, read_learning
 from agents.analysis.limit_cycle import find_cycle, median_run
 from agents.analysis.recording import Recording, record
@@ -126,18 +126,6 @@ def test_a_large_energy_weight_gives_slow_and_cheap_motion():
     assert [line[3] for line in cells(pareto.table([at, beyond]))[2:]] == ["2.00", "-"]
 
 
-@pytest.mark.parametrize("name", ["direct-ppo", "adaptive"])
-def test_a_policy_that_does_not_observe_the_weight_is_refused(name):
-    with pytest.raises(ValueError, match="energy weight"):
-        pareto.measure(name, SHORT, (1.0,))
-
-
-def test_the_figure_of_the_sweep_has_a_line_per_law_and_plants():
-    speed, failed = residual_limit.draw(residual_limit.load()).axes[::2]
-    assert speed.get_ylim()[0] == failed.get_ylim()[0] == 0.0
-    assert len(speed.get_legend_handles_labels()[0]) == 6
-
-
 def test_the_gallery_is_drawn(tmp_path, monkeypatch):
     monkeypatch.setattr(evaluation_policies, "SCRIPTED", {name: Sine(0.3, name="sine") for name in ("one", "two")})
     changes = {"POLICIES": ("one", "two"), "COMPARED": ("one", "two"), "BEGIN": 0.1, "SECONDS": 0.4}
@@ -156,18 +144,10 @@ def test_stale_tables_are_found(tmp_path, capsys):
     assert re.search(r"residual_limit_tables\.md is not up to date: run `python -m", capsys.readouterr().out)
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["nothing"], "got 'nothing'"),
-        (["limit_cycle", "--policies", "nobody"], "got 'nobody'"),
-        (["limit_cycle", "--policies", "zero"], "must swing at least twice in its last 20 s, got zero"),
-    ],
-)
-def test_bad_options_are_named(words, message, capsys):
+def test_an_unknown_name_is_refused(capsys):
     with pytest.raises(SystemExit) as stop:
-        analysis.main(words)
-    assert stop.value.code == 2 and message in capsys.readouterr().err
+        analysis.main(["nothing"])
+    assert stop.value.code == 2 and "got 'nothing'" in capsys.readouterr().err
 
 
 PLANT = PlantSpec(0.6, 0.05, seed=3)
