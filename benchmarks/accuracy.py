@@ -18,7 +18,7 @@ import numpy as np
 from tqdm import tqdm
 
 from baselines.tables import markdown_table, text_table
-from benchmarks.measurement import OutputArgs, machine
+from benchmarks.measurement import OutputArgs
 from capsule_gym import task
 from capsule_gym.command_line import parse
 from capsule_gym.parameters import Capsule
@@ -89,13 +89,11 @@ def errors(mu: float, solved: Sequence[Expected], steps: Sequence[float]) -> np.
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, COMMAND, arguments)
-    found, cases = machine(), []
     table = [["mu", "torque, N m", *(f"{1e3 * step:g} ms" for step in STEPS), "length"]]
     for mu, amplitude in tqdm(list(product(FRICTION, AMPLITUDES)), desc="errors"):
         solved = expected_trajectories(mu, amplitude)
         deviations = errors(mu, solved, STEPS)
         length = float(np.median([task.CONTROL_DT * each.intervals for each in solved]))
-        cases.append({"mu": mu, "amplitude": amplitude, "length": length, "errors": deviations.tolist()})
         cells = [f"{column.max():.1e} ({np.median(column):.1e})" for column in deviations.T]
         table.append([f"{mu:g}", f"±{amplitude:g}", *cells, f"{length:.1f} s"])
     note = (
@@ -105,8 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "torque change before that; the last column is the median length."
     )
     print(note, text_table(table), sep="\n\n")
-    numbers = {"machine": found, "steps_ms": [1e3 * step for step in STEPS], "cases": cases}
-    args.write(COMMAND, numbers, [note, "", *markdown_table(table).split("\n")])
+    args.write(COMMAND, note, markdown_table(table))
     return 0
 
 

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 from tqdm import tqdm
 
 from capsule_gym.command_line import check_output
-from capsule_gym.files import to_json, write_atomically
+from capsule_gym.files import write_atomically
 
 PACKAGES = ("capsule-gym", "numba", "numpy", "gymnasium")
 
@@ -29,10 +29,8 @@ Name = TypeVar("Name")
 class OutputArgs:
     """The arguments of every benchmark."""
 
-    json: Path | None = None
-    """Write the numbers to this file."""
     markdown: Path | None = None
-    """Write the tables to this file."""
+    """Write the table to this file."""
 
     def check(self) -> None:
         """Raises an error for files that cannot be written, before the measurement starts.
@@ -40,26 +38,22 @@ class OutputArgs:
         Raises:
             ValueError: if a file cannot be written.
         """
-        check_output("--json", self.json, overwrite=True)
         check_output("--markdown", self.markdown, overwrite=True)
         check_output("--figure", getattr(self, "figure", None), overwrite=True)
         for name in ("turns", "total_steps"):
             if getattr(self, name, 1) < 1:
                 raise ValueError(f"--{name.replace('_', '-')} must be above 0, got 0")
 
-    def write(self, command: str, numbers: dict[str, Any], lines: Sequence[str]) -> None:
-        """Writes the files that were asked for.
+    def write(self, command: str, *paragraphs: str) -> None:
+        """Writes the page, if it was asked for.
 
         Args:
-            command: named in the first line of the page.
-            numbers: content of --json.
-            lines: content of --markdown.
+            command: named in its first line.
+            *paragraphs: its content.
         """
-        if self.json is not None:
-            write_atomically(self.json, to_json(numbers))
         if self.markdown is not None:
             header = f"<!-- Written by {command}: do not edit. -->"
-            write_atomically(self.markdown, "\n".join([header, "", *lines, ""]))
+            write_atomically(self.markdown, "\n\n".join([header, *paragraphs]) + "\n")
 
 
 def available_cores() -> int:
@@ -86,7 +80,6 @@ def machine(*packages: str) -> dict[str, Any]:
         "cpu": names[0] if names else platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
         "cores_available": available_cores(),
-        "load_at_start": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "system": platform.system(),
         "python": platform.python_version(),
         "versions": versions,

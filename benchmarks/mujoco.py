@@ -259,9 +259,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"MuJoCo allows at the step of {1e3 * DIRECT_PHYSICS_DT:g} ms. {describe(machine('mujoco'))}."
     )
     print(text_table(rows), note, sep="\n\n")
-    args.write(
-        COMMAND, {"machine": machine("mujoco"), "results": results}, [*markdown_table(rows).split("\n"), "", note]
-    )
+    args.write(COMMAND, markdown_table(rows), note)
     return 0
 
 

@@ -269,15 +269,13 @@ def table(measured: Sequence[Contender], rates: Mapping[str, Sequence[float]]) -
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, COMMAND, arguments)
-    found = machine("mujoco", "envpool")
     contenders, left_out = select_available([*ours(), *peers()])
     rates = measure(contenders, args.turns)
     rows = table(contenders, rates)
-    note = f"{describe(found)}; medians of {args.turns} turns, IQR: interquartile range over it."
+    note = f"{describe(machine('mujoco', 'envpool'))}; medians of {args.turns} turns, IQR: interquartile range over it."
     below = [CONDITIONS, note, *left_out]
     print(text_table(rows), *below, sep="\n\n")
-    numbers = {"machine": found, "turns": args.turns, "left_out": left_out, "rates": rates}
-    args.write(COMMAND, numbers, "\n\n".join([markdown_table(rows), *below]).split("\n"))
+    args.write(COMMAND, markdown_table(rows), *below)
     return 0
 
 

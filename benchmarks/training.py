@@ -1,7 +1,7 @@
-"""Speed and learning of PPO, compared with Stable-Baselines3's own: `python -m benchmarks.training`.
+"""Learning and speed of PPO, compared with Stable-Baselines3's own: `python -m benchmarks.training`.
 
-All agents command the whole torque on the paper's plants. Contenders take turns; seconds are of processor time, without
-the evaluations. Learning curves are evaluated on plants that are drawn for this alone, no frozen set.
+All agents command the whole torque on the paper's plants, and take turns; seconds are of processor time, without the
+evaluations. Learning curves are evaluated on plants that are drawn for this alone, no frozen set.
 """
 
 from __future__ import annotations
@@ -10,12 +10,11 @@ import dataclasses
 import statistics
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from tqdm import tqdm
@@ -24,12 +23,13 @@ from agents.evaluation.statistics import estimate, learning_curve, paired_differ
 from agents.training.presets import PRESETS, PPOConfig
 from baselines import drawing
 from baselines.tables import markdown_table, text_table
-from benchmarks.measurement import OutputArgs, describe, machine, take_turns
+from benchmarks.measurement import OutputArgs, describe, machine
 from capsule_gym.command_line import Count, parse
 from capsule_gym.files import replacing
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecEnv
 
 COMMAND = "python -m benchmarks.training"
 EVALUATIONS = 16
@@ -37,19 +37,11 @@ EVALUATIONS = 16
 PLANTS_SEED = 4_000
 # Points of the learning curve that the table shows, as parts of the whole.
 SHOWN = (0.25, 0.5, 0.75, 1.0)
-# Length of a turn of a comparison of speed, about, in processor time.
-SECONDS = 2.0
 # The preset of the release before rollouts and updates were compiled; today's preset may change.
 TUNED: dict[str, Any] = {
     **{"num_envs": 64, "n_steps": 256, "batch_size": 2048, "n_epochs": 6},
     **{"learning_rate": 1e-3, "final_learning_rate": 1e-4, "gamma": 0.995, "gae_lambda": 0.98, "ent_coef": 0.0},
     **{"hidden": 64, "log_std_init": -0.5, "termination_penalty": 30.0},
-}
-# Stable-Baselines3's defaults, on eight environments. Shorter rollouts than its 2048 cost the same per step.
-UNTUNED: dict[str, Any] = {
-    **TUNED,
-    **{"num_envs": 8, "n_steps": 512, "batch_size": 64, "n_epochs": 10, "learning_rate": 3e-4},
-    **{"final_learning_rate": 3e-4, "gamma": 0.99, "gae_lambda": 0.95, "log_std_init": 0.0},
 }
 COLOURS = (drawing.BLUE, drawing.VERMILION, drawing.GREEN, drawing.PURPLE)
 
@@ -78,29 +70,20 @@ def trainer(name: str, *, stock: bool = False, **changes: Any) -> Trainer:
 
 PRESET, PEER = trainer("preset"), trainer("SB3's PPO", stock=True, **TUNED)
 LEARNERS = (PRESET, PEER, trainer("256 x 64", num_envs=256, n_steps=64))
-# Whose speed is measured; ratios refer to the first.
-CONTENDERS = (PRESET, PEER, trainer("SB3's PPO, untuned", stock=True, **UNTUNED))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Args(OutputArgs):
     """Learning curves and environment steps per second of PPO, compared with Stable-Baselines3's own.
 
-    Little else should run meanwhile.
-
     Examples:
       python -m benchmarks.training --markdown docs/train_fast_tables.md --figure docs/figures/training_curves.png
-      python -m benchmarks.training --parts speed --turns 3
     """
 
-    parts: tuple[Literal["learning", "speed"], ...] = ("learning", "speed")
-    """What is measured."""
     seeds: Count = 5
     """Number of training seeds of each learning curve."""
     total_steps: Count = 2**20
     """Environment steps of a learning curve."""
-    turns: Count = 5
-    """Turns of every contender of the comparison of speed."""
     figure: Path | None = None
     """Draw the learning curves into this PNG file."""
 
@@ -111,41 +94,35 @@ class Args(OutputArgs):
             raise ValueError(f"--seeds must be at least 2, for an interval over them, got {self.seeds}")
 
 
-@contextmanager
-def training(entry: Trainer) -> Iterator[PPO]:
-    """The agent with its environments, which are closed at the end."""
+def make_agent(entry: Trainer) -> PPO:
+    """The agent with its environments."""
     # torch takes seconds to import, which --help need not wait for.
     import torch
     from stable_baselines3 import PPO
-    from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+    from stable_baselines3.common.vec_env import VecNormalize
 
     from agents.training.algorithms import LinearSchedule, make_env, make_model
     from capsule_gym.sb3 import CapsuleSB3VecEnv
 
     config = entry.config
     torch.set_num_threads(1)
-    if entry.stock:
-        batch = CapsuleSB3VecEnv(config.num_envs, config.seed, **config.env_kwargs())
-        model = PPO(
-            "MlpPolicy",
-            VecNormalize(batch, norm_reward=False, gamma=config.gamma),
-            learning_rate=LinearSchedule(config.learning_rate, config.final_learning_rate),
-            n_steps=config.n_steps,
-            batch_size=config.batch_size,
-            n_epochs=config.n_epochs,
-            gamma=config.gamma,
-            gae_lambda=config.gae_lambda,
-            ent_coef=config.ent_coef,
-            policy_kwargs={"net_arch": [config.hidden, config.hidden], "log_std_init": config.log_std_init},
-            seed=config.seed,
-            device="cpu",
-        )
-    else:
-        model = cast("PPO", make_model(config, make_env(config, config.seed)))
-    try:
-        yield model
-    finally:
-        cast("VecEnv", model.get_env()).close()
+    if not entry.stock:
+        return cast("PPO", make_model(config, make_env(config, config.seed)))
+    batch = CapsuleSB3VecEnv(config.num_envs, config.seed, **config.env_kwargs())
+    return PPO(
+        "MlpPolicy",
+        VecNormalize(batch, norm_reward=False, gamma=config.gamma),
+        learning_rate=LinearSchedule(config.learning_rate, config.final_learning_rate),
+        n_steps=config.n_steps,
+        batch_size=config.batch_size,
+        n_epochs=config.n_epochs,
+        gamma=config.gamma,
+        gae_lambda=config.gae_lambda,
+        ent_coef=config.ent_coef,
+        policy_kwargs={"net_arch": [config.hidden, config.hidden], "log_std_init": config.log_std_init},
+        seed=config.seed,
+        device="cpu",
+    )
 
 
 @dataclass(frozen=True)
@@ -215,8 +192,9 @@ def learn(entry: Trainer) -> Run:
             run.failed.append(float(scores(episodes, "failed").mean()))
             self.began += time.process_time() - now
 
-    with training(entry) as model:
-        model.learn(config.total_steps, callback=Evaluation())
+    agent = make_agent(entry)
+    with closing(cast("VecEnv", agent.get_env())):
+        agent.learn(config.total_steps, callback=Evaluation())
     return run
 
 
@@ -283,61 +261,19 @@ def draw(runs: Mapping[str, Sequence[Run]], note: str) -> Any:
     return figure
 
 
-def measure_speed(turns: int) -> dict[str, list[float]]:
-    """Environment steps per second of the `CONTENDERS` by name, updates included, one number per turn."""
-    with ExitStack() as stack:
-        ready = {}
-        for entry in tqdm(CONTENDERS, desc="preparing"):
-            model, unit = stack.enter_context(training(entry)), entry.config.num_envs * entry.config.n_steps
-            _train(model, unit)  # compiles
-            ready[entry.name] = partial(_train, model, unit * max(1, round(SECONDS * _train(model, unit) / unit)))
-        return take_turns(ready, turns)
-
-
-def _train(model: PPO, steps: int) -> float:
-    """Continues a training for so many steps; returns its environment steps per second."""
-    start = time.process_time()
-    model.learn(steps, reset_num_timesteps=False)
-    return steps / (time.process_time() - start)
-
-
-def speed_table(rates: Mapping[str, Sequence[float]]) -> list[list[str]]:
-    """The comparison of speed; ratios are medians over the turns, each to the first entry's rate in the same turn."""
-    table = [["", "env steps/s", "ratio", "range of the ratio"]]
-    first = next(iter(rates.values()))
-    for name, rate in rates.items():
-        ratios = [own / other for own, other in zip(rate, first, strict=True)]
-        span = f"{min(ratios):.2f} to {max(ratios):.2f}" if rate is not first else ""
-        table.append([name, f"{statistics.median(rate):,.0f}", f"{statistics.median(ratios):.2f}", span])
-    return table
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, COMMAND, arguments)
-    found = machine("stable-baselines3", "torch")
-    numbers: dict[str, Any] = {"machine": found}
-    lines: list[str] = []
-    for part in args.parts:
-        if part == "learning":
-            runs = learning(args.seeds, args.total_steps)
-            numbers["runs"] = [vars(run) for own in runs.values() for run in own]
-            table, words = learning_table(runs), [difference(runs), ""]
-            note = f"Interquartile means with 95 % intervals over seeds; {args.total_steps:,} steps. {describe(found)}."
-            if args.figure is not None:
-                with drawing.style(), replacing(args.figure) as temporary:
-                    # Half as many bytes as at the resolution of the paper's figures.
-                    draw(runs, note).savefig(temporary, format="png", dpi=130, metadata={"Software": None})
-        else:
-            numbers["rates"] = measure_speed(args.turns)
-            table, words = speed_table(numbers["rates"]), []
-            note = f"{describe(found)}; {args.turns} turns of about {SECONDS:g} s of processor time."
-        print(f"\n{part}\n\n{text_table(table)}", *words, flush=True)
-        # Sections, which docs/train_fast.md includes by their names.
-        start, end = (f"<!-- --8<-- [{mark}:{part}] -->" for mark in ("start", "end"))
-        lines += [start, *markdown_table(table).split("\n"), "", *words, note, end, ""]
-        # After every part, so that nothing is lost.
-        args.write(COMMAND, numbers, lines)
+    found = describe(machine("stable-baselines3", "torch"))
+    runs = learning(args.seeds, args.total_steps)
+    table, words = learning_table(runs), difference(runs)
+    note = f"Interquartile means with 95 % intervals over seeds; {args.total_steps:,} steps. {found}."
+    if args.figure is not None:
+        with drawing.style(), replacing(args.figure) as temporary:
+            # Half as many bytes as at the resolution of the paper's figures.
+            draw(runs, note).savefig(temporary, format="png", dpi=130, metadata={"Software": None})
+    print(text_table(table), words, note, sep="\n\n")
+    args.write(COMMAND, markdown_table(table), words, note)
     return 0
 
 

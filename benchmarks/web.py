@@ -94,7 +94,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parse(Args, COMMAND, arguments)
     if shutil.which("node") is None:
         refuse(COMMAND, "node must be installed")
-    found = machine()
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         build.main(["--output", folder])
         turns: dict[tuple[str, str], Callable[[], float]] = {}
@@ -111,12 +110,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         steps.append([name, *cells, f"{node / native:.3f}"])
     note = (
         f"Agent steps, of 20 ms each, of one capsule in closed loop per second of the processor; medians of "
-        f"{args.turns} episodes. {describe(found)}."
+        f"{args.turns} episodes. {describe(machine())}."
     )
     print(text_table(steps), note, sep="\n\n")
-    args.write(
-        COMMAND, {"machine": found, "turns": args.turns, "steps": steps}, [*markdown_table(steps).split("\n"), "", note]
-    )
+    args.write(COMMAND, markdown_table(steps), note)
     return 0
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import json
 import statistics
 
 import numpy as np
@@ -21,12 +20,10 @@ ABSENT = "a_package_that_nobody_has"
 @pytest.mark.parametrize(
     ("command", "words", "message"),
     [
-        *((name, ["--json", "{folder}"], "--json") for name in COMMANDS),
-        ("web", ["--markdown", "{folder}/no/x.md"], "--markdown"),
+        *((name, ["--markdown", "{folder}"], "--markdown") for name in COMMANDS),
         ("training", ["--figure", "{folder}"], "--figure"),
         ("throughput", ["--turns", "0"], "--turns must be above 0"),
         ("training", ["--seeds", "1"], "--seeds must be at least 2"),
-        ("training", ["--parts", "sideways"], "sideways"),
     ],
 )
 def test_bad_arguments_are_refused_before_the_measurement(command, words, message, tmp_path, capsys) -> None:
@@ -59,7 +56,7 @@ def test_every_ratio_refers_to_a_measured_contender() -> None:
     assert {one.peer for one in everything if one.peer} <= set(names)
 
 
-def test_throughput_writes_table_and_numbers(tmp_path, monkeypatch, capsys) -> None:
+def test_throughput_writes_its_table(tmp_path, monkeypatch, capsys) -> None:
     def contender(label, peer=None, **kwargs):
         return Contender(label, list, peer=peer, **kwargs)
 
@@ -69,8 +66,8 @@ def test_throughput_writes_table_and_numbers(tmp_path, monkeypatch, capsys) -> N
     monkeypatch.setattr(throughput, "ours", lambda: [*listed, contender("wide", threads=1000)])
     monkeypatch.setattr(throughput, "peers", list)
     monkeypatch.setattr(throughput, "measure", lambda *_: rates)
-    numbers, page = tmp_path / "numbers.json", tmp_path / "page.md"
-    assert throughput.main(["--json", str(numbers), "--markdown", str(page)]) == 0
+    page = tmp_path / "page.md"
+    assert throughput.main(["--markdown", str(page)]) == 0
     lines = page.read_text(encoding="utf-8").splitlines()
     assert lines[0].startswith("<!-- Written by python -m benchmarks.throughput")
     header, _, fast, slow, lonely = (
@@ -81,8 +78,6 @@ def test_throughput_writes_table_and_numbers(tmp_path, monkeypatch, capsys) -> N
     assert slow[header.index("ratio")] == lonely[header.index("ratio")] == ""
     # What cannot be measured is named with the reason.
     assert f"gone is left out: {ABSENT}" in capsys.readouterr().out and "wide, 1000 threads is left out" in lines[-1]
-    content = json.loads(numbers.read_text(encoding="utf-8"))
-    assert content["rates"] == rates and content["machine"]["versions"]["numba"]
 
 
 def test_a_ratio_below_its_floor_is_measured_again_and_fails(tmp_path, monkeypatch) -> None:
