@@ -58,10 +58,6 @@ class FastPolicy(ActorCriticPolicy):
         shape = {"net_arch": self.net_arch, "activation_fn": self.activation_fn, "device": self.device}
         self.mlp_extractor = Extractor(self.policy_inputs, self.features_dim, **shape)
 
-    def _get_constructor_parameters(self) -> dict[str, Any]:
-        own = ("policy_inputs", "tanh_mean", "least_log_std")
-        return {**super()._get_constructor_parameters(), **{name: getattr(self, name) for name in own}}
-
     def mean_and_log_std(self, latent: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Mean and logarithmic standard deviation of the action, shapes (n, 1) and (1,), from the last hidden layer."""
         mean = self.action_net(latent)
@@ -153,26 +149,18 @@ class FastPPO(PPO):
     def _collect(self, env: VecNormalize, steps: int) -> Rollout:
         """A rollout by the present policy."""
         venv: Any = env.venv
-        acting = self._network(env)
+        rms: Any = env.obs_rms
+        policy = self.policy
+        layers, _, _ = self._arrays(torch.Tensor.detach)
+        header = venv.header._replace(layers=len(layers), tanh_squashing=policy.tanh_mean, clip=env.clip_obs)
+        mean, variance = rms.mean[: header.inputs], rms.var[: header.inputs]
+        acting = network.pack(layers, mean, 1.0 / np.sqrt(variance + env.epsilon), header)
         noise = torch.randn(steps, self.n_envs).double().numpy()
         chances = torch.rand(steps, self.n_envs, 3).double().numpy() if venv.jump > 0.0 else None
-        deviation = float(self.policy.log_std.detach().clamp_min(self.policy.least_log_std).exp())
-        rollout: Rollout = venv.collect(acting, deviation, noise, chances)
-        return rollout
-
-    def _network(self, env: VecNormalize) -> np.ndarray:
-        """The present policy, packed."""
-        venv: Any = env.venv
-        rms: Any = env.obs_rms
-        layers, _, _ = self._arrays(torch.Tensor.detach)
-        header = venv.header._replace(
-            layers=len(layers),
-            relu=False,
-            tanh_squashing=self.policy.tanh_mean,
-            clip=env.clip_obs,
+        rollout: Rollout = venv.collect(
+            acting, float(policy.log_std.detach().clamp_min(policy.least_log_std).exp()), noise, chances
         )
-        mean, variance = rms.mean[: header.inputs], rms.var[: header.inputs]
-        return network.pack(layers, mean, 1.0 / np.sqrt(variance + env.epsilon), header)
+        return rollout
 
     def _count(self, rollout: Rollout, callback: BaseCallback) -> bool:
         """Counts a rollout's steps and reports its episodes; returns whether to continue."""
@@ -218,12 +206,11 @@ class FastPPO(PPO):
         inputs, *others = (each.numpy() for each in self._samples)
         orders = torch.stack([torch.randperm(len(inputs)) for _ in range(self.n_epochs)]).numpy()
         states = self._states()
-        tensors = (
-            torch.Tensor.detach,
-            lambda parameter: states[parameter]["exp_avg"],
-            lambda parameter: states[parameter]["exp_avg_sq"],
-        )
-        changed = [self._arrays(of) for of in tensors]
+        changed = [
+            self._arrays(torch.Tensor.detach),
+            self._arrays(lambda parameter: states[parameter]["exp_avg"]),
+            self._arrays(lambda parameter: states[parameter]["exp_avg_sq"]),
+        ]
         packed = [pack([*actor, *critic], log_std) for actor, critic, log_std in changed]
         actor, critic = (
             np.array([layers[0][0].shape[1], *(len(bias) for _, bias in layers)]) for layers in changed[0][:2]

@@ -48,7 +48,8 @@ ROUNDING = F32(1.5 * 2.0**23)
 # Taylor's coefficients of exp.
 E_2, E_3, E_4, E_5, E_6, E_7 = (F32(1.0 / math.factorial(n)) for n in range(2, 8))
 # Adam's constants, SB3's defaults.
-BETA_1, BETA_2, EPS = 0.9, 0.999, 1e-5
+BETA_1, BETA_2, EPS = 0.9, 0.999, F32(1e-5)
+DECAY_1, DECAY_2 = F32(1.0 - BETA_1), F32(1.0 - BETA_2)
 # Exponents that are taken as they are: beyond, 2^n is no normal number.
 LARGEST = F32(87.0)
 # From here on the tangent is 1 to the last digit.
@@ -75,8 +76,8 @@ LOSSES = ("policy_gradient_loss", "value_loss", "entropy_loss", "approx_kl", "cl
 
 
 @jitable
-def filled(width: int) -> int:
-    """The smallest multiple of TILE that is not below a width."""
+def filled(width: Any) -> Any:
+    """The smallest multiple of TILE that is not below a width, or below each of several."""
     return -(-width // TILE) * TILE
 
 
@@ -274,6 +275,12 @@ def tanh(x: float) -> float:
     return ONE - TWO / (exponential(TWO * x) + ONE)
 
 
+def _inner(*flags: str) -> Any:
+    """Compiles a function that the update calls, with whose arithmetic the compiler may do so."""
+    return lambda function: inner(function, fastmath=dict.fromkeys(flags, True))
+
+
+@_inner("contract")
 def activate(rows: np.ndarray) -> None:
     """Applies the activation."""
     use_widest_vectors()
@@ -281,6 +288,7 @@ def activate(rows: np.ndarray) -> None:
         rows[j] = tanh(rows[j])
 
 
+@_inner("contract")
 def activate_backward(errors: np.ndarray, activations: np.ndarray) -> None:
     """Multiplies with the slopes of the activation where it has these values."""
     use_widest_vectors()
@@ -288,6 +296,7 @@ def activate_backward(errors: np.ndarray, activations: np.ndarray) -> None:
         errors[j] *= ONE - activations[j] * activations[j]
 
 
+@_inner("reassoc")
 def sum_of(row: np.ndarray) -> float:
     """The sum of the entries."""
     use_widest_vectors()
@@ -297,6 +306,7 @@ def sum_of(row: np.ndarray) -> float:
     return found
 
 
+@_inner("reassoc")
 def sum_of_squares(row: np.ndarray) -> float:
     """The sum of the squares of the entries."""
     use_widest_vectors()
@@ -306,6 +316,7 @@ def sum_of_squares(row: np.ndarray) -> float:
     return found
 
 
+@_inner("contract")
 def policy_loss(
     samples: np.ndarray,  # the rows of `Rows`; those of the policy are written
     outputs: np.ndarray,  # of the policy, shape (LANES,)
@@ -346,6 +357,7 @@ def policy_loss(
         clipped[j] = ONE if used and (ratio < low or ratio > high) else ZERO
 
 
+@_inner("contract")
 def value_loss(samples: np.ndarray, values: np.ndarray, errors: np.ndarray, n: int, share: float) -> None:
     """Writes the slopes of the critic's loss over n lanes' values, and their squared errors; the others' are zero."""
     use_widest_vectors()
@@ -356,38 +368,26 @@ def value_loss(samples: np.ndarray, values: np.ndarray, errors: np.ndarray, n: i
         squares[j] = error * error
 
 
+@_inner("contract")
 def adam(
     parameters: np.ndarray,  # changed
     gradients: np.ndarray,
     first: np.ndarray,  # first moments; changed
     second: np.ndarray,  # second moments; changed
-    decay_1: float,  # weight of the new gradient in the first moments
-    decay_2: float,  # weight of its square in the second
     scale: float,  # factor of the gradients
     rate: float,  # learning rate, corrected for the bias of the first moments
     root: float,  # square root of the correction of the second moments
-    eps: float,  # added to the root of the second moments
 ) -> None:
     """A step of Adam, as torch makes it."""
     use_widest_vectors()
     for n in range(len(parameters)):
         gradient = gradients[n] * scale
-        first[n] += decay_1 * (gradient - first[n])
-        second[n] += decay_2 * (gradient * gradient - second[n])
-        parameters[n] -= rate * first[n] / (np.sqrt(second[n]) * root + eps)
+        first[n] += DECAY_1 * (gradient - first[n])
+        second[n] += DECAY_2 * (gradient * gradient - second[n])
+        parameters[n] -= rate * first[n] / (np.sqrt(second[n]) * root + EPS)
 
 
-def _inner(function: Any, *flags: str) -> Any:
-    """Compiles a function that the update calls, with whose arithmetic the compiler may do so."""
-    return inner(function, fastmath=dict.fromkeys(flags, True))
-
-
-activate_noinline, activate_backward_noinline = _inner(activate, "contract"), _inner(activate_backward, "contract")
-sum_noinline, sum_of_squares_noinline = _inner(sum_of, "reassoc"), _inner(sum_of_squares, "reassoc")
-policy_loss_noinline, value_loss_noinline = _inner(policy_loss, "contract"), _inner(value_loss, "contract")
-adam_noinline = _inner(adam, "contract")
-
-
+@_inner()
 def forward(parameters: np.ndarray, widths: np.ndarray, rows: np.ndarray) -> int:
     """Takes LANES samples through a network.
 
@@ -411,7 +411,7 @@ def forward(parameters: np.ndarray, widths: np.ndarray, rows: np.ndarray) -> int
                 multiply(parameters, start, columns, 1, columns, rows, given + j, rows, target)
         if layer < layers - 1:
             end = sums + units * LANES
-            activate_noinline(rows[sums:end])
+            activate(rows[sums:end])
             # The input that the next layer's bias multiplies.
             rows[end : end + LANES] = ONE
         at += filled(units) * columns
@@ -419,6 +419,7 @@ def forward(parameters: np.ndarray, widths: np.ndarray, rows: np.ndarray) -> int
     return given
 
 
+@_inner()
 def backward(
     parameters: np.ndarray,  # this and `widths` as in `forward`
     gradients: np.ndarray,  # of the parameters; changed
@@ -446,13 +447,10 @@ def backward(
                 for i in range(0, filled(inputs), TILE):
                     multiply(parameters, at + i, 1, columns, outputs, errors, j, spare, i * LANES + j)
             size = inputs * LANES
-            activate_backward_noinline(spare[:size], rows[given : given + size])
+            activate_backward(spare[:size], rows[given : given + size])
             # Padding must stay zero.
             spare[size : filled(inputs) * LANES] = ZERO
             errors, spare = spare, errors
-
-
-forward_noinline, backward_noinline = inner(forward), inner(backward)
 
 
 @jitable
@@ -461,24 +459,6 @@ def zeros_aligned(count: int) -> np.ndarray:
     memory = np.zeros(count + LINE, np.float32)
     start = -(memory.ctypes.data // 4) % LINE
     return memory[start : start + count]
-
-
-@jitable
-def rows_of(widths: np.ndarray) -> int:
-    """How many rows a network's numbers take."""
-    rows = 0
-    for width in widths:
-        rows += filled(width + 1)
-    return rows
-
-
-@jitable
-def size_of(widths: np.ndarray) -> int:
-    """How many numbers the packed network is."""
-    size = 0
-    for layer in range(len(widths) - 1):
-        size += filled(widths[layer + 1]) * filled(widths[layer] + 1)
-    return size
 
 
 @jitable
@@ -517,9 +497,9 @@ def update(
     losses: np.ndarray,  # written: means of LOSSES over the minibatches
 ) -> None:
     """Makes a step of Adam for every minibatch."""
-    split = size_of(actor)
-    last = split + size_of(critic)
-    rows_a, rows_c = zeros_aligned(rows_of(actor) * LANES), zeros_aligned(rows_of(critic) * LANES)
+    split, last = (filled(actor[1:]) * filled(actor[:-1] + 1)).sum(), len(parameters) - 1
+    rows_a = zeros_aligned(filled(actor + 1).sum() * LANES)
+    rows_c = zeros_aligned(filled(critic + 1).sum() * LANES)
     widest = max(actor.max(), critic.max())
     errors, spare = zeros_aligned(filled(widest) * LANES), zeros_aligned(filled(widest) * LANES)
     samples = zeros_aligned(len(ROW) * LANES).reshape(len(ROW), LANES)
@@ -549,9 +529,9 @@ def update(
                         rows_a[k * LANES + j] = inputs[i, k]
                     for k in range(critic[0]):
                         rows_c[k * LANES + j] = inputs[i, k]
-                out = forward_noinline(parameters[:split], actor, rows_a)
+                out = forward(parameters[:split], actor, rows_a)
                 errors[LANES : TILE * LANES] = ZERO
-                policy_loss_noinline(
+                policy_loss(
                     samples,
                     rows_a[out : out + LANES],
                     errors[:LANES],
@@ -561,32 +541,29 @@ def update(
                     F32(clip_range),
                     tanh_mean,
                 )
-                backward_noinline(parameters[:split], gradients[:split], actor, rows_a, errors, spare)
-                out = forward_noinline(parameters[split:last], critic, rows_c)
+                backward(parameters[:split], gradients[:split], actor, rows_a, errors, spare)
+                out = forward(parameters[split:last], critic, rows_c)
                 errors[LANES : TILE * LANES] = ZERO
-                value_loss_noinline(samples, rows_c[out : out + LANES], errors[:LANES], n, F32(2.0 * vf_coef / size))
-                backward_noinline(parameters[split:last], gradients[split:last], critic, rows_c, errors, spare)
-                gradients[last] += sum_noinline(samples[ROW.log_std_slope])
-                sums[0] -= sum_noinline(samples[ROW.gain]) / size
-                sums[1] += sum_noinline(samples[ROW.squared_error]) / size
-                sums[3] += sum_noinline(samples[ROW.divergence]) / size
-                sums[4] += sum_noinline(samples[ROW.clipped]) / size
+                value_loss(samples, rows_c[out : out + LANES], errors[:LANES], n, F32(2.0 * vf_coef / size))
+                backward(parameters[split:last], gradients[split:last], critic, rows_c, errors, spare)
+                gradients[last] += sum_of(samples[ROW.log_std_slope])
+                sums[0] -= sum_of(samples[ROW.gain]) / size
+                sums[1] += sum_of(samples[ROW.squared_error]) / size
+                sums[3] += sum_of(samples[ROW.divergence]) / size
+                sums[4] += sum_of(samples[ROW.clipped]) / size
             sums[2] -= log_std + NORMAL + HALF
             gradients[last] = gradients[last] - ent_coef if parameters[last] >= F32(least_log_std) else 0.0
-            norm = math.sqrt(sum_of_squares_noinline(gradients))
+            norm = math.sqrt(sum_of_squares(gradients))
             power_1 *= BETA_1
             power_2 *= BETA_2
-            adam_noinline(
+            adam(
                 parameters,
                 gradients,
                 first,
                 second,
-                F32(1.0 - BETA_1),
-                F32(1.0 - BETA_2),
                 F32(min(1.0, max_grad_norm / (norm + 1e-6))),
                 F32(learning_rate / (1.0 - power_1)),
                 F32(1.0 / math.sqrt(1.0 - power_2)),
-                F32(EPS),
             )
             batches += 1
     for k in range(len(losses)):
