@@ -4,6 +4,7 @@
 algorithm, whose docstring names every difference to Stable-Baselines3's PPO.
 """
 
-from agents.fast_ppo.ppo import FastPPO, make_env, make_model
+from agents.fast_ppo.collection import RolloutVecEnv
+from agents.fast_ppo.ppo import FastPolicy, FastPPO
 
-__all__ = ["FastPPO", "make_env", "make_model"]
+__all__ = ["FastPPO", "FastPolicy", "RolloutVecEnv"]

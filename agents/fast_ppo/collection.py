@@ -11,29 +11,18 @@ from gymnasium import spaces
 from numba import types
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
+from agents.training.presets import PPOConfig
 from capsule_gym import kernels, layout, resets
 from capsule_gym.compilation import compile_entry, inlined, inner
 from capsule_gym.elementary import exp
 from capsule_gym.layout import AT, LANES, record
-from capsule_gym.network import (
-    LAW_TORQUE,
-    Header,
-    forward,
-    input_names,
-    make_header,
-    to_action,
-    workspace,
-    write_inputs,
-)
-from capsule_gym.observation import CELLS, observation_names
+from capsule_gym.network import LAW_TORQUE, Header, forward, make_header, to_action, workspace, write_inputs
+from capsule_gym.observation import CELLS
 from capsule_gym.resets import Stream, draw_two, plant_at, plant_ranges
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.simulation import episode_metrics
 
-# Inputs of a privileged critic in addition to the policy's.
-PRIVILEGED = ("M", "log_mu")
 DISTURBANCES = np.uint64(Stream.disturbances)
-
 
 draw_noinline, renew_noinline = inner(resets.draw), inner(resets.renew)
 
@@ -56,16 +45,16 @@ def observe(
     for i in range(first, first + n):
         if header.observes_energy_weight:
             inputs[i, columns - 1] = log_weights[i]
+        # Further inputs of a privileged critic.
         if columns < inputs.shape[1]:
             inputs[i, columns] = block[AT.M + i % LANES]
             inputs[i, columns + 1] = math.log(block[AT.mu + i % LANES])
 
 
 def collect(
-    advance: Any,  # `kernels.advance`, compiled with the law, which documents the next five
+    advance: Any,  # `kernels.advance`, compiled with the law, which documents the next four
     world: np.ndarray,  # changed
-    begin: int,  # first environment, a multiple of LANES
-    end: int,  # one past the last environment
+    count: int,  # number of environments
     fixed: np.ndarray,
     observations: np.ndarray,  # changed
     steps: int,  # agent steps of an episode
@@ -107,9 +96,9 @@ def collect(
     lanes = workspace(network)
     row, starts = np.empty(1, np.int64), np.empty((layout.Row.torque, 1))
     cuts = endings = 0
-    for b in range(begin // LANES, (end + LANES - 1) // LANES):
+    for b in range(len(world)):
         block, first = world[b], b * LANES
-        n = min(LANES, end - first)
+        n = min(LANES, count - first)
         if fresh:
             for i in range(first, first + n):
                 # `episodes` counts the episodes that begin here already.
@@ -174,42 +163,29 @@ def collect(
 @lru_cache(maxsize=1)
 def _compiled() -> Any:
     """`collect`, compiled once for all laws: the compiled step of a law is an argument."""
-    world, begin, end, _, fixed, observations = kernels.SIGNATURE
+    world, count, _, _, fixed, observations = kernels.SIGNATURE
     step = types.FunctionType(types.int64(*kernels.SIGNATURE))
-    numbers, rows, indices = types.float64[::1], types.float64[:, ::1], types.int64[::1]
+    number, numbers, rows, indices = types.float64, types.float64[::1], types.float64[:, ::1], types.int64[::1]
     many, cube = types.float32[:, ::1], types.float32[:, :, ::1]
-    simulation = (step, world, begin, end, fixed, observations)
-    number = types.float64
+    simulation = (step, world, count, fixed, observations)
     episodes = (types.int64, number, number, number, numbers, number, types.uint64[:, ::1], indices, numbers)
-    policy = (numbers, numbers, numbers, many, types.boolean, types.float64, rows, types.float64[:, :, ::1])
+    policy = (numbers, numbers, numbers, many, types.boolean, number, rows, types.float64[:, :, ::1])
     written = (numbers, indices, cube, many, many, many, types.int64[:, ::1], many, rows)
     return compile_entry(collect, (*simulation, *episodes, *policy, *written), "the rollouts of training")
 
 
 class Rollout(NamedTuple):
-    """A rollout of T agent steps of N environments.
+    """A rollout of T agent steps of N environments."""
 
-    Attributes:
-        inputs: network inputs at every step, shape (T, N, columns), float32.
-        actions: actions before clipping, shape (T, N), float32.
-        rewards: shape (T, N), float32.
-        starts: 1.0 at the first step of an episode, shape (T, N), float32.
-        cut: step and environment of the truncated episodes; shape (n, 2), int64.
-        cut_inputs: the inputs after their last step, shape (n, columns), float32.
-        last: inputs of the present state, shape (N, columns), float32.
-        over: 1.0 where that state begins an episode, shape (N,), float32.
-        infos: infos of the ended episodes, with SB3's "episode" and "metrics".
-    """
-
-    inputs: np.ndarray
-    actions: np.ndarray
-    rewards: np.ndarray
-    starts: np.ndarray
-    cut: np.ndarray
-    cut_inputs: np.ndarray
-    last: np.ndarray
-    over: np.ndarray
-    infos: list[dict[str, Any]]
+    inputs: np.ndarray  # network inputs at every step, shape (T, N, columns), float32
+    actions: np.ndarray  # before clipping, shape (T, N), float32
+    rewards: np.ndarray  # shape (T, N), float32
+    starts: np.ndarray  # 1.0 at the first step of an episode, shape (T, N), float32
+    cut: np.ndarray  # step and environment of the truncated episodes; shape (n, 2), int64
+    cut_inputs: np.ndarray  # the inputs after their last step, shape (n, columns), float32
+    last: np.ndarray  # inputs of the present state, shape (N, columns), float32
+    over: np.ndarray  # 1.0 where that state begins an episode, shape (N,), float32
+    infos: list[dict[str, Any]]  # of the ended episodes, with SB3's "episode" and "metrics"
 
 
 class RolloutVecEnv(CapsuleSB3VecEnv):
@@ -219,65 +195,45 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
     (`capsule_gym.network.input_names`), and the inputs of the critic alone.
 
     Args:
-        num_envs: number of environments.
+        config: of the run.
         seed: environment i gets seed + i.
         episode_steps: agent steps of an episode.
-        identifies: whether the policy observes online estimates of M and mu.
-        privileged: whether the critic observes M and log(mu).
-        energy_weights: range of the energy weights (cm/J), one drawn per episode and observed by the policy; None for
-            the environment's own weight, which is not observed.
-        jump: probability that M and mu are drawn anew in a step.
-        outputs_torque: whether the network's output is the total torque.
         **env_kwargs: what `CapsuleVectorEnv` takes.
 
     Attributes:
         header: header of a packed network; its layers, activation and clip are the network's.
-        names: names of the entries of an observation; `columns` is their number.
+        columns: number of entries of an observation.
+        jump: probability that M and mu are drawn anew in a step.
 
     Raises:
-        ValueError: if `privileged` is given and mu may be 0, whose logarithm is not finite.
+        ValueError: if the critic is privileged and mu may be 0, whose logarithm is not finite.
     """
 
-    def __init__(
-        self,
-        num_envs: int,
-        seed: int | None = None,
-        *,
-        episode_steps: int,
-        identifies: bool = False,
-        privileged: bool = False,
-        energy_weights: tuple[float, float] | None = None,
-        jump: float = 0.0,
-        outputs_torque: bool = False,
-        **env_kwargs: Any,
-    ) -> None:
-        super().__init__(num_envs, seed, max_episode_steps=episode_steps, **env_kwargs)
+    def __init__(self, config: PPOConfig, seed: int, episode_steps: int, **env_kwargs: Any) -> None:
+        super().__init__(config.num_envs, seed, max_episode_steps=episode_steps, **env_kwargs)
         simulation = self.batch.simulation
-        if privileged and not (simulation.randomization.mu or (simulation.capsule.mu,))[0] > 0.0:
-            raise ValueError("privileged must be False where mu may be 0: the critic observes its logarithm, got True")
-        self.steps, self.jump = episode_steps, jump
-        self.least, self.most = map(math.log, energy_weights or (1.0, 1.0))
+        if config.privileged_critic and not (simulation.randomization.mu or (simulation.capsule.mu,))[0] > 0.0:
+            raise ValueError("privileged_critic must be False where mu may be 0, whose logarithm it observes, got True")
+        self.steps, self.jump = episode_steps, config.jump_rate * simulation.options.control_dt
+        self.least, self.most = map(math.log, config.energy_weights or (1.0, 1.0))
         self.header = make_header(
             simulation.options,
             layers=0,
             relu=False,
             tanh_squashing=False,
             clip=0.0,
-            identifies=identifies,
-            observes_energy_weight=energy_weights is not None,
-            outputs_torque=outputs_torque,
+            identifies=config.identifies,
+            observes_energy_weight=config.energy_weights is not None,
+            outputs_torque=config.output == "torque",
         )
-        observed = observation_names(simulation.settings.with_reference, simulation.settings.with_parameters)
-        added = input_names(observed, identifies, energy_weights is not None)
-        self.names = (*added, *(PRIVILEGED if privileged else ()))
-        self.columns = len(self.names)
+        self.columns = self.header.inputs + 2 * config.privileged_critic
         if self.columns > self.header.observed:
             self.observation_space = spaces.Box(-np.inf, np.inf, (self.columns,), np.float32)
-        self.memory = np.zeros(num_envs * CELLS if identifies else 0)
-        self.log_weights = np.zeros(num_envs)
-        self.inputs = np.zeros((num_envs, self.columns), np.float32)
+        self.memory = np.zeros(self.num_envs * CELLS if config.identifies else 0)
+        self.log_weights = np.zeros(self.num_envs)
+        self.inputs = np.zeros((self.num_envs, self.columns), np.float32)
         self.fresh = True
-        self.over = np.ones(num_envs, np.float32)
+        self.over = np.ones(self.num_envs, np.float32)
 
     def reset(self) -> VecEnvObs:
         """Begins new episodes; inputs beyond the environment's observation are 0 until rollouts are collected."""
@@ -295,66 +251,49 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         """Raises RuntimeError: these environments only collect rollouts."""
         raise RuntimeError("RolloutVecEnv does not step: collect() rollouts, or use CapsuleSB3VecEnv")
 
-    def collect(
-        self, network: np.ndarray, deviation: float, noise: np.ndarray, chances: np.ndarray | None = None
-    ) -> Rollout:
+    def collect(self, network: np.ndarray, deviation: float, noise: np.ndarray, chances: np.ndarray) -> Rollout:
         """Collects a rollout, whose length is that of the noise.
 
         Args:
             network: from `network.pack`.
             deviation: standard deviation of the actions.
             noise: standard normal, shape (T, N), float64.
-            chances: uniform in [0, 1), shape (T, N, 3), float64, for jumps of M and mu; None without jumps.
+            chances: uniform in [0, 1), shape (T, N, 3), float64, for jumps of M and mu; (0, N, 3) without jumps.
 
         Raises:
-            TypeError: if the network or an array is not of that dtype and shape.
             ValueError: if a user's control law returned a torque that is not finite; a reset must follow.
         """
         simulation = self.batch.simulation
         steps, count = len(noise), self.num_envs
-        if chances is None:
-            chances = np.zeros((0, count, 3))
         blocks = simulation.world.reshape(len(simulation.world), -1)
-        layout.check_arrays(
-            network=(network, np.float64, (None,)),
-            noise=(noise, np.float64, (steps, count)),
-            chances=(chances, np.float64, (steps if len(chances) else 0, count, 3)),
-        )
         seen = np.empty((steps, count, self.columns), np.float32)
         actions, rewards, ends = (np.empty((steps, count), np.float32) for _ in range(3))
-        compiled = _compiled()
+        # Memory that no episode needs is never touched.
+        cut, cut_inputs = np.empty((steps * count, 2), np.int64), np.empty((steps * count, self.columns), np.float32)
+        ended = np.empty((steps * count, 2 + layout.ROWS))
         lines, law_memory = plant_ranges(simulation.randomization, simulation.capsule), np.array(simulation.memory)
-
-        def run(first: int, last: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-            # Memory that no episode needs is never touched.
-            most = (last - first) * steps
-            cut, cut_inputs = np.empty((most, 2), np.int64), np.empty((most, self.columns), np.float32)
-            ended = np.empty((most, 2 + layout.ROWS))
-            # The groups of `_compiled`.
-            cuts, endings, broken = compiled(
-                *(simulation._kernel, blocks, first, last, simulation.fixed, simulation.observations),
-                *(self.steps, self.jump, self.least, self.most, lines, simulation.options.initial_noise),
-                *(simulation._keys, simulation._episodes, law_memory),
-                *(network, self.memory, self.log_weights, self.inputs, self.fresh, deviation, noise, chances),
-                *(self._returns, self._lengths, seen, actions, rewards, ends, cut, cut_inputs, ended),
-            )
-            return cut[:cuts], cut_inputs[:cuts], ended[:endings], broken
-
-        parts = simulation.share(run)
+        # The groups of `_compiled`.
+        cuts, endings, broken = _compiled()(
+            *(simulation._kernel, blocks, count, simulation.fixed, simulation.observations),
+            *(self.steps, self.jump, self.least, self.most, lines, simulation.options.initial_noise),
+            *(simulation._keys, simulation._episodes, law_memory),
+            *(network, self.memory, self.log_weights, self.inputs, self.fresh, deviation, noise, chances),
+            *(self._returns, self._lengths, seen, actions, rewards, ends, cut, cut_inputs, ended),
+        )
         simulation._everyone = False
-        broken = max(part[3] for part in parts)
         if broken >= 0:
             simulation._report(broken)
         self.fresh = False
         starts = np.concatenate([self.over[None], ends[:-1]])
         self.over = ends[-1].copy()
-        cut, cut_inputs, ended = (np.concatenate([part[n] for part in parts]) for n in range(3))
+        ended = ended[:endings]
         metrics = episode_metrics(ended[:, 2:].T, self.steps * simulation.options.control_dt)
         infos: list[dict[str, Any]] = [
             {
                 "episode": {"r": float(ended[n, 0]), "l": int(ended[n, 1])},
                 "metrics": {name: float(values[n]) for name, values in metrics.items()},
             }
-            for n in range(len(ended))
+            for n in range(endings)
         ]
-        return Rollout(seen, actions, rewards, starts, cut, cut_inputs, self.inputs.copy(), self.over.copy(), infos)
+        last, over = self.inputs.copy(), self.over.copy()
+        return Rollout(seen, actions, rewards, starts, cut[:cuts], cut_inputs[:cuts], last, over, infos)

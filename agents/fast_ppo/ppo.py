@@ -21,7 +21,6 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from agents.fast_ppo.collection import Rollout, RolloutVecEnv
 from agents.fast_ppo.update import LOSSES, compiled, pack, unpack
 from agents.training.algorithms import HALF_LOG_2_PI, FastTanh
-from agents.training.presets import PPOConfig
 from capsule_gym import network
 from capsule_gym.network import Layer
 
@@ -55,8 +54,10 @@ class FastPolicy(ActorCriticPolicy):
 
     def _build_mlp_extractor(self) -> None:
         """The hidden layers, of which the policy's see less."""
-        shape = {"net_arch": self.net_arch, "activation_fn": self.activation_fn, "device": self.device}
-        self.mlp_extractor = Extractor(self.policy_inputs, self.features_dim, **shape)
+        super()._build_mlp_extractor()
+        layers = MlpExtractor(self.policy_inputs, self.net_arch, self.activation_fn, self.device).policy_net
+        layers.register_forward_pre_hook(lambda _, given: (given[0][..., : self.policy_inputs],))
+        self.mlp_extractor.policy_net = layers
 
     def mean_and_log_std(self, latent: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Mean and logarithmic standard deviation of the action, shapes (n, 1) and (1,), from the last hidden layer."""
@@ -65,25 +66,6 @@ class FastPolicy(ActorCriticPolicy):
 
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor) -> Distribution:
         return self.action_dist.proba_distribution(*self.mean_and_log_std(latent_pi))
-
-
-class Extractor(MlpExtractor):
-    """SB3's hidden layers, the policy's of the first features alone.
-
-    Args:
-        policy_inputs: number of the policy's features.
-        features: number of all features.
-        **kwargs: as SB3's.
-    """
-
-    def __init__(self, policy_inputs: int, features: int, **kwargs: Any) -> None:
-        super().__init__(features, **kwargs)
-        self.policy_inputs = policy_inputs
-        self.policy_net = MlpExtractor(policy_inputs, **kwargs).policy_net
-
-    def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """Output of the policy's hidden layers."""
-        return self.policy_net(features[..., : self.policy_inputs])
 
 
 class FastPPO(PPO):
@@ -117,11 +99,6 @@ class FastPPO(PPO):
     policy: FastPolicy
     critic_steps = 0
     """Environment steps at the start in which only the critic learns."""
-    has_statistics = False
-    """Whether the observations have statistics."""
-
-    def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "_samples"]
 
     def collect_rollouts(
         self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_rollout_steps: int
@@ -131,12 +108,12 @@ class FastPPO(PPO):
         self.policy.set_training_mode(False)
         callback.on_rollout_start()
         rms: Any = env.obs_rms
-        if not self.has_statistics:
+        if self._n_updates == 0:
             rollout = self._collect(env, n_rollout_steps)
-            found = RunningMeanStd(shape=rms.mean.shape)
-            found.update(rollout.inputs.reshape(-1, env.venv.columns))
-            rms.mean, rms.var, rms.count = found.mean, found.var, found.count
-            self.has_statistics = True
+            # Without the observations of the reset.
+            rms = RunningMeanStd(shape=(env.venv.columns,))
+            rms.update(rollout.inputs.reshape(-1, env.venv.columns))
+            env.obs_rms = rms
             if not self._count(rollout, callback):
                 return False
         rollout = self._collect(env, n_rollout_steps)
@@ -155,11 +132,10 @@ class FastPPO(PPO):
         header = venv.header._replace(layers=len(layers), tanh_squashing=policy.tanh_mean, clip=env.clip_obs)
         mean, variance = rms.mean[: header.inputs], rms.var[: header.inputs]
         acting = network.pack(layers, mean, 1.0 / np.sqrt(variance + env.epsilon), header)
+        deviation = float(policy.log_std.detach().clamp_min(policy.least_log_std).exp())
         noise = torch.randn(steps, self.n_envs).double().numpy()
-        chances = torch.rand(steps, self.n_envs, 3).double().numpy() if venv.jump > 0.0 else None
-        rollout: Rollout = venv.collect(
-            acting, float(policy.log_std.detach().clamp_min(policy.least_log_std).exp()), noise, chances
-        )
+        chances = torch.rand(steps if venv.jump > 0.0 else 0, self.n_envs, 3).double().numpy()
+        rollout: Rollout = venv.collect(acting, deviation, noise, chances)
         return rollout
 
     def _count(self, rollout: Rollout, callback: BaseCallback) -> bool:
@@ -180,6 +156,7 @@ class FastPPO(PPO):
         if len(rollout.cut):
             beyond = self.policy.predict_values(torch.from_numpy(env.normalize_obs(rollout.cut_inputs))).numpy().ravel()
             rewards[rollout.cut[:, 0], rollout.cut[:, 1]] += self.gamma * beyond
+        buffer.observations, buffer.actions = inputs.numpy().reshape(rollout.inputs.shape), rollout.actions
         buffer.values, buffer.rewards, buffer.episode_starts = values, rewards, rollout.starts
         buffer.advantages = np.empty_like(values)
         last = self.policy.predict_values(torch.from_numpy(env.normalize_obs(rollout.last)))
@@ -189,21 +166,17 @@ class FastPPO(PPO):
             buffer.advantages = np.zeros_like(values)
         actions = torch.from_numpy(rollout.actions.reshape(-1, 1))
         mean, log_std = self.policy.mean_and_log_std(self.policy.mlp_extractor.forward_actor(inputs))
-        self._samples = (
-            inputs,
-            actions,
-            # The logarithm of a normal density.
-            -0.5 * ((actions - mean) * (-log_std).exp()).square() - log_std - HALF_LOG_2_PI,
-            torch.from_numpy(buffer.advantages.reshape(-1, 1)),
-            torch.from_numpy(buffer.returns.reshape(-1, 1)),
-        )
+        # The logarithm of a normal density.
+        log_probs = -0.5 * ((actions - mean) * (-log_std).exp()).square() - log_std - HALF_LOG_2_PI
+        buffer.log_probs = log_probs.numpy()
 
     def train(self) -> None:
         """Makes `n_epochs` passes over the rollout."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         clip_range: Any = self.clip_range
-        inputs, *others = (each.numpy() for each in self._samples)
+        buffer = self.rollout_buffer
+        inputs = buffer.observations.reshape(-1, buffer.observations.shape[-1])
         orders = torch.stack([torch.randperm(len(inputs)) for _ in range(self.n_epochs)]).numpy()
         states = self._states()
         changed = [
@@ -226,7 +199,8 @@ class FastPPO(PPO):
             int(states[self.policy.log_std]["step"]),
             self.policy.tanh_mean,
             self.policy.least_log_std,
-            *(actor, critic, orders, inputs, *(each.ravel() for each in others), *packed, losses),
+            *(actor, critic, orders, inputs, buffer.actions.ravel(), buffer.log_probs.ravel()),
+            *(buffer.advantages.ravel(), buffer.returns.ravel(), *packed, losses),
         )
         for array, (of_actor, of_critic, log_std) in zip(packed, changed, strict=True):
             unpack(array, [*of_actor, *of_critic], log_std)
@@ -235,7 +209,6 @@ class FastPPO(PPO):
         self._n_updates += self.n_epochs
         for name, value in zip(LOSSES, losses.tolist(), strict=True):
             self.logger.record(f"train/{name}", value)
-        buffer = self.rollout_buffer
         explained = explained_variance(buffer.values.ravel(), buffer.returns.ravel())
         self.logger.record("train/explained_variance", explained)
         self.logger.record("train/std", self.policy.log_std.exp().item())
@@ -259,40 +232,3 @@ class FastPPO(PPO):
             [(of(layer.weight).numpy(), of(layer.bias).numpy()) for layer in layers] for layers in networks
         )
         return actor, critic, of(policy.log_std).numpy()
-
-
-def make_env(config: PPOConfig, seed: int, episode_steps: int) -> RolloutVecEnv:
-    """The environments of a run; the arguments are checked as `CapsuleVectorEnv` checks them."""
-    return RolloutVecEnv(
-        config.num_envs,
-        seed,
-        episode_steps=episode_steps,
-        identifies=config.identifies,
-        privileged=config.privileged_critic,
-        energy_weights=config.energy_weights,
-        jump=config.jump_rate * config.control_dt,
-        outputs_torque=config.output == "torque",
-        threads=config.env_threads,
-        **config.env_kwargs(),
-    )
-
-
-def make_model(config: PPOConfig, env: VecNormalize, policy_kwargs: dict[str, Any], kwargs: dict[str, Any]) -> FastPPO:
-    """A fresh agent.
-
-    Args:
-        config: its hyperparameters.
-        env: the environments, `make_env`'s.
-        policy_kwargs: the arguments that SB3's policy has as well.
-        kwargs: the arguments that SB3's PPO has as well.
-    """
-    venv: Any = env.venv
-    own = {
-        "policy_inputs": venv.header.inputs,
-        "least_log_std": config.least_log_std,
-        "tanh_mean": config.tanh_mean,
-        "activation_fn": FastTanh,
-    }
-    model = FastPPO(FastPolicy, env, policy_kwargs={**policy_kwargs, **own}, **kwargs)
-    model.critic_steps = config.critic_steps
-    return model

@@ -461,18 +461,6 @@ def zeros_aligned(count: int) -> np.ndarray:
     return memory[start : start + count]
 
 
-@jitable
-def moments(advantages: np.ndarray, chosen: np.ndarray) -> tuple[float, float]:
-    """Mean and deviation of the chosen advantages."""
-    mean = square = 0.0
-    for j in chosen:
-        mean += advantages[j]
-    mean /= len(chosen)
-    for j in chosen:
-        square += (advantages[j] - mean) ** 2
-    return mean, math.sqrt(square / (len(chosen) - 1))
-
-
 def update(
     batch_size: int,  # this and the next five as in SB3's PPO
     clip_range: float,
@@ -506,7 +494,7 @@ def update(
     gradients = zeros_aligned(len(parameters))
     rows_a[actor[0] * LANES : (actor[0] + 1) * LANES] = ONE
     rows_c[critic[0] * LANES : (critic[0] + 1) * LANES] = ONE
-    sums = np.zeros(len(losses))
+    losses[:] = 0.0
     power_1, power_2 = BETA_1**step, BETA_2**step
     batches = 0
     for order in orders:
@@ -515,8 +503,9 @@ def update(
             size = len(chosen)
             centre, scale = 0.0, 1.0
             if size > 1:
-                centre, deviation = moments(advantages, chosen)
-                scale = 1.0 / (deviation + 1e-8)
+                values = advantages[chosen].astype(np.float64)
+                centre = values.mean()
+                scale = 1.0 / (math.sqrt(((values - centre) ** 2).sum() / (size - 1)) + 1e-8)
             gradients[:] = ZERO
             log_std = max(parameters[last], F32(least_log_std))
             for start in range(0, size, LANES):
@@ -531,43 +520,28 @@ def update(
                         rows_c[k * LANES + j] = inputs[i, k]
                 out = forward(parameters[:split], actor, rows_a)
                 errors[LANES : TILE * LANES] = ZERO
-                policy_loss(
-                    samples,
-                    rows_a[out : out + LANES],
-                    errors[:LANES],
-                    n,
-                    F32(1.0 / size),
-                    log_std,
-                    F32(clip_range),
-                    tanh_mean,
-                )
+                settings = F32(1.0 / size), log_std, F32(clip_range), tanh_mean
+                policy_loss(samples, rows_a[out : out + LANES], errors[:LANES], n, *settings)
                 backward(parameters[:split], gradients[:split], actor, rows_a, errors, spare)
                 out = forward(parameters[split:last], critic, rows_c)
                 errors[LANES : TILE * LANES] = ZERO
                 value_loss(samples, rows_c[out : out + LANES], errors[:LANES], n, F32(2.0 * vf_coef / size))
                 backward(parameters[split:last], gradients[split:last], critic, rows_c, errors, spare)
                 gradients[last] += sum_of(samples[ROW.log_std_slope])
-                sums[0] -= sum_of(samples[ROW.gain]) / size
-                sums[1] += sum_of(samples[ROW.squared_error]) / size
-                sums[3] += sum_of(samples[ROW.divergence]) / size
-                sums[4] += sum_of(samples[ROW.clipped]) / size
-            sums[2] -= log_std + NORMAL + HALF
+                losses[0] -= sum_of(samples[ROW.gain]) / size
+                losses[1] += sum_of(samples[ROW.squared_error]) / size
+                losses[3] += sum_of(samples[ROW.divergence]) / size
+                losses[4] += sum_of(samples[ROW.clipped]) / size
+            losses[2] -= log_std + NORMAL + HALF
             gradients[last] = gradients[last] - ent_coef if parameters[last] >= F32(least_log_std) else 0.0
             norm = math.sqrt(sum_of_squares(gradients))
             power_1 *= BETA_1
             power_2 *= BETA_2
-            adam(
-                parameters,
-                gradients,
-                first,
-                second,
-                F32(min(1.0, max_grad_norm / (norm + 1e-6))),
-                F32(learning_rate / (1.0 - power_1)),
-                F32(1.0 / math.sqrt(1.0 - power_2)),
-            )
+            clipping = F32(min(1.0, max_grad_norm / (norm + 1e-6)))
+            rate, root = F32(learning_rate / (1.0 - power_1)), F32(1.0 / math.sqrt(1.0 - power_2))
+            adam(parameters, gradients, first, second, clipping, rate, root)
             batches += 1
-    for k in range(len(losses)):
-        losses[k] = sums[k] / batches
+    losses /= batches
 
 
 @lru_cache(maxsize=1)

@@ -6,9 +6,10 @@ algorithm of one's own, make `make_env(config, seed)` and hand it to that algori
 
 from __future__ import annotations
 
-import importlib
+import dataclasses
 import importlib.util
 import math
+import pkgutil
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -75,14 +76,20 @@ def usable(config: Config) -> Config:
         reason = "agents/fast_ppo is missing"
     if not reason:
         return config
-    stock, lost = config.stock_config()
+    own = config.fast_only if isinstance(config, PPOConfig) else ()
+    stock = dataclasses.replace(config, stock=True, **{name: getattr(type(config), name) for name in own})
+    lost = [
+        f"--{name.replace('_', '-')} {value}"
+        for name in own
+        if (value := getattr(config, name)) != getattr(stock, name)
+    ]
     without = f", without {', '.join(lost)}" if lost else ""
     print(f"{reason}: training with Stable-Baselines3's unmodified classes{without}.", file=sys.stderr)
     return stock
 
 
 def load_wrapper(name: str) -> type[gym.Wrapper[Any, Any, Any, Any]]:
-    """Imports a wrapper; modules in the present folder are found.
+    """Imports a wrapper.
 
     Args:
         name: "module:attribute".
@@ -90,18 +97,13 @@ def load_wrapper(name: str) -> type[gym.Wrapper[Any, Any, Any, Any]]:
     Raises:
         RunError: if there is no such subclass of `gymnasium.Wrapper`.
     """
-    module, _, attribute = name.partition(":")
-    sys.path.insert(0, "")
     try:
-        found: Any = getattr(importlib.import_module(module), attribute)
+        found: type[gym.Wrapper[Any, Any, Any, Any]] = pkgutil.resolve_name(name)
         if not issubclass(found, gym.Wrapper):
-            raise TypeError(f"{attribute} is no subclass of gymnasium.Wrapper")
+            raise TypeError("it is no subclass of gymnasium.Wrapper")
     except (ImportError, AttributeError, TypeError, ValueError) as error:
         raise RunError(f"--wrapper must be MODULE:ATTRIBUTE of a gymnasium.Wrapper, got {name!r}: {error}") from error
-    finally:
-        sys.path.remove("")
-    wrapper: type[gym.Wrapper[Any, Any, Any, Any]] = found
-    return wrapper
+    return found
 
 
 def wrapped_env(wrappers: tuple[str, ...], env_kwargs: Mapping[str, Any], steps: int) -> gym.Env[Any, Any]:
@@ -136,9 +138,9 @@ def make_env(config: Config, seed: int) -> VecNormalize:
             raise RunError(f"--wrapper must leave observations and actions Box, got {venv.observation_space}")
         venv.seed(seed)
     elif (fast := fast_ppo(config)) is not None:
-        venv = fast.make_env(config, seed, steps)
+        venv = fast.RolloutVecEnv(config, seed, steps, **kwargs)
     else:
-        venv = CapsuleSB3VecEnv(config.num_envs, seed, max_episode_steps=steps, threads=config.env_threads, **kwargs)
+        venv = CapsuleSB3VecEnv(config.num_envs, seed, max_episode_steps=steps, **kwargs)
     return VecNormalize(venv, norm_obs=True, norm_reward=False, gamma=config.gamma)
 
 
@@ -164,13 +166,9 @@ class LinearSchedule:
 
 def algorithm(config: Config) -> type[BaseAlgorithm]:
     """The class of a run's agent."""
-    fast = fast_ppo(config)
-    if fast is not None:
-        chosen: type[BaseAlgorithm] = fast.FastPPO
-        return chosen
-    sac = SAC if config.stock else FastSAC
-    classes: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": sac, "td3": TD3, "tqc": TQC}
-    return classes.get(config.algo, RecurrentPPO)
+    fast, sac = fast_ppo(config), SAC if config.stock else FastSAC
+    classes: dict[str, type[BaseAlgorithm]] = {"ppo": PPO if fast is None else fast.FastPPO, "sac": sac}
+    return (classes | {"td3": TD3, "tqc": TQC, "recurrent-ppo": RecurrentPPO})[config.algo]
 
 
 def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
@@ -180,6 +178,7 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
         config: its hyperparameters.
         env: its environments, from `make_env`.
     """
+    venv: Any = env.venv
     network: dict[str, Any] = {"net_arch": [config.hidden, config.hidden]}
     kwargs: dict[str, Any] = {
         "learning_rate": LinearSchedule(config.learning_rate, config.final_learning_rate),
@@ -197,8 +196,12 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
         kwargs["train_freq"] = 1
         names = ("buffer_size", "learning_starts", "gradient_steps", "tau")
     kwargs |= {name: getattr(config, name) for name in names}
+    fast = fast_ppo(config)
     if isinstance(config, PPOConfig):
-        network["activation_fn"] = nn.Tanh
+        network["activation_fn"] = nn.Tanh if fast is None else FastTanh
+        if fast is not None:
+            policy, network["policy_inputs"] = fast.FastPolicy, venv.header.inputs
+            network |= {"least_log_std": config.least_log_std, "tanh_mean": config.tanh_mean}
     elif isinstance(config, RecurrentPPOConfig):
         policy = "MlpLstmPolicy" if config.stock else RecurrentPolicy
         network |= {"lstm_hidden_size": config.hidden, "enable_critic_lstm": False}
@@ -211,11 +214,10 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
     if not config.stock:
         # A step of Adam in one call; eps is SB3's.
         network["optimizer_kwargs"] = {"fused": True, **({"eps": 1e-5} if isinstance(config, OnPolicyConfig) else {})}
-    fast = fast_ppo(config)
-    if fast is not None:
-        model: BaseAlgorithm = fast.make_model(config, env, network, kwargs)
-        return model
-    return algorithm(config)(policy, env, policy_kwargs=network, **kwargs)
+    model = algorithm(config)(policy, env, policy_kwargs=network, **kwargs)
+    if isinstance(config, PPOConfig):
+        vars(model)["critic_steps"] = config.critic_steps
+    return model
 
 
 def _action_noise(config: TD3Config) -> ActionNoise:

@@ -86,7 +86,7 @@ def train(run: Path, total_steps: int | None = None, *, wandb: bool = False) -> 
     """
     with naming(run), locked(run):
         config, revision = _read(run, total_steps)
-        torch.set_num_threads(config.torch_threads)
+        torch.set_num_threads(1)
         # Of a process that was killed while it wrote.
         for file in (*run.glob(".*.tmp*"), *(run / BEST).glob(".*.tmp*")):
             file.unlink()

@@ -19,7 +19,15 @@ import tyro
 from tyro.conf import Fixed, Suppress
 
 from capsule_gym.command_line import Count
-from capsule_gym.parameters import DOCS, ENERGY_WEIGHT_TEXT, ENERGY_WEIGHTS, EnvConfig, check_number, nearest
+from capsule_gym.parameters import (
+    DOCS,
+    ENERGY_WEIGHT_TEXT,
+    ENERGY_WEIGHTS,
+    EnvConfig,
+    check_integer,
+    check_number,
+    nearest,
+)
 from capsule_gym.task import HORIZON
 
 # The largest seed of numpy's generators, which SB3 seeds.
@@ -101,10 +109,6 @@ class Config:
     """Environment steps between evaluations and checkpoints."""
     evaluation_episodes: Count = 128
     """Episodes in an evaluation, on validation plants."""
-    torch_threads: Count = 1
-    """Threads of torch."""
-    env_threads: Count = EnvConfig.threads
-    """Threads of the environment."""
     stock: bool = False
     """Train with the unmodified classes of Stable-Baselines3, without this project's compiled PPO and fast SAC."""
     wrapper: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="MODULE:ATTRIBUTE")] = ()
@@ -131,17 +135,10 @@ class Config:
             if field.type == "Count":
                 least, most = LEAST.get(name, 1), LARGEST_SEED if name == "seed" else sys.maxsize
                 accepted = f"an integer >= {least}" + (f" and <= {most}" if name == "seed" else "")
-                if isinstance(value, bool) or not isinstance(value, int):
-                    raise TypeError(f"{name} must be {accepted}, got {value!r}")
-                if not least <= value <= most:
-                    raise ValueError(f"{name} must be {accepted}, got {value!r}")
+                check_integer(name, value, accepted, least, most)
             elif name in RANGES:
                 accepted, low, high, open_low = RANGES[name]
                 check_number(name, value, accepted, low, high, open_low=open_low)
-
-    def stock_config(self) -> tuple[Config, list[str]]:
-        """The same run with Stable-Baselines3's unmodified classes, and the options that it loses."""
-        return dataclasses.replace(self, stock=True), []
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,18 +156,17 @@ class OnPolicyConfig(Config):
     log_std_init: float = -0.5
     """Logarithm of the initial standard deviation of the action."""
 
-    def check(self) -> None:
-        """Also checks that a rollout holds the two samples that advantages are normalised over."""
-        super().check()
-        if self.n_steps * self.num_envs < 2:
-            raise ValueError(f"n_steps must be >= 2 where num_envs is 1, got {self.n_steps!r}")
-
 
 @dataclass(frozen=True, kw_only=True)
 class PPOConfig(OnPolicyConfig):
     """Proximal policy optimisation."""
 
     algo: ClassVar[Algorithm] = "ppo"
+    fast_only: ClassVar = (
+        *("least_log_std", "tanh_mean", "jump_rate", "identifies", "privileged_critic"),
+        *("energy_weights", "output", "critic_steps"),
+    )
+    """Options that only `agents.fast_ppo` has."""
 
     least_log_std: float = -20.0
     """Floor of that logarithm."""
@@ -193,29 +189,10 @@ class PPOConfig(OnPolicyConfig):
     """Environment steps at the start in which only the critic learns, so that it does not spoil a good base."""
 
     def check(self) -> None:
-        """Also checks the energy weights."""
+        """Also checks the energy weights, and the one that the policy observes in evaluations."""
         super().check()
-        if self.energy_weights is not None:
-            if not isinstance(self.energy_weights, tuple) or len(self.energy_weights) != 2:
-                raise TypeError(f"energy_weights must be None or two numbers (cm/J), got {self.energy_weights!r}")
-            low, high = self.energy_weights
-            check_number("energy_weights[0]", low, ENERGY_WEIGHT_TEXT, *ENERGY_WEIGHTS)
-            check_number("energy_weights[1]", high, f"{ENERGY_WEIGHT_TEXT} and >= {low!r}", low, ENERGY_WEIGHTS[1])
-            # The policy observes it in evaluations.
-            check_number(
-                "energy_weight", self.energy_weight, f"{ENERGY_WEIGHT_TEXT} where it is observed", *ENERGY_WEIGHTS
-            )
-
-    def stock_config(self) -> tuple[Config, list[str]]:
-        """Also without what only the compiled PPO has: options whose values are then those of `PPOConfig`."""
-        names = ("least_log_std", "tanh_mean", "jump_rate", "identifies", "privileged_critic")
-        changes = {
-            name: getattr(PPOConfig, name)
-            for name in (*names, "energy_weights", "output", "critic_steps")
-            if getattr(self, name) != getattr(PPOConfig, name)
-        }
-        lost = [f"--{name.replace('_', '-')} {getattr(self, name)}" for name in changes]
-        return dataclasses.replace(self, stock=True, **changes), lost
+        for weight in (*self.energy_weights, self.energy_weight) if self.energy_weights else ():
+            check_number("energy_weight(s)", weight, f"{ENERGY_WEIGHT_TEXT} where observed", *ENERGY_WEIGHTS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,12 +234,6 @@ class OffPolicyConfig(Config):
     tau: float = 0.01
     """Rate of the moving average that the target networks are."""
 
-    def check(self) -> None:
-        """Also checks that the replay buffer holds a step of all environments."""
-        super().check()
-        if self.buffer_size < self.num_envs:
-            raise ValueError(f"buffer_size must be an integer >= {self.num_envs}, got {self.buffer_size!r}")
-
 
 @dataclass(frozen=True, kw_only=True)
 class SACConfig(OffPolicyConfig):
@@ -301,6 +272,11 @@ class TQCConfig(OffPolicyConfig):
             raise ValueError(f"dropped_quantiles must be an integer < {self.quantiles}, got {self.dropped_quantiles!r}")
 
 
+# What the presets with a replay buffer share in the direct task.
+OFF_POLICY: dict[str, Any] = {
+    **{"task": "direct", "controller": None, "total_steps": 100_000, "evaluate_every": 10_000},
+    **{"learning_starts": 4000, "gradient_steps": 16},
+}
 PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("residual", "ppo"): PPOConfig(
         total_steps=10_000_000,
@@ -319,47 +295,32 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("residual", "sac"): SACConfig(),
     # From agents/study/data/direct-sac.json.
     ("direct", "sac"): SACConfig(
-        task="direct",
-        controller=None,
-        total_steps=100_000,
-        learning_starts=4000,
-        gradient_steps=16,
+        **OFF_POLICY,
         learning_rate=2.08e-3,
         final_learning_rate=2.08e-4,
         gamma=0.9942,
         tau=0.0187,
-        evaluate_every=10_000,
     ),
     ("residual", "td3"): TD3Config(),
     ("direct", "td3"): TD3Config(
-        task="direct",
-        controller=None,
-        total_steps=100_000,
-        learning_starts=4000,
-        gradient_steps=16,
+        **OFF_POLICY,
         learning_rate=5e-4,
         final_learning_rate=5e-5,
         gamma=0.99,
         tau=5e-3,
         action_noise=0.7,
         noise_time=0.25,
-        evaluate_every=10_000,
     ),
     ("residual", "tqc"): TQCConfig(),
     # From agents/study/data/direct-tqc.json.
     ("direct", "tqc"): TQCConfig(
-        task="direct",
-        controller=None,
-        total_steps=50_000,
-        learning_starts=4000,
-        gradient_steps=16,
+        **{**OFF_POLICY, "total_steps": 50_000, "evaluate_every": 5_000},
         learning_rate=6.9e-4,
         final_learning_rate=6.9e-5,
         gamma=0.9949,
         tau=5.07e-3,
         quantiles=10,
         dropped_quantiles=0,
-        evaluate_every=5_000,
     ),
     ("residual", "recurrent-ppo"): RecurrentPPOConfig(),
     # From agents/study/data/direct-recurrent-ppo.json.
@@ -454,17 +415,13 @@ def read_config(run: Path) -> Config:
     path = run / CONFIG
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
+        given = content["hyperparameters"]
         # JSON knows lists only.
-        given: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value
-            for name, value in content["hyperparameters"].items()
-        }
+        given |= {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
         config = type(PRESETS[content["task"], content["algo"]])(**given)
         config.check()
     except FileNotFoundError:
         raise RunError(f"--resume must name the folder of a run, got {str(run)!r}, which has no {CONFIG}") from None
-    except KeyError as error:
-        raise RunError(f"{path} is no configuration of a run: it lacks or does not know {error}") from error
-    except (OSError, AttributeError, TypeError, ValueError, RecursionError) as error:
-        raise RunError(f"{path} is no configuration of a run: {error}") from error
+    except (OSError, AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+        raise RunError(f"{path} is no configuration of a run: {type(error).__name__}: {error}") from error
     return config

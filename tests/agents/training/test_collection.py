@@ -16,6 +16,7 @@ from stable_baselines3.common.logger import configure
 
 from agents.fast_ppo.collection import Rollout, RolloutVecEnv
 from agents.training import algorithms as loop
+from agents.training.presets import PPOConfig
 from capsule_gym import Capsule, CapsuleVectorEnv, Controller, Policy, Randomization
 from capsule_gym.elementary import exp
 from capsule_gym.layout import LANES, Row
@@ -27,18 +28,18 @@ from tests.agents.training.small import small
 from tests.capsule_gym.test_network import make_layers
 
 SEED = 5
-OWN = ("episode_steps", "identifies", "privileged", "energy_weights", "jump", "outputs_torque")
+OWN = ("episode_steps", "identifies", "privileged_critic", "energy_weights", "jump_rate", "output")
 LAW = {"controller": "baselines:adaptive", "residual_limit": 3.0}
-EVERYTHING = {"identifies": True, "privileged": True, "energy_weights": (0.1, 20.0), "jump": 0.05}
+EVERYTHING = {"identifies": True, "privileged_critic": True, "energy_weights": (0.1, 20.0), "jump_rate": 2.5}
 WIDE = {"randomization": "wide", "termination_penalty": 30.0}
 CASES: dict[str, dict[str, Any]] = {
     "plain": {},
     "starts and plants differ": {**WIDE, "initial_noise": 0.3, "observe_parameters": True},
     "everything": {**WIDE, **EVERYTHING},
-    "everything on a law": {**WIDE, **EVERYTHING, **LAW, "outputs_torque": True},
+    "everything on a law": {**WIDE, **EVERYTHING, **LAW, "output": "torque"},
     "a law without more": LAW,
     "weights alone": {"energy_weights": (0.5, 0.5)},
-    "a torque without a law": {"outputs_torque": True, "privileged": True, "jump": 1.0},
+    "a torque without a law": {"output": "torque", "privileged_critic": True, "jump_rate": 50.0},
     "friction of either direction": {**WIDE, **EVERYTHING, "capsule": Capsule(static_ratio=1.4, backward_ratio=1.3)},
     "episodes of one step": {**WIDE, **EVERYTHING, "episode_steps": 1},
     "diverging": {"torque_limit": 1e6, "identifies": True},
@@ -46,7 +47,10 @@ CASES: dict[str, dict[str, Any]] = {
 
 
 def make_env(count: int, **changes: Any) -> RolloutVecEnv:
-    env = RolloutVecEnv(count, SEED, **{"episode_steps": 40, **changes})
+    options = {"episode_steps": 40, **changes}
+    steps = options.pop("episode_steps")
+    config = PPOConfig(num_envs=count, **{name: options.pop(name) for name in OWN if name in options})
+    env = RolloutVecEnv(config, SEED, steps, **options)
     env.reset()
     return env
 
@@ -61,10 +65,10 @@ def make_network(env: RolloutVecEnv, tanh_squashing: bool = False, layers: Any =
     return pack(layers, np.zeros(header.inputs), np.ones(header.inputs), header)
 
 
-def draws(env: RolloutVecEnv, steps: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray | None]:
+def draws(env: RolloutVecEnv, steps: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     noise = rng.normal(size=(steps, env.num_envs))
-    return noise, rng.random((steps, env.num_envs, 3)) if env.jump else None
+    return noise, rng.random((steps if env.jump else 0, env.num_envs, 3))
 
 
 class Loop:
@@ -79,6 +83,7 @@ class Loop:
         self.observations, _ = self.batch.reset(seed=SEED)
         self.simulation.write(Row.steps, np.arange(count) * steps // count)
         self.count, self.episodes = count, [0] * count
+        self.chance = self.own.get("jump_rate", 0.0) * self.simulation.options.control_dt
         self.memory: list[Any] = [(0.0,) * CELLS] * count
         self.log_weights = [self.weight(i) for i in range(count)]
         self.returns, self.lengths = [0.0] * count, [0] * count
@@ -100,7 +105,7 @@ class Loop:
                 row += estimates(self.memory[i])
             if "energy_weights" in self.own:
                 row.append(self.log_weights[i])
-            if self.own.get("privileged"):
+            if self.own.get("privileged_critic"):
                 block = self.simulation.world[i // LANES, :, i % LANES]
                 row += [block[Row.M], math.log(block[Row.mu])]
             found.append(row)
@@ -109,21 +114,21 @@ class Loop:
     def jump(self, chances: np.ndarray) -> None:
         lines = plant_ranges(self.simulation.randomization, self.simulation.capsule)
         for i, (chance, share_M, share_mu) in enumerate(chances):
-            if chance < self.own["jump"]:
+            if chance < self.chance:
                 lane = self.simulation.world[i // LANES, :, i % LANES]
                 lane[Row.M], lane[Row.mu] = plant_at(lines, share_M, share_mu)
 
-    def follow(self, env: RolloutVecEnv, rollout: Rollout, chances: np.ndarray | None) -> dict[str, int]:
+    def follow(self, env: RolloutVecEnv, rollout: Rollout, chances: np.ndarray) -> dict[str, int]:
         """Holds a rollout to what the batch does with its actions; returns how often what has happened."""
         happened = dict.fromkeys(("failed", "cut", "diverged", "jumped"), 0)
         cut, cut_inputs, infos = {}, {}, {}
         for t, drawn in enumerate(rollout.actions):
             assert rollout.inputs[t].tobytes() == self.inputs.tobytes(), t
             assert rollout.starts[t].tobytes() == self.over.tobytes(), t
-            if chances is not None:
+            if len(chances):
                 self.jump(chances[t])
-                happened["jumped"] += int((chances[t, :, 0] < self.own["jump"]).sum())
-            has_law = self.simulation.controller is not None and self.own.get("outputs_torque")
+                happened["jumped"] += int((chances[t, :, 0] < self.chance).sum())
+            has_law = self.simulation.controller is not None and self.own.get("output") == "torque"
             laws = self.observations[:, LAW_TORQUE] if has_law else np.zeros(self.count)
             actions = [to_action(env.header, float(a), float(law)) for a, law in zip(drawn, laws, strict=True)]
             observations, rewards, terminated, truncated, info = self.batch.step(np.array(actions, np.float32)[:, None])
@@ -182,7 +187,7 @@ def test_a_rollout_gives_the_bits_of_a_loop_in_python(changes, count):
         for name, number in loop.follow(env, rollout, chances).items():
             happened[name] += number
     assert happened["cut"] > 0 or "torque_limit" in changes
-    assert (happened["jumped"] > 0) == ("jump" in changes)
+    assert (happened["jumped"] > 0) == ("jump_rate" in changes)
     assert (happened["diverged"] > 0) == ("torque_limit" in changes)
     if count > LANES and changes.get("episode_steps") != 1:
         assert happened["failed"] > 0
@@ -225,7 +230,7 @@ def test_without_noise_it_acts_as_the_policy_does(changes):
         training_seed=0,
         revision="abc",
     )
-    rollout = env.collect(make_network(env, layers=layers), 0.0, np.zeros((steps, count)))
+    rollout = env.collect(make_network(env, layers=layers), 0.0, *draws(env, steps))
     batch = CapsuleVectorEnv(count, max_episode_steps=10_000, **own)
     observations, _ = batch.reset(seed=SEED)
     act = policy.start(range(count))
@@ -238,44 +243,24 @@ def test_without_noise_it_acts_as_the_policy_does(changes):
     assert np.abs(rollout.inputs[..., 2]).max() > 0.02
 
 
-@pytest.mark.parametrize("threads", [3])
-def test_threads_share_a_rollout(threads):
-    count = 2 * LANES + 7
-    rollouts = []
-    for number in (1, threads):
-        env = make_env(count, threads=number, **WIDE, **EVERYTHING, **LAW)
-        for n in range(2):
-            rollouts.append(env.collect(make_network(env), 1.0, *draws(env, 60, n)))
-        env.close()
-    for alone, shared in zip(rollouts[:2], rollouts[2:], strict=True):
-        assert alone.infos == shared.infos
-        for name in set(Rollout._fields) - {"infos"}:
-            assert getattr(alone, name).tobytes() == getattr(shared, name).tobytes(), name
-    assert len(rollouts[1].cut) > 0
-
-
 def test_a_law_that_returns_no_number_is_reported_and_a_reset_goes_on():
     def law(theta, theta_dot, x, x_dot, memory, reference):
         return (memory[0] * 1e10 if x > 1e-4 else 0.1), memory
 
     controller = Controller("breaking", law, np.zeros((1, 2)), memory=(1e308,))
-    for threads in (1, 2):
-        env = make_env(LANES + 1, controller=controller, threads=threads)
-        network = make_network(env)
-        with pytest.raises(ValueError, match="the control law 'breaking' returned a torque that is not finite"):
-            env.collect(network, 1.0, *draws(env, 200))
-        observations = env.reset()
-        assert np.isfinite(observations).all()
-        rollout = env.collect(network, 0.0, np.zeros((1, LANES + 1)))
-        assert np.isfinite(rollout.rewards).all()
-        env.close()
+    env = make_env(LANES + 1, controller=controller)
+    network = make_network(env)
+    with pytest.raises(ValueError, match="the control law 'breaking' returned a torque that is not finite"):
+        env.collect(network, 1.0, *draws(env, 200))
+    observations = env.reset()
+    assert np.isfinite(observations).all()
+    rollout = env.collect(network, 0.0, *draws(env, 1))
+    assert np.isfinite(rollout.rewards).all()
 
 
 @pytest.mark.parametrize("changes", [{}, {**EVERYTHING, "randomization": "wide"}], ids=["plain", "everything"])
 def test_returns_and_advantages_are_those_of_stable_baselines(changes):
-    names = {"privileged": "privileged_critic", "jump": "jump_rate"}
-    settings = {names.get(name, name): value for name, value in changes.items()}
-    config = small("direct", "ppo", n_steps=48, episode_seconds=0.6, gae_lambda=0.9, log_std_init=0.5, **settings)
+    config = small("direct", "ppo", n_steps=48, episode_seconds=0.6, gae_lambda=0.9, log_std_init=0.5, **changes)
     env = loop.make_env(config, 0)
     model: Any = loop.make_model(config, env)
     model.set_logger(configure(None, []))
@@ -300,16 +285,10 @@ def test_returns_and_advantages_are_those_of_stable_baselines(changes):
             expected, log_probs, _ = model.policy.evaluate_actions(normal, actions)
             buffer.add(normal.numpy(), actions.numpy(), rewards[t], rollout.starts[t], expected[:, 0], log_probs)
         buffer.compute_returns_and_advantage(values(rollout.last), rollout.over)
-    inputs, actions, log_probs, advantages, returns = (each.numpy() for each in model._samples)
-    for found, expected in (
-        (inputs, buffer.observations),
-        (actions, buffer.actions),
-        (log_probs, buffer.log_probs),
-        (advantages, buffer.advantages),
-        (returns, buffer.returns),
-    ):
+    for name in ("observations", "actions", "log_probs", "advantages", "returns"):
+        found, expected = getattr(model.rollout_buffer, name), getattr(buffer, name)
         np.testing.assert_allclose(found.ravel(), expected.ravel(), rtol=1e-4, atol=1e-4)
-    assert np.ptp(returns) > config.termination_penalty
+    assert np.ptp(buffer.returns) > config.termination_penalty
 
 
 def test_these_environments_do_not_step():
@@ -322,23 +301,5 @@ def test_a_privileged_critic_needs_positive_friction():
         {"capsule": Capsule(mu=0.0), "randomization": "none"},
         {"randomization": Randomization(mu=(0.0, 0.1))},
     ):
-        with pytest.raises(ValueError, match="privileged must be False where mu may be 0"):
-            make_env(1, privileged=True, **changes)
-
-
-@pytest.mark.parametrize(
-    ("name", "changes"),
-    [
-        ("noise", {"noise": np.zeros((4, 3))}),
-        ("noise", {"noise": np.zeros((4, 2), np.float32)}),
-        ("noise", {"noise": np.zeros((2, 4)).T}),
-        ("chances", {"chances": np.zeros((4, 2, 2))}),
-        ("chances", {"chances": np.zeros((3, 2, 3))}),
-        ("network", {"network": np.zeros((1, 9))}),
-    ],
-)
-def test_arrays_of_another_kind_never_reach_compiled_code(name, changes):
-    env = make_env(2)
-    arguments = {"network": make_network(env), "deviation": 1.0, "noise": np.zeros((4, 2)), **changes}
-    with pytest.raises(TypeError, match=f"^{name} must be a contiguous array of float64"):
-        env.collect(**arguments)
+        with pytest.raises(ValueError, match="privileged_critic must be False where mu may be 0"):
+            make_env(1, privileged_critic=True, **changes)

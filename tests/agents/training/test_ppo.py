@@ -56,9 +56,6 @@ def give_rollout(model: FastPPO) -> None:
     buffer.log_probs = log_prob.numpy()[:, None] + 0.3 * normal(count, 1)
     buffer.advantages, buffer.values, buffer.returns = (normal(count, 1) for _ in range(3))
     buffer.full = True
-    names = ("observations", "actions", "log_probs", "advantages", "returns")
-    inputs, *others = (torch.from_numpy(getattr(buffer, name).reshape(count, -1).copy()) for name in names)
-    model._samples = (inputs, *others)
 
 
 def train_by_sb3(model: FastPPO, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -227,12 +227,9 @@ REFUSED = [
     ["--n-steps", "1", "--num-envs", "1"],
     ["--episode-seconds", "0"],
     ["--energy-weights", "0", "1"],
-    ["--energy-weights", "2", "1"],
     ["--torque-limit", "0"],
-    ["--env-threads", "0"],
     ["--algo", "sac", "--tau", "0"],
     ["--algo", "tqc", "--dropped-quantiles", "25"],
-    ["--algo", "sac", "--buffer-size", "3"],
     # 9 PiB.
     ["--algo", "sac", "--buffer-size", "100_000_000_000_000"],
 ]
