@@ -183,9 +183,7 @@ def learn(entry: Trainer) -> Run:
 
         def _on_training_end(self) -> None:
             now = time.process_time()
-            kwargs = config.env_kwargs()
-            policy = export(run.name, self.model, env_kwargs=kwargs, training_seed=run.seed, revision="none")
-            episodes = evaluate(policy, plants)
+            episodes = evaluate(export(run.name, self.model, config, "none"), plants)
             run.steps.append(self.num_timesteps)
             run.seconds.append(round(now - self.began, 3))
             run.mean_speed.append(round(float(interquartile_mean(scores(episodes, "mean_speed"))[0]), 4))

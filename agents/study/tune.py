@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import multiprocessing
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,8 +18,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import arg
 
 from agents.evaluation.episodes import versions
-from agents.study.jobs import Job, check_settings, evaluations, score, train_job
-from agents.training.presets import PRESETS, ROWS, Algorithm, Config, OffPolicyConfig, RunError, row_settings
+from agents.study.jobs import Evaluation, evaluations, score
+from agents.training.presets import EVALUATED, PRESETS, ROWS, Algorithm, Config, OffPolicyConfig, RunError, row_settings
 from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Count, Positional, parse, refuse
 from capsule_gym.files import canonical_hash, to_json, write_atomically
@@ -30,14 +29,11 @@ if TYPE_CHECKING:
     from optuna import Study, Trial
 
 PROG = "python -m agents.study.tune"
-DATA = Path(__file__).with_name("data")
 # Far from the seeds of published runs, so that the settings do not overfit these.
 FIRST_SEED = 1000
 EVALUATIONS_PER_TRIAL = 8
 # No trial is pruned before its fourth evaluation, or before a third of all trials, at most eight, is complete.
 WARMUP_EVALUATIONS, STARTUP_TRIALS = 4, 8
-# Seconds between two looks at a trial's evaluations.
-POLL = 0.5
 
 # Lists are choices, ranges of integers uniform, positive ranges of floats log-uniform, other ranges of floats uniform.
 # gamma and lambda are searched by their distance from 1, `rollout` is n_steps * num_envs. The algorithms whose updates
@@ -101,7 +97,7 @@ class Args:
 
     Examples:
       python -m agents.study.tune direct-ppo --trials 40 --total-steps 1e6
-      python -m agents.study.tune direct-ppo --trials 60 --total-steps 1e6 --keep
+      python -m agents.study.tune efficient --trials 60 --runs runs/mine
     """
 
     row: Annotated[Positional[str], arg(metavar="NAME", help="A preset as TASK-ALGO, or a row of the leaderboard.")]
@@ -113,8 +109,6 @@ class Args:
     """Training seed of the trials, and seed of the sampler."""
     runs: Path = Path("runs/tune")
     """Folder of the searches, each in NAME."""
-    keep: bool = False
-    """Also copy the trials to agents/study/data/NAME.json, to be committed."""
 
     def check(self) -> None:
         """Checks names and ranges."""
@@ -142,44 +136,38 @@ def config_of(trial: Trial, base: Config) -> Config:
 
 
 def objective(trial: Trial, base: Config, folder: Path) -> float:
-    """Trains a trial in a process of its own, or resumes it, and returns its score in cm/s.
+    """Trains a trial, or resumes it, and returns its score in cm/s.
 
     Raises:
+        KeyboardInterrupt: if the user stops it; the search tries its parameters again.
         RunError: if it cannot be trained.
         TrialPruned: if it is below the median of the others.
     """
     import optuna
 
+    # torch takes seconds to import, and --help does not need it.
+    from agents.training.loop import begin, train
+
     config = config_of(trial, base)
     # The same settings are the same run: a trial that is tried again resumes.
-    job = Job(folder.name, config, folder / canonical_hash(config.to_dict())[:12])
-    if job.run.exists():
-        check_settings(job)
-    lines = evaluations(job.run)
-    process = multiprocessing.get_context("spawn").Process(target=train_job, args=(job,))
-    if not job.finished:
-        process.start()
+    run = folder / canonical_hash(config.to_dict())[:12]
+    if not run.exists():
+        begin(run, config)
+
+    def report(lines: list[Evaluation]) -> None:
+        trial.report(score(lines[-1]), len(lines))
+        if lines[-1][EVALUATED] < config.total_steps and trial.should_prune():
+            raise optuna.TrialPruned
+
     try:
-        reported = 0
-        while process.is_alive():
-            process.join(POLL)
-            lines = evaluations(job.run)
-            for line in lines[reported:]:
-                reported += 1
-                trial.report(line["score_cm_s"], reported)
-                if process.is_alive() and trial.should_prune():
-                    raise optuna.TrialPruned
+        if not train(run, report=report):
+            raise KeyboardInterrupt
     except KeyboardInterrupt:
         trial.study.enqueue_trial(trial.params)
         raise
     finally:
-        if process.is_alive():
-            process.terminate()
-            process.join()
-        trial.set_user_attr("evaluations", lines)
-    if not (lines and job.finished):
-        raise RunError(f"trial {trial.number} failed, see {job.run}.log")
-    return max(map(score, lines))
+        trial.set_user_attr("evaluations", evaluations(run))
+    return max(map(score, evaluations(run)))
 
 
 def tune(args: Args) -> Study:
@@ -209,33 +197,26 @@ def tune(args: Args) -> Study:
     if missing > 0:
         enough = optuna.study.MaxTrialsCallback(args.trials, states=ended)
         study.optimize(
-            lambda trial: objective(trial, base, folder), n_trials=missing, catch=(RunError,), callbacks=[enough]
+            lambda trial: objective(trial, base, folder), n_trials=missing, catch=(ValueError,), callbacks=[enough]
         )
     return study
 
 
 def to_text(study: Study) -> str:
-    """A search as JSON: settings, versions, and a line per trial with its parameters, score and evaluations."""
-    trials = [trial for trial in study.trials if trial.state.name in ("COMPLETE", "PRUNED")]
-    names = list(dict.fromkeys(name for trial in trials for line in trial.user_attrs["evaluations"] for name in line))
-    head = {
-        "row": study.study_name,
-        "settings": study.user_attrs["settings"],
-        "evaluations": names,
-        "versions": versions(),
-    }
-    lines = [
+    """A search as JSON: settings, versions, and the trials with their parameters, scores and evaluations."""
+    trials = [
         {
             "number": trial.number,
             "state": trial.state.name.lower(),
             "score": trial.value if trial.state.name == "COMPLETE" else None,
             "parameters": trial.params,
-            "evaluations": [[line.get(name) for name in names] for line in trial.user_attrs["evaluations"]],
+            "evaluations": trial.user_attrs["evaluations"],
         }
-        for trial in trials
+        for trial in study.trials
+        if trial.state.name in ("COMPLETE", "PRUNED")
     ]
-    listed = ",\n".join(f"  {json.dumps(line)}" for line in lines)
-    return to_json(head).removesuffix("\n}\n") + f',\n "trials": [\n{listed}\n ]\n}}\n'
+    head = {"row": study.study_name, "settings": study.user_attrs["settings"], "versions": versions()}
+    return to_json({**head, "trials": trials})
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -248,16 +229,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("\nStopped. The same command resumes.")
         return INTERRUPTED
-    text = to_text(study)
-    write_atomically(args.runs / args.row / "trials.json", text)
+    write_atomically(args.runs / args.row / "trials.json", to_text(study))
     complete = [trial for trial in study.trials if trial.state.name == "COMPLETE"]
     if not complete:
         print("No trial is complete.", file=sys.stderr)
         return 1
     print(f"Best of {len(complete)} complete trials: {study.best_value:.2f} cm/s with {study.best_params}")
-    if args.keep:
-        write_atomically(DATA / f"{args.row}.json", text)
-        print(f"Written: {DATA / args.row}.json")
     return 0
 
 

@@ -111,6 +111,7 @@ class TrainingCallback(BaseCallback):
         restore_streams: called when it begins to learn.
         stop: whether it is to end.
         revision: the git revision that it was started at.
+        report: called with all evaluations after each one.
     """
 
     def __init__(
@@ -122,9 +123,10 @@ class TrainingCallback(BaseCallback):
         restore_streams: Callable[[], None],
         stop: Stop,
         revision: str,
+        report: Callable[[list[dict[str, float]]], None] | None = None,
     ) -> None:
         super().__init__()
-        self.run, self.config, self.revision = run, config, revision
+        self.run, self.config, self.revision, self.report = run, config, revision, report
         self.progress, self.latest, self.stop, self.restore_streams = progress, latest, stop, restore_streams
         self.plants = validation_plants(config)
         baseline = evaluate(SCRIPTED[BASELINE], self.plants)
@@ -189,12 +191,11 @@ class TrainingCallback(BaseCallback):
 
     def policy(self) -> Policy | None:
         """The deterministic policy of the agent at present; None under wrappers."""
-        kwargs, name = self.config.env_kwargs(), self.run.name
         if self.config.wrapper:
             return None
         if isinstance(self.model, RecurrentPPO):
-            return recurrent_policy(name, self.model, normalisation(self.model), kwargs)
-        return export(name, self.model, env_kwargs=kwargs, training_seed=self.config.seed, revision=self.revision)
+            return recurrent_policy(self.run.name, self.model, normalisation(self.model), self.config.env_kwargs())
+        return export(self.run.name, self.model, self.config, self.revision)
 
     def evaluate(self) -> None:
         """Evaluates the deterministic policy; writes a line, a checkpoint, and the best model where it is one."""
@@ -234,6 +235,8 @@ class TrainingCallback(BaseCallback):
             self.progress.best_score = score
             save(self.run / BEST, self.model, policy)
         self.checkpoint()
+        if self.report is not None:
+            self.report(self.progress.evaluations)
 
     def checkpoint(self) -> None:
         """Writes a checkpoint, unless there is one at this step."""

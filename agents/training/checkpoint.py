@@ -48,23 +48,13 @@ DIGEST_SIZE = hashlib.sha256().digest_size
 
 @dataclass
 class Progress:
-    """How far a run is.
+    """How far a run is."""
 
-    Attributes:
-        settings: the hyperparameters of the run, but for its length.
-        elapsed: seconds of training.
-        core_seconds: processor seconds of training.
-        evaluations: the lines of evaluations.csv.
-        best_score: of the best evaluation so far, cm/s.
-        resumed_at: agent steps at which the run was resumed.
-    """
-
-    settings: dict[str, Any]
-    elapsed: float = 0.0
-    core_seconds: float = 0.0
-    evaluations: list[dict[str, float]] = field(default_factory=list)
-    best_score: float = -np.inf
-    resumed_at: list[int] = field(default_factory=list)
+    settings: dict[str, Any]  # the hyperparameters of the run, but for its length
+    elapsed: float = 0.0  # seconds of training
+    core_seconds: float = 0.0  # processor seconds of training
+    evaluations: list[dict[str, float]] = field(default_factory=list)  # the lines of evaluations.csv
+    best_score: float = -np.inf  # of the best evaluation so far, cm/s
 
 
 @contextmanager
@@ -112,26 +102,19 @@ def path_of(run: Path, steps: int) -> Path:
     return run / f"checkpoint-{steps:012d}"
 
 
-def newest(run: Path) -> Path | None:
-    """The newest checkpoint of a run, damaged or not."""
-    return max(run.glob("checkpoint-*"), default=None)
-
-
 def newest_whole(run: Path) -> Path | None:
     """The newest undamaged checkpoint of a run; damaged ones are named on stderr.
 
     Raises:
         RunError: if there are checkpoints, but all of them are damaged.
     """
-    damaged: list[str] = []
-    for path in sorted(run.glob("checkpoint-*"), reverse=True):
+    paths = sorted(run.glob("checkpoint-*"), reverse=True)
+    for path in paths:
         if is_whole(path):
-            for name in damaged:
-                print(f"warning: {name} is damaged; resuming from {path.name}", file=sys.stderr)
             return path
-        damaged.append(str(path))
-    if damaged:
-        raise RunError(f"{run} has no whole checkpoint: {', '.join(damaged)} damaged")
+        print(f"warning: {path} is damaged; trying the one before", file=sys.stderr)
+    if paths:
+        raise RunError(f"{run} has no whole checkpoint: {', '.join(map(str, paths))} damaged")
     return None
 
 

@@ -8,21 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from sb3_contrib import TQC, RecurrentPPO
-from stable_baselines3 import PPO, SAC, TD3
+from sb3_contrib import RecurrentPPO
+from stable_baselines3 import PPO, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
-from torch import nn
 
 from agents.evaluation.policies import Policy as EvaluatedPolicy
 from agents.evaluation.policies import wrap_policy
-from agents.training.algorithms import FastTanh
-from agents.training.presets import BEST, MODEL, NORMALISATION, RecurrentPPOConfig, read_config
+from agents.training.presets import BEST, MODEL, NORMALISATION, Config, RecurrentPPOConfig, read_config
 from capsule_gym import Policy, load_policy
 from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY
-
-ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", FastTanh: "tanh", nn.ReLU: "relu"}
 
 
 def archive(model: BaseAlgorithm) -> bytes:
@@ -89,63 +85,37 @@ def recurrent_policy(name: str, model: RecurrentPPO, env: VecNormalize, env_kwar
     return wrap_policy(Normalising(), name=name, env_kwargs=env_kwargs)
 
 
-def export(
-    name: str,
-    model: BaseAlgorithm,
-    *,
-    env_kwargs: dict[str, Any],
-    training_seed: int,
-    revision: str,
-) -> Policy:
-    """The deterministic policy of an agent; `Policy.save` writes it.
+def export(name: str, model: BaseAlgorithm, config: Config, revision: str) -> Policy:
+    """The deterministic policy of an agent without an LSTM; `Policy.save` writes it.
 
     Args:
         name: for messages and tables.
-        model: a PPO, SAC, TD3 or TQC agent with a plain network of linear layers, tanh or ReLU between them, and with
-            its environments, which normalise its observations.
-        env_kwargs: the arguments of the environment that it was trained in.
-        training_seed: the seed of the training run.
+        model: the agent with its environments, which normalise its observations.
+        config: its configuration.
         revision: the git revision of the code that trained it.
-
-    Raises:
-        ValueError: if the agent is of another kind.
     """
+    activation, squashing = "relu", "tanh"
     if isinstance(model, PPO):
-        # `agents.fast_ppo` adds it to SB3's policy.
-        algorithm, squashing = "ppo", "tanh" if getattr(model.policy, "tanh_mean", False) else "clip"
-        hidden, last = model.policy.mlp_extractor.policy_net, model.policy.action_net
-        squashed = model.policy.squash_output or model.use_sde
-    elif isinstance(model, (SAC, TQC)):
-        algorithm, squashing = "sac" if isinstance(model, SAC) else "tqc", "tanh"
-        hidden, last = model.actor.latent_pi, model.actor.mu
-        squashed = model.use_sde
+        # `agents.fast_ppo` adds `tanh_mean` to SB3's policy.
+        activation, squashing = "tanh", "tanh" if getattr(model.policy, "tanh_mean", False) else "clip"
+        modules = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
     elif isinstance(model, TD3):
-        algorithm, squashing = "td3", "tanh"
         # The tanh is the last layer.
-        *layers, last, _ = model.actor.mu
-        hidden, squashed = nn.Sequential(*layers), False
+        modules = list(model.actor.mu)[:-1]
     else:
-        raise ValueError(f"model must be a PPO, SAC, TD3 or TQC agent, got {type(model).__name__}")
-    modules = list(hidden)
-    kinds = {ACTIVATIONS.get(type(module)) for module in modules[1::2]}
-    linear = [*modules[::2], last]
-    plain = all(isinstance(module, nn.Linear) for module in linear) and len(modules) % 2 == 0
-    if squashed or not plain or len(kinds) != 1 or None in kinds:
-        raise ValueError(
-            "model must act by linear layers with tanh or ReLU between them, without gSDE and without further "
-            f"squashing, got {hidden} and {last}"
-        )
-    (activation,) = kinds
+        actor: Any = model.policy.actor
+        modules = [*actor.latent_pi, actor.mu]
+    layers = tuple((_array(layer.weight), _array(layer.bias)) for layer in modules[::2])
     env = normalisation(model)
     rms: Any = env.obs_rms
     # Inputs and output that `agents.fast_ppo` adds to the environment's.
     added = getattr(env.venv, "header", None)
-    inputs = linear[0].in_features
+    inputs = layers[0][0].shape[1]
     return Policy(
         name=name,
-        algorithm=algorithm,
-        layers=tuple((_array(layer.weight), _array(layer.bias)) for layer in linear),
-        activation=str(activation),
+        algorithm=config.algo,
+        layers=layers,
+        activation=activation,
         squashing=squashing,
         output="torque" if added and added.outputs_torque else "action",
         identifies=bool(added and added.identifies),
@@ -154,8 +124,8 @@ def export(
         variance=rms.var[:inputs].copy(),
         clip=float(env.clip_obs),
         epsilon=float(env.epsilon),
-        env_kwargs=env_kwargs,
-        training_seed=training_seed,
+        env_kwargs=config.env_kwargs(),
+        training_seed=config.seed,
         revision=revision,
     )
 

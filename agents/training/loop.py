@@ -7,6 +7,7 @@ import json
 import pickle
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -69,13 +70,20 @@ def _check_agent(config: Config) -> None:
             env.close()
 
 
-def train(run: Path, total_steps: int | None = None, *, wandb: bool = False) -> bool:
+def train(
+    run: Path,
+    total_steps: int | None = None,
+    *,
+    wandb: bool = False,
+    report: Callable[[list[dict[str, float]]], None] | None = None,
+) -> bool:
     """Trains a run, or resumes it from its last whole checkpoint, until its total_steps, Ctrl-C or SIGTERM.
 
     Args:
         run: the run's folder, as `begin` made it.
         total_steps: another end than the one before, which is written to config.json.
         wandb: whether it is also logged to Weights & Biases.
+        report: called with all evaluations after each one.
 
     Returns:
         Whether it is complete. If not, the folder holds a checkpoint of the present step.
@@ -110,12 +118,11 @@ def train(run: Path, total_steps: int | None = None, *, wandb: bool = False) -> 
                 if settings[name] != value:
                     was = f"{value!r} as in {latest.name}"
                     raise RunError(f"{run / CONFIG}: {name} must stay {was}, got {settings[name]!r}")
-            progress.resumed_at.append(model.num_timesteps)
             # The schedule has another end where total_steps has changed.
             model.learning_rate = LinearSchedule(config.learning_rate, config.final_learning_rate)
             model._setup_lr_schedule()
         stop = Stop()
-        callback = TrainingCallback(run, config, progress, latest, restore_streams, stop, revision)
+        callback = TrainingCallback(run, config, progress, latest, restore_streams, stop, revision, report)
         model.set_logger(make_logger(run, config, model.num_timesteps, wandb))
         try:
             with stop:

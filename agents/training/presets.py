@@ -191,8 +191,11 @@ class PPOConfig(OnPolicyConfig):
     def check(self) -> None:
         """Also checks the energy weights, and the one that the policy observes in evaluations."""
         super().check()
-        for weight in (*self.energy_weights, self.energy_weight) if self.energy_weights else ():
-            check_number("energy_weight(s)", weight, f"{ENERGY_WEIGHT_TEXT} where observed", *ENERGY_WEIGHTS)
+        if self.energy_weights is not None:
+            accepted = f"{ENERGY_WEIGHT_TEXT} where it is observed"
+            for weight in self.energy_weights:
+                check_number("energy_weights", weight, accepted, *ENERGY_WEIGHTS)
+            check_number("energy_weight", self.energy_weight, accepted, *ENERGY_WEIGHTS)
 
 
 @dataclass(frozen=True, kw_only=True)

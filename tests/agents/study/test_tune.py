@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import multiprocessing
+from pathlib import Path
 
 import pytest
 
 from agents.study import tune
-from agents.study.jobs import FINISHED
-from agents.training.presets import PRESETS, ROWS
+from agents.training import loop
+from agents.training.presets import PRESETS, ROWS, read_config
 from tests.agents.training.small import small
 
 optuna = pytest.importorskip("optuna", reason="the extra `tune` is not installed", exc_type=ImportError)
@@ -28,50 +28,32 @@ def test_every_point_of_a_space_is_a_configuration(task, algo):
         assert config.final_learning_rate <= config.learning_rate
 
 
-class Training:
-    """Stands for the process of a trial: it ends at once, with two evaluations."""
-
-    def __init__(self, target, args):
-        (self.job,) = args
-
-    def start(self):
-        self.job.run.mkdir(parents=True, exist_ok=True)
-        content = {"task": "direct", "algo": "ppo", "hyperparameters": self.job.config.to_dict()}
-        (self.job.run / "config.json").write_text(json.dumps(content))
-        lines = ["steps,core_seconds,score_cm_s,stage", "512,1.0,5.0,0", f"1024,2.0,{self.job.config.gamma},0", ""]
-        (self.job.run / "evaluations.csv").write_text("\n".join(lines))
-        (self.job.run / FINISHED).write_text("{}")
-        self.alive = True
-
-    def is_alive(self):
-        return getattr(self, "alive", False)
-
-    def join(self, seconds=None):
-        self.alive = False
-
-    def terminate(self):
-        """Nothing is left to end."""
-
-
 def test_a_search_resumes_where_it_was_stopped(tmp_path, monkeypatch, capsys):
+    stopped = [True]
+
+    def train(run, report):
+        gamma = read_config(run).gamma
+        lines = [{"steps": 512.0, "score_cm_s": 5.0}, {"steps": 1024.0, "score_cm_s": gamma}]
+        text = "".join(f"{line['steps']},{line['score_cm_s']}\n" for line in lines)
+        (run / "evaluations.csv").write_text(f"steps,score_cm_s\n{text}")
+        report(lines[:1])
+        report(lines)
+        return not stopped.pop() if stopped else True
+
+    monkeypatch.setattr(loop, "train", train)
     monkeypatch.setitem(ROWS, "tiny", small("direct", "ppo"))
     monkeypatch.setitem(tune.SPACES, "ppo", {"learning_rate": (1e-4, 1e-3), "one_minus_gamma": (1e-3, 1e-1)})
-    monkeypatch.setattr(multiprocessing.get_context("spawn"), "Process", Training, raising=False)
     words = ["tiny", "--trials", "2", "--total-steps", "1024", "--runs", str(tmp_path)]
     # Ctrl-C in the first trial, which is tried again with the same parameters.
-    with monkeypatch.context() as patch:
-        patch.setattr(Training, "join", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
-        patch.setattr(Training, "terminate", lambda self: setattr(self, "join", lambda: None))
-        assert tune.main(words) == 130
+    assert tune.main(words) == 130
     assert tune.main(words) == 0
     content = json.loads((tmp_path / "tiny" / "trials.json").read_text())
     assert [trial["state"] for trial in content["trials"]] == ["complete", "complete"]
     assert [trial["score"] for trial in content["trials"]] == [5.0, 5.0]
     first, second = (trial["parameters"] for trial in content["trials"])
     assert first != second
-    runs = [path for path in (tmp_path / "tiny").glob("*") if path.is_dir()]
-    assert len(runs) == 2
-    assert content["evaluations"] == ["steps", "core_seconds", "score_cm_s", "stage"]
+    assert len([path for path in (tmp_path / "tiny").glob("*") if path.is_dir()]) == 2
+    assert content["trials"][0]["evaluations"][0] == {"steps": 512.0, "score_cm_s": 5.0}
     # The number of trials is reached.
     assert tune.main(words) == 0
     assert json.loads((tmp_path / "tiny" / "trials.json").read_text())["trials"] == content["trials"]
@@ -111,7 +93,7 @@ def test_off_policy_trials_make_the_same_number_of_updates():
 
 @pytest.mark.parametrize("algo", ["sac", "tqc", "recurrent-ppo"])
 def test_a_preset_is_the_best_trial_of_its_committed_search(algo):
-    content = json.loads((tune.DATA / f"direct-{algo}.json").read_text())
+    content = json.loads((Path(tune.__file__).parent / "data" / f"direct-{algo}.json").read_text())
     complete = [trial for trial in content["trials"] if trial["state"] == "complete"]
     first = max(complete, key=lambda trial: trial["score"])
     found = tune.suggest(optuna.trial.FixedTrial(first["parameters"]), algo)

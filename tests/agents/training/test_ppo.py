@@ -155,7 +155,7 @@ def test_the_policy_file_of_every_option_acts_as_the_agent(tanh_mean):
     env = make_env(config, 0)
     model: Any = make_model(config, env)
     model.learn(600)
-    policy = export("run", model, env_kwargs=config.env_kwargs(), training_seed=0, revision="abc")
+    policy = export("run", model, config, "abc")
     assert policy.squashing == ("tanh" if tanh_mean else "clip")
     observations = np.random.default_rng(0).normal(size=(50, 5)).astype(np.float32)
     # The inputs of the critic alone do not matter.
