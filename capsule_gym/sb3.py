@@ -38,7 +38,6 @@ class CapsuleSB3VecEnv(VecEnv):
 
     def __init__(self, num_envs: int, seed: int | None = None, **env_kwargs: Any) -> None:
         self.batch = CapsuleVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs)
-        self.render_mode = self.batch.render_mode
         self._actions: np.ndarray | None = None
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, np.int64)
@@ -102,8 +101,7 @@ class CapsuleSB3VecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """The attribute of the batch, once per requested environment."""
-        holder = self if attr_name == "render_mode" else self.batch
-        return [getattr(holder, attr_name)] * len(list(self._get_indices(indices)))
+        return [getattr(self.batch, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Refused: the environments of a batch share their settings.
