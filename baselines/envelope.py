@@ -1,13 +1,12 @@
 """The upper envelope in the phase plane: the fastest that any bounded torque lets the pendulum pass an angle.
 
 It depends on no reference, law or gait, only on the plant and the largest torque. `baselines.paper.proofs` compares the
-published torques with it, `speed_bound` derives an upper bound of every mean speed from it.
+published torques with it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +14,7 @@ from numba.extending import register_jitable
 
 from capsule_gym import dynamics
 from capsule_gym.compilation import compile_cached
-from capsule_gym.parameters import Capsule, Plant, check_number
-from capsule_gym.task import HORIZON, START_THETA, THETA_LIMIT, TORQUE_LIMIT
+from capsule_gym.parameters import Plant, check_number
 
 # So many that the widening below costs the bounds on the published swings less than 1e-3 rad/s.
 STEPS = 100_000
@@ -160,46 +158,3 @@ def _slopes_of_acceleration(limit: float, largest_theta: float, fastest: float, 
     along += ml * p.mu * (centrifugal + on_contact + p.pivot_torque_on_contact * p.k)
     along_theta = along / smallest + numerator * ml * ml * (1.0 + p.mu) / smallest**2
     return along_theta, ml * ml * (0.5 + p.mu) / smallest
-
-
-def speed_bound(M: float, mu: float) -> float:
-    """An upper bound of the mean speed over 33 s from rest at theta = -pi/3 within the task's limits, cm/s.
-
-    Proof. Let a = m l / (M + m), and v the velocity of the centre of mass, so that x' = v + a cos(theta) theta'.
-
-    1. Phase plane. Where theta' > 0, theta' <= E(theta), the envelope from -pi/2 to pi/2. The plant is its own mirror
-       image (theta, x, u -> -theta, -x, -u), so theta' < 0 obeys the same envelope, mirrored.
-    2. Invariance. x' >= v - a W, with W the largest cos(theta) E(theta). While v > a W the platform therefore slides
-       forwards and friction can only slow the centre of mass. From rest v never exceeds a W.
-    3. Impulse. (M + m) v' = -f with f >= -mu N, and the vertical momentum gives the integral of N up to t as
-       (M + m) g t + m z', where z' = -l sin(theta) theta' is the ball's vertical velocity (it starts at rest). So
-       v(t) <= mu (g t + m Z / (M + m)), with Z = l times the largest |sin(theta)| E(theta).
-    4. The platform's displacement is that of the centre of mass plus a (sin(theta(T)) - sin(theta(0))), at most
-       a (1 - sin(theta(0))). Dividing the integral of min(a W, bound of 3) plus that by T gives the bound.
-
-    It is crude: 2 lets the pendulum throw the platform back with its largest speed at every instant. But it is
-    certified: the envelope is, and W and Z take between two of its angles the rate of the latter, which is the larger,
-    and the largest cosine and sine.
-
-    Args:
-        M: mass of the platform, kg.
-        mu: friction coefficient, > 0.
-
-    Raises:
-        TypeError: if an argument is of the wrong type.
-        ValueError: if an argument is out of range.
-    """
-    p = Capsule().plant(M, mu)
-    theta, theta_dot = upper_envelope(TORQUE_LIMIT, -THETA_LIMIT, THETA_LIMIT, p)
-
-    def largest(share: Callable[[np.ndarray], np.ndarray]) -> float:
-        """The largest product of the rate and a function of the angle whose slope is at most 1, rad/s."""
-        between = 0.5 * (theta[1] - theta[0])
-        return float(((np.maximum(share(theta[:-1]), share(theta[1:])) + between) * theta_dot[1:]).max())
-
-    arm = p.m * p.l / (p.M + p.m)
-    highest = arm * largest(np.cos)
-    head_start = p.mu * p.m * p.l * largest(lambda angle: np.abs(np.sin(angle))) / (p.M + p.m)
-    ramp = min(HORIZON, max(0.0, (highest - head_start) / (p.mu * p.g)))
-    travelled = head_start * ramp + 0.5 * p.mu * p.g * ramp * ramp + highest * (HORIZON - ramp)
-    return 100.0 * (travelled + arm * (1.0 - math.sin(START_THETA))) / HORIZON

@@ -17,7 +17,6 @@ from baselines.dynamic_programming.archive import Archive, cycle, known_results,
 from baselines.dynamic_programming.grid import Grid
 from baselines.dynamic_programming.problem import Problem, repeat
 from baselines.dynamic_programming.solver import Solution, solve_on_grids
-from baselines.envelope import speed_bound
 from baselines.gaits.archive import known_gaits
 from baselines.policies import SCRIPTED
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
@@ -37,9 +36,8 @@ def test_trajectories_give_the_speeds_on_file_to_the_last_bit():
     assert len(some.check()) == 1
 
 
-def test_speeds_lie_between_the_gaits_and_the_bound():
+def test_the_optimum_is_faster_than_the_gaits():
     for plant, gait in known_gaits().fastest().items():
-        assert optimal_speed(*plant) < speed_bound(*plant)
         if plant not in SHORTER_INTERVAL_WINS:
             assert optimal_speed(*plant) > gait.mean_speed
 
