@@ -25,9 +25,6 @@ BASELINE = "adaptive"
 RANKINGS = ("index.md", "leaderboard.md")
 TABLE = re.compile(r"<table>.*?</table>", re.DOTALL)
 ROW = re.compile(r"(?<=<tr>).*?(?=</tr>)", re.DOTALL)
-# What stays in one line: in a table a number with its exponent or per cent, and a factor.
-NUMBER = re.compile(r"[\d.]+e-\d+|[\d.]+ %|\bx [\d.]+")
-TEXT = re.compile(r"(?<=>)[^<>]+(?=<)")
 # A figure is wider than a telephone: a touch opens it by itself.
 FIGURE = re.compile(r'<img\b[^>]*\bsrc="(?P<file>[^"]*figures/[^"]*)"[^>]*>')
 CELL = re.compile(r"(?<=<td>).*?(?=</td>)")
@@ -40,12 +37,6 @@ def drivers() -> frozenset[str]:
     """What the live page can show: each of its drivers has an episode in web/episodes.json."""
     episodes = json.loads((ROOT / "web" / "episodes.json").read_text(encoding="utf-8"))
     return frozenset(episode["driver"] for episode in episodes)
-
-
-@cache
-def set_names() -> tuple[str, ...]:
-    """The frozen evaluation sets, in the order of the leaderboard."""
-    return tuple(json.loads((ROOT / "leaderboard.json").read_text(encoding="utf-8"))["sets"])
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -67,57 +58,31 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 
 def on_page_content(content: str, page: Any, **_: Any) -> str:
-    """Keeps numbers of tables in one piece, links figures to themselves, and rankings to the live page."""
-    content = TABLE.sub(lambda match: TEXT.sub(_unbroken, match[0]), content)
+    """Links figures to themselves, and rankings to the live page."""
     content = FIGURE.sub(lambda match: f'<a href="{match["file"]}" title="By itself">{match[0]}</a>', content)
     if page.file.src_uri not in RANKINGS:
         return content
     return TABLE.sub(lambda match: _watched(page, match[0]), content)
 
 
-def _unbroken(text: re.Match[str]) -> str:
-    """A text whose numbers do not break."""
-    return NUMBER.sub(lambda match: f'<span class="number">{match[0]}</span>', text[0])
-
-
 def _watched(page: Any, table: str) -> str:
-    """A ranking with links to its policies on the live page, beside the paper's law; other tables as they are."""
+    """A ranking with links to its policies on the live page, next to the paper's law; other tables as they are."""
     heads = re.findall("<th>(.*?)</th>", table)
-    if heads == ["policy", *set_names()]:
-        return ROW.sub(lambda row: _by_set(page, row[0]), table)
-    if "policy" in heads and f"x {BASELINE}" in heads:
-        return ROW.sub(lambda row: _by_name(page, row[0], heads.index("policy")), table)
-    return table
+    if not {"policy", f"x {BASELINE}"} <= {*heads}:
+        return table
+    return ROW.sub(lambda row: _watched_row(page, row[0], heads.index("policy")), table)
 
 
-def _by_name(page: Any, row: str, column: int) -> str:
-    """A row of a ranking, whose first cell gets the link."""
+def _watched_row(page: Any, row: str, column: int) -> str:
+    """A row of a ranking, whose first cell gets the link: to the first plant of the paper's ranges."""
     cells = CELL.findall(row)
     if not cells:
         return row
     words = f"Watch {cells[column]}"
-    attributes = {"class": "watch", "title": words, "aria-label": words}
-    link = _link(page, _scene(cells[column], "paper"), "&#9654;", attributes)
+    rival = {} if cells[column] == BASELINE else {"rival": BASELINE}
+    scene = urlencode({"driver": cells[column], **rival, "set": "paper", "plant": 0})
+    link = _link(page, scene, "&#9654;", {"class": "watch", "title": words, "aria-label": words})
     return CELL.sub(lambda cell: f"{cell[0]} {link}", row, count=1)
-
-
-def _by_set(page: Any, row: str) -> str:
-    """A row of a policy's numbers, one per set, each of which becomes a link."""
-    cells = CELL.findall(row)
-    if not cells:
-        return row
-    linked = iter(
-        _link(page, _scene(cells[0], name), cell, {"title": f"Watch {cells[0]} on {name}"})
-        for name, cell in zip(set_names(), cells[1:], strict=True)
-    )
-    name, rest = row.split("</td>", 1)
-    return f"{name}</td>{CELL.sub(lambda _: next(linked), rest)}"
-
-
-def _scene(driver: str, set_name: str) -> str:
-    """The first plant of a set, with the paper's controller beside the driver."""
-    rival = {} if driver == BASELINE else {"rival": BASELINE}
-    return urlencode({"driver": driver, **rival, "set": set_name, "plant": 0})
 
 
 def _link(page: Any, scene: str, text: str, attributes: dict[str, str]) -> str:
