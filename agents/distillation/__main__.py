@@ -11,10 +11,10 @@ from typing import Annotated
 from tyro.conf import arg
 
 from agents.distillation.config import STUDENTS
-from agents.study.jobs import check_seeds
-from agents.training.presets import RunError
+from agents.training.presets import LARGEST_SEED, RunError
 from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Positional, parse, refuse
+from capsule_gym.parameters import check_integer
 
 PROG = "python -m agents.distillation"
 RUNS = Path("runs/distillation")
@@ -41,7 +41,8 @@ class Args:
         """Raises an error for students and seeds that do not exist."""
         if self.name not in STUDENTS:
             raise ValueError(f"NAME must be one of {', '.join(STUDENTS)}, got {self.name!r}")
-        check_seeds(self.seeds)
+        for seed in self.seeds:
+            check_integer("--seeds", seed, f"integers from 0 to {LARGEST_SEED}", 0, LARGEST_SEED)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -27,7 +27,6 @@ from agents.distillation.config import STUDENTS, Student
 from agents.distillation.dataset import Dataset, collect
 from agents.evaluation.episodes import evaluate, scores
 from agents.evaluation.sets import validation_set
-from agents.study.jobs import FINISHED
 from agents.training.algorithms import FastTanh
 from agents.training.callbacks import FAILURE_COST
 from agents.training.checkpoint import git_revision
@@ -46,6 +45,7 @@ EXPERT_SHARES = (1.0, 0.5, 0.3, 0.2, 0.1)
 # The step size at the end of the fit after a round, in parts of that at its start.
 FINAL_RATE = 0.3
 HIDDEN = 64
+FINISHED = "finished.json"
 # Lower bound on the variance of an input that hardly varies.
 MIN_VARIANCE = 1e-3
 CLIP, EPSILON = 10.0, 1e-8

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from agents.study.jobs import Backend, check_seeds, plan, publish, results_table, train_all
+from agents.study.jobs import plan, publish, results_table, train_all
 from agents.training.presets import ROWS, RunError, row_settings
 from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Positional, parse, refuse
@@ -28,7 +29,6 @@ class Args:
     A run that fails does not stop the others; the exit status is then 1.
 
     Examples:
-      python -m agents.study direct-ppo --seeds {0..9}
       python -m agents.study direct-ppo residual-ppo --seeds {0..4} 7 --jobs 4
       python -m agents.study direct-ppo --publish
     """
@@ -38,7 +38,7 @@ class Args:
     """Training seeds."""
     jobs: int | None = None
     """Number of runs in parallel; one per core by default."""
-    backend: Backend = "loky"
+    backend: Literal["loky", "ray"] = "loky"
     """Backend of joblib: processes of this machine, or the Ray cluster that RAY_ADDRESS names (extra `cluster`)."""
     runs: Path = Path("runs/study")
     """Folder of the runs, each in NAME/seed-N with its output in NAME/seed-N.log; a cluster must share it."""
@@ -50,8 +50,8 @@ class Args:
         if not self.rows:
             raise ValueError(f"NAME must be one or several of {', '.join(ROWS)}")
         for row in self.rows:
-            row_settings(row)
-        check_seeds(self.seeds)
+            for seed in self.seeds:
+                dataclasses.replace(row_settings(row), seed=seed).check()
         if self.jobs is not None:
             check_count("--jobs", self.jobs)
         if self.backend == "ray" and find_spec("ray") is None:

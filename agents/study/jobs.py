@@ -15,36 +15,25 @@ from pathlib import Path
 from typing import Literal
 
 from agents.evaluation.policies import CHECKPOINTS
-from agents.training.presets import BEST, CONFIG, EVALUATIONS, LARGEST_SEED, Config, RunError, read_config
+from agents.training.presets import BEST, CONFIG, EVALUATIONS, Config, RunError, read_config
 from baselines.tables import text_table
-from capsule_gym.files import to_json, write_atomically
-from capsule_gym.parameters import check_integer
+from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY
 
-ROOT = Path(__file__).resolve().parents[2]
 # Written into a run's folder when its training is complete.
-FINISHED = "finished.json"
+FINISHED = "finished"
 
-Backend = Literal["loky", "ray"]
-# A line of evaluations.csv by its columns: `steps`, `seconds` and `core_seconds` of training so far, `mean_speed_cm_s`,
-# the share of episodes that `failed` and `score_cm_s` (which selects the best policy).
-Evaluation = dict[str, float]
+# Selects the best policy.
 score = itemgetter("score_cm_s")
 
 
 @dataclass(frozen=True)
 class Job:
-    """One run of a study.
+    """One run of a study."""
 
-    Attributes:
-        row: name of what is trained, a row of the leaderboard in `python -m agents.study`.
-        config: its configuration, the training seed included.
-        run: its folder.
-    """
-
-    row: str
-    config: Config
-    run: Path
+    row: str  # what is trained, a row of the leaderboard
+    config: Config  # with the training seed
+    run: Path  # its folder
 
     @property
     def name(self) -> str:
@@ -55,16 +44,6 @@ class Job:
     def finished(self) -> bool:
         """Whether its training is complete."""
         return (self.run / FINISHED).is_file()
-
-
-def check_seeds(seeds: Sequence[int]) -> None:
-    """Checks the training seeds of a command line.
-
-    Raises:
-        ValueError: if one is out of range.
-    """
-    for seed in seeds:
-        check_integer("--seeds", seed, f"integers from 0 to {LARGEST_SEED}", 0, LARGEST_SEED)
 
 
 def plan(settings: Mapping[str, Config], seeds: Sequence[int], folder: Path) -> list[Job]:
@@ -95,8 +74,7 @@ def check_settings(job: Job) -> None:
     Raises:
         RunError: if the settings differ, or the run's folder is broken.
     """
-    # Compared as JSON, which has no tuples.
-    begun, now = (json.loads(to_json(config.to_dict())) for config in (read_config(job.run), job.config))
+    begun, now = read_config(job.run).to_dict(), job.config.to_dict()
     changed = [f"{name} was {begun.get(name)!r} and is {now[name]!r}" for name in now if begun.get(name) != now[name]]
     if changed:
         raise RunError(f"{job.run} holds a run with other settings ({', '.join(changed)}): move it elsewhere")
@@ -113,22 +91,23 @@ def train_job(job: Job) -> str:
 
     path = job.run.with_name(f"{job.run.name}.log")
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a", encoding="utf-8", buffering=1) as log:
-        with contextlib.redirect_stdout(log), contextlib.redirect_stderr(log):
-            try:
-                if not job.run.exists():
-                    begin(job.run, job.config)
-                if not train(job.run):
-                    return "stopped by a signal"
-                last = evaluations(job.run)[-1]
-                write_atomically(job.run / FINISHED, to_json({name: last[name] for name in ("steps", "seconds")}))
-            except Exception as error:
-                traceback.print_exc()
-                return f"{error} (see {path})"
+    log = path.open("a", encoding="utf-8", buffering=1)
+    with log, contextlib.redirect_stdout(log), contextlib.redirect_stderr(log):
+        try:
+            if not job.run.exists():
+                begin(job.run, job.config)
+            if not train(job.run):
+                return "stopped by a signal"
+            (job.run / FINISHED).touch()
+        except Exception as error:
+            traceback.print_exc()
+            return f"{error} (see {path})"
     return ""
 
 
-def train_all(jobs: Sequence[Job], parallel: int | None = None, backend: Backend = "loky") -> dict[Job, str]:
+def train_all(
+    jobs: Sequence[Job], parallel: int | None = None, backend: Literal["loky", "ray"] = "loky"
+) -> dict[Job, str]:
     """Trains the runs that are not finished, or resumes them, and prints joblib's progress to stderr.
 
     Ctrl-C stops all runs; each resumes later from its last checkpoint.
@@ -150,7 +129,8 @@ def train_all(jobs: Sequence[Job], parallel: int | None = None, backend: Backend
             import ray
             from ray.util.joblib import register_ray
 
-            ray.init(runtime_env={"env_vars": {"PYTHONPATH": str(ROOT)}}, log_to_driver=False, logging_level="error")
+            root = str(Path(__file__).resolve().parents[2])
+            ray.init(runtime_env={"env_vars": {"PYTHONPATH": root}}, log_to_driver=False, logging_level="error")
             register_ray()
             waiting = [dataclasses.replace(job, run=job.run.resolve()) for job in waiting]
         # One run per task: joblib would otherwise send several short ones together.
@@ -163,15 +143,11 @@ def train_all(jobs: Sequence[Job], parallel: int | None = None, backend: Backend
     return {job: reason for job, reason in zip(waiting, found, strict=True) if reason}
 
 
-def evaluations(run: Path) -> list[Evaluation]:
-    """Reads the evaluations that a run has made so far; an empty list if it has not begun."""
-    try:
-        with (run / EVALUATIONS).open(encoding="utf-8", newline="") as file:
-            # The last line may be incomplete while the run is in training.
-            rows = [row for row in csv.DictReader(file) if None not in row.values()]
-    except FileNotFoundError:
-        return []
-    return [{name: float(value) for name, value in row.items()} for row in rows]
+def evaluations(run: Path) -> list[dict[str, float]]:
+    """Reads the evaluations that a run has made so far, by columns; an empty list if it has not begun."""
+    path = run / EVALUATIONS
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(lines)]
 
 
 def results_table(jobs: Sequence[Job]) -> str:
@@ -203,11 +179,10 @@ def publish(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
     revision = json.loads((job.run / CONFIG).read_text(encoding="utf-8")).get("revision")
     if not re.fullmatch(r"[0-9a-f]+", str(revision)):
         raise RunError(
-            f"{job.run} must be begun at a revision with nothing uncommitted, got {revision!r}: train it again"
+            f"{job.run} must be begun with nothing uncommitted, got the revision {revision!r}: train it again"
         )
-    policy, evaluated = ((job.run / name).read_bytes() for name in (f"{BEST}/{POLICY}", EVALUATIONS))
     folder = checkpoints / job.row / f"seed-{job.config.seed}"
     folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(folder / EVALUATIONS, evaluated)
-    write_atomically(folder / POLICY, policy)
+    for path in (job.run / EVALUATIONS, job.run / BEST / POLICY):
+        write_atomically(folder / path.name, path.read_bytes())
     return folder

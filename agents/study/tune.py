@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import arg
 
 from agents.evaluation.episodes import versions
-from agents.study.jobs import Evaluation, evaluations, score
+from agents.study.jobs import evaluations, score
 from agents.training.presets import EVALUATED, PRESETS, ROWS, Algorithm, Config, OffPolicyConfig, RunError, row_settings
 from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Count, Positional, parse, refuse
@@ -96,7 +96,6 @@ class Args:
     runs/tune/NAME/study.db: the same command in several terminals trains trials in parallel.
 
     Examples:
-      python -m agents.study.tune direct-ppo --trials 40 --total-steps 1e6
       python -m agents.study.tune efficient --trials 60 --runs runs/mine
     """
 
@@ -154,7 +153,7 @@ def objective(trial: Trial, base: Config, folder: Path) -> float:
     if not run.exists():
         begin(run, config)
 
-    def report(lines: list[Evaluation]) -> None:
+    def report(lines: list[dict[str, float]]) -> None:
         trial.report(score(lines[-1]), len(lines))
         if lines[-1][EVALUATED] < config.total_steps and trial.should_prune():
             raise optuna.TrialPruned
@@ -171,7 +170,7 @@ def objective(trial: Trial, base: Config, folder: Path) -> float:
 
 
 def tune(args: Args) -> Study:
-    """Trains trials until there are as many as asked for.
+    """Trains trials until there are as many as asked for, and writes them to trials.json.
 
     Raises:
         RunError: if the storage holds a search with other settings.
@@ -199,24 +198,19 @@ def tune(args: Args) -> Study:
         study.optimize(
             lambda trial: objective(trial, base, folder), n_trials=missing, catch=(ValueError,), callbacks=[enough]
         )
-    return study
-
-
-def to_text(study: Study) -> str:
-    """A search as JSON: settings, versions, and the trials with their parameters, scores and evaluations."""
     trials = [
         {
             "number": trial.number,
             "state": trial.state.name.lower(),
-            "score": trial.value if trial.state.name == "COMPLETE" else None,
+            "score": trial.value if trial.state == TrialState.COMPLETE else None,
             "parameters": trial.params,
             "evaluations": trial.user_attrs["evaluations"],
         }
-        for trial in study.trials
-        if trial.state.name in ("COMPLETE", "PRUNED")
+        for trial in study.get_trials(states=ended)
     ]
-    head = {"row": study.study_name, "settings": study.user_attrs["settings"], "versions": versions()}
-    return to_json({**head, "trials": trials})
+    head = {"row": args.row, "settings": settings, "versions": versions()}
+    write_atomically(folder / "trials.json", to_json({**head, "trials": trials}))
+    return study
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -229,7 +223,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("\nStopped. The same command resumes.")
         return INTERRUPTED
-    write_atomically(args.runs / args.row / "trials.json", to_text(study))
     complete = [trial for trial in study.trials if trial.state.name == "COMPLETE"]
     if not complete:
         print("No trial is complete.", file=sys.stderr)
