@@ -121,23 +121,6 @@ def pack(plant: Plant, settings: StepSettings, reference: np.ndarray, law: int =
     return np.concatenate([constants, reference.ravel()], dtype=np.float64)
 
 
-def check_arrays(**arrays: tuple[Any, type, tuple[int | None, ...]]) -> None:
-    """Refuses what compiled code would read or write beyond: its raw entry points look at nothing of an array.
-
-    Args:
-        arrays: by name the array, its dtype, and its shape, with None for a length that does not matter.
-
-    Raises:
-        TypeError: if one is no contiguous, aligned array of that dtype and shape.
-    """
-    for name, (array, dtype, shape) in arrays.items():
-        sound = isinstance(array, np.ndarray) and array.dtype == dtype and array.ndim == len(shape)
-        sound = sound and all(size in (None, own) for size, own in zip(shape, array.shape, strict=True))
-        if not (sound and array.flags.c_contiguous and array.flags.aligned and array.dtype.isnative):
-            got = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
-            raise TypeError(f"{name} must be a contiguous array of {dtype.__name__} of shape {shape}, got {got}")
-
-
 # Where `pack` begins with the settings, with the bits of the law's address, and with the controller's table.
 SETTINGS = len(Plant._fields)
 LAW = SETTINGS + len(StepSettings._fields)

@@ -7,7 +7,6 @@ an action depends on nothing but its own observation: neither on the batch nor o
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numba import types
 
-from capsule_gym import kernels, layout
+from capsule_gym import kernels
 from capsule_gym.compilation import compile_entry, inlined, inner, jitable, use_widest_vectors
 from capsule_gym.elementary import clip, fma, log, tanh
 from capsule_gym.layout import AT, LANES, load, record, store
@@ -38,45 +37,25 @@ Layer = tuple[np.ndarray, np.ndarray]
 
 
 class Header(NamedTuple):
-    """What a packed network begins with; SI units.
+    """What a packed network begins with; SI units."""
 
-    Attributes:
-        layers: how many.
-        relu: whether max(0, .) follows the hidden layers, else tanh.
-        tanh_squashing: whether tanh brings the last output to [-1, 1], else it is clipped.
-        clip: largest size of a normalised input.
-        inputs: how many numbers the network takes.
-        observed: how many of them are the environment's observation.
-        identifies: whether the estimates of M and mu follow it.
-        observes_energy_weight: whether the logarithm of the energy weight follows.
-        log_energy_weight: that logarithm, of a weight in cm/J; 0.0 where it observes none.
-        outputs_torque: whether the output is the wanted torque, which the action makes of the law's.
-        has_law: whether there is a law whose torque it has to be made of.
-        torque_limit: N m.
-        residual_limit: N m.
-        m: mass of the ball, kg.
-        l: length of the pendulum, m.
-        g: gravitational acceleration, m/s^2.
-        dt: between two actions, s.
-    """
-
-    layers: int
-    relu: bool
-    tanh_squashing: bool
-    clip: float
-    inputs: int
-    observed: int
-    identifies: bool
-    observes_energy_weight: bool
-    log_energy_weight: float
-    outputs_torque: bool
-    has_law: bool
-    torque_limit: float
-    residual_limit: float
-    m: float
-    l: float
-    g: float
-    dt: float
+    layers: int  # how many
+    relu: bool  # whether max(0, .) follows the hidden layers, else tanh
+    tanh_squashing: bool  # whether tanh brings the last output to [-1, 1], else it is clipped
+    clip: float  # largest size of a normalised input
+    inputs: int  # how many numbers the network takes
+    observed: int  # how many of them are the environment's observation
+    identifies: bool  # whether the estimates of M and mu follow it
+    observes_energy_weight: bool  # whether the logarithm of the energy weight follows
+    log_energy_weight: float  # that logarithm, of a weight in cm/J; 0.0 where it observes none
+    outputs_torque: bool  # whether the output is the wanted torque, which the action makes of the law's
+    has_law: bool  # whether there is a law whose torque it has to be made of
+    torque_limit: float  # N m
+    residual_limit: float  # N m
+    m: float  # mass of the ball, kg
+    l: float  # length of the pendulum, m
+    g: float  # gravitational acceleration, m/s^2
+    dt: float  # between two actions, s
 
 
 # Where the widths begin in a packed network.
@@ -139,15 +118,12 @@ def pack(layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, header: H
     """
     entries = len(mean)
     widths = [padded(entries), *(padded(len(bias)) for _, bias in layers)]
-    normalisation = np.zeros((2, widths[0]))
-    normalisation[0, :entries], normalisation[1, :entries] = mean, scale
+    normalisation = np.pad(np.array([mean, scale], np.float64), ((0, 0), (0, widths[0] - entries)))
     parts = [np.array([*header, *widths], np.float64), normalisation.ravel()]
     for (weights, bias), inputs, outputs in zip(layers, widths[:-1], widths[1:], strict=True):
-        biases, matrix = np.zeros(outputs), np.zeros((outputs, inputs))
-        biases[: len(bias)] = bias
-        matrix[: len(bias), : weights.shape[1]] = weights
-        parts += [biases, matrix.ravel()]
-    return np.concatenate(parts)
+        below, right = outputs - len(bias), inputs - weights.shape[1]
+        parts += [np.pad(bias, (0, below)), np.pad(weights, ((0, below), (0, right))).ravel()]
+    return np.concatenate(parts, dtype=np.float64)
 
 
 @jitable
@@ -344,39 +320,21 @@ def compiled_act_batch() -> Any:
     return compile_entry(act_batch, signature, "the network of trained policies")
 
 
-# The columns of the changes of M and mu: the environment, or -1 where the change is done, and the rest in SI units.
-ENVIRONMENT, TIME, NEW_M, NEW_MU = range(4)
-
-
 def run_episodes(
-    advance: Any,
-    world: np.ndarray,
-    first: int,
-    last: int,
-    steps: int,
-    control_dt: float,
-    fixed: np.ndarray,
-    observations: np.ndarray,
-    network: np.ndarray,
-    memory: np.ndarray,
-    inputs: np.ndarray,
-    changes: np.ndarray,
+    advance: Any,  # `kernels.advance`, compiled with the law
+    world: np.ndarray,  # as `kernels.advance` takes it; changed
+    first: int,  # first environment, a multiple of LANES
+    last: int,  # one past the last
+    steps: int,  # how many agent steps
+    control_dt: float,  # length of one, s
+    fixed: np.ndarray,  # plant, settings and the controller's table
+    observations: np.ndarray,  # changed
+    network: np.ndarray,  # as `act_batch` takes it
+    memory: np.ndarray,  # of the policy; changed
+    inputs: np.ndarray,  # of the network; changed
+    changes: np.ndarray,  # rows of environment, time (s), M (kg) and mu, those of an environment in order of time
 ) -> int:
     """Takes the environments first..last-1 through agent steps, each until its episode ends.
-
-    Args:
-        advance: `kernels.advance`, compiled with the law.
-        world: as `kernels.advance` takes it, with first (a multiple of LANES), last, fixed and observations; changed.
-        first: first environment.
-        last: one past the last.
-        steps: how many agent steps.
-        control_dt: length of one, s.
-        fixed: plant, settings and the controller's table.
-        observations: changed.
-        network: as `act_batch` takes it, with memory and inputs.
-        memory: changed.
-        inputs: changed.
-        changes: shape (changes, 4), those of an environment in order of time; changed.
 
     Returns:
         Index of an environment whose law returned no finite torque, or -1.
@@ -396,10 +354,9 @@ def run_episodes(
                 # As coarse as an action that is handed to the environment.
                 block[AT.action + j] = np.float32(actions[j])
             for change in changes:
-                j = int(change[ENVIRONMENT]) - start
-                if 0 <= j < n and change[TIME] <= block[AT.steps + j] * control_dt + 1e-9:
-                    block[AT.M + j], block[AT.mu + j] = change[NEW_M], change[NEW_MU]
-                    change[ENVIRONMENT] = -1.0
+                j = int(change[0]) - start
+                if 0 <= j < n and change[1] <= block[AT.steps + j] * control_dt + 1e-9:
+                    block[AT.M + j], block[AT.mu + j] = change[2], change[3]
             broken = advance(world, start, start + n, False, fixed, observations)
             if broken >= 0:
                 return broken
@@ -448,26 +405,15 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
     changes = np.array(
         [(i, *change) for i, schedule in simulation._changes.items() for change in schedule], np.float64
     ).reshape(-1, 4)
-    memory = policy.new_memory(simulation.num_envs)
+    memory = np.zeros(simulation.num_envs * CELLS)
     inputs = np.empty((simulation.num_envs, len(policy.mean)), np.float32)
     blocks = simulation.world.reshape(len(simulation.world), -1)
-    layout.check_arrays(
-        world=(blocks, np.float64, (None, simulation.world[0].size)),
-        observations=(simulation.observations, np.float32, (simulation.num_envs, entries)),
-        network=(policy._network, np.float64, (None,)),
-        changes=(changes, np.float64, (None, 4)),
-    )
     compiled, step = _compiled_episodes(), simulation._kernel
     given = steps, simulation.options.control_dt, simulation.fixed, simulation.observations
     acting = policy._network, memory, inputs, changes
     broken = max(simulation.share(lambda first, last: compiled(step, blocks, first, last, *given, *acting)))
+    # The changes stay: what is due, the next step sets once more.
     simulation._everyone = False
-    simulation._changes = {}
-    simulation._due[:] = math.inf
-    for i, *change in changes[changes[:, ENVIRONMENT] >= 0.0].tolist():
-        simulation._changes.setdefault(int(i), []).append((change[0], change[1], change[2]))
-    for i, schedule in simulation._changes.items():
-        simulation._due[i] = schedule[0][0]
     if broken >= 0:
         simulation._report(broken)
     return simulation.metrics(np.arange(simulation.num_envs), steps)

@@ -46,6 +46,7 @@ from capsule_gym.parameters import (
     Capsule,
     EnvConfig,
     Randomization,
+    check_integer,
     check_number,
     nearest,
     written,
@@ -59,21 +60,19 @@ SEED_FOLDER = re.compile(r"seed-([0-9]{1,18})")
 # A wheel carries the pretrained policies in the package; in a checkout they lie with the training commands.
 FOLDERS = (Path(__file__).with_name("checkpoints"), Path(__file__).parents[1] / "agents" / "checkpoints")
 FORMAT, FORMAT_VERSION = "capsule_gym policy", "2"
-_SWITCH = ({"true": True, "false": False}.__getitem__, "'true' or 'false'")
-# How each entry of a file's metadata is read, and what is accepted there; `Policy` checks the rest.
-METADATA: dict[str, tuple[Callable[[str], Any], str]] = {
-    **dict.fromkeys(("algorithm", "activation", "squashing", "output", "env_kwargs", "revision"), (str, "a string")),
-    **dict.fromkeys(("identifies", "told_energy_weight"), _SWITCH),
-    **dict.fromkeys(("clip", "epsilon"), (float, "a number")),
-    "training_seed": (int, "an integer >= 0"),
-}
+# The entries of a file's metadata that are text as it is, and those that are JSON; `Policy` checks the values.
+TEXTS = ("algorithm", "activation", "squashing", "output", "revision")
+VALUES = ("identifies", "told_energy_weight", "clip", "epsilon", "env_kwargs", "training_seed")
 # The algorithm whose policies copy others, and learn from no reward.
 IMITATION = "dagger"
-ACTIVATIONS, SQUASHINGS, OUTPUTS = ("tanh", "relu"), ("clip", "tanh"), ("action", "torque")
+CHOICES: dict[str, tuple[Any, ...]] = {
+    **{"activation": ("tanh", "relu"), "squashing": ("clip", "tanh"), "output": ("action", "torque")},
+    **dict.fromkeys(("identifies", "observes_energy_weight"), (False, True)),
+}
 # No float32 weights give a sum beyond float64 in so many layers of so many units, and no finite observation a NaN.
 MOST_LAYERS, MOST_UNITS, LARGEST_CLIP = 6, 1024, 1e6
-# Nothing larger is read: more than the layers above can fill, many times what a policy takes.
-LARGEST_FILE, LARGEST_METADATA = 32 * 2**20, 2**16
+# Nothing larger is read, bytes: more than the layers above can fill, many times what a policy takes.
+LARGEST_FILE = 32 * 2**20
 # The options of the environment that change what a policy meets.
 ENV_ARGUMENTS = tuple(each.name for each in fields(EnvConfig) if each.name not in ("threads", "render_mode"))
 
@@ -159,17 +158,13 @@ class Policy:
         # With it comes numba, which takes most of a second to import; the names of policies need none of it.
         from capsule_gym import network
 
-        for name, accepted in (("activation", ACTIVATIONS), ("squashing", SQUASHINGS), ("output", OUTPUTS)):
-            if (value := getattr(self, name)) not in accepted:
-                raise ValueError(f"{name} must be one of {accepted}, got {value!r}")
-        for name in ("identifies", "observes_energy_weight"):
-            if not isinstance(value := getattr(self, name), bool):
-                raise TypeError(f"{name} must be True or False, got {value!r}")
+        for name, choices in CHOICES.items():
+            if (value := getattr(self, name)) not in choices:
+                raise ValueError(f"{name} must be one of {choices}, got {value!r}")
         for name in ("algorithm", "revision"):
             if not isinstance(value := getattr(self, name), str) or not value:
                 raise TypeError(f"{name} must be a string that is not empty, got {value!r}")
-        if isinstance(self.training_seed, bool) or not isinstance(self.training_seed, int) or self.training_seed < 0:
-            raise ValueError(f"training_seed must be an integer >= 0, got {self.training_seed!r}")
+        check_integer("training_seed", self.training_seed, "an integer from 0 to 2**63 - 1", 0, 2**63 - 1)
         check_number("clip", self.clip, f"a number in (0, {LARGEST_CLIP:g}]", 0.0, LARGEST_CLIP, open_low=True)
         check_number("epsilon", self.epsilon, "a finite number >= 0", 0.0)
         options = _options(self.env_kwargs)
@@ -188,18 +183,18 @@ class Policy:
         )
         if header.outputs_torque and not header.residual_limit > 0.0:
             raise ValueError("output must be 'action' where env_kwargs give no residual_limit > 0, got 'torque'")
-        inputs = header.inputs
-        widths = _widths([(weights.shape, bias.shape) for weights, bias in self.layers])
-        if widths[0] != inputs:
-            raise ValueError(
-                f"layers.0.weight must have as many columns as there are inputs by env_kwargs, identifies and "
-                f"observes_energy_weight, {inputs}, got {widths[0]}"
-            )
-        for n, layer in enumerate(self.layers):
-            for kind, array in zip(("weight", "bias"), layer, strict=True):
-                _check_array(f"layers.{n}.{kind}", array, np.float32)
-        for name, array in (("inputs.mean", self.mean), ("inputs.variance", self.variance)):
-            _check_array(name, array, np.float64, (inputs,))
+        for name, array in (("mean", self.mean), ("variance", self.variance)):
+            accepted = "one for each input by env_kwargs, identifies and observes_energy_weight"
+            _check_array(f"inputs.{name}", array, np.float64, (header.inputs,), accepted)
+        width, last = header.inputs, len(self.layers) - 1
+        if not 0 <= last < MOST_LAYERS:
+            raise ValueError(f"a network must have 1 to {MOST_LAYERS} layers, got {last + 1}")
+        for n, (weights, bias) in enumerate(self.layers):
+            units = 1 if n == last else min(max(1, bias.size), MOST_UNITS)
+            accepted = f"with 1 to {MOST_UNITS} units in a layer, and one in the last"
+            _check_array(f"layers.{n}.bias", bias, np.float32, (units,), accepted)
+            _check_array(f"layers.{n}.weight", weights, np.float32, (units, width), accepted)
+            width = units
         if (self.variance < 0.0).any() or (self.variance + self.epsilon < 1e-300).any():
             raise ValueError(f"inputs.variance must be >= 0, and with epsilon > 0, got {self.variance}")
         scale = 1.0 / np.sqrt(self.variance + self.epsilon)
@@ -257,12 +252,6 @@ class Policy:
         compiled_act_batch()(self._network, rows, memory, np.empty((len(rows), len(self.mean)), np.float32), actions)
         return actions if array.ndim == 2 else actions[0]
 
-    def new_memory(self, count: int) -> np.ndarray:
-        """The memory at the beginning of `count` episodes: a filter for each where the policy identifies M and mu."""
-        from capsule_gym.observation import CELLS
-
-        return np.zeros(count * CELLS if self.identifies else 0)
-
     def start(self, seeds: Sequence[int]) -> Callable[[np.ndarray], np.ndarray]:
         """Begins a batch of episodes, as scripted policies do.
 
@@ -273,7 +262,9 @@ class Policy:
             The function from observations (episodes, entries) to actions (episodes, 1), or from (entries,) of a single
             episode to (1,), to be called once per step. It raises a ValueError as the policy itself does.
         """
-        memory = self.new_memory(len(seeds))
+        from capsule_gym.observation import CELLS
+
+        memory = np.zeros(len(seeds) * CELLS)
         return lambda observations: self._act(observations, memory, len(seeds))
 
     def with_energy_weight(self, energy_weight: float) -> Policy:
@@ -291,21 +282,21 @@ class Policy:
         tensors = {"inputs.mean": self.mean, "inputs.variance": self.variance}
         for n, (weights, bias) in enumerate(self.layers):
             tensors |= {f"layers.{n}.weight": weights, f"layers.{n}.bias": bias}
-        plain = {
-            name: asdict(value) if isinstance(value, (Capsule, Randomization)) else value
-            for name, value in self.env_kwargs.items()
+        values = {
+            **{"identifies": self.identifies, "told_energy_weight": self.observes_energy_weight},
+            **{"clip": float(self.clip), "epsilon": float(self.epsilon)},
+            **{"env_kwargs": self.env_kwargs, "training_seed": self.training_seed},
         }
-        texts = {name: getattr(self, name) for name in ("algorithm", "activation", "squashing", "output", "revision")}
-        metadata = {
-            **{"format": FORMAT, "format_version": FORMAT_VERSION, **texts},
-            "identifies": json.dumps(self.identifies),
-            "told_energy_weight": json.dumps(self.observes_energy_weight),
-            "clip": repr(float(self.clip)),
-            "epsilon": repr(float(self.epsilon)),
-            "env_kwargs": json.dumps(plain, sort_keys=True, allow_nan=False),
-            "training_seed": str(self.training_seed),
-        }
-        write_atomically(Path(path), _in_order(save(tensors, metadata)))
+        metadata = {"format": FORMAT, "format_version": FORMAT_VERSION, **{name: getattr(self, name) for name in TEXTS}}
+        for key, value in values.items():
+            metadata[key] = json.dumps(value, default=asdict, sort_keys=True, allow_nan=False)
+        content = save(tensors)
+        # The library writes metadata in a random order, which would change the file's hash.
+        end = 8 + int.from_bytes(content[:8], "little")
+        header = {"__metadata__": dict(sorted(metadata.items())), **json.loads(content[8:end])}
+        text = json.dumps(header, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 8)
+        write_atomically(Path(path), len(text).to_bytes(8, "little") + text + content[end:])
 
 
 def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool = False) -> Policy:
@@ -359,40 +350,13 @@ def _options(env_kwargs: Any) -> EnvConfig:
     return options
 
 
-def _widths(shapes: Sequence[tuple[Sequence[int], Sequence[int]]]) -> list[int]:
-    """The number of units before, between and after layers of these shapes, which must fit each other."""
-    if not 1 <= len(shapes) <= MOST_LAYERS:
-        raise ValueError(f"a network must have 1 to {MOST_LAYERS} layers, got {len(shapes)}")
-    widths: list[int] = []
-    for n, (matrix, bias) in enumerate(shapes):
-        accepted = "(outputs, inputs) and (outputs,), the inputs being the outputs of the layer before"
-        if len(matrix) != 2 or tuple(bias) != (matrix[0],) or (widths and widths[-1] != matrix[1]):
-            raise ValueError(
-                f"layers.{n}.weight and layers.{n}.bias must have shapes {accepted}, got {tuple(matrix)}, {tuple(bias)}"
-            )
-        widths += [*([] if widths else [matrix[1]]), matrix[0]]
-    if widths[-1] != 1 or not all(1 <= width <= MOST_UNITS for width in widths):
-        raise ValueError(f"layers must have 1 to {MOST_UNITS} units and the last one unit, got {widths}")
-    return widths
-
-
-def _check_array(name: str, array: np.ndarray, dtype: type, shape: tuple[int, ...] | None = None) -> None:
+def _check_array(name: str, array: np.ndarray, dtype: type, shape: tuple[int, ...], accepted: str) -> None:
     """Refuses arrays of another dtype or shape, and numbers that are not finite."""
-    if array.dtype != dtype or (shape is not None and array.shape != shape):
-        accepted = np.dtype(dtype).name + (f" of shape {shape}" if shape is not None else "")
-        raise ValueError(f"{name} must be {accepted}, got {array.dtype.name} of shape {array.shape}")
+    if array.dtype != dtype or array.shape != shape:
+        got = f"{array.dtype.name} of shape {array.shape}"
+        raise ValueError(f"{name} must be {np.dtype(dtype).name} of shape {shape}, {accepted}, got {got}")
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite, got NaN or infinity")
-
-
-def _in_order(content: bytes) -> bytes:
-    """A safetensors file with its metadata sorted: the library's order is random, and would be the file's hash too."""
-    size = int.from_bytes(content[:8], "little")
-    header = json.loads(content[8 : 8 + size])
-    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
-    text = json.dumps(header, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 8)
-    return len(text).to_bytes(8, "little") + text + content[8 + size :]
 
 
 def _read(name: str, path: Path, trust_controller: bool) -> Policy:
@@ -424,8 +388,6 @@ def _parse(name: str, path: Path) -> Policy:
                 f"its format_version must be {FORMAT_VERSION!r}, the one that this version of capsule_gym knows, got "
                 f"{metadata.get('format_version')!r}"
             )
-        if sum(map(len, metadata.values())) > LARGEST_METADATA:
-            raise ValueError(f"its metadata must have at most {LARGEST_METADATA} characters")
         names = set(file.keys())
         count = sum(tensor.endswith(".weight") for tensor in names)
         layers = [(f"layers.{n}.weight", f"layers.{n}.bias") for n in range(min(count, MOST_LAYERS + 1))]
@@ -434,14 +396,14 @@ def _parse(name: str, path: Path) -> Policy:
             raise ValueError(f"it must hold the tensors {sorted(expected)}, got {sorted(names)[:20]}")
         arrays = {tensor: file.get_tensor(tensor) for tensor in names}
     values: dict[str, Any] = {}
-    for key, (read, accepted) in METADATA.items():
+    for key in (*TEXTS, *VALUES):
         if key not in metadata:
             raise ValueError(f"its metadata must hold {key!r}, got {sorted(metadata)}")
         try:
-            values[key] = read(metadata[key])
-        except (KeyError, ValueError):
-            raise ValueError(f"{key} must be {accepted}, got {metadata[key][:50]!r}") from None
-    values["env_kwargs"] = env_kwargs = json.loads(values["env_kwargs"])
+            values[key] = metadata[key] if key in TEXTS else json.loads(metadata[key])
+        except ValueError:
+            raise ValueError(f"{key} must be JSON, got {metadata[key][:50]!r}") from None
+    env_kwargs = values["env_kwargs"]
     for key, kind in (("capsule", Capsule), ("randomization", Randomization)):
         if isinstance(env_kwargs, dict) and isinstance(env_kwargs.get(key), dict):
             env_kwargs[key] = kind(**env_kwargs[key])

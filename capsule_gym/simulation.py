@@ -286,11 +286,6 @@ class Simulation:
         self._law = kernels.build(acting.law, len(self.memory), self.reference.shape[1], name)
         blocks, observations = self.world.reshape(len(self.world), -1), self.observations
         self.fixed = fixed = layout.pack(plant, self.settings, self.reference, kernels.address(self._law))
-        layout.check_arrays(
-            world=(blocks, np.float64, (None, self.world[0].size)),
-            fixed=(fixed, np.float64, (layout.CONSTANTS + self.reference.size,)),
-            observations=(observations, np.float32, (self.num_envs, None)),
-        )
         # The kernel's only compiled form: numba's search for the right one is 0.3 us of the 4 that a step takes, and so
         # are the arguments, where they are looked up each time.
         compiled: Callable[..., int] = next(iter(self._kernel.overloads.values())).entry_point

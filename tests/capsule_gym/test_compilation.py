@@ -208,22 +208,3 @@ def test_plant_and_settings_survive_packing():
     # numpy makes objects of integers that fit none of its types: to the kernel these would be addresses.
     fixed = pack(PLANT, settings._replace(physics_steps=10**300), np.zeros((3, 2), np.float32))
     assert fixed.dtype == np.float64 and fixed.shape == (layout.CONSTANTS + 6,)
-
-
-@pytest.mark.parametrize(
-    "array",
-    [
-        np.zeros((4, 3), object),
-        np.zeros((4, 3), np.float32),
-        np.zeros((4, 3), np.dtype(np.float64).newbyteorder()),
-        np.zeros((4, 2)),
-        np.zeros(12),
-        np.zeros((3, 4)).T,
-        np.zeros(97, np.uint8)[1:].view(np.float64).reshape(4, 3),
-        [[0.0] * 3] * 4,
-    ],
-)
-def test_arrays_that_compiled_code_would_misread_are_refused(array):
-    layout.check_arrays(world=(np.zeros((4, 3)), np.float64, (None, 3)))
-    with pytest.raises(TypeError, match=r"^world must be a contiguous array of float64 of shape \(None, 3\), got "):
-        layout.check_arrays(world=(array, np.float64, (None, 3)))

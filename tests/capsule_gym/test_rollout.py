@@ -38,8 +38,6 @@ def assert_same(one: Simulation, other: Simulation, rows: Sequence[int] | None =
     assert one.observations.tobytes() == other.observations.tobytes()
     for row in range(one.world.shape[1]) if rows is None else rows:
         assert one.row(row).tobytes() == other.row(row).tobytes(), row
-    assert one._changes == other._changes
-    assert one._due.tolist() == other._due.tolist()
     for name, values in one.metrics(np.arange(one.num_envs), 100).items():
         assert values.tobytes() == other.metrics(np.arange(one.num_envs), 100)[name].tobytes(), name
 
@@ -134,9 +132,6 @@ def test_blocks_that_have_ended_stop_and_the_metrics_have_the_rollouts_horizon()
     before = env.simulation.world.copy()
     rollout(env.simulation, policy, 10)
     assert env.simulation.world.tobytes() == before.tobytes()
-    env.simulation.world = env.simulation.world.astype(np.float32)
-    with pytest.raises(TypeError, match=r"^world must be a contiguous array of float"):
-        rollout(env.simulation, policy, 1)
 
 
 def test_a_policy_for_another_observation_is_refused():
