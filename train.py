@@ -150,7 +150,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = read_args(arguments)
     threading.excepthook = _report
     # After the command line is known to be right: importing torch takes seconds.
-    from agents.report.comparison import compare
+    from agents.report.page import compare
     from agents.training import algorithms, loop
 
     config, run = args.hyperparameters, args.resume

@@ -6,7 +6,7 @@ import itertools
 import textwrap
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,63 +23,39 @@ from capsule_gym.parameters import NOMINAL
 POLICIES = (BASELINE, "residual-on-gait", "residual-on-gait-wide", "robust", "optimum-nominal")
 # Seconds at the end in which the cycle is sought: three of the paper's cycles of 6.6 s, and a little.
 WINDOW = 20.0
-# A motion may need several swings to repeat; the smallest number counts that does nearly as well as the best.
-MAX_SWINGS, NEARLY = 6, 1.25
-# States closer than this, in standard deviations, count as the same: the error of a section between samples.
-SAME = 0.02
 # Phases of the contact by the sign of the displacement.
 PHASES = {1: ("slips forward", "#dcebf5"), 0: ("sticks", "#c9ced6"), -1: ("slips backward", "#fbe3d3")}
 # Characters of a title in a panel of a fifth of the width.
 TITLE = 17
 
 
-class Cycle(NamedTuple):
-    """One cycle of a motion that is periodic, or nearly so.
+def find_cycle(recording: Recording) -> Recording:
+    """The cycle at the end of an episode that comes closest to closing, from the smallest theta on.
 
-    Attributes:
-        recording: its samples, the first and the last one cycle apart; it begins where theta is smallest.
-        mismatch: the larger of the changes of theta_dot and x_dot over the cycle, in their standard deviations.
-    """
-
-    recording: Recording
-    mismatch: float
-
-
-def find_cycle(recording: Recording) -> Cycle:
-    """Finds the cycle at the end of an episode that comes closest to closing.
-
-    A swing begins whenever theta rises through the middle of its range. The cycle is the smallest number of swings
-    after which the motion nearly repeats.
+    A cycle begins whenever theta rises through the middle of its range.
 
     Args:
         recording: longer than `WINDOW`.
 
     Raises:
-        ValueError: if the episode failed, is shorter than the window, or does not hold two cycles there.
+        ValueError: if the episode failed, or does not hold two cycles in the window.
     """
-    t, name = recording.t, recording.name
-    if recording.failed or t[-1] < WINDOW:
-        raise ValueError(f"recording must last for {WINDOW:g} s without failure, got {name} until {t[-1]:g}")
+    t = recording.t
     first = len(t) - 1 - round(WINDOW / (t[1] - t[0]))
     theta = recording.theta[first:]
     middle = 0.5 * (theta.min() + theta.max())
     rises = first + 1 + np.flatnonzero((theta[:-1] < middle) & (theta[1:] >= middle))
+    periods = np.diff(rises)
+    # The beginning is moved to the smallest theta in the cycle: the samples must reach further.
+    fits = rises[1:] + periods < len(t)
+    if recording.failed or not fits.any():
+        raise ValueError(f"recording must hold two cycles in its last {WINDOW:g} s, got {recording.name}")
+    # The changes of the rates over a cycle, in their standard deviations.
     rates = np.array([recording.theta_dot, recording.x_dot])
-    deviations = rates[:, first:].std(axis=1)
-    if len(rises) < 2 or not (deviations > 0.0).all():
-        raise ValueError(f"recording must swing at least twice in its last {WINDOW:g} s, got {name}")
-    states = rates[:, rises] / deviations[:, None]
-    most = min(MAX_SWINGS, len(rises) - 1)
-    gaps = {n: np.abs(states[:, n:] - states[:, :-n]).max(axis=0) for n in range(1, most + 1)}
-    typical = {n: float(np.median(gap)) for n, gap in gaps.items()}
-    swings = next(n for n in typical if typical[n] <= max(SAME, NEARLY * min(typical.values())))
-    # Its beginning is moved to the smallest theta in it: the samples must reach further.
-    fits = [i for i in range(len(gaps[swings])) if 2 * rises[i + swings] - rises[i] < len(t)]
-    if not fits:
-        raise ValueError(f"recording must hold two cycles in its last {WINDOW:g} s, got {name}")
-    i = min(fits, key=lambda i: gaps[swings][i])
-    begin = int(rises[i] + np.argmin(recording.theta[rises[i] : rises[i + swings]]))
-    return Cycle(recording.cut(begin, begin + int(rises[i + swings] - rises[i])), float(gaps[swings][i]))
+    changes = np.abs(np.diff(rates[:, rises])) / rates[:, first:].std(axis=1, keepdims=True)
+    i = int(np.where(fits, changes.max(axis=0), np.inf).argmin())
+    begin = int(rises[i] + np.argmin(recording.theta[rises[i] : rises[i + 1]]))
+    return recording.cut(begin, begin + int(periods[i]))
 
 
 def document() -> Document:
@@ -97,33 +73,31 @@ def median_run(candidate: Candidate) -> Recording:
     return replace(found[chosen], name=f"{candidate.name} (seed {candidate.trained[chosen].training_seed})")
 
 
-def table(cycles: Sequence[Cycle]) -> str:
+def table(cycles: Sequence[Recording]) -> str:
     """The cycles in numbers, as Markdown.
 
     Args:
         cycles: the first is the reference of the ratios.
     """
-    lines = [
-        ["policy", "period (s)", "step (cm)", "as often", "as far", "speed (cm/s)", "at the limit", "closes within"]
-    ]
-    first = cycles[0].recording
-    for recording, mismatch in cycles:
+    lines = [["policy", "period (s)", "step (cm)", "as often", "as far", "speed (cm/s)", "at the limit"]]
+    first = cycles[0]
+    for recording in cycles:
         period, step = recording.t[-1], recording.x[-1]
         saturated = (np.abs(recording.torque[1:]) >= recording.torque_limit).mean()
         ratios = f"x {first.t[-1] / period:.2f}", f"x {step / first.x[-1]:.2f}"
-        numbers = f"{100.0 * step / period:.2f}", f"{100.0 * saturated:.0f} %", f"{mismatch:.3f}"
+        numbers = f"{100.0 * step / period:.2f}", f"{100.0 * saturated:.0f} %"
         lines.append([recording.name, f"{period:.2f}", f"{100.0 * step:.2f}", *ratios, *numbers])
     return markdown_table(lines)
 
 
-def draw(cycles: Sequence[Cycle]) -> Any:
+def draw(cycles: Sequence[Recording]) -> Any:
     """Cycles side by side: angle, speed, normal force and torque over time, and the phase portrait."""
     from matplotlib.patches import Patch
 
     figure = new_figure(8.2)
     grid = figure.subplots(5, len(cycles), sharey="row", squeeze=False, height_ratios=(1.0, 1.0, 1.0, 1.0, 1.35))
     weight = (NOMINAL_PLANT.M + NOMINAL.m) * NOMINAL.g
-    for column, recording in zip(grid.T, (cycle.recording for cycle in cycles), strict=True):
+    for column, recording in zip(grid.T, cycles, strict=True):
         angle, speed, load, torque, portrait = column
         t, degrees = recording.t, np.degrees(recording.theta)
         begin = 0

@@ -1,4 +1,4 @@
-"""The page of a report: one HTML file that loads no other file."""
+"""The page of a report, one HTML file that loads no other file, and the comparison at the end of a training."""
 
 from __future__ import annotations
 
@@ -18,21 +18,26 @@ from tabulate import tabulate
 
 from agents.analysis.data import SPEED, Learning, Results, gather, read_evaluations, read_learning
 from agents.analysis.figures import draw_learning, draw_profiles, draw_transport, panels
-from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS
+from agents.analysis.recording import draw_comparison, record
+from agents.evaluate import comparison_table
+from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, evaluate
 from agents.evaluation.policies import BASELINE, CHECKPOINTS, Candidate, all_candidates, find_candidate
 from agents.leaderboard.page import RANKING_SET, build
 from agents.leaderboard.rows import RESULTS, Row, evaluate_run, load_row, make_row, path_of
 from agents.report import COMMAND
 from agents.training.presets import BEST, EVALUATIONS, MODEL
 from baselines.drawing import DPI, VERMILION, add_note, style
+from baselines.policies import SCRIPTED
 from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, load_set
 from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY
+from capsule_gym.rendering import write_gif
 from capsule_gym.task import HORIZON
 
 ROOT = Path(__file__).resolve().parents[2]
-# In the folder of a run that `agents.report.comparison` has compared.
+# In the folder of a run that `compare` has compared; the part of an episode that it shows, s.
 ANIMATION = "animation.gif"
+ANIMATION_START, ANIMATION_SECONDS = 10.0, 6.0
 
 
 class Data(NamedTuple):
@@ -227,3 +232,28 @@ def _footer(data: Data) -> str:
         "a single seed over its episodes. The mean speed of a failed episode is its distance over the whole "
         f"33 s. Written by <code>{COMMAND}</code> with {html.escape(versions)}. Sets: {hashes}.</p></footer>"
     )
+
+
+def compare(run: Path, set_name: str = "paper") -> None:
+    """Evaluates a run's best model and the baseline on the same frozen episodes; prints and draws the comparison.
+
+    Args:
+        run: the run's folder; gets comparison.png, animation.gif and report.html.
+        set_name: a frozen set, or the path of one.
+    """
+    evaluation_set = load_set(set_name)
+    # Imports torch, which takes seconds.
+    from agents.training.export import load_best
+
+    policy, baseline = load_best(run), SCRIPTED[BASELINE]
+    own, theirs = (evaluate(each, evaluation_set) for each in (policy, baseline))
+    print(f"\nOn the set {evaluation_set.name} ({len(own)} episodes of {HORIZON:g} s, the same for both):\n")
+    print(comparison_table("agent", own, BASELINE, theirs) + "\n")
+    print("Drawing, and evaluating the agent on every set for its report, takes some seconds.\n", flush=True)
+    draw_comparison([record(baseline), record(policy, name="agent")], run / "comparison.png")
+    moving = record(policy, seconds=ANIMATION_START + ANIMATION_SECONDS, frames_from=ANIMATION_START, name="agent")
+    if moving.frames:
+        write_gif(moving.frames, run / ANIMATION)
+    write(run / "report.html", [str(run)], trust_controller=True, trust_pickle=True)
+    for what, name in {"Figure": "comparison.png", "Animation": ANIMATION, "Report": "report.html"}.items():
+        print(f"{what + ':':10} {run / name}")

@@ -177,8 +177,6 @@ def test_a_recording_ends_with_its_episode():
     found = record(policy, PLANT, seconds=2.0)
     (episode,) = evaluate(policy, EvaluationSet("one", (PLANT,)), horizon=2.0)
     assert found.failed and -1e-9 <= found.t[-1] - episode["duration"] < 0.02
-    with pytest.raises(ValueError, match="must last for 20 s without failure, got wild until 0"):
-        find_cycle(found)
 
 
 def test_pictures_are_as_often_as_asked_for():
@@ -187,31 +185,28 @@ def test_pictures_are_as_often_as_asked_for():
     assert found.name == "mine"
 
 
-def made(period, *, sub=0.0, seconds=30.0):
-    """A motion that is known: a sine of theta, every other swing larger by a share, and a platform that follows it."""
+def made(period, seconds=30.0):
+    """A motion that is known: a sine of theta, and a platform that follows it."""
     t = np.arange(0.0, seconds, 1e-3)
-    angle = 2.0 * np.pi * t / period
-    theta = (1.0 + sub * np.cos(0.5 * angle)) * np.sin(angle)
+    theta = np.sin(2.0 * np.pi * t / period)
     theta_dot = np.gradient(theta, t)
     x = 0.01 * theta + 0.01 * t
     force = np.full_like(t, 6.0)
     return Recording("made", t, theta, theta_dot, x, np.gradient(x, t), np.sign(theta_dot), force, 1.0, False)
 
 
-@pytest.mark.parametrize(("sub", "swings"), [(0.0, 1), (0.2, 2)])
-def test_the_cycle_of_a_sine_and_of_swings_that_differ_by_turns(sub, swings):
-    cycle, mismatch = find_cycle(made(0.8, sub=sub))
-    assert cycle.t[-1] == pytest.approx(0.8 * swings)
+def test_the_cycle_of_a_sine():
+    cycle = find_cycle(made(0.8))
+    assert cycle.t[-1] == pytest.approx(0.8)
     assert cycle.x[-1] / cycle.t[-1] == pytest.approx(0.01, rel=1e-2)
-    assert mismatch < 0.01
-    if not sub:
-        assert cycle.theta[0] == pytest.approx(-1.0, abs=1e-5)
-    with pytest.raises(ValueError, match="must hold two cycles"):
-        find_cycle(made(9.0))
+    assert cycle.theta[0] == pytest.approx(-1.0, abs=1e-5)
+    for wrong in (made(12.0), dataclasses.replace(made(0.8), failed=True)):
+        with pytest.raises(ValueError, match="must hold two cycles"):
+            find_cycle(wrong)
 
 
 def test_the_papers_law_brings_the_platform_to_rest_in_every_cycle():
-    cycle, _ = find_cycle(record(find_candidate("adaptive").policies[0]))
+    cycle = find_cycle(record(find_candidate("adaptive").policies[0]))
     assert cycle.t[-1] == pytest.approx(6.6)
     assert cycle.x_dot[0] == 0.0 == cycle.x_dot[-1]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from agents.report import __main__ as report
-from agents.report import comparison, page
+from agents.report import page
 from tests.agents.fakes import write_run
 from tests.agents.training.small import small
 
@@ -73,9 +73,9 @@ def test_a_finished_run_is_compared_and_drawn(run, both, tmp_path, capsys, monke
     content = {"task": "direct", "algo": "ppo", "hyperparameters": small("direct", "ppo").to_dict()}
     (folder / "config.json").write_text(json.dumps(content))
     set_file.write_text(json.dumps({"name": "two", "plants": [{"M": 0.5, "mu": 0.01, "seed": n} for n in range(2)]}))
-    monkeypatch.setattr(comparison, "ANIMATION_SECONDS", 0.08)
-    monkeypatch.setattr(comparison, "ANIMATION_START", 0.04)
-    comparison.compare(folder, str(set_file))
+    monkeypatch.setattr(page, "ANIMATION_SECONDS", 0.08)
+    monkeypatch.setattr(page, "ANIMATION_START", 0.04)
+    page.compare(folder, str(set_file))
     out = capsys.readouterr().out
     for word in ("mean speed", "cost of transport", "peak torque", "failures", "difference", "adaptive"):
         assert word in out
