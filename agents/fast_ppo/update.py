@@ -13,10 +13,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import lru_cache
-from itertools import chain
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
+from llvmlite import binding as llvm
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -30,7 +31,7 @@ from capsule_gym.network import Layer
 LANES = 128
 # float32 in the widest register. Where they are narrower the compiler takes several.
 WIDTH = 16
-# Rows, and registers of each, whose sums are made together; widths of layers are filled up to a multiple.
+# Rows, and vectors of each, whose sums are written together; widths of layers are filled up to a multiple.
 TILE = 4
 SPAN = TILE * WIDTH
 # Of a cache line, in float32.
@@ -130,22 +131,35 @@ def _spread(builder: Any, value: Any) -> Any:
     return builder.shuffle_vector(first, first, ir.Constant(ir.VectorType(INTEGER, WIDTH), [0] * WIDTH))
 
 
-def _sums(builder: Any) -> list[list[Any]]:
-    """TILE x TILE vectors of zeros, which the compiler keeps in registers."""
-    sums = [[cgutils.alloca_once(builder, VECTOR) for _ in range(TILE)] for _ in range(TILE)]
-    for place in chain(*sums):
-        builder.store(ir.Constant(VECTOR, [0.0] * WIDTH), place)
+def parts(target_machine: Any) -> list[tuple[range, range]]:
+    """Rows and columns of the parts of a tile that are worked out in turn: the sums of each are kept in registers.
+
+    Args:
+        target_machine: of the processor that the code is compiled for. With registers of 512 bits one holds a vector,
+            and there are 32; else there are 16 of which a vector takes two.
+    """
+    vector, wide = f"<{WIDTH} x float>", '"prefer-vector-width"="512"'
+    module = f"define {vector} @f({vector} %a) {wide} {{ %b = fadd {vector} %a, %a\n ret {vector} %b }}"
+    side = TILE if "zmm" in target_machine.emit_assembly(llvm.parse_assembly(module)) else TILE // 2
+    halves = [range(first, first + side) for first in range(0, TILE, side)]
+    return list(product(halves, halves))
+
+
+def _sums(builder: Any, rows: range, columns: range) -> dict[tuple[int, int], Any]:
+    """A vector of zeros for every row and column, which the compiler keeps in registers."""
+    sums = {place: cgutils.alloca_once(builder, VECTOR) for place in product(rows, columns)}
+    for pointer in sums.values():
+        builder.store(ir.Constant(VECTOR, [0.0] * WIDTH), pointer)
     return sums
 
 
-def _add_products(builder: Any, sums: list[list[Any]], left: list[Any], right: list[Any]) -> None:
+def _add_products(builder: Any, sums: dict[tuple[int, int], Any], left: dict[int, Any], right: dict[int, Any]) -> None:
     """Adds the product of every vector on the left with every one on the right."""
     kind = ir.FunctionType(VECTOR, [VECTOR] * 3)
     # llvmlite's own takes scalars only.
     fma = cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{WIDTH}f32")
-    for row, a in zip(sums, left, strict=True):
-        for place, b in zip(row, right, strict=True):
-            builder.store(builder.call(fma, [a, b, builder.load(place)]), place)
+    for (p, q), pointer in sums.items():
+        builder.store(builder.call(fma, [left[p], right[q], builder.load(pointer)]), pointer)
 
 
 def _data(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
@@ -180,18 +194,18 @@ def multiply(
         lanes = _data(context, builder, kinds[5], arguments[5], first)
         out = _data(context, builder, kinds[7], arguments[7], target)
         step = context.get_constant(types.intp, LANES)
-        starts = [builder.gep(matrix, [builder.mul(row, row.type(p))]) for p in range(TILE)]
-        totals = _sums(builder)
-        with cgutils.for_range(builder, count) as loop:
-            line = builder.gep(lanes, [builder.mul(loop.index, step)])
-            x = [_load(builder, builder.gep(line, [step.type(v * WIDTH)])) for v in range(TILE)]
-            offset = builder.mul(loop.index, column)
-            w = [_spread(builder, builder.load(builder.gep(start, [offset]))) for start in starts]
-            _add_products(builder, totals, w, x)
-        for p, vectors in enumerate(totals):
-            for v, place in enumerate(vectors):
-                target = builder.gep(out, [step.type(p * LANES + v * WIDTH)])
-                builder.store(builder.load(place), _vector_at(builder, target), align=4)
+        for rows, columns in parts(context.codegen()._tm):
+            starts = {p: builder.gep(matrix, [builder.mul(row, row.type(p))]) for p in rows}
+            totals = _sums(builder, rows, columns)
+            with cgutils.for_range(builder, count) as loop:
+                line = builder.gep(lanes, [builder.mul(loop.index, step)])
+                x = {v: _load(builder, builder.gep(line, [step.type(v * WIDTH)])) for v in columns}
+                offset = builder.mul(loop.index, column)
+                w = {p: _spread(builder, builder.load(builder.gep(starts[p], [offset]))) for p in rows}
+                _add_products(builder, totals, w, x)
+            for (p, v), pointer in totals.items():
+                place = builder.gep(out, [step.type(p * LANES + v * WIDTH)])
+                builder.store(builder.load(pointer), _vector_at(builder, place), align=4)
         return context.get_dummy_value()
 
     where = types.intp
@@ -215,16 +229,19 @@ def correlate(
         right = _data(context, builder, kinds[2], arguments[2], start)
         matrix = _data(context, builder, kinds[4], arguments[4], at)
         whole = first.type
-        totals = _sums(builder)
-        with cgutils.for_range(builder, whole(LANES // WIDTH)) as loop:
-            lane = builder.mul(loop.index, whole(WIDTH))
-            e, x = (
-                [_load(builder, builder.gep(rows, [builder.add(lane, whole(p * LANES))])) for p in range(TILE)]
-                for rows in (left, right)
-            )
-            _add_products(builder, totals, e, x)
+        totals: dict[tuple[int, int], Any] = {}
+        for ours, theirs in parts(context.codegen()._tm):
+            found = _sums(builder, ours, theirs)
+            with cgutils.for_range(builder, whole(LANES // WIDTH)) as loop:
+                lane = builder.mul(loop.index, whole(WIDTH))
+                e, x = (
+                    {p: _load(builder, builder.gep(rows, [builder.add(lane, whole(p * LANES))])) for p in chosen}
+                    for rows, chosen in ((left, ours), (right, theirs))
+                )
+                _add_products(builder, found, e, x)
+            totals |= {place: builder.load(pointer) for place, pointer in found.items()}
         # Two vectors become one with half as many parts of each sum, until one vector holds all sums.
-        vectors = [builder.load(place) for place in chain(*totals)]
+        vectors = [totals[place] for place in sorted(totals)]
         half = WIDTH // 2
         while len(vectors) > 1:
             halves = [[n for n in range(2 * WIDTH) if bool(n & half) == second] for second in (False, True)]

@@ -8,7 +8,9 @@ import sys
 import numba
 import numpy as np
 import pytest
+from llvmlite import binding as llvm
 
+from agents.fast_ppo import update
 from agents.fast_ppo.update import LOSSES, compiled, exponential, pack, tanh, unpack
 from capsule_gym.network import Layer
 
@@ -100,3 +102,30 @@ def test_exponential_and_tangent_are_exact_to_the_rounding_of_float32():
     exact = np.exp(x.astype(np.float64))
     assert (abs(exponentials - exact) / exact).max() < 3e-7
     assert abs(tangents - np.tanh(x.astype(np.float64))).max() < 2e-7
+
+
+def test_the_parts_of_a_tile_suit_the_processor_and_give_the_same_bits(monkeypatch):
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    target = llvm.Target.from_triple("x86_64-unknown-linux-gnu")
+    kinds = [update.parts(target.create_target_machine(cpu=cpu)) for cpu in ("skylake-avx512", "haswell")]
+    # Sums, of one register each or of two, and registers that there are for them and what they are sums of.
+    assert [(len(kind), len(kind[0][0]) * len(kind[0][1])) for kind in kinds] == [(1, 16), (4, 4)]
+    random = np.random.default_rng(0)
+    weights, rows, errors = normal(random, 4, 7), normal(random, 7, update.LANES), normal(random, 4, update.LANES)
+    found = []
+    for kind in kinds:
+        monkeypatch.setattr(update, "parts", lambda machine, kind=kind: kind)
+
+        @numba.njit
+        def products(weights, rows, errors, sums, gradients):
+            for lane in range(0, update.LANES, update.SPAN):
+                update.multiply(weights, 0, 7, 1, 7, rows, lane, sums, lane)
+            update.correlate(errors, 0, rows, 0, gradients, 0, 4)
+
+        sums, gradients = np.zeros((4, update.LANES), np.float32), np.ones((4, 4), np.float32)
+        products(*(array.ravel() for array in (weights, rows, errors, sums, gradients)))
+        np.testing.assert_allclose(sums, weights @ rows, atol=1e-5)
+        np.testing.assert_allclose(gradients, 1.0 + errors @ rows[:4].T, atol=1e-4)
+        found.append((sums.tobytes(), gradients.tobytes()))
+    assert found[0] == found[1]
