@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -25,21 +25,6 @@ FOLDERS = (Path(__file__).with_name("frozen"), Path(__file__).parents[1] / "agen
 
 
 @dataclass(frozen=True)
-class Change:
-    """A jump of the plant within an episode.
-
-    Attributes:
-        t: when, in s from the start of the episode.
-        M: mass of the platform from then on, kg.
-        mu: friction coefficient from then on.
-    """
-
-    t: float
-    M: float
-    mu: float
-
-
-@dataclass(frozen=True)
 class PlantSpec:
     """One episode of an evaluation set.
 
@@ -47,26 +32,25 @@ class PlantSpec:
         M: mass of the platform, kg.
         mu: friction coefficient.
         seed: seeds the episode's environment and the policy, where they draw random numbers.
-        changes: the plant's jumps in order of time.
+        changes: the plant's jumps in order of time: `{"t": s from the start, "M": kg, "mu": ..}`, with M and mu from
+            then on.
         theta: the angle that the episode starts from, at rest, rad.
     """
 
     M: float
     mu: float
     seed: int
-    changes: tuple[Change, ...] = ()
+    changes: tuple[dict[str, float], ...] = ()
     theta: float = START_THETA
 
     def reset_options(self) -> dict[str, Any]:
         """The options of `reset` that begin this episode."""
-        changes = [asdict(change) for change in self.changes]
-        return {"M": self.M, "mu": self.mu, "state": [self.theta, 0.0, 0.0, 0.0], "changes": changes}
+        return {"M": self.M, "mu": self.mu, "state": [self.theta, 0.0, 0.0, 0.0], "changes": list(self.changes)}
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""
         start = {} if self.theta == START_THETA else {"theta": self.theta}
-        changes = [asdict(change) for change in self.changes]
-        return {"M": self.M, "mu": self.mu, "seed": self.seed, **start, "changes": changes}
+        return {"M": self.M, "mu": self.mu, "seed": self.seed, **start, "changes": list(self.changes)}
 
 
 NOMINAL_PLANT = PlantSpec(NOMINAL.M, NOMINAL.mu, seed=0)
@@ -127,7 +111,7 @@ def _parse_plant(where: str, value: Any) -> PlantSpec:
         fields = _fields(name, change, ("t", "M", "mu"))
         accepted = f"a number of seconds within (0, {HORIZON:g}), later than the change before"
         t = check_number(f"{name}.t", fields["t"], accepted, t, math.nextafter(HORIZON, 0.0), open_low=True)
-        changes.append(Change(t, fields["M"], fields["mu"]))
+        changes.append({"t": t, "M": fields["M"], "mu": fields["mu"]})
     return PlantSpec(entry["M"], entry["mu"], seed, tuple(changes), theta)
 
 

@@ -41,7 +41,7 @@ from pathlib import Path
 import numpy as np
 
 from capsule_gym.command_line import parse
-from capsule_gym.evaluation_sets import NOMINAL_PLANT, SET_NAMES, Change, EvaluationSet, PlantSpec
+from capsule_gym.evaluation_sets import NOMINAL_PLANT, SET_NAMES, EvaluationSet, PlantSpec
 from capsule_gym.files import write_atomically
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, Randomization
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
@@ -95,7 +95,7 @@ def _sample_plant(name: str, rng: np.random.Generator, seed: int) -> PlantSpec:
     if name == "drift":
         for window in CHANGE_WINDOWS:
             t = round(round(_uniform(rng, *window) / CONTROL_DT) * CONTROL_DT, 6)
-            changes.append(Change(t, *_sample(rng, "wide")))
+            changes.append(dict(zip(("t", "M", "mu"), (t, *_sample(rng, "wide")), strict=True)))
     return PlantSpec(M, mu, seed, tuple(changes))
 
 

@@ -89,7 +89,7 @@ def test_the_plants_are_those_of_the_set_from_the_seed_on(tmp_path):
     assert demo.PlantArgs().plants() == load_set("paper").plants
     assert demo.PlantArgs(set=str(path), seed=42).plants() == drift[42:] + drift[:42]
     changed = demo.PlantArgs(set="drift", seed=3, mu=0.25).plants()
-    assert {(plant.mu, plant.changes) for plant in changed} == {(0.25, ())}
+    assert {(plant.mu, len(plant.changes)) for plant in changed} == {(0.25, 0)}
     assert [plant.M for plant in changed[:97]] == [plant.M for plant in drift[3:]]
     assert {plant.M for plant in demo.PlantArgs(M=0.6).plants()} == {0.6}
 
