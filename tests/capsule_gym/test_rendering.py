@@ -137,6 +137,15 @@ def test_a_window_shows_the_frames(dummy) -> None:
     assert renderer.closed and renderer.draw(**STATE) is None
 
 
+def test_keys_of_the_window_are_passed_on(dummy) -> None:
+    keys: list[tuple[str, bool]] = []
+    renderer = Renderer(Capsule(), "human", 200, 1.5, on_key=lambda *key: keys.append(key))
+    for kind in (pygame.KEYDOWN, pygame.KEYUP, pygame.MOUSEMOTION):
+        pygame.event.post(pygame.event.Event(kind, key=pygame.K_LEFT))
+    renderer.draw(**STATE)
+    assert keys == [("left", True), ("left", False)]
+
+
 def test_a_window_closed_by_its_user_stays_closed(dummy) -> None:
     renderer = Renderer(Capsule(), "human", 200, 1.5)
     renderer.draw(**STATE)
