@@ -14,7 +14,7 @@ from numba.extending import register_jitable
 
 from capsule_gym import dynamics
 from capsule_gym.compilation import compile_cached
-from capsule_gym.parameters import Plant, check_number
+from capsule_gym.parameters import Plant
 
 # So many that the widening below costs the bounds on the published swings less than 1e-3 rad/s.
 STEPS = 100_000
@@ -109,17 +109,15 @@ def upper_envelope(limit: float, low: float, high: float, *plants: Plant) -> Env
     every solution: it is a proof up to rounding, not an approximation.
 
     Args:
-        limit: N m.
+        limit: > 0, N m.
         low: smallest angle of the swing, rad.
         high: largest, rad.
         plants: one plant, or several that differ in the option for the normal force alone: the envelope covers all.
 
     Raises:
-        TypeError: if limit is no number.
-        ValueError: if limit is not positive, the damper could accelerate the pendulum through the paper's normal force,
-            or the steps are too wide for such a torque.
+        ValueError: if the damper could accelerate the pendulum through the paper's normal force, or the steps are too
+            wide for such a torque.
     """
-    limit = check_number("limit", limit, "a finite number > 0 (N m)", 0.0, open_low=True)
     rough = tuple(p._replace(mu=p.mu * max(1.0, p.backward_ratio), backward_ratio=1.0) for p in plants)
     frictionless = rough[0]._replace(mu=0.0)
     theta, integrate = np.linspace(low, high, STEPS + 1), compile_cached(integrate_envelope)

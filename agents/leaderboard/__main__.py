@@ -18,7 +18,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from tyro.conf import arg
@@ -56,17 +56,6 @@ class Args:
     """Processes."""
 
 
-def _changed(name: str, field: str, before: Any, now: Any) -> Iterator[str]:
-    """Compares a field of a row's header exactly; of a dict only the entries that differ are named."""
-    if before != now:
-        if isinstance(before, dict) and isinstance(now, dict):
-            before, now = (
-                {key: value for key, value in one.items() if key not in other or other[key] != value}
-                for one, other in ((before, now), (now, before))
-            )
-        yield f"{name}: {field} is {before!r} in its results and {now!r} now"
-
-
 def _stale_headers(
     rows: Sequence[Row], candidates: Sequence[Candidate], sets: Sequence[EvaluationSet]
 ) -> Iterator[str]:
@@ -74,7 +63,8 @@ def _stale_headers(
     commands, hashes = training_commands(), {each.name: each.hash for each in sets}
     for row, candidate in zip(rows, candidates, strict=True):
         for field, now in {**static_header(candidate), "sets": hashes}.items():
-            yield from _changed(row.name, field, row.header[field], now)
+            if row.header[field] != now:
+                yield f"{row.name}: {field} differs from its results"
         if row.trained and row.name not in commands:
             yield f"{row.name}: the table in agents/checkpoints/README.md has no command that trains it"
 

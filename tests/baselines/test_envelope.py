@@ -68,17 +68,6 @@ def test_no_motion_crosses_the_envelope(name):
     assert closest > 0.7
 
 
-@pytest.mark.parametrize(
-    ("call", "error", "message"),
-    [
-        (lambda p: upper_envelope("strong", -1.0, 1.0, p), TypeError, "limit must be a finite number > 0"),
-        (
-            lambda p: upper_envelope(1.0, -1.0, 1.0, p._replace(l=30.0, mu=5.0, pivot_torque_on_contact=1.0)),
-            ValueError,
-            r"mu m l < 2 \(M \+ m\)",
-        ),
-    ],
-)
-def test_bad_arguments_are_named(call, error, message):
-    with pytest.raises(error, match=message):
-        call(Capsule().plant())
+def test_a_damper_that_could_accelerate_the_pendulum_is_refused():
+    with pytest.raises(ValueError, match=r"mu m l < 2 \(M \+ m\)"):
+        upper_envelope(1.0, -1.0, 1.0, Capsule().plant()._replace(l=30.0, mu=5.0, pivot_torque_on_contact=1.0))

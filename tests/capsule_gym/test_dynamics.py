@@ -6,8 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from numba import njit
 
 from benchmarks import reference
+from benchmarks.reference import step, torque_for_load
 from capsule_gym import dynamics
 from capsule_gym.parameters import Capsule, Plant
 
@@ -50,6 +52,88 @@ def random_plant(rng: np.random.Generator, **overrides: float | str) -> Capsule:
         "normal_force": rng.choice(["newton", "paper"]).item(),
     }
     return Capsule(**{**fields, **overrides})
+
+
+compiled_rates = njit(reference.rates)
+
+
+@njit
+def losses(state: tuple, slip: float, u: float, p: Plant) -> tuple[float, float, float]:
+    """Power of the damper, power of friction and friction force, from the independently typed equations."""
+    theta, theta_dot, _, x_dot = state
+    alpha, _, normal = compiled_rates(theta, theta_dot, slip, u, p)
+    if slip == 0.0:
+        # At rest friction is what holds the platform: row two of Eq. (1) with x'' = 0.
+        force = p.m * p.l * (math.cos(theta) * alpha - math.sin(theta) * theta_dot**2)
+    else:
+        force = slip * (p.mu if slip > 0.0 else p.mu * p.backward_ratio) * normal
+    return p.c * theta_dot**2, force * x_dot, force
+
+
+@njit
+def audit(torques: np.ndarray, state: tuple, p: Plant, hold: float, steps: int) -> tuple[np.ndarray, np.ndarray, int]:
+    """Runs the plant in steps of hold / steps and integrates what enters and leaves it along the way.
+
+    The run goes on from the full steps alone. Each is only taken again in fine pieces for the quadrature, cut at the
+    events by bisection, so that Simpson's rule always meets smooth functions.
+
+    Returns:
+        Final state; sums of work of the torque, damper loss, friction loss, friction impulse, absolute work and
+        absolute friction impulse; number of events.
+    """
+    sums = np.zeros(6)
+    theta, theta_dot, x, x_dot = state
+    h = hold / steps
+    events = 0
+    for u in torques:
+        for _ in range(steps):
+            motion = step(theta, theta_dot, x, x_dot, u, p, h)
+            events += motion.events
+            t, piece = 0.0, 0.25 * h
+            a = (theta, theta_dot, x, x_dot)
+            while t < h:
+                piece = min(piece, h - t)
+                fine = step(a[0], a[1], a[2], a[3], u, p, piece)
+                if fine.events > 0 and piece > 1e-13:
+                    piece *= 0.5
+                    continue
+                middle = step(a[0], a[1], a[2], a[3], u, p, 0.5 * piece)
+                b = (fine.theta, fine.theta_dot, fine.x, fine.x_dot)
+                half = (middle.theta, middle.theta_dot, middle.x, middle.x_dot)
+                slip = np.sign(half[3])
+                starts, middles = losses(a, slip, u, p), losses(half, slip, u, p)
+                ends = losses(b, slip, u, p)
+                for j in range(3):
+                    sums[1 + j] += piece / 6.0 * (starts[j] + 4.0 * middles[j] + ends[j])
+                sums[5] += piece * abs(middles[2])
+                t += piece
+                piece = min(2.0 * piece, 0.25 * h)
+                a = b
+            sums[0] += u * (motion.theta - theta)
+            sums[4] += abs(u * (motion.theta - theta))
+            theta, theta_dot, x, x_dot = motion.theta, motion.theta_dot, motion.x, motion.x_dot
+    return np.array((theta, theta_dot, x, x_dot)), sums, events
+
+
+@njit
+def hold_load(ratio: float, state: tuple, p: Plant, h: float, n: int) -> tuple[np.ndarray, int, np.ndarray]:
+    """Holds the load at `ratio` of the limit for n steps, its sign such that the pendulum stays near -0.6 rad.
+
+    Returns:
+        Final state; number of steps at whose end the platform moved or had moved; lowest and highest angle.
+    """
+    theta, theta_dot, x, x_dot = state
+    moved = 0
+    angles = np.array((theta, theta))
+    for _ in range(n):
+        sign = -1.0 if theta + 0.6 + 0.5 * theta_dot > 0.0 else 1.0
+        u = torque_for_load(sign * ratio, theta, theta_dot, p)
+        motion = step(theta, theta_dot, x, x_dot, u, p, h)
+        theta, theta_dot, x, x_dot = motion.theta, motion.theta_dot, motion.x, motion.x_dot
+        if x_dot != 0.0 or x != state[2]:
+            moved += 1
+        angles[0], angles[1] = min(angles[0], theta), max(angles[1], theta)
+    return np.array((theta, theta_dot, x, x_dot)), moved, angles
 
 
 # Equations of motion
@@ -101,7 +185,7 @@ def test_accelerations_satisfy_both_rows_of_equation_1():
 )
 def test_energy_and_momentum_balance_over_ten_seconds(capsule, torques):
     p = capsule.plant()
-    final, sums, events = reference.audit(torques, START, p, HOLD, 40)
+    final, sums, events = audit(torques, START, p, HOLD, 40)
     work, damper, friction, impulse, all_work, all_impulse = sums
     assert events > 20
     assert damper > 0.0
@@ -134,13 +218,13 @@ def test_a_load_below_the_threshold_never_moves_the_platform(ratio, mu):
     p = Capsule(mu=mu).plant()
     # The load drifts while a torque is held, and 99.9 % leaves it little room: hold it for 0.05 ms.
     start = (-0.6, 0.0, 0.123456789, 0.0)
-    final, moved, angles = reference.hold_load(ratio, start, p, 5e-5, 200_000)
+    final, moved, angles = hold_load(ratio, start, p, 5e-5, 200_000)
     assert moved == 0
     assert final[3] == 0.0
     assert final[2] == 0.123456789
     assert -math.pi / 2 < angles[0] < angles[1] < math.pi / 2
     # The same load just above the threshold does move it.
-    assert reference.hold_load(1.001, start, p, 5e-5, 2)[1] > 0
+    assert hold_load(1.001, start, p, 5e-5, 2)[1] > 0
 
 
 # Against the reference
@@ -207,14 +291,14 @@ def test_a_load_at_the_limit_to_the_last_bit_neither_hangs_nor_chatters():
         capsule = Capsule(mu=10.0 ** rng.uniform(-5.0, -0.5))
         p = capsule.plant()
         theta, theta_dot = rng.uniform(-1.2, 1.2), rng.choice([0.0, rng.uniform(-6, 6)])
-        u = reference.torque_for_load(rng.choice([-1.0, 1.0]) * rng.choice(nearly), theta, theta_dot, p)
+        u = torque_for_load(rng.choice([-1.0, 1.0]) * rng.choice(nearly), theta, theta_dot, p)
         x_dot = rng.choice([0.0, 5e-324, -5e-324, 1e-17, -1e-17, 1e-12])
         h = rng.choice([1e-3, 5e-3])
-        motion = reference.step(theta, theta_dot, 0.0, x_dot, u, p, h)
+        motion = step(theta, theta_dot, 0.0, x_dot, u, p, h)
         assert motion.events <= 5
         # The whole step has passed: a torque off by a billionth, away from the limit, makes much the same motion.
         if i % 10 == 0:
-            beside = [reference.step(theta, theta_dot, 0.0, 0.0, u + off, p, h) for off in (-1e-9, 1e-9)]
+            beside = [step(theta, theta_dot, 0.0, 0.0, u + off, p, h) for off in (-1e-9, 1e-9)]
             error = min(np.abs(np.array(motion[:4]) - other[:4]).max() for other in beside)
             assert error < 1e-6
             assert abs(motion.theta - theta - h * theta_dot) < 400.0 * h**2
@@ -244,7 +328,7 @@ def test_friction_never_pushes_a_platform_that_has_lost_contact():
             start, drift = energy(state, p), momentum(state, p)
             lifted = 0
             for _ in range(2500):
-                motion = reference.step(*state, 0.0, p, 1e-4)
+                motion = step(*state, 0.0, p, 1e-4)
                 assert energy(motion[:4], p) - energy(state, p) < 1e-10
                 if motion.normal_force == 0.0:
                     lifted += 1
@@ -256,7 +340,7 @@ def test_friction_never_pushes_a_platform_that_has_lost_contact():
                 state = motion[:4]
             assert lifted > 200
             for _ in range(200):
-                state = reference.step(*state, 0.0, p, 1e-4)[:4]
+                state = step(*state, 0.0, p, 1e-4)[:4]
             # With the contact back friction takes energy away.
             assert energy(state, p) < start - 1e-3
 
@@ -274,10 +358,10 @@ def test_python_and_compiled_steps_are_equal_bit_for_bit():
         x_dot = float(rng.choice([0.0, rng.uniform(-0.01, 0.01), rng.uniform(-0.5, 0.5)]))
         u = rng.uniform(-1.5, 1.5)
         if x_dot == 0.0 and rng.random() < 0.5:
-            u = reference.torque_for_load(rng.choice([-1, 1]) * rng.uniform(0.95, 1.05), theta, theta_dot, p)
+            u = torque_for_load(rng.choice([-1, 1]) * rng.uniform(0.95, 1.05), theta, theta_dot, p)
         h = float(rng.choice([5e-4, 1e-3, 5e-3, 2e-2]))
         interpreted = dynamics.step(theta, theta_dot, 0.3, x_dot, u, p, h)
-        compiled = reference.step(theta, theta_dot, 0.3, x_dot, u, p, h)
+        compiled = step(theta, theta_dot, 0.3, x_dot, u, p, h)
         assert interpreted == compiled
         events += interpreted.events
     assert events > 150

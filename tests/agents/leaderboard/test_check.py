@@ -1,5 +1,3 @@
-import re
-
 import pytest
 
 from agents.evaluation import episodes, policies
@@ -8,7 +6,7 @@ from agents.leaderboard.page import END, START
 from agents.leaderboard.rows import RESULTS
 from capsule_gym import Capsule
 from tests.agents.fakes import write_run
-from tests.agents.leaderboard.world import SETS, checked, edit_row, make_set
+from tests.agents.leaderboard.world import checked, edit_row, make_set
 
 
 def test_written_results_pass_the_check(written):
@@ -22,8 +20,7 @@ def test_check_names_changed_sets_before_any_work(written, monkeypatch):
     monkeypatch.setattr(leaderboard, "evaluate", lambda *args, **kwargs: pytest.fail("evaluated"))
     other = [make_set("paper", (0.5, 0.02)), make_set("new", (0.5, 0.01))]
     stale = checked(written, other)
-    before, now = ({each.name: each.hash for each in sets} for sets in (SETS, other))
-    assert stale[0] == f"adaptive: sets is {before} in its results and {now} now"
+    assert stale[0] == "adaptive: sets differs from its results"
     assert stale[-1] == "the numbers were not evaluated again"
 
 
@@ -34,9 +31,7 @@ def test_check_names_changed_rows(written):
     (written / "checkpoints" / "README.md").unlink()
     gone, revision, changed, command, _ = checked(written)
     assert gone == "bold: has results and does not exist"
-    assert revision == "learnt: revision is 'feed' in its results and '0123456789ab' now"
-    # The file that differs is named alone.
-    assert re.fullmatch(r"learnt: files is {'seed-1[^,]*'} in its results and {'seed-1[^,]*'} now", changed)
+    assert (revision, changed) == tuple(f"learnt: {field} differs from its results" for field in ("revision", "files"))
     assert command == "learnt: the table in agents/checkpoints/README.md has no command that trains it"
     write_run(written / "checkpoints" / "fresh" / "seed-0", 0)
     assert "fresh: has no results, expected in fresh.npz: `python -m agents.leaderboard NAME`" in checked(written)
