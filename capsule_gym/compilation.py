@@ -7,8 +7,6 @@ unchanged one is found again by any process.
 
 from __future__ import annotations
 
-import dis
-import gc
 import hashlib
 import inspect
 import pickle
@@ -27,7 +25,6 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core import event
 from numba.core.caching import FunctionCache
 from numba.core.registry import CPUDispatcher
 from numba.core.serialize import dumps
@@ -76,29 +73,27 @@ def fingerprint(function: Callable[..., Any]) -> str | None:
         16 digits of a sha256; None if something among these is of a type whose content this function cannot read.
     """
     digest = hashlib.sha256()
-    seen: set[int] = set()
+    seen: set[Any] = set()
 
     def put(*parts: Any) -> None:
         digest.update(repr(parts).encode() + b"\0")
 
-    def add_code(code: CodeType) -> tuple[set[str], set[str]]:
-        """Adds a code object and those in it; returns the globals that they read, and all names in them."""
-        put(code.co_code, code.co_varnames, code.co_freevars, getattr(code, "co_exceptiontable", None))
+    def add_code(code: CodeType) -> set[str]:
+        """Adds a code object and those in it; returns the names of globals and attributes that they read."""
+        put(code.co_code, code.co_varnames, code.co_names, code.co_freevars)
+        put(getattr(code, "co_exceptiontable", None))
         names = set(code.co_names)
-        read = {step.argval for step in dis.get_instructions(code) if step.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
-        put(code.co_names)
         for constant in code.co_consts:
             if isinstance(constant, CodeType):
-                inner_read, inner_names = add_code(constant)
-                read, names = read | inner_read, names | inner_names
+                names |= add_code(constant)
             else:
                 put(constant)
-        return read, names
+        return names
 
     def add_function(function: FunctionType) -> None:
-        read, names = add_code(function.__code__)
+        names = add_code(function.__code__)
         scope = function.__globals__
-        for name in sorted(read & scope.keys()):
+        for name in sorted(names & scope.keys()):
             add(name, scope[name], names)
         add("defaults", function.__defaults__, names)
         for name, default in sorted((function.__kwdefaults__ or {}).items()):
@@ -131,8 +126,8 @@ def fingerprint(function: Callable[..., Any]) -> str | None:
         elif isinstance(value, (types.Type, ir.Type)) or value is getattr(np, getattr(value, "__name__", ""), None):
             put(str(value))
         elif isinstance(value, ModuleType):
-            if (id(value), frozenset(names)) not in modules:
-                modules.add((id(value), frozenset(names)))
+            if (id(value), frozenset(names)) not in seen:
+                seen.add((id(value), frozenset(names)))
                 for attribute in sorted(names & vars(value).keys()):
                     add(attribute, getattr(value, attribute), names)
         elif isinstance(value, FunctionType):
@@ -144,19 +139,14 @@ def fingerprint(function: Callable[..., Any]) -> str | None:
         elif isinstance(value, type) and hasattr(value, "_fields"):
             put(value.__qualname__, value._fields, inspect.get_annotations(value))
         else:
-            raise _UnknownContentError(name, value)
+            raise TypeError(name, value)
 
-    modules: set[tuple[int, frozenset[str]]] = set()
     put(sorted(OPTIONS.items()))
     try:
         add(function.__name__, function, set())
-    except _UnknownContentError:
+    except TypeError:
         return None
     return digest.hexdigest()[:16]
-
-
-class _UnknownContentError(Exception):
-    """`fingerprint` has met an object, of that name, that it cannot read."""
 
 
 def rebound(function: Any, name: str, bindings: dict[str, Any], cells: tuple[CellType, ...] | None = None) -> Any:
@@ -194,13 +184,14 @@ def inner(function: Any, **options: Any) -> Any:
     return numba.njit(function, **OPTIONS, **_NO_WRAPPERS, **options)
 
 
-def kernel(function: Callable[..., Any], digest: str | None, bindings: dict[str, Any]) -> Any:
+def kernel(function: Callable[..., Any], digest: str | None, bindings: dict[str, Any], what: str = "") -> Any:
     """The function with other globals, compiled at its first call or loaded from the disk cache.
 
     Args:
         function: a plain function.
         digest: a hash of all that the code depends on; None keeps the code in this process alone.
         bindings: the globals that are to have other values.
+        what: for a message on stderr where it is not in the cache; empty where it takes too short a time to say so.
     """
     bound = rebound(function, f"{function.__name__}_{digest or uuid4().hex}", bindings)
     dispatcher = numba.njit(bound, nogil=True, **OPTIONS)
@@ -208,6 +199,7 @@ def kernel(function: Callable[..., Any], digest: str | None, bindings: dict[str,
     with suppress(RuntimeError):
         if digest:
             dispatcher._cache = Cache(dispatcher.py_func)
+            dispatcher._cache.what = what
     return dispatcher
 
 
@@ -221,6 +213,8 @@ class Cache(FunctionCache):
     where nothing can be written nothing is kept.
     """
 
+    what = ""
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled function of a signature, or None."""
         target_context.refresh()
@@ -230,6 +224,9 @@ class Cache(FunctionCache):
             digest, payload = content[:DIGEST_SIZE], content[DIGEST_SIZE:]
             if hashlib.sha256(payload).digest() == digest:
                 return self._impl.rebuild(target_context, pickle.loads(payload))
+        if self.what:
+            text = f"compiling {self.what}; this takes some seconds, once: numba keeps the result on disk"
+            print(f"capsule_gym: {text}", file=sys.stderr)
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -265,48 +262,8 @@ def compile_entry(function: Callable[..., Any], signature: tuple[Any, ...], what
     Args:
         function: plain.
         signature: numba's types of its arguments.
-        what: for the message; empty where it takes too short a time to say so.
+        what: as for `kernel`.
     """
-    compiled = compile_cached(function)
-    compile_now(compiled, signature, what)
+    compiled = kernel(function, fingerprint(function), {}, what)
+    compiled.compile(signature)
     return next(iter(compiled.overloads.values())).entry_point
-
-
-def compile_now(function: Any, signature: tuple[Any, ...], what: str) -> None:
-    """Compiles a function for a signature, or loads it from the disk cache; says so on stderr where it has to compile.
-
-    Args:
-        function: what `kernel` has made.
-        signature: numba's types of its arguments.
-        what: for the message; empty where it takes too short a time to say so.
-    """
-    # A compilation makes millions of objects that live until its end: looking for garbage is a tenth of the time.
-    collecting = gc.isenabled()
-    gc.disable()
-    try:
-        with event.install_listener("numba:compile", _Announcement(what)):
-            function.compile(signature)
-    finally:
-        if collecting:
-            gc.enable()
-
-
-class _Announcement(event.Listener):
-    """Says once that a compilation has begun."""
-
-    def __init__(self, what: str) -> None:
-        self.what = what
-
-    def on_start(self, event: Any) -> None:
-        if self.what:
-            # Above a progress bar, not behind it: who draws one has imported tqdm.
-            bars = sys.modules.get("tqdm") if sys.stderr.isatty() else None
-            (print if bars is None else bars.tqdm.write)(
-                f"capsule_gym: compiling {self.what}; this takes some seconds, once: numba keeps the result on disk",
-                file=sys.stderr,
-            )
-            sys.stderr.flush()
-        self.what = ""
-
-    def on_end(self, event: Any) -> None:
-        pass

@@ -26,7 +26,6 @@ from numba.extending import intrinsic
 
 from capsule_gym import dynamics, task
 from capsule_gym.compilation import (
-    compile_now,
     distinct,
     fingerprint,
     inlined,
@@ -421,8 +420,8 @@ def build_advance(pivot_torque_on_contact: float) -> Any:
         pivot_torque_on_contact: 1.0 for the paper's normal force, 0.0 for Newton's.
     """
     digest = f"{fingerprint(advance)}_{pivot_torque_on_contact:g}"
-    built = kernel(advance, digest, {"PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact})
-    compile_now(built, SIGNATURE, "the physics")
+    built = kernel(advance, digest, {"PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact}, "the physics")
+    built.compile(SIGNATURE)
     return built
 
 
@@ -458,9 +457,9 @@ def build(law_function: Callable[..., Any], memory_size: int, reference_size: in
         digest = f"{content}_{memory_size}_{reference_size}_{_law_fingerprint()}"
         if digest in _built:
             return _built[digest]
-    built = kernel(evaluate_law, digest, bind_law(source, digest or uuid4().hex, memory_size, reference_size))
+    built = kernel(evaluate_law, digest, bind_law(source, digest or uuid4().hex, memory_size, reference_size), name)
     try:
-        compile_now(built, LAW_SIGNATURE, name)
+        built.compile(LAW_SIGNATURE)
     except (NumbaError, NotImplementedError, ValueError) as error:
         raise TypeError(
             f"{name} must be a function that numba compiles, of numbers and tuples of numbers, and return "

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numba
 import numpy as np
 import pytest
+from numba.core.registry import CPUDispatcher
 
 from capsule_gym import Capsule, dynamics, elementary, kernels, layout, observation, task
-from capsule_gym.compilation import OPTIONS, compile_cached, compile_now, fingerprint
+from capsule_gym.compilation import OPTIONS, compile_cached, fingerprint, kernel
 from capsule_gym.layout import StepSettings, pack, unpack
 from tests.capsule_gym.fakes import helper, make_law
 
@@ -53,7 +54,7 @@ def test_an_edit_of_the_layout_changes_the_fingerprint_of_the_kernel(monkeypatch
 SCRIPT = """
 import sys
 import numba
-from capsule_gym.compilation import compile_now, distinct, fingerprint, inner, kernel
+from capsule_gym.compilation import distinct, fingerprint, inner, kernel
 
 def make(gain):
     @numba.njit
@@ -72,7 +73,7 @@ def entry(value):
 values, hits = [], 0
 for gain in map(float, sys.argv[1:]):
     function = make(gain)
-    compile_now(function, (numba.float64,), "")
+    function.compile((numba.float64,))
     values.append(function(0.5))
     hits += sum(function.stats.cache_hits.values())
 print(values, hits)
@@ -105,8 +106,7 @@ def shifted(x: float) -> float:
 
 def compiled() -> tuple[float, bool]:
     """The function's value at 1, and whether it came from the disk."""
-    function = compile_cached.__wrapped__(shifted)
-    compile_now(function, (numba.float64,), "a function")
+    function = kernel(shifted, fingerprint(shifted), {}, "a function")
     return function(1.0), bool(function.stats.cache_hits)
 
 
@@ -150,7 +150,7 @@ def test_where_no_cache_can_be_written_to_everything_is_compiled(tmp_path, monke
 
 
 def test_a_law_is_compiled_once_and_no_two_laws_share_a_symbol(monkeypatch):
-    monkeypatch.setattr(kernels, "compile_now", lambda *arguments: None)
+    monkeypatch.setattr(CPUDispatcher, "compile", lambda *arguments: None)
 
     def build(gain, memory_size=1, reference_size=2):
         return kernels.build(make_law(gain, numba.njit(helper)), memory_size, reference_size)
