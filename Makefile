@@ -72,8 +72,11 @@ leaderboard-check: $(STAMP)  ## Fail where the leaderboard or its analysis is st
 	$(BIN)/python -m agents.leaderboard --check
 	$(BIN)/python -m agents.analysis statistics residual_limit --check
 
-reproduce: $(STAMP)  ## Train one run of each row anew and compare it with the published ones (a quarter of an hour)
-	$(BIN)/python -m agents.reproduce
+reproduce: ROWS ?= direct-ppo direct-ppo-wide residual-ppo residual-on-gait residual-on-gait-wide robust efficient pareto
+reproduce: SEED ?= 100
+reproduce: $(STAMP)  ## Train one run of each row anew and compare it with the published ones (ten minutes)
+	$(BIN)/python -m agents.study $(ROWS) --seeds $(SEED) --runs runs/reproduce
+	$(foreach row,$(ROWS),$(BIN)/python -m agents.evaluate runs/reproduce/$(row)/seed-$(SEED) --against $(row) &&) true
 
 regression: $(STAMP)  ## Fail where a kernel has become slower against what it is compared with
 	$(BIN)/python -m benchmarks.regression

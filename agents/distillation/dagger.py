@@ -9,14 +9,12 @@ The loss of a torque is its interpolated regret, not its distance from the exper
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import time
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -147,12 +145,6 @@ class Network:
         )
 
 
-def read_result(folder: Path) -> dict[str, Any] | None:
-    """The contents of a run's finished.json; None if it is not finished."""
-    path = folder / FINISHED
-    return dict(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else None
-
-
 def schedule(student: Student) -> list[tuple[float | None, int, tuple[float, float]]]:
     """The rounds of DAgger and the parts of the final fit.
 
@@ -230,7 +222,7 @@ def distil_all(name: str, folders: dict[int, Path]) -> bool:
     Raises:
         RunError: if a run was started before and is not finished.
     """
-    waiting = {seed: folder for seed, folder in folders.items() if read_result(folder) is None}
+    waiting = {seed: folder for seed, folder in folders.items() if not (folder / FINISHED).is_file()}
     started = [str(folder) for folder in waiting.values() if folder.exists()]
     if started:
         raise RunError(f"{', '.join(started)} was started and is not finished: remove it, or give other --runs")
