@@ -18,7 +18,7 @@ def test_sb3_batch_is_the_native_batch_with_terminal_observations():
     assert ours.reset().tobytes() == native.reset(seed=4)[0].tobytes()
     rng = np.random.default_rng(0)
     seen = set()
-    returns = np.zeros(6)
+    returns, lengths = np.zeros(6), np.zeros(6, int)
     for _ in range(100):
         actions = rng.uniform(-1, 1, (6, 1)).astype(np.float32)
         observations, rewards, dones, infos = ours.step(actions)
@@ -27,15 +27,16 @@ def test_sb3_batch_is_the_native_batch_with_terminal_observations():
         assert np.array_equal(rewards, expected[1].astype(np.float32))
         assert np.array_equal(dones, expected[2] | expected[3])
         returns += expected[1]
+        lengths += 1
         for i, info in enumerate(infos):
             assert bool(info) == bool(dones[i])
             if dones[i]:
                 assert info["terminal_observation"].tobytes() == expected[4]["final_obs"][i].tobytes()
                 assert not np.array_equal(info["terminal_observation"], observations[i])
                 assert info["TimeLimit.truncated"] == bool(expected[3][i] and not expected[2][i])
-                assert info["episode"]["r"] == pytest.approx(returns[i])
+                assert info["episode"] == {"r": pytest.approx(returns[i]), "l": lengths[i]}
                 assert info["metrics"]["failed"] == float(expected[2][i])
-                returns[i] = 0.0
+                returns[i], lengths[i] = 0.0, 0
                 seen.add((bool(expected[2][i]), bool(expected[3][i])))
     # Both kinds of end were met: failures and time limits.
     assert {(True, False), (False, True)} <= seen
