@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 import math
+import pkgutil
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym.parameters import LAW_DT, check_number, nearest, written
+from capsule_gym.parameters import LAW_DT, check_number, written
 
 Law = Callable[..., tuple[float, tuple[float, ...]]]
 
@@ -72,15 +72,12 @@ class Controller:
         try:
             torque, memory = law(row[0], row[1], 0.0, 0.0, self.memory, row)
             values = (float(torque), *(float(cell) for cell in memory))
-        except ArithmeticError as error:
-            raise ValueError(
-                f"the control law of {self.name!r} must return finite numbers, but a trial call on its reference "
-                f"failed: {error}"
-            ) from error
         except Exception as error:
-            raise TypeError(
+            # The law computes, but not with its reference: a value is at fault.
+            kind = ValueError if isinstance(error, ArithmeticError) else TypeError
+            raise kind(
                 f"the control law of {self.name!r} must be law(theta, theta_dot, x, x_dot, memory, reference) -> "
-                f"(torque, memory), but a trial call failed: {first_cause(error)}"
+                f"(torque, memory) with finite numbers, but a trial call on its reference failed: {first_cause(error)}"
             ) from error
         if len(values) - 1 != len(self.memory):
             raise ValueError(
@@ -149,27 +146,15 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
 
     Raises:
         TypeError: if it is, or leads to, something else.
-        ValueError: if the import string has no colon, or names a module or attribute that does not exist.
+        ValueError: if the import string names a module or attribute that does not exist.
     """
     accepted = "None, a Controller, a function that returns one, or an import string 'module:attribute'"
     found: Any = controller
     if isinstance(controller, str):
-        module_name, colon, attribute = controller.partition(":")
-        if not (module_name and colon and attribute) or module_name.startswith("."):
-            raise ValueError(f"controller must be {accepted}, got {written(controller)}")
         try:
-            module = importlib.import_module(module_name)
-        except ModuleNotFoundError as error:
-            if error.name is None or not (module_name + ".").startswith(error.name + "."):
-                raise
-            raise ValueError(
-                f"controller={controller!r} names the module {module_name!r}, which does not exist"
-            ) from None
-        found = getattr(module, attribute, None)
-        if found is None:
-            names = [f"{module_name}:{name}" for name in dir(module) if name[0] != "_"]
-            meant = nearest(controller, names)
-            raise ValueError(f"controller={controller!r}: the module {module_name!r} has no {attribute!r}{meant}")
+            found = pkgutil.resolve_name(controller)
+        except (ValueError, AttributeError, ModuleNotFoundError) as error:
+            raise ValueError(f"controller must be {accepted}, got {written(controller)}: {error}") from error
     if callable(found):
         try:
             found = found()

@@ -180,10 +180,7 @@ def record(typing_context: Any, array: Any, start: Any, kind: Any) -> Any:
     hints = get_type_hints(kind.instance_class)
     compiled = {float: types.float64, int: types.int64, bool: types.boolean}
     fields = [compiled[hints[name]] for name in kind.instance_class._fields]
-    if len(set(fields)) == 1:
-        result = types.NamedUniTuple(fields[0], len(fields), kind.instance_class)
-    else:
-        result = types.NamedTuple(fields, kind.instance_class)
+    result = types.BaseTuple.from_types(fields, kind.instance_class)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         places = _places(context, builder, signature.args[0], arguments[0], arguments[1], 1, len(fields))

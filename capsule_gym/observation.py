@@ -74,27 +74,16 @@ def observation_bounds(
 
 @inlined
 def write_observation(
-    out: np.ndarray,
-    state: tuple[float, float, float],
-    last_action: float,
-    reference: tuple[float, float, float],
-    law_torque: float,
-    parameters: tuple[float, float],
-    with_reference: bool,
-    with_parameters: bool,
+    out: np.ndarray,  # shape (entries,), float32, written in the order of `observation_names`
+    state: tuple[float, float, float],  # theta (rad), theta_dot (rad/s), x_dot (m/s)
+    last_action: float,  # in [-1, 1]
+    reference: tuple[float, float, float],  # theta_d (rad), theta_d_dot (rad/s), phase of the cycle in [0, 1)
+    law_torque: float,  # that the law returns at this instant, clipped to the torque limit, N m
+    parameters: tuple[float, float],  # M (kg) and mu
+    with_reference: bool,  # whether the entries of the law are there
+    with_parameters: bool,  # whether M and mu are
 ) -> None:
-    """Writes the observation of one environment.
-
-    Args:
-        out: shape (entries,), float32, written in the order of `observation_names`.
-        state: theta (rad), theta_dot (rad/s), x_dot (m/s).
-        last_action: in [-1, 1].
-        reference: theta_d (rad), theta_d_dot (rad/s), phase of the cycle in [0, 1).
-        law_torque: the torque that the law returns at this instant, clipped to the torque limit, N m.
-        parameters: M (kg) and mu.
-        with_reference: whether the entries of the law are there.
-        with_parameters: whether M and mu are.
-    """
+    """Writes the observation of one environment."""
     theta, theta_dot, x_dot = state
     out[0] = clip(theta, THETA_LIMIT)
     out[1] = clip(theta_dot, THETA_DOT_BOUND)
@@ -137,28 +126,6 @@ Memory = tuple[float, float, float, float, float, float, float, float, float]
 
 
 @inlined
-def balance(
-    M: float, log_mu: float, across: float, along: float, s: float, m: float, l: float, g: float, dt: float
-) -> tuple[float, float, float]:
-    """The change of x' in m/s that the balance of momentum predicts, and its slopes over M and log(mu).
-
-    Args:
-        M: kg.
-        log_mu: logarithm of the friction coefficient.
-        across: d(cos(theta) theta'), rad/s.
-        along: d(sin(theta) theta'), rad/s.
-        s: sign of x'.
-        m: mass of the ball, kg.
-        l: length of the pendulum, m.
-        g: gravitational acceleration, m/s^2.
-        dt: time between the observations, s.
-    """
-    q, mu = m * l / (M + m), exp(log_mu)
-    friction = mu * s * (g * dt - q * along)
-    return q * across - friction, -q / (M + m) * (across + mu * s * along), -friction
-
-
-@inlined
 def identify(
     memory: Memory, theta: float, theta_dot: float, x_dot: float, m: float, l: float, g: float, dt: float
 ) -> Memory:
@@ -180,10 +147,10 @@ def identify(
         theta: rad.
         theta_dot: rad/s.
         x_dot: m/s.
-        m: mass of the ball, kg; with the rest as for `balance`.
-        l: m.
-        g: m/s^2.
-        dt: s.
+        m: mass of the ball, kg.
+        l: length of the pendulum, m.
+        g: gravitational acceleration, m/s^2.
+        dt: time between the observations, s.
     """
     begun, M, log_mu, P_MM, P_Mf, P_ff, last_across, last_along, last_x_dot = memory
     sin, cos = sincos(theta)
@@ -199,7 +166,11 @@ def identify(
         before_M, before_log_mu = M, log_mu
         gain_M = gain_f = to_M = to_f = 0.0
         for iteration in range(ITERATIONS):
-            predicted, slope_M, slope_f = balance(M, log_mu, d_across, d_along, s, m, l, g, dt)
+            # The change of x' by the balance of momentum, and its slopes over M and log(mu).
+            q, mu = m * l / (M + m), exp(log_mu)
+            friction = mu * s * (g * dt - q * d_along)
+            slope_M, slope_f = -q / (M + m) * (d_across + mu * s * d_along), -friction
+            predicted = q * d_across - friction
             surprise = change - predicted - slope_M * (before_M - M) - slope_f * (before_log_mu - log_mu)
             to_M, to_f = P_MM * slope_M + P_Mf * slope_f, P_Mf * slope_M + P_ff * slope_f
             variance = slope_M * to_M + slope_f * to_f + NOISE * NOISE

@@ -37,37 +37,21 @@ class Termination(IntEnum):
 
 
 class Metrics(NamedTuple):
-    """The metrics of an episode, each of shape (environments,), float64.
+    """The metrics of an episode, each of shape (environments,), float64."""
 
-    Attributes:
-        mean_speed: cm/s.
-        cost_of_transport: energy over weight and distance; infinite without forward progress.
-        peak_torque: N m.
-        rms_torque: N m.
-        backward_ratio: travel backwards over travel forwards; infinite with the former alone, 0 at rest.
-        stuck_fraction: share of the time in stick.
-        smallest_normal_ratio: smallest N / ((M + m) g).
-        largest_theta: largest |theta|, rad.
-        largest_theta_dot: largest |theta_dot|, rad/s.
-        distance: m.
-        energy: integral of |u theta_dot|, J.
-        duration: s.
-        failed: 1 where the episode terminated, else 0.
-    """
-
-    mean_speed: np.ndarray
-    cost_of_transport: np.ndarray
-    peak_torque: np.ndarray
-    rms_torque: np.ndarray
-    backward_ratio: np.ndarray
-    stuck_fraction: np.ndarray
-    smallest_normal_ratio: np.ndarray
-    largest_theta: np.ndarray
-    largest_theta_dot: np.ndarray
-    distance: np.ndarray
-    energy: np.ndarray
-    duration: np.ndarray
-    failed: np.ndarray
+    mean_speed: np.ndarray  # cm/s
+    cost_of_transport: np.ndarray  # energy over weight and distance; infinite without forward progress
+    peak_torque: np.ndarray  # N m
+    rms_torque: np.ndarray  # N m
+    backward_ratio: np.ndarray  # travel backwards over travel forwards; infinite with the former alone, 0 at rest
+    stuck_fraction: np.ndarray  # share of the time in stick
+    smallest_normal_ratio: np.ndarray  # smallest N / ((M + m) g)
+    largest_theta: np.ndarray  # largest |theta|, rad
+    largest_theta_dot: np.ndarray  # largest |theta_dot|, rad/s
+    distance: np.ndarray  # m
+    energy: np.ndarray  # integral of |u theta_dot|, J
+    duration: np.ndarray  # s
+    failed: np.ndarray  # 1 where the episode terminated, else 0
 
 
 METRICS = Metrics._fields

@@ -33,7 +33,7 @@ from baselines.gaits import families
 from capsule_gym import kernels, layout, resets
 from capsule_gym.compilation import fingerprint, inlined, inner, rebound
 from capsule_gym.controller import Controller, find_controller
-from capsule_gym.elementary import logarithm
+from capsule_gym.elementary import log
 from capsule_gym.files import write_atomically
 from capsule_gym.layout import LANES
 from capsule_gym.network import act_lanes
@@ -137,9 +137,6 @@ def common_entries() -> list[Entry]:
         seen, number = array(observations, (3,)), types.float64
         state = number(seen[0]), number(seen[1]), number(seen[2])
         return families.action(array(gaits, (size,)), n * families.WIDTH, time, *state)
-
-    def log(x):  # type: ignore[no-untyped-def]
-        return logarithm(x)
 
     number, count = types.float64, types.int32
     starting = (NUMBERS, count, NUMBERS, count, number, number, NUMBERS, INTEGERS, INTEGERS)
