@@ -167,35 +167,22 @@ def draw_transport(rows: Sequence[Row]) -> Any:
 
 
 def _label_marks(axes: Any, marks: Sequence[tuple[float, float, str, str]]) -> None:
-    """Names next to the axes in the order of the marks' heights, without overlap, with a thin line to each mark."""
+    """Names next to the axes in the order of the marks' heights, without overlap, with a thin line to each mark.
+
+    Args:
+        axes: with its final limits.
+        marks: x and y in units of the axes, name and colour of each.
+    """
     from matplotlib.patches import ConnectionPatch
 
     low, high = axes.get_ylim()
-    heights = [(y - low) / (high - low) for _, y, _, _ in marks]
-    places = spread(heights, min(LABEL_SPACING, 1.0 / max(1, len(marks))))
-    for (x, y, name, colour), place in zip(marks, places.tolist(), strict=True):
+    spacing = min(LABEL_SPACING, 1.0 / max(1, len(marks)))
+    place = 1.0 + spacing
+    # From the top down, with room for the names that follow.
+    for n, (x, y, name, colour) in enumerate(sorted(marks, key=lambda mark: -mark[1]), start=1):
+        place = min(max((y - low) / (high - low), (len(marks) - n) * spacing), place - spacing)
         text = {"xytext": (4.0, 0.0), "textcoords": "offset points", "va": "center", "fontsize": 7.5, "color": colour}
-        axes.annotate(name, (1.0, place), xycoords="axes fraction", parse_math=False, **text)
+        axes.annotate(name, (1.0, place), xycoords="axes fraction", **text)
         line = ConnectionPatch((x, y), (1.0, place), "data", "axes fraction", axesA=axes, color=FAINT, linewidth=0.6)
         line.set_in_layout(False)
         axes.add_artist(line)
-
-
-def spread(heights: Sequence[float], spacing: float) -> np.ndarray:
-    """Places near the heights, in their order, at least the spacing apart and within 0 to 1 where there is room.
-
-    >>> spread([0.5, 0.5, 0.9], 0.25).tolist()
-    [0.375, 0.625, 0.9]
-    """
-    order = np.argsort(heights, kind="stable")
-    steps = spacing * np.arange(len(order))
-    # The nearest places, by pooling adjacent violators of the order once the spacing is subtracted.
-    pools: list[list[float]] = []
-    for height in (np.asarray(heights)[order] - steps).tolist():
-        pools.append([height])
-        while len(pools) > 1 and np.mean(pools[-2]) > np.mean(pools[-1]):
-            pools[-2:] = [pools[-2] + pools[-1]]
-    level = np.array([np.mean(pool) for pool in pools for _ in pool])
-    places = np.empty(len(order))
-    places[order] = np.clip(level, 0.0, max(0.0, 1.0 - spacing * (len(order) - 1))) + steps
-    return places

@@ -65,7 +65,11 @@ def document() -> Document:
 
 
 def median_run(candidate: Candidate) -> Recording:
-    """The recording of the training seed with the median speed; the lower of two."""
+    """The recording of the training seed with the median speed; the lower of two.
+
+    Args:
+        candidate: a policy, named with its seed where there are several.
+    """
     found = [record(policy, name=candidate.name) for policy in candidate.policies]
     chosen = sorted(range(len(found)), key=lambda i: found[i].x[-1])[(len(found) - 1) // 2]
     if len(found) == 1:
@@ -91,7 +95,11 @@ def table(cycles: Sequence[Recording]) -> str:
 
 
 def draw(cycles: Sequence[Recording]) -> Any:
-    """Cycles side by side: angle, speed, normal force and torque over time, and the phase portrait."""
+    """Cycles side by side: angle, speed, normal force and torque over time, and the phase portrait.
+
+    Args:
+        cycles: a column each, on the paper's plant.
+    """
     from matplotlib.patches import Patch
 
     figure = new_figure(8.2)

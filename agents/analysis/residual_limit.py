@@ -70,7 +70,11 @@ def document() -> Document:
 
 
 def table(results: Results) -> str:
-    """Every agent compared with its law alone; the stiff law first, no law last."""
+    """Every agent compared with its law alone; the stiff law first, no law last.
+
+    Args:
+        results: of the agents and of every law alone; differences are taken plant by plant.
+    """
     lines = [["law", "plants", "agent's limit (N m)", "learns", SPEED.label, "failed", "minus the law alone"]]
     for agent in sorted(results, key=lambda agent: (not agent.base, *agent[:3])):
         speeds, failed = results[agent]
