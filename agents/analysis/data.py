@@ -13,7 +13,7 @@ import numpy as np
 from agents.evaluation.statistics import estimate
 from agents.leaderboard.page import RANKING_SET
 from agents.leaderboard.rows import Row
-from agents.training.presets import EVALUATED, EVALUATIONS
+from agents.training.presets import EVALUATIONS
 from capsule_gym.evaluation_sets import EvaluationSet
 
 SPEED = "mean_speed"
@@ -102,7 +102,7 @@ def read_evaluations(path: Path) -> tuple[np.ndarray, np.ndarray]:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             # A run may be evaluated twice where a stage ends: the last line counts.
-            lines = {int(line[EVALUATED]): float(line["mean_speed_cm_s"]) for line in csv.DictReader(file)}
+            lines = {int(line["steps"]): float(line["mean_speed_cm_s"]) for line in csv.DictReader(file)}
         steps, speeds = np.array(sorted(lines.items()), np.float64).T
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} must be what a training run writes, got {type(error).__name__}: {error}") from error

@@ -153,9 +153,8 @@ class FastPPO(PPO):
         inputs = torch.from_numpy(env.normalize_obs(rollout.inputs.reshape(-1, columns)))
         values = self.policy.predict_values(inputs).numpy().reshape(steps, count)
         rewards = rollout.rewards
-        if len(rollout.cut):
-            beyond = self.policy.predict_values(torch.from_numpy(env.normalize_obs(rollout.cut_inputs))).numpy().ravel()
-            rewards[rollout.cut[:, 0], rollout.cut[:, 1]] += self.gamma * beyond
+        beyond = self.policy.predict_values(torch.from_numpy(env.normalize_obs(rollout.cut_inputs))).numpy().ravel()
+        rewards[rollout.cut[:, 0], rollout.cut[:, 1]] += self.gamma * beyond
         buffer.observations, buffer.actions = inputs.numpy().reshape(rollout.inputs.shape), rollout.actions
         buffer.values, buffer.rewards, buffer.episode_starts = values, rewards, rollout.starts
         buffer.advantages = np.empty_like(values)

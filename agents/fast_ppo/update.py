@@ -11,10 +11,11 @@ on one machine, not from one kind of processor to another.
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from collections.abc import Iterator
 from functools import lru_cache
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from llvmlite import binding as llvm
@@ -55,22 +56,8 @@ DECAY_1, DECAY_2 = F32(1.0 - BETA_1), F32(1.0 - BETA_2)
 LARGEST = F32(87.0)
 # From here on the tangent is 1 to the last digit.
 FLAT = F32(10.0)
-
-
-class Rows(NamedTuple):
-    """Rows of a sample's numbers besides those of the networks."""
-
-    action: int
-    old_log_prob: int
-    advantage: int
-    target: int
-    log_std_slope: int
-    gain: int
-    squared_error: int
-    divergence: int
-    clipped: int
-
-
+# Rows of a sample's numbers besides those of the networks.
+Rows = namedtuple("Rows", "action old_log_prob advantage target log_std_slope gain squared_error divergence clipped")
 ROW = Rows(*range(len(Rows._fields)))
 # Logged means.
 LOSSES = ("policy_gradient_loss", "value_loss", "entropy_loss", "approx_kl", "clip_fraction")

@@ -19,7 +19,7 @@ from tyro.conf import arg
 
 from agents.evaluation.episodes import versions
 from agents.study.jobs import evaluations, score
-from agents.training.presets import EVALUATED, PRESETS, ROWS, Algorithm, Config, OffPolicyConfig, RunError, row_settings
+from agents.training.presets import PRESETS, ROWS, Algorithm, Config, OffPolicyConfig, RunError, row_settings
 from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Count, Positional, parse, refuse
 from capsule_gym.files import canonical_hash, to_json, write_atomically
@@ -155,7 +155,7 @@ def objective(trial: Trial, base: Config, folder: Path) -> float:
 
     def report(lines: list[dict[str, float]]) -> None:
         trial.report(score(lines[-1]), len(lines))
-        if lines[-1][EVALUATED] < config.total_steps and trial.should_prune():
+        if lines[-1]["steps"] < config.total_steps and trial.should_prune():
             raise optuna.TrialPruned
 
     try:

@@ -88,37 +88,24 @@ def usable(config: Config) -> Config:
     return stock
 
 
-def load_wrapper(name: str) -> type[gym.Wrapper[Any, Any, Any, Any]]:
-    """Imports a wrapper.
-
-    Args:
-        name: "module:attribute".
-
-    Raises:
-        RunError: if there is no such subclass of `gymnasium.Wrapper`.
-    """
-    try:
-        found: type[gym.Wrapper[Any, Any, Any, Any]] = pkgutil.resolve_name(name)
-        if not issubclass(found, gym.Wrapper):
-            raise TypeError("it is no subclass of gymnasium.Wrapper")
-    except (ImportError, AttributeError, TypeError, ValueError) as error:
-        raise RunError(f"--wrapper must be MODULE:ATTRIBUTE of a gymnasium.Wrapper, got {name!r}: {error}") from error
-    return found
-
-
 def wrapped_env(wrappers: tuple[str, ...], env_kwargs: Mapping[str, Any], steps: int) -> gym.Env[Any, Any]:
     """One environment with its wrappers, and SB3's `Monitor` below them, as SB3's `make_vec_env` places it.
 
     Raises:
-        RunError: if a wrapper cannot be made.
+        RunError: if there is no such subclass of `gymnasium.Wrapper`, or it is not made of an environment alone.
     """
     env: Any = gym.make(f"capsule_gym:{ENV_ID}", max_episode_steps=steps, disable_env_checker=True, **env_kwargs)
     env = EpisodeMetrics(env)
     for name in wrappers:
         try:
-            env = load_wrapper(name)(env)
-        except TypeError as error:
-            raise RunError(f"--wrapper {name} must be made of an environment alone: {error}") from error
+            kind: Any = pkgutil.resolve_name(name)
+            if not issubclass(kind, gym.Wrapper):
+                raise TypeError("it is no subclass of gymnasium.Wrapper")
+            env = kind(env)
+        except (ImportError, AttributeError, TypeError, ValueError) as error:
+            raise RunError(
+                f"--wrapper must be MODULE:ATTRIBUTE of a gymnasium.Wrapper, got {name!r}: {error}"
+            ) from error
     return Monitor(env)
 
 

@@ -132,7 +132,6 @@ class TrainingCallback(BaseCallback):
         baseline = evaluate(SCRIPTED[BASELINE], self.plants)
         self.baseline_speed = float(interquartile_mean(scores(baseline, "mean_speed"))[0])
         self.evaluated_at = int(progress.evaluations[-1]["steps"]) if progress.evaluations else 0
-        self.began = time.monotonic() - progress.elapsed
         self.core_began = time.process_time() - progress.core_seconds
         # Only on a terminal; evaluations are printed everywhere.
         self.bar = tqdm(
@@ -219,7 +218,6 @@ class TrainingCallback(BaseCallback):
         self.progress.evaluations.append(
             {
                 "steps": self.num_timesteps,
-                "seconds": round(time.monotonic() - self.began, 1),
                 "core_seconds": round(time.process_time() - self.core_began, 1),
                 "mean_speed_cm_s": round(speed, 4),
                 "failed": failed,
@@ -242,7 +240,6 @@ class TrainingCallback(BaseCallback):
         """Writes a checkpoint, unless there is one at this step."""
         if self.latest == checkpoint.path_of(self.run, self.num_timesteps):
             return
-        self.progress.elapsed = time.monotonic() - self.began
         self.progress.core_seconds = time.process_time() - self.core_began
         self.latest = checkpoint.write(self.run, self.model, self.progress, before=self.latest)
 

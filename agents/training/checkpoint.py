@@ -51,7 +51,6 @@ class Progress:
     """How far a run is."""
 
     settings: dict[str, Any]  # the hyperparameters of the run, but for its length
-    elapsed: float = 0.0  # seconds of training
     core_seconds: float = 0.0  # processor seconds of training
     evaluations: list[dict[str, float]] = field(default_factory=list)  # the lines of evaluations.csv
     best_score: float = -np.inf  # of the best evaluation so far, cm/s

@@ -36,24 +36,8 @@ def begin(run: Path, config: Config) -> None:
     """
     if run.exists() and any(run.iterdir()):
         raise FileExistsError(f"{run} exists already")
-    _check_agent(config)
-    content = {
-        "algo": config.algo,
-        "task": config.task,
-        "seed": config.seed,
-        "env": config.env_kwargs(),
-        "hyperparameters": config.to_dict(),
-        "versions": versions(),
-        "revision": git_revision(Path(__file__).parent),
-    }
-    run.mkdir(parents=True, exist_ok=True)
-    write_atomically(run / CONFIG, to_json(content))
-
-
-def _check_agent(config: Config) -> None:
-    """Makes the environments and the agent of a configuration, for the errors that they raise."""
     config.check()
-    # Warnings are shown when they are made again.
+    # The errors of an agent come before its folder; warnings are shown when it is made again.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         env = make_env(config, config.seed)
@@ -68,6 +52,17 @@ def _check_agent(config: Config) -> None:
             raise RunError(f"--wrapper must be picklable, for checkpoints, got {config.wrapper}: {error}") from error
         finally:
             env.close()
+    content = {
+        "algo": config.algo,
+        "task": config.task,
+        "seed": config.seed,
+        "env": config.env_kwargs(),
+        "hyperparameters": config.to_dict(),
+        "versions": versions(),
+        "revision": git_revision(Path(__file__).parent),
+    }
+    run.mkdir(parents=True, exist_ok=True)
+    write_atomically(run / CONFIG, to_json(content))
 
 
 def train(
@@ -153,18 +148,11 @@ def _read(run: Path, total_steps: int | None) -> tuple[Config, str]:
     config = dataclasses.replace(begun, total_steps=total_steps or begun.total_steps)
     content = json.loads((run / CONFIG).read_text(encoding="utf-8"))
     present = versions()
-    changed = [
-        f"{name} {number} is now {present[name]}"
-        for name, number in content.get("versions", {}).items()
-        if name in present and number != present[name]
-    ]
-    if changed:
-        print(f"warning: not the same run to the last bit, since {', '.join(changed)}", file=sys.stderr)
+    for name, number in content.get("versions", {}).items():
+        if number != (now := present.get(name, number)):
+            print(f"warning: not the same run to the last bit, since {name} {number} is now {now}", file=sys.stderr)
     if begun != config:
-        print(
-            f"The learning rate was to fall until {begun.total_steps:,} steps and now does until "
-            f"{config.total_steps:,}: this is another run than one with that end from its beginning."
-        )
+        print(f"The learning rate now falls until {config.total_steps:,} steps: this is another run than before.")
         content["hyperparameters"]["total_steps"] = config.total_steps
         write_atomically(run / CONFIG, to_json(content))
     return config, str(content.get("revision") or "unknown")

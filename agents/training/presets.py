@@ -35,8 +35,6 @@ LARGEST_SEED = 2**32 - 1
 # Files of a run; agents.training.checkpoint describes its folder.
 CONFIG, MODEL, NORMALISATION, BEST = "config.json", "model.zip", "vecnormalize.pkl", "best"
 LOGS, EVALUATIONS = "logs", "evaluations.csv"
-# The column of the last that counts agent steps.
-EVALUATED = "steps"
 
 Task = Literal["residual", "direct"]
 Algorithm = Literal["ppo", "sac", "td3", "tqc", "recurrent-ppo"]
@@ -102,7 +100,7 @@ class Config:
     gamma: float = 0.995
     """Discount factor per agent step."""
     hidden: Count = 64
-    """Units in each of the two hidden layers."""
+    """Units in each of the two hidden layers, and of an LSTM before them."""
     batch_size: Count = 2048
     """Samples in a gradient step."""
     evaluate_every: Count = 500_000
@@ -204,30 +202,11 @@ class RecurrentPPOConfig(OnPolicyConfig):
 
     algo: ClassVar[Algorithm] = "recurrent-ppo"
 
-    total_steps: Count = 1_000_000
-    """Environment steps."""
-    hidden: Count = 64
-    """Units of the LSTM, and of each of the two hidden layers after it."""
-    n_steps: Count = 128
-    """Steps of each environment between updates: the longest sequence of an update."""
-    evaluate_every: Count = 100_000
-    """Environment steps between evaluations and checkpoints."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class OffPolicyConfig(Config):
     """Algorithms that learn from a replay buffer."""
 
-    total_steps: Count = 400_000
-    """Environment steps."""
-    num_envs: Count = 32
-    """Environments that are stepped together."""
-    learning_rate: float = 7e-4
-    """Step size of Adam at the start."""
-    batch_size: Count = 512
-    """Samples in a gradient step."""
-    evaluate_every: Count = 50_000
-    """Environment steps between evaluations and checkpoints."""
     buffer_size: Count = 400_000
     """Transitions that the replay buffer holds."""
     learning_starts: Count = 10_000
@@ -275,11 +254,19 @@ class TQCConfig(OffPolicyConfig):
             raise ValueError(f"dropped_quantiles must be an integer < {self.quantiles}, got {self.dropped_quantiles!r}")
 
 
-# What the presets with a replay buffer share in the direct task.
+# What the presets with a replay buffer share, and what those of the direct task do.
 OFF_POLICY: dict[str, Any] = {
-    **{"task": "direct", "controller": None, "total_steps": 100_000, "evaluate_every": 10_000},
+    "total_steps": 400_000,
+    "num_envs": 32,
+    "learning_rate": 7e-4,
+    "batch_size": 512,
+    "evaluate_every": 50_000,
+}
+DIRECT_OFF_POLICY: dict[str, Any] = {
+    **{**OFF_POLICY, "task": "direct", "controller": None, "total_steps": 100_000, "evaluate_every": 10_000},
     **{"learning_starts": 4000, "gradient_steps": 16},
 }
+RECURRENT: dict[str, Any] = {"total_steps": 1_000_000, "n_steps": 128, "evaluate_every": 100_000}
 PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("residual", "ppo"): PPOConfig(
         total_steps=10_000_000,
@@ -295,43 +282,40 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
         evaluate_every=1_000_000,
     ),
     ("direct", "ppo"): PPOConfig(task="direct", controller=None),
-    ("residual", "sac"): SACConfig(),
+    ("residual", "sac"): SACConfig(**OFF_POLICY),
     # From agents/study/data/direct-sac.json.
     ("direct", "sac"): SACConfig(
-        **OFF_POLICY,
-        learning_rate=2.08e-3,
+        **DIRECT_OFF_POLICY | {"learning_rate": 2.08e-3},
         final_learning_rate=2.08e-4,
         gamma=0.9942,
         tau=0.0187,
     ),
-    ("residual", "td3"): TD3Config(),
+    ("residual", "td3"): TD3Config(**OFF_POLICY),
     ("direct", "td3"): TD3Config(
-        **OFF_POLICY,
-        learning_rate=5e-4,
+        **DIRECT_OFF_POLICY | {"learning_rate": 5e-4},
         final_learning_rate=5e-5,
         gamma=0.99,
         tau=5e-3,
         action_noise=0.7,
         noise_time=0.25,
     ),
-    ("residual", "tqc"): TQCConfig(),
+    ("residual", "tqc"): TQCConfig(**OFF_POLICY),
     # From agents/study/data/direct-tqc.json.
     ("direct", "tqc"): TQCConfig(
-        **{**OFF_POLICY, "total_steps": 50_000, "evaluate_every": 5_000},
-        learning_rate=6.9e-4,
+        **DIRECT_OFF_POLICY | {"learning_rate": 6.9e-4, "total_steps": 50_000, "evaluate_every": 5_000},
         final_learning_rate=6.9e-5,
         gamma=0.9949,
         tau=5.07e-3,
         quantiles=10,
         dropped_quantiles=0,
     ),
-    ("residual", "recurrent-ppo"): RecurrentPPOConfig(),
+    ("residual", "recurrent-ppo"): RecurrentPPOConfig(**RECURRENT),
     # From agents/study/data/direct-recurrent-ppo.json.
     ("direct", "recurrent-ppo"): RecurrentPPOConfig(
+        **RECURRENT | {"n_steps": 64},
         task="direct",
         controller=None,
         num_envs=128,
-        n_steps=64,
         n_epochs=8,
         learning_rate=1.35e-3,
         final_learning_rate=1.35e-4,
@@ -371,7 +355,7 @@ ROWS: dict[str, Config] = {
     "direct-ppo": PRESETS["direct", "ppo"],
     "direct-ppo-wide": PPOConfig(task="direct", controller=None, randomization="wide"),
     # The settings before the search that found the preset.
-    "direct-sac": SACConfig(task="direct", controller=None),
+    "direct-sac": SACConfig(**OFF_POLICY, task="direct", controller=None),
     "residual-on-gait": ON_GAIT,
     "residual-on-gait-wide": dataclasses.replace(ON_GAIT, randomization="wide"),
     "robust": dataclasses.replace(
