@@ -250,14 +250,12 @@ def write_inputs(
 
 
 @inlined
-def to_action(header: Header, output: float, law_torque: float) -> float:
-    """The action in [-1, 1] that a network's output means.
-
-    Args:
-        header: of the network.
-        output: the action or, where that is what the network wants, the torque in torque limits.
-        law_torque: of the law under the action at this instant, N m.
-    """
+def to_action(
+    header: Header,  # of the network
+    output: float,  # the action or, where that is what the network wants, the torque in torque limits
+    law_torque: float,  # of the law under the action at this instant, N m
+) -> float:
+    """The action in [-1, 1] that a network's output means."""
     wanted = clip(output, 1.0)
     if not header.outputs_torque:
         return wanted
@@ -293,17 +291,13 @@ def act_lanes(
 
 
 def act_batch(
-    network: np.ndarray, observations: np.ndarray, memory: np.ndarray, inputs: np.ndarray, actions: np.ndarray
+    network: np.ndarray,  # from `pack`
+    observations: np.ndarray,  # shape (n, entries), float32
+    memory: np.ndarray,  # shape (n * CELLS,), float64, changed; any where nothing is identified
+    inputs: np.ndarray,  # shape (n, at least so many inputs), float32, written where the policy adds to the observation
+    actions: np.ndarray,  # shape (n, 1), float32; written
 ) -> None:
-    """The actions of any number of environments.
-
-    Args:
-        network: from `pack`.
-        observations: shape (n, entries), float32.
-        memory: shape (n * CELLS,), float64, changed; any where nothing is identified.
-        inputs: shape (n, at least so many inputs), float32, written where the policy adds to the observation.
-        actions: shape (n, 1), float32; written.
-    """
+    """The actions of any number of environments."""
     lanes = workspace(network)
     for first in range(0, len(observations), LANES):
         n = min(LANES, len(observations) - first)
@@ -330,8 +324,6 @@ def run_episodes(
     fixed: np.ndarray,  # plant, settings and the controller's table
     observations: np.ndarray,  # changed
     network: np.ndarray,  # as `act_batch` takes it
-    memory: np.ndarray,  # of the policy; changed
-    inputs: np.ndarray,  # of the network; changed
     changes: np.ndarray,  # rows of environment, time (s), M (kg) and mu, those of an environment in order of time
 ) -> int:
     """Takes the environments first..last-1 through agent steps, each until its episode ends.
@@ -339,7 +331,8 @@ def run_episodes(
     Returns:
         Index of an environment whose law returned no finite torque, or -1.
     """
-    lanes = workspace(network)
+    memory, count = np.zeros(len(observations) * CELLS), record(network, 0, Header).inputs
+    inputs, lanes = np.empty((len(observations), count), np.float32), workspace(network)
     for b in range(first // LANES, (last + LANES - 1) // LANES):
         block, start = world[b], b * LANES
         n = min(LANES, last - start)
@@ -371,9 +364,8 @@ def _compiled_episodes() -> Any:
     """`run_episodes`, compiled once for all laws, whose steps it takes as functions."""
     world, first, last, _, fixed, observations = kernels.SIGNATURE
     step = types.FunctionType(types.int64(*kernels.SIGNATURE))
-    numbers, changes = types.float64[::1], types.float64[:, ::1]
-    policy = (numbers, numbers, observations)
-    signature = (step, world, first, last, types.int64, types.float64, fixed, observations, *policy, changes)
+    given = (types.int64, types.float64, fixed, observations, types.float64[::1], types.float64[:, ::1])
+    signature = (step, world, first, last, *given)
     return compile_entry(run_episodes, signature, "the episodes of trained policies")
 
 
@@ -405,13 +397,10 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
     changes = np.array(
         [(i, *change) for i, schedule in simulation._changes.items() for change in schedule], np.float64
     ).reshape(-1, 4)
-    memory = np.zeros(simulation.num_envs * CELLS)
-    inputs = np.empty((simulation.num_envs, len(policy.mean)), np.float32)
     blocks = simulation.world.reshape(len(simulation.world), -1)
     compiled, step = _compiled_episodes(), simulation._kernel
-    given = steps, simulation.options.control_dt, simulation.fixed, simulation.observations
-    acting = policy._network, memory, inputs, changes
-    broken = max(simulation.share(lambda first, last: compiled(step, blocks, first, last, *given, *acting)))
+    given = steps, simulation.options.control_dt, simulation.fixed, simulation.observations, policy._network, changes
+    broken = max(simulation.share(lambda first, last: compiled(step, blocks, first, last, *given)))
     # The changes stay: what is due, the next step sets once more.
     simulation._everyone = False
     if broken >= 0:

@@ -26,7 +26,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
@@ -56,7 +55,6 @@ if TYPE_CHECKING:
     from capsule_gym.network import Layer
 
 POLICY = "policy.safetensors"
-SEED_FOLDER = re.compile(r"seed-([0-9]{1,18})")
 # A wheel carries the pretrained policies in the package; in a checkout they lie with the training commands.
 FOLDERS = (Path(__file__).with_name("checkpoints"), Path(__file__).parents[1] / "agents" / "checkpoints")
 FORMAT, FORMAT_VERSION = "capsule_gym policy", "2"
@@ -90,13 +88,11 @@ def policy_names(*, seeds: bool = False) -> list[str]:
 def pretrained() -> dict[str, Path]:
     """The files of the policies that come with the package: every run's, and under the plain name the first run's."""
     folder = next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[0])
-    runs = [
-        (file.parents[1].name, SEED_FOLDER.fullmatch(file.parent.name), file) for file in folder.glob(f"*/*/{POLICY}")
-    ]
+    files = sorted(folder.glob(f"*/seed-*/{POLICY}"), key=lambda file: (file.parts[-3], int(file.parts[-2][5:])))
     found: dict[str, Path] = {}
-    for name, seed, file in sorted((name, int(match[1]), file) for name, match, file in runs if match):
-        found.setdefault(name, file)
-        found[f"{name}/seed-{seed}"] = file
+    for file in files:
+        found.setdefault(file.parts[-3], file)
+        found["/".join(file.parts[-3:-1])] = file
     return found
 
 
@@ -318,23 +314,34 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
     """
     if not isinstance(name_or_path, (str, os.PathLike)):
         raise TypeError(f"name_or_path must be a policy's name or a path, got {written(name_or_path)}")
-    path = pretrained().get(name_or_path) if isinstance(name_or_path, str) else None
-    if path is not None:
-        return _read(str(name_or_path), path, trust_controller)
-    path = Path(name_or_path)
-    # Unlike Path's own, these take names that no file can have.
-    if os.path.isdir(path):
-        found = next((file for file in (path / "best" / POLICY, path / POLICY) if file.is_file()), None)
-        if found is None:
-            raise ValueError(f"{path} is no folder of a training run: it holds neither best/{POLICY} nor {POLICY}")
-        path = found
-    if os.path.isfile(path):
+    name = str(name_or_path)
+    path = pretrained().get(name) if isinstance(name_or_path, str) else None
+    if path is None:
+        path = Path(name_or_path)
+        # Unlike Path's own, these take names that no file can have.
+        if os.path.isdir(path):
+            path = next((file for file in (path / "best" / POLICY, path / POLICY) if file.is_file()), path)
+        if not os.path.isfile(path):
+            raise ValueError(
+                f"name_or_path must be one of {', '.join(policy_names())}, one run of it as NAME/seed-0, or the path "
+                f"of a policy file or of a run's folder, which holds best/{POLICY} or {POLICY}, got "
+                f"{written(name)}{nearest(name, pretrained())}"
+            )
         folder = path.absolute().parent
-        return _read(folder.parent.name if folder.name == "best" else folder.name, path, trust_controller)
-    raise ValueError(
-        f"name_or_path must be one of {', '.join(policy_names())}, one run of it as NAME/seed-0, or the path of a "
-        f"policy file or of a run's folder, got {written(str(name_or_path))}{nearest(str(name_or_path), pretrained())}"
-    )
+        name = folder.parent.name if folder.name == "best" else folder.name
+    if path.stat().st_size > LARGEST_FILE:
+        raise ValueError(f"{path} is no policy: it must have at most {LARGEST_FILE} bytes, got {path.stat().st_size}")
+    try:
+        policy = _read(name, path)
+    except (SafetensorError, ValueError, TypeError, RecursionError, OverflowError) as error:
+        raise ValueError(f"{path} is no policy: {error}") from error
+    controller = policy.env_kwargs.get("controller")
+    if not (trust_controller or is_own(controller)):
+        raise ValueError(
+            f"{path} names the control law {controller!r}, which does not come with this package; an environment made "
+            "with it runs that code: load_policy(.., trust_controller=True) if you trust it"
+        )
+    return policy
 
 
 def _options(env_kwargs: Any) -> EnvConfig:
@@ -359,35 +366,13 @@ def _check_array(name: str, array: np.ndarray, dtype: type, shape: tuple[int, ..
         raise ValueError(f"{name} must be finite, got NaN or infinity")
 
 
-def _read(name: str, path: Path, trust_controller: bool) -> Policy:
-    """The policy in a file; a file that is not a policy raises a ValueError that names it."""
-    size = path.stat().st_size
-    if size > LARGEST_FILE:
-        raise ValueError(f"{path} is no policy: it must have at most {LARGEST_FILE} bytes, got {size}")
-    try:
-        policy = _parse(name, path)
-    except (SafetensorError, ValueError, TypeError, RecursionError, OverflowError) as error:
-        raise ValueError(f"{path} is no policy: {error}") from error
-    controller = policy.env_kwargs.get("controller")
-    if not (trust_controller or is_own(controller)):
-        raise ValueError(
-            f"{path} names the control law {controller!r}, which does not come with this package; an environment made "
-            "with it runs that code: load_policy(.., trust_controller=True) if you trust it"
-        )
-    return policy
-
-
-def _parse(name: str, path: Path) -> Policy:
+def _read(name: str, path: Path) -> Policy:
     """The policy in a file that is not too large."""
     with safe_open(path, framework="numpy") as file:
         metadata: dict[str, str] = file.metadata() or {}
-        if metadata.get("format") != FORMAT:
-            raise ValueError(f"its metadata must say format {FORMAT!r}, got {metadata.get('format')!r}")
-        if metadata.get("format_version") != FORMAT_VERSION:
-            raise ValueError(
-                f"its format_version must be {FORMAT_VERSION!r}, the one that this version of capsule_gym knows, got "
-                f"{metadata.get('format_version')!r}"
-            )
+        found = metadata.get("format"), metadata.get("format_version")
+        if found != (FORMAT, FORMAT_VERSION):
+            raise ValueError(f"its format and format_version must be {FORMAT!r} and {FORMAT_VERSION!r}, got {found}")
         names = set(file.keys())
         count = sum(tensor.endswith(".weight") for tensor in names)
         layers = [(f"layers.{n}.weight", f"layers.{n}.bias") for n in range(min(count, MOST_LAYERS + 1))]
@@ -397,12 +382,11 @@ def _parse(name: str, path: Path) -> Policy:
         arrays = {tensor: file.get_tensor(tensor) for tensor in names}
     values: dict[str, Any] = {}
     for key in (*TEXTS, *VALUES):
-        if key not in metadata:
-            raise ValueError(f"its metadata must hold {key!r}, got {sorted(metadata)}")
         try:
             values[key] = metadata[key] if key in TEXTS else json.loads(metadata[key])
-        except ValueError:
-            raise ValueError(f"{key} must be JSON, got {metadata[key][:50]!r}") from None
+        except (KeyError, ValueError):
+            accepted = "text" if key in TEXTS else "JSON"
+            raise ValueError(f"{key} must be {accepted} in its metadata, got {metadata.get(key)!r:.50}") from None
     env_kwargs = values["env_kwargs"]
     for key, kind in (("capsule", Capsule), ("randomization", Randomization)):
         if isinstance(env_kwargs, dict) and isinstance(env_kwargs.get(key), dict):

@@ -219,7 +219,7 @@ def test_a_name_on_disk_does_not_hide_a_pretrained_policy(tmp_path, monkeypatch)
 def test_a_run_folder_means_its_best_policy(tmp_path):
     run = tmp_path / "my-run"
     (run / "best").mkdir(parents=True)
-    with pytest.raises(ValueError, match=r"holds neither best/policy.safetensors nor policy.safetensors"):
+    with pytest.raises(ValueError, match=r"a run's folder, which holds best/policy.safetensors or policy.safetensors"):
         load_policy(run)
     make_policy(training_seed=1).save(run / POLICY)
     assert load_policy(run).training_seed == 1
@@ -318,12 +318,12 @@ for _units in (0, 2000):
 
 
 HOSTILE_METADATA = [
-    ({"format": "pt"}, "must say format 'capsule_gym policy', got 'pt'"),
-    ({"format_version": "1"}, "format_version must be '2'"),
+    ({"format": "pt"}, "must be 'capsule_gym policy' and '2', got ('pt', '2')"),
+    ({"format_version": "1"}, "must be 'capsule_gym policy' and '2', got ('capsule_gym policy', '1')"),
     ({"output": "velocity"}, "output must be one of ('action', 'torque'), got 'velocity'"),
-    ({"output": None}, "its metadata must hold 'output'"),
+    ({"output": None}, "output must be text in its metadata, got None"),
     ({"identifies": "true"}, "of shape (9,), one for each input"),
-    ({"told_energy_weight": "True"}, "told_energy_weight must be JSON, got 'True'"),
+    ({"told_energy_weight": "True"}, "told_energy_weight must be JSON in its metadata, got 'True'"),
     ({"told_energy_weight": "2"}, "observes_energy_weight must be one of (False, True), got 2"),
     ({"told_energy_weight": "true"}, "of shape (6,), one for each input"),
     ({"output": "torque", "env_kwargs": '{"residual_limit": 0.0}'}, "where env_kwargs give no residual_limit > 0"),
@@ -333,7 +333,7 @@ HOSTILE_METADATA = [
     ),
     ({"activation": "gelu"}, "activation must be one of"),
     ({"clip": "1e300"}, "clip must be a number in (0, 1e+06]"),
-    ({"clip": "ten"}, "clip must be JSON, got 'ten'"),
+    ({"clip": "ten"}, "clip must be JSON in its metadata, got 'ten'"),
     ({"epsilon": "-1"}, "epsilon must be a finite number >= 0"),
     ({"training_seed": "-1"}, "training_seed must be an integer from 0"),
     ({"revision": ""}, "revision must be a string that is not empty"),

@@ -43,7 +43,7 @@ def test_unknown_policies_raise_an_error_that_lists_the_known_ones(world):
     (world / "model.zip").write_bytes(b"PK")
     for name, message in (
         ("lernt", r"scripted policy \(adaptive, bold\), a checkpoint \(learnt\), .* got 'lernt'"),
-        (world / "empty", r"empty is no folder of a training run"),
+        (world / "empty", r"run's folder, which holds best/.*empty'"),
         (world / "model.zip", r"model\.zip is no policy"),
     ):
         with pytest.raises(ValueError, match=message):
