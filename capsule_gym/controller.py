@@ -79,14 +79,10 @@ class Controller:
                 f"the control law of {self.name!r} must be law(theta, theta_dot, x, x_dot, memory, reference) -> "
                 f"(torque, memory) with finite numbers, but a trial call on its reference failed: {first_cause(error)}"
             ) from error
-        if len(values) - 1 != len(self.memory):
+        if len(values) - 1 != len(self.memory) or not all(map(math.isfinite, values)):
             raise ValueError(
-                f"the control law of {self.name!r} must return as many memory cells as it is given "
-                f"({len(self.memory)}), got {len(values) - 1}"
-            )
-        if not all(math.isfinite(value) for value in values):
-            raise ValueError(
-                f"the control law of {self.name!r} must return finite numbers, got {values} on its reference"
+                f"the control law of {self.name!r} must return a finite torque and as many finite memory cells as it "
+                f"is given ({len(self.memory)}), got {values} on its reference"
             )
 
 
@@ -112,10 +108,10 @@ def _check_reference(reference: Any) -> np.ndarray:
         table = np.ascontiguousarray(reference, np.float64) if fits else None
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"Controller.reference must be {accepted}: {error}") from None
-    if table is None:
-        raise ValueError(f"Controller.reference must be {accepted}, got shape {shape}")
-    if not np.isfinite(table).all():
-        raise ValueError(f"Controller.reference must be {accepted}, got NaN or infinity")
+    if table is None or not np.isfinite(table).all():
+        raise ValueError(
+            f"Controller.reference must be {accepted}, got shape {shape}{', not all finite' if fits else ''}"
+        )
     table.setflags(write=False)
     return table
 
@@ -123,13 +119,11 @@ def _check_reference(reference: Any) -> np.ndarray:
 def _check_memory(memory: Any) -> tuple[float, ...]:
     """A law's memory as a tuple of floats."""
     accepted = f"a tuple of 1 to {MOST_COLUMNS} finite numbers; a law without memory carries (0.0,)"
-    try:
-        cells = tuple(memory)
-    except TypeError:
-        raise TypeError(f"Controller.memory must be {accepted}, got {written(memory)}") from None
-    if not 1 <= len(cells) <= MOST_COLUMNS:
-        raise ValueError(f"Controller.memory must be {accepted}, got {len(cells)}")
-    return tuple(check_number("Controller.memory", cell, accepted) for cell in cells)
+    if not isinstance(memory, (tuple, list)):
+        raise TypeError(f"Controller.memory must be {accepted}, got {written(memory)}")
+    if not 1 <= len(memory) <= MOST_COLUMNS:
+        raise ValueError(f"Controller.memory must be {accepted}, got {len(memory)}")
+    return tuple(check_number("Controller.memory", cell, accepted) for cell in memory)
 
 
 def is_own(controller: str | None) -> bool:

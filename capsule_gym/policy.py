@@ -36,7 +36,6 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from capsule_gym import task
 from capsule_gym.controller import is_own
 from capsule_gym.files import write_atomically
 from capsule_gym.parameters import (
@@ -200,14 +199,12 @@ class Policy:
     @property
     def description(self) -> str:
         """What it is, in a line."""
-        controller = self.env_kwargs.get("controller")
-        action = "the whole torque"
-        if controller is not None:
-            limit = self.env_kwargs.get("residual_limit") or self.env_kwargs.get("torque_limit", task.TORQUE_LIMIT)
-            action = f"a residual torque of up to {limit:g} N m on `{controller}`"
-        randomization = self.env_kwargs.get("randomization", "paper")
+        options, action = EnvConfig(**self.env_kwargs), "the whole torque"
+        if options.controller is not None:
+            limit = options.residual_limit or options.torque_limit
+            action = f"a residual torque of up to {limit:g} N m on `{options.controller}`"
         algorithm = "DAgger" if self.algorithm == IMITATION else self.algorithm.upper()
-        return f"{algorithm}, {action}, trained with randomization {randomization}"
+        return f"{algorithm}, {action}, trained with randomization {options.randomization}"
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """The action for one observation or for many.
