@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from typing import Annotated, Literal
 from tyro.conf import arg
 
 from agents.study.jobs import plan, publish, results_table, train_all
-from agents.training.presets import ROWS, RunError, row_settings
+from agents.training.presets import ROWS, RunError
 from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Positional, parse, refuse
 from capsule_gym.parameters import check_count
@@ -49,9 +48,7 @@ class Args:
         """Checks names and ranges."""
         if not self.rows:
             raise ValueError(f"NAME must be one or several of {', '.join(ROWS)}")
-        for row in self.rows:
-            for seed in self.seeds:
-                dataclasses.replace(row_settings(row), seed=seed).check()
+        plan(self.rows, self.seeds, self.runs)
         if self.jobs is not None:
             check_count("--jobs", self.jobs)
         if self.backend == "ray" and find_spec("ray") is None:
@@ -62,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit status."""
     args = parse(Args, PROG, arguments)
     try:
-        jobs = plan({row: row_settings(row) for row in args.rows}, args.seeds, args.runs)
+        jobs = plan(args.rows, args.seeds, args.runs)
         failures = train_all(jobs, args.jobs, args.backend)
     except (RunError, OSError) as error:
         refuse(PROG, str(error))

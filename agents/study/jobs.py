@@ -8,14 +8,14 @@ import dataclasses
 import json
 import re
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
 from typing import Literal
 
 from agents.evaluation.policies import CHECKPOINTS
-from agents.training.presets import BEST, CONFIG, EVALUATIONS, Config, RunError, read_config
+from agents.training.presets import BEST, CONFIG, EVALUATIONS, Config, RunError, read_config, row_settings
 from baselines.tables import text_table
 from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY
@@ -46,23 +46,25 @@ class Job:
         return (self.run / FINISHED).is_file()
 
 
-def plan(settings: Mapping[str, Config], seeds: Sequence[int], folder: Path) -> list[Job]:
+def plan(rows: Sequence[str], seeds: Sequence[int], folder: Path) -> list[Job]:
     """Lists the runs of a study: the first seed of every row, then the second seed of every row, and so on.
 
     Args:
-        settings: configurations by the name of their row.
+        rows: of the leaderboard.
         seeds: training seeds.
         folder: of all runs; a run is in NAME/seed-N.
 
     Raises:
         RunError: if a run's folder exists and holds no run, or a run with other settings.
+        ValueError: if there is no such row, or a seed is out of range.
     """
     jobs = [
-        Job(row, dataclasses.replace(config, seed=seed), folder / row / f"seed-{seed}")
+        Job(row, dataclasses.replace(row_settings(row), seed=seed), folder / row / f"seed-{seed}")
         for seed in seeds
-        for row, config in settings.items()
+        for row in rows
     ]
     for job in jobs:
+        job.config.check()
         if job.run.exists():
             check_settings(job)
     return jobs

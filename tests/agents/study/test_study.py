@@ -20,7 +20,7 @@ def job(folder, seed=0, **changes):
 
 
 def test_a_plan_holds_every_row_with_every_seed_first_seeds_first(tmp_path):
-    jobs = plan({name: ROWS[name] for name in ("direct-ppo", "direct-sac")}, [0, 4], tmp_path)
+    jobs = plan(["direct-ppo", "direct-sac"], [0, 4], tmp_path)
     assert [each.name for each in jobs] == [
         "direct-ppo/seed-0",
         "direct-sac/seed-0",
@@ -38,8 +38,8 @@ def test_a_run_with_other_settings_is_not_resumed(tmp_path):
     content = {"task": "direct", "algo": "ppo", "hyperparameters": config.to_dict()}
     (run / "config.json").write_text(json.dumps(content))
     with pytest.raises(RunError, match=r"gamma was 0\.5 and is 0\.995"):
-        plan({"direct-ppo": ROWS["direct-ppo"]}, [0], tmp_path)
-    assert len(plan({"direct-ppo": ROWS["direct-ppo"]}, [1], tmp_path)) == 1
+        plan(["direct-ppo"], [0], tmp_path)
+    assert len(plan(["direct-ppo"], [1], tmp_path)) == 1
 
 
 def test_a_run_that_fails_does_not_stop_the_others(tmp_path, monkeypatch):
