@@ -14,7 +14,6 @@ import re
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from enum import Enum
 from functools import cache
 from pathlib import Path
 from types import BuiltinFunctionType, CellType, CodeType, FunctionType, ModuleType
@@ -134,8 +133,6 @@ def fingerprint(function: Callable[..., Any]) -> str | None:
             if id(value) not in seen:
                 seen.add(id(value))
                 add_function(value)
-        elif isinstance(value, type) and issubclass(value, Enum):
-            put(value.__qualname__, [(member.name, member.value) for member in value])
         elif isinstance(value, type) and hasattr(value, "_fields"):
             put(value.__qualname__, value._fields, inspect.get_annotations(value))
         else:

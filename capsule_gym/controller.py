@@ -62,10 +62,7 @@ class Controller:
         object.__setattr__(self, "reference", _check_reference(self.reference))
         object.__setattr__(self, "memory", _check_memory(self.memory))
         check_number("Controller.dt", self.dt, "a finite number > 0 (s)", 0.0, open_low=True)
-        self._try_law()
-
-    def _try_law(self) -> None:
-        """Calls the law once, so that a wrong signature is met here and not inside compiled code."""
+        # One call, so that a wrong signature is met here and not inside compiled code.
         row = tuple(float(value) for value in self.reference[0])
         # Compiled code does not check indices.
         law = getattr(self.law, "py_func", self.law)

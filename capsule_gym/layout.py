@@ -9,7 +9,6 @@ The arithmetic is the same everywhere, and so are the results, bit for bit.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import repeat
 from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
@@ -184,9 +183,11 @@ def record(typing_context: Any, array: Any, start: Any, kind: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         places = _places(context, builder, signature.args[0], arguments[0], arguments[1], 1, len(fields))
-        entries = [builder.load(place) for place in places]
-        values = map(context.cast, repeat(builder), entries, repeat(types.float64), fields)
-        return context.make_tuple(builder, result, list(values))
+        values = [
+            context.cast(builder, builder.load(place), types.float64, field)
+            for place, field in zip(places, fields, strict=True)
+        ]
+        return context.make_tuple(builder, result, values)
 
     return result(array, types.intp, kind), generate
 

@@ -129,10 +129,7 @@ def pack(layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, header: H
 @jitable
 def workspace(network: np.ndarray) -> np.ndarray:
     """The memory that `forward` works in, shape (2, units of the widest layer times LANES)."""
-    widest = 0
-    for layer in range(record(network, 0, Header).layers + 1):
-        widest = max(widest, int(network[HEADER + layer]))
-    size = widest * LANES
+    size = LANES * int(network[HEADER : HEADER + record(network, 0, Header).layers + 1].max())
     room = np.zeros(2 * size + LINE)
     # A wide load that crosses a cache line takes twice as long.
     start = -(room.ctypes.data // 8) % LINE

@@ -28,12 +28,7 @@ def observation_names(with_reference: bool, with_parameters: bool) -> tuple[str,
 
 
 def parameter_bounds(capsule: Capsule, randomization: Randomization) -> tuple[float, float]:
-    """The largest M in kg and the largest mu of an environment that shows them: what a reset may set.
-
-    Args:
-        capsule: the capsule of the environment.
-        randomization: where M and mu of an episode come from.
-    """
+    """The largest M in kg and the largest mu of an environment that shows them: what a reset may set."""
     # Room for the rounding of a draw, and of the observation to float32.
     room = 1.0 + 1e-6
     heaviest = randomization.M[1] if randomization.M else capsule.M

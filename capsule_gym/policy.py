@@ -162,7 +162,13 @@ class Policy:
         check_integer("training_seed", self.training_seed, "an integer from 0 to 2**63 - 1", 0, 2**63 - 1)
         check_number("clip", self.clip, f"a number in (0, {LARGEST_CLIP:g}]", 0.0, LARGEST_CLIP, open_low=True)
         check_number("epsilon", self.epsilon, "a finite number >= 0", 0.0)
-        options = _options(self.env_kwargs)
+        if not isinstance(self.env_kwargs, dict):
+            raise TypeError(f"env_kwargs must be a dict, got {written(self.env_kwargs)}")
+        if unknown := sorted(set(self.env_kwargs) - set(ENV_ARGUMENTS)):
+            raise ValueError(f"env_kwargs must have keys out of {ENV_ARGUMENTS}, got {written(unknown)}")
+        options = EnvConfig(**self.env_kwargs)
+        if options.controller is not None and not isinstance(options.controller, str):
+            raise TypeError(f"env_kwargs['controller'] must be None or an import string, got {options.controller!r}")
         if self.observes_energy_weight:
             accepted_weights = f"{ENERGY_WEIGHT_TEXT} where it is observed"
             check_number("env_kwargs['energy_weight']", options.energy_weight, accepted_weights, *ENERGY_WEIGHTS)
@@ -339,19 +345,6 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
             "with it runs that code: load_policy(.., trust_controller=True) if you trust it"
         )
     return policy
-
-
-def _options(env_kwargs: Any) -> EnvConfig:
-    """The options of the environment that these arguments make."""
-    if not isinstance(env_kwargs, dict):
-        raise TypeError(f"env_kwargs must be a dict, got {env_kwargs!r}")
-    unknown = sorted(set(env_kwargs) - set(ENV_ARGUMENTS))
-    if unknown:
-        raise ValueError(f"env_kwargs must have keys out of {ENV_ARGUMENTS}, got {unknown}")
-    options = EnvConfig(**env_kwargs)
-    if options.controller is not None and not isinstance(options.controller, str):
-        raise TypeError(f"env_kwargs['controller'] must be None or an import string, got {options.controller!r}")
-    return options
 
 
 def _check_array(name: str, array: np.ndarray, dtype: type, shape: tuple[int, ...], accepted: str) -> None:

@@ -109,7 +109,7 @@ def test_an_edit_anywhere_changes_the_fingerprint(parts, change):
 
 def test_only_what_cannot_be_read_has_no_fingerprint():
     without = {part for part in PARTS if make_fingerprint([(part, 2)]) is None}
-    assert without == {"ufunc", "closure over a ufunc", "dictionary", "object of a library"}
+    assert without == {"enumeration", "ufunc", "closure over a ufunc", "dictionary", "object of a library"}
     # One ufunc of numba's own, of which a process can only make a few thousand.
     ufunc = numba.vectorize(lambda v: 2.0 * v)
     assert fingerprint(lambda x: ufunc(x)) is None
