@@ -37,17 +37,13 @@ def parameter_bounds(capsule: Capsule, randomization: Randomization) -> tuple[fl
 
 
 def observation_bounds(
-    with_reference: bool, with_parameters: bool, capsule: Capsule, randomization: Randomization, torque_limit: float
+    with_reference: bool,  # whether a control law runs inside the step
+    with_parameters: bool,  # whether M and mu are observed
+    capsule: Capsule,
+    randomization: Randomization,  # where M and mu of an episode come from
+    torque_limit: float,  # N m
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest observation, float32.
-
-    Args:
-        with_reference: whether a control law runs inside the step.
-        with_parameters: whether M and mu are observed.
-        capsule: the capsule of the environment, for the bounds of M and mu.
-        randomization: where M and mu of an episode come from, for the same bounds.
-        torque_limit: N m.
-    """
+    """Lowest and highest observation, float32."""
     largest_M, largest_mu = parameter_bounds(capsule, randomization)
     bounds = {
         "theta": (-THETA_LIMIT, THETA_LIMIT),
@@ -122,7 +118,14 @@ Memory = tuple[float, float, float, float, float, float, float, float, float]
 
 @inlined
 def identify(
-    memory: Memory, theta: float, theta_dot: float, x_dot: float, m: float, l: float, g: float, dt: float
+    memory: Memory,  # see `CELLS`
+    theta: float,  # rad
+    theta_dot: float,  # rad/s
+    x_dot: float,  # m/s
+    m: float,  # mass of the ball, kg
+    l: float,  # length of the pendulum, m
+    g: float,  # gravitational acceleration, m/s^2
+    dt: float,  # time between the observations, s
 ) -> Memory:
     """The memory of M and mu, identified on line from the observations, after one more of them.
 
@@ -136,16 +139,6 @@ def identify(
     What it knows fades a little with every pair, and where a pair contradicts it the filter doubts it all: M and mu may
     jump. It knows one coefficient of friction and Newton's normal force; of a `Capsule` with another one backwards, or
     with the paper's, the balance is not exact. The filter belongs to the policy, not to the environment.
-
-    Args:
-        memory: see `CELLS`.
-        theta: rad.
-        theta_dot: rad/s.
-        x_dot: m/s.
-        m: mass of the ball, kg.
-        l: length of the pendulum, m.
-        g: gravitational acceleration, m/s^2.
-        dt: time between the observations, s.
     """
     begun, M, log_mu, P_MM, P_Mf, P_ff, last_across, last_along, last_x_dot = memory
     sin, cos = sincos(theta)

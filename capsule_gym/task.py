@@ -58,16 +58,13 @@ METRICS = Metrics._fields
 
 
 def reward_terms(
-    progress: float, energy: float, terminated: bool, energy_weight: float, termination_penalty: float
+    progress: float,  # displacement of the platform, m
+    energy: float,  # integral of |u theta_dot|, J
+    terminated: bool,  # whether the episode failed in this step
+    energy_weight: float,  # cost of a joule, in centimetres
+    termination_penalty: float,  # cost of a failure, in centimetres
 ) -> tuple[float, float, float]:
     """The three terms of the reward of one agent step.
-
-    Args:
-        progress: displacement of the platform, m.
-        energy: integral of |u theta_dot|, J.
-        terminated: whether the episode failed in this step.
-        energy_weight: cost of a joule, in centimetres.
-        termination_penalty: cost of a failure, in centimetres.
 
     Returns:
         Centimetres of forward progress, the cost of the energy (<= 0), the cost of a failure (<= 0).
