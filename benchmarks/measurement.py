@@ -13,8 +13,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
+from llvmlite.binding import get_host_cpu_features
 from tqdm import tqdm
 
 from capsule_gym.command_line import check_output
@@ -61,36 +62,27 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def machine(*packages: str) -> dict[str, Any]:
-    """Processor, cores, load and versions.
+def machine(*packages: str) -> str:
+    """Processor with its widest vectors, cores and versions, in one line.
 
     Args:
         packages: whose versions are added to those of `PACKAGES`; one that is not installed is left out.
     """
-    versions = {}
+    versions = []
     for package in (*PACKAGES, *packages):
         try:
-            versions[package] = version(package)
+            versions.append(f"{package} {version(package)}")
         except PackageNotFoundError:
             continue
     info = Path("/proc/cpuinfo")
     lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return {
-        "cpu": names[0] if names else platform.processor() or platform.machine(),
-        "cores": os.cpu_count(),
-        "cores_available": available_cores(),
-        "system": platform.system(),
-        "python": platform.python_version(),
-        "versions": versions,
-    }
-
-
-def describe(found: dict[str, Any]) -> str:
-    """`machine()` in one line."""
-    versions = ", ".join(f"{package} {number}" for package, number in found["versions"].items())
-    cores = f"{found['cores_available']} of {found['cores']} cores"
-    return f"{found['cpu']}, {cores}, {found['system']}, Python {found['python']}, {versions}"
+    cpu = names[0] if names else platform.processor() or platform.machine()
+    features = get_host_cpu_features()
+    vectors = [name for feature, name in {"avx512f": "AVX-512", "avx2": "AVX2"}.items() if features.get(feature)]
+    cores = f"{available_cores()} of {os.cpu_count()} cores"
+    system = f"{platform.system()}, Python {platform.python_version()}"
+    return ", ".join([" with ".join([cpu, *vectors[:1]]), cores, system, *versions])
 
 
 def take_turns(contenders: Mapping[Name, Callable[[], float]], turns: int) -> dict[Name, list[float]]:

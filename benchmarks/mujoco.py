@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from baselines.tables import markdown_table, text_table
 from benchmarks import accuracy
-from benchmarks.measurement import OutputArgs, available_cores, describe, machine
+from benchmarks.measurement import OutputArgs, available_cores, machine
 from capsule_gym import task
 from capsule_gym.command_line import parse, refuse
 from capsule_gym.parameters import DIRECT_PHYSICS_DT, Capsule, Plant
@@ -256,7 +256,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"Error: the largest in any state after 10 s of random torque, {accuracy.TRAJECTORIES} trajectories, against "
         f"DOP853. Creep: median |x'| in m/s over {CREEP_SECONDS:g} s while the pendulum pushes the platform with that "
         "share of its friction limit mu N, forwards and backwards in turn. 'stiff': the hardest constraints that "
-        f"MuJoCo allows at the step of {1e3 * DIRECT_PHYSICS_DT:g} ms. {describe(machine('mujoco'))}."
+        f"MuJoCo allows at the step of {1e3 * DIRECT_PHYSICS_DT:g} ms. {machine('mujoco')}."
     )
     print(text_table(rows), note, sep="\n\n")
     args.write(COMMAND, markdown_table(rows), note)

@@ -22,7 +22,7 @@ import numpy as np
 from tqdm import tqdm
 
 from baselines.tables import markdown_table, text_table
-from benchmarks.measurement import OutputArgs, available_cores, describe, machine, spread, take_turns
+from benchmarks.measurement import OutputArgs, available_cores, machine, spread, take_turns
 from benchmarks.mujoco import FRICTIONS, FrictionModel
 from capsule_gym import ENV_ID, task
 from capsule_gym.command_line import Count, parse
@@ -272,7 +272,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     contenders, left_out = select_available([*ours(), *peers()])
     rates = measure(contenders, args.turns)
     rows = table(contenders, rates)
-    note = f"{describe(machine('mujoco', 'envpool'))}; medians of {args.turns} turns, IQR: interquartile range over it."
+    note = f"{machine('mujoco', 'envpool')}; medians of {args.turns} turns, IQR: interquartile range over it."
     below = [CONDITIONS, note, *left_out]
     print(text_table(rows), *below, sep="\n\n")
     args.write(COMMAND, markdown_table(rows), *below)

@@ -23,7 +23,7 @@ from agents.evaluation.statistics import estimate, learning_curve, paired_differ
 from agents.training.presets import PRESETS, PPOConfig
 from baselines import drawing
 from baselines.tables import markdown_table, text_table
-from benchmarks.measurement import OutputArgs, describe, machine
+from benchmarks.measurement import OutputArgs, machine
 from capsule_gym.command_line import Count, parse
 from capsule_gym.files import replacing
 
@@ -262,7 +262,7 @@ def draw(runs: Mapping[str, Sequence[Run]], note: str) -> Any:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, COMMAND, arguments)
-    found = describe(machine("stable-baselines3", "torch"))
+    found = machine("stable-baselines3", "torch")
     runs = learning(args.seeds, args.total_steps)
     table, words = learning_table(runs), difference(runs)
     note = f"Interquartile means with 95 % intervals over seeds; {args.total_steps:,} steps. {found}."

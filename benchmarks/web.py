@@ -22,7 +22,7 @@ import numpy as np
 
 import capsule_gym
 from baselines.tables import markdown_table, text_table
-from benchmarks.measurement import OutputArgs, describe, machine, spread, take_turns
+from benchmarks.measurement import OutputArgs, machine, spread, take_turns
 from capsule_gym.command_line import Count, parse, refuse
 from capsule_gym.task import EPISODE_STEPS
 from web import build
@@ -110,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         steps.append([name, *cells, f"{node / native:.3f}"])
     note = (
         f"Agent steps, of 20 ms each, of one capsule in closed loop per second of the processor; medians of "
-        f"{args.turns} episodes. {describe(machine())}."
+        f"{args.turns} episodes. {machine()}."
     )
     print(text_table(steps), note, sep="\n\n")
     args.write(COMMAND, markdown_table(steps), note)
