@@ -182,7 +182,7 @@ def _label_marks(axes: Any, marks: Sequence[tuple[float, float, str, str]]) -> N
     for n, (x, y, name, colour) in enumerate(sorted(marks, key=lambda mark: -mark[1]), start=1):
         place = min(max((y - low) / (high - low), (len(marks) - n) * spacing), place - spacing)
         text = {"xytext": (4.0, 0.0), "textcoords": "offset points", "va": "center", "fontsize": 7.5, "color": colour}
-        axes.annotate(name, (1.0, place), xycoords="axes fraction", **text)
+        axes.annotate(name, (1.0, place), xycoords="axes fraction", parse_math=False, **text)
         line = ConnectionPatch((x, y), (1.0, place), "data", "axes fraction", axesA=axes, color=FAINT, linewidth=0.6)
         line.set_in_layout(False)
         axes.add_artist(line)
