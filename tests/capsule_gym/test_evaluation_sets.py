@@ -17,7 +17,7 @@ def test_hash_ignores_layout_and_integers_for_floats(tmp_path):
     assert load_set(path).hash == load_set("drift").hash
     one = parse_set({"name": "x", "plants": [{"M": 1, "mu": 0.1, "seed": 0}]})
     assert one.hash == parse_set({"name": "x", "plants": [{"M": 1.0, "mu": 0.1, "seed": 0, "changes": []}]}).hash
-    assert one.hash != parse_set({"name": "x", "plants": [{"M": 1.0, "mu": 0.1, "seed": 1}]}).hash
+    assert one.hash != parse_set({"name": "x", "plants": [{"M": 1.0, "mu": 0.1, "seed": 2**128 - 1}]}).hash
 
 
 def plant(**fields):

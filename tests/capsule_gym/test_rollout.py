@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -78,7 +79,7 @@ def on_a_law() -> Policy:
 
 
 @pytest.mark.parametrize("n", [1, 2 * LANES + 3])
-@pytest.mark.parametrize("make", [make_remembering, on_a_law])
+@pytest.mark.parametrize("make", [make_remembering, partial(make_remembering, output="torque"), on_a_law])
 def test_what_is_remembered_gives_the_same_bits_alone_in_a_batch_and_compiled(make, n):
     policy = make()
     looped, observations = begun(policy, n, jumps(n), threads=2)

@@ -54,7 +54,7 @@ def test_interface_of_the_vec_env():
         env.set_attr("render_mode", None)
     with pytest.raises(AttributeError, match="attribute `batch`"):
         env.env_method("episode_metrics")
-    assert len(env.get_images()) == 3
+    assert [image.shape[2] for image in env.get_images()] == [3, 3, 3]
     env.close()
 
 

@@ -85,6 +85,9 @@ def test_performance_profile_known_answers():
     # Both seeds the worse, or both the better.
     np.testing.assert_array_equal(profile.low, [1.0, 0.0, 0.0, 0.0, 0.0])
     np.testing.assert_array_equal(profile.high, [1.0, 0.75, 0.5, 0.25, 0.0])
+    # The episodes of one seed are resampled.
+    alone = performance_profile(scores[:1], [0.5])
+    assert alone.low < alone.value == 0.75 < alone.high
 
 
 def test_learning_curves_hold_the_last_evaluation_and_never_a_later_one():
