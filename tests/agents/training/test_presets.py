@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import re
 from typing import get_args, get_type_hints
 
@@ -13,7 +14,7 @@ import train
 from agents.distillation.config import STUDENTS
 from agents.distillation.dagger import HIDDEN
 from agents.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
-from agents.training.presets import CONFIG, PRESETS, ROWS, PPOConfig, read_config
+from agents.training.presets import CONFIG, PRESETS, RANGES, ROWS, PPOConfig, read_config
 from capsule_gym.parameters import DOCS, RANDOMIZATIONS, EnvConfig
 
 
@@ -37,6 +38,19 @@ def test_a_configuration_is_read_as_it_was_written(tmp_path, changes):
     content = {"task": "direct", "algo": "ppo", "hyperparameters": config.to_dict()}
     (tmp_path / CONFIG).write_text(json.dumps(content))
     assert read_config(tmp_path) == config
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_a_range_ends_where_its_words_say(name):
+    words, low, high, _ = RANGES[name]
+    config = next(each for each in PRESETS.values() if hasattr(each, name))
+    for end, refused in ((low, ">= " not in words and "[" not in words), (high, not math.isfinite(high))):
+        changed = dataclasses.replace(config, **{name: end})
+        if refused:
+            with pytest.raises(ValueError, match=f"^{name} must be {re.escape(words)}, got"):
+                changed.check()
+        else:
+            changed.check()
 
 
 def test_every_committed_policy_has_a_row_of_settings():
