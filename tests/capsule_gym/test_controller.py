@@ -53,6 +53,14 @@ def test_a_law_that_is_not_finite_is_named_with_the_state_that_it_was_asked_abou
     assert np.array_equal(info["state"][others], sound.step(zeros)[4]["state"][others])
 
 
+def test_a_single_environment_names_a_law_that_is_not_finite():
+    env = CapsuleEnv(controller=picky_controller)
+    env.reset(seed=0, options={"state": [-1.0, 0.0, 5.5, 0.0]})
+    with pytest.raises(ValueError, match=r"not finite in environment 0 \(step \d"):
+        for _ in range(3):
+            env.step(np.zeros(1, np.float32))
+
+
 def test_a_law_that_is_not_finite_from_the_start_is_named_by_the_reset():
     for env in (
         CapsuleEnv(controller=picky_controller),
