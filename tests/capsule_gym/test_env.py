@@ -310,8 +310,9 @@ COPIES = {"deepcopy": copy.deepcopy, "pickle": lambda env: pickle.loads(pickle.d
 @pytest.mark.parametrize("kwargs", [*VARIANTS[1:], {"controller": baselines.adaptive}])
 def test_a_copy_goes_on_with_the_episode_bit_for_bit_and_on_its_own(kwargs, make_copy):
     env = gym.make(ENV_ID, max_episode_steps=60, **kwargs)
-    with pytest.raises(gym.error.ResetNeeded):
-        make_copy(env).step(np.ones(1, np.float32))
+    for early in (env.unwrapped, make_copy(env)):
+        with pytest.raises(gym.error.ResetNeeded):
+            early.step(np.ones(1, np.float32))
     env.reset(seed=3)
     # In the middle of the second episode, with a jump to come.
     env.reset(options={"changes": [{**JUMP, "t": 0.05}, JUMP]})

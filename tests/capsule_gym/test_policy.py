@@ -101,6 +101,8 @@ def test_a_file_is_what_the_format_says(tmp_path):
     expected = float64 | {f"layers.{name}": ("float32", shape) for name, shape in shapes.items()}
     assert {name: (array.dtype.name, array.shape) for name, array in tensors.items()} == expected
     content = (tmp_path / POLICY).read_bytes()
+    # As safetensors asks for, so that readers can map the tensors into memory.
+    assert int.from_bytes(content[:8], "little") % 8 == 0
     header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
     assert header["__metadata__"] == {
         **{"format": "capsule_gym policy", "format_version": "2", "training_seed": "3", "revision": "0123456789ab"},
