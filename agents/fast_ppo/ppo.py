@@ -94,9 +94,13 @@ class FastPPO(PPO):
         - `identifies`: online estimates of M and mu are inputs of the policy.
         - `energy_weights`: every episode draws an energy weight, whose logarithm is an input of the policy.
         - `jump_rate`: M and mu are drawn anew within episodes.
+
+    With a layer of more than `widest` units the update is SB3's own, whose large matrix products are faster.
     """
 
     policy: FastPolicy
+    widest = 256
+    """Units of the widest layer whose update is compiled."""
     critic_steps = 0
     """Environment steps at the start in which only the critic learns."""
 
@@ -171,6 +175,10 @@ class FastPPO(PPO):
 
     def train(self) -> None:
         """Makes `n_epochs` passes over the rollout."""
+        if max(len(bias) for layers in self._arrays(torch.Tensor.detach)[:2] for _, bias in layers) > self.widest:
+            self.rollout_buffer.full, self.rollout_buffer.generator_ready = True, False
+            super().train()
+            return
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         clip_range: Any = self.clip_range
