@@ -10,10 +10,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba.extending import register_jitable
 
 from capsule_gym import dynamics
-from capsule_gym.compilation import compile_cached
+from capsule_gym.compilation import jitable
+from capsule_gym.compiler import compile_cached
 from capsule_gym.parameters import Plant
 
 # So many that the widening below costs the bounds on the published swings less than 1e-3 rad/s.
@@ -42,7 +42,7 @@ class Envelope(NamedTuple):
         return float(self.theta_dot[-1])
 
 
-@register_jitable
+@jitable
 def largest_acceleration(
     theta: float, theta_dot: float, u: float, plants: tuple[Plant, ...], frictionless: Plant
 ) -> float:

@@ -1,66 +1,102 @@
-"""How plain functions become compiled ones that numba's disk cache may keep.
+"""How plain functions become compiled ones, and where their machine code is kept.
 
-numba's own cache looks at the date of one file. A function here is compiled under a name that holds a hash of
-everything it refers to, so that an edit of a law, of the physics or of a gain never meets a stale entry, and an
-unchanged one is found again by any process.
+The functions of the step are ordinary Python, which decorators of this module mark for the compiler. `compile_entry`
+looks for the machine code of one among those that came with the package and those that this machine has compiled
+before; only where it finds none are numba and `capsule_gym.compiler` imported. Code is found by a hash of everything
+that it depends on, so that an edit of a law, of the physics or of a gain never meets a stale one.
 """
 
 from __future__ import annotations
 
 import hashlib
 import inspect
-import pickle
+import os
 import re
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from types import BuiltinFunctionType, CellType, CodeType, FunctionType, ModuleType
 from typing import Any
-from uuid import uuid4
 
-import numba
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.core.caching import FunctionCache
-from numba.core.registry import CPUDispatcher
-from numba.core.serialize import dumps
-from numba.extending import _Intrinsic, intrinsic, register_jitable
+from filelock import FileLock
 
+from capsule_gym import objects
 from capsule_gym.files import write_atomically
+from capsule_gym.objects import Entry, Target
 
 # A division by zero gives infinity. Python's exception would be a branch in every division, which no loop over
 # environments survives; strict floating point otherwise, so that all loops give the same bits.
 OPTIONS: dict[str, Any] = {"error_model": "numpy"}
 # Wrappers that let Python or C call a compiled helper take half of the time to compile it, and are never used.
-_NO_WRAPPERS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+NO_WRAPPERS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
-DIGEST_SIZE = hashlib.sha256().digest_size
+# The machine code that comes with the package, for the processors of `objects.LEVELS`.
+SHIPPED = Path(__file__).with_name("machine_code")
+# The kinds that are compiled for, into that folder, besides this processor's: some only while the package is built.
+shipping: tuple[Target, ...] = ()
 # Packages whose content a fingerprint does not read.
 _LIBRARIES = ("builtins", "itertools", "llvmlite", "math", "numba", "numpy", "operator", "typing")
+_DIGEST_SIZE = hashlib.sha256().digest_size
 
-# Decorators of plain functions that compiled code may call. Compiled code contains no call of an `inlined` one but its
-# body: no loop over environments is vectorised otherwise.
-jitable = register_jitable(**_NO_WRAPPERS)
-inlined = register_jitable(forceinline=True, **_NO_WRAPPERS)
+# What compiled code may call besides what numba knows: each function's options, and of those whose instructions are
+# generated the function that does so. `capsule_gym.compiler` has numba told where it is imported, and adds itself to
+# what is called when there is more.
+marked: dict[Callable[..., Any], dict[str, Any]] = {}
+generated: dict[Callable[..., Any], tuple[Callable[..., Any], bool]] = {}
+listeners: list[Callable[[], None]] = []
 
 
-@intrinsic
-def use_widest_vectors(typing_context: Any) -> Any:
+def jitable(function: Any, **options: Any) -> Any:
+    """Marks a plain function that compiled code may call."""
+    marked[function] = {**NO_WRAPPERS, **options}
+    for listen in listeners:
+        listen()
+    return function
+
+
+def inlined(function: Any) -> Any:
+    """Marks a plain function that compiled code does not call, but contains: what keeps a loop around it vectorised."""
+    return jitable(function, forceinline=True)
+
+
+def intrinsic(define: Callable[..., Any], prefer_literal: bool = False) -> Callable[[Any], Any]:
+    """Marks a function whose instructions are generated; its body says what they do, and is what Python runs.
+
+    Args:
+        define: as `numba.extending.intrinsic` decorates it.
+        prefer_literal: as there.
+    """
+
+    def mark(function: Any) -> Any:
+        generated[function] = define, prefer_literal
+        for listen in listeners:
+            listen()
+        return function
+
+    return mark
+
+
+def _define_widest_vectors(typing_context: Any) -> Any:
+    from numba import types
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        # llvmlite only adds attributes that it knows by name.
+        set.add(builder.function.attributes, objects.WIDEST_VECTORS)
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
+@intrinsic(_define_widest_vectors)
+def use_widest_vectors() -> None:
     """Has the calling function's loops vectorised over the whole width of the registers.
 
     On most processors with AVX-512 the compiler takes half of it, since a few wide instructions lower the clock for all
     others. The kernel's loops are nothing but arithmetic, and gain a fifth.
     """
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        # llvmlite only adds attributes that it knows by name.
-        set.add(builder.function.attributes, '"prefer-vector-width"="512"')
-        return context.get_dummy_value()
-
-    return types.void(), generate
 
 
 def fingerprint(function: Callable[..., Any]) -> str | None:
@@ -89,7 +125,7 @@ def fingerprint(function: Callable[..., Any]) -> str | None:
                 put(constant)
         return names
 
-    def add_function(function: FunctionType) -> None:
+    def add_function(function: Any) -> None:
         names = add_code(function.__code__)
         scope = function.__globals__
         for name in sorted(names & scope.keys()):
@@ -106,9 +142,10 @@ def fingerprint(function: Callable[..., Any]) -> str | None:
             add(free, cell.cell_contents, names)
 
     def add(name: str, value: Any, names: set[str]) -> None:
-        if isinstance(value, CPUDispatcher):
+        # What numba has compiled, and what its own decorator of intrinsics has made.
+        if hasattr(value, "py_func") and hasattr(value, "targetoptions"):
             put(sorted(value.targetoptions.items()))
-        value = value._defn if isinstance(value, _Intrinsic) else getattr(value, "py_func", value)
+        value = getattr(value, "py_func", getattr(value, "_defn", value))
         home = value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", None) or ""
         named = isinstance(value, (ModuleType, FunctionType, BuiltinFunctionType, type))
         put(name, type(value).__qualname__)
@@ -122,7 +159,7 @@ def fingerprint(function: Callable[..., Any]) -> str | None:
             put(value.dtype, value.shape, np.ascontiguousarray(value).tobytes())
         elif named and home.partition(".")[0] in _LIBRARIES:
             put(home, value.__name__)
-        elif isinstance(value, (types.Type, ir.Type)) or value is getattr(np, getattr(value, "__name__", ""), None):
+        elif _is_library_type(value) or value is getattr(np, getattr(value, "__name__", ""), None):
             put(str(value))
         elif isinstance(value, ModuleType):
             if (id(value), frozenset(names)) not in seen:
@@ -130,9 +167,11 @@ def fingerprint(function: Callable[..., Any]) -> str | None:
                 for attribute in sorted(names & vars(value).keys()):
                     add(attribute, getattr(value, attribute), names)
         elif isinstance(value, FunctionType):
+            put(sorted(marked.get(value, {}).items()) if name else None)
             if id(value) not in seen:
                 seen.add(id(value))
-                add_function(value)
+                # Of a function whose instructions are generated, the body is what Python runs.
+                add_function(generated[value][0] if value in generated else value)
         elif isinstance(value, type) and hasattr(value, "_fields"):
             put(value.__qualname__, value._fields, inspect.get_annotations(value))
         else:
@@ -140,127 +179,127 @@ def fingerprint(function: Callable[..., Any]) -> str | None:
 
     put(sorted(OPTIONS.items()))
     try:
-        add(function.__name__, function, set())
+        put(function.__name__)
+        # How others may call the function itself does not matter.
+        add("", function, set())
     except TypeError:
         return None
     return digest.hexdigest()[:16]
 
 
-def rebound(function: Any, name: str, bindings: dict[str, Any], cells: tuple[CellType, ...] | None = None) -> Any:
-    """A copy of a function under another name, with some globals bound to other values, and with that closure."""
+def _is_library_type(value: Any) -> bool:
+    """Whether this is one of numba's types, or of LLVM's."""
+    return type(value).__module__.startswith(("numba.core.types", "llvmlite.ir.types"))
+
+
+def rebound(function: Any, bindings: dict[str, Any], cells: tuple[CellType, ...] | None = None) -> Any:
+    """A copy of a function with some globals bound to other values, and with that closure or its own."""
     scope = {**function.__globals__, **bindings}
-    copy = FunctionType(function.__code__, scope, name, function.__defaults__, cells)
-    copy.__qualname__ = name
-    copy.__module__ = function.__module__
+    closure = cells or function.__closure__
+    copy = FunctionType(function.__code__, scope, function.__name__, function.__defaults__, closure)
+    copy.__module__, copy.__annotations__ = function.__module__, function.__annotations__
     return copy
 
 
-def distinct(function: Any, digest: str, outer: tuple[Any, ...] = ()) -> Any:
-    """A copy of a law, and of the compiled helpers it refers to, under names that hold the hash.
-
-    numba's symbols hold a function's name and a counter of the process. Two laws out of one factory, compiled in two
-    processes and loaded from the disk cache into a third, would have the same symbol, and the linker would give both
-    the first one's code.
-    """
-
-    def renewed(value: Any) -> Any:
-        if not isinstance(value, CPUDispatcher) or value in outer:
-            return value
-        options = {**value.targetoptions, **OPTIONS}
-        return numba.jit(distinct(value.py_func, digest, (*outer, value)), **options)
-
-    names = {
-        name: renewed(function.__globals__[name]) for name in function.__code__.co_names if name in function.__globals__
-    }
-    cells = tuple(CellType(renewed(cell.cell_contents)) for cell in function.__closure__ or ())
-    return rebound(function, f"{function.__name__}_{digest}", names, cells or None)
-
-
-def inner(function: Any, **options: Any) -> Any:
-    """Compiles a function that kernels call, with more of numba's options."""
-    return numba.njit(function, **OPTIONS, **_NO_WRAPPERS, **options)
-
-
-def kernel(function: Callable[..., Any], digest: str | None, bindings: dict[str, Any], what: str = "") -> Any:
-    """The function with other globals, compiled at its first call or loaded from the disk cache.
+def compile_entry(
+    function: Callable[..., Any], signature: str, what: str = "", bindings: dict[str, Any] | None = None
+) -> Entry:
+    """A function as machine code, which checks neither dtype nor contiguity of its arrays.
 
     Args:
-        function: a plain function.
-        digest: a hash of all that the code depends on; None keeps the code in this process alone.
-        bindings: the globals that are to have other values.
-        what: for a message on stderr where it is not in the cache; empty where it takes too short a time to say so.
+        function: plain; it allocates no memory, and returns None or an integer.
+        signature: its types as numba writes them; arrays are C-contiguous.
+        what: for a message on stderr where it has to be compiled; empty where that takes too short a time to say so.
+        bindings: globals that are to have other values. A function among these is plain or compiled; it and its
+            compiled helpers are compiled anew with OPTIONS.
+
+    Raises:
+        TypeError: if numba cannot compile it.
     """
-    bound = rebound(function, f"{function.__name__}_{digest or uuid4().hex}", bindings)
-    dispatcher = numba.njit(bound, nogil=True, **OPTIONS)
-    # numba finds no folder where neither NUMBA_CACHE_DIR, nor the package, nor the user's cache can be written to.
-    with suppress(RuntimeError):
-        if digest:
-            dispatcher._cache = Cache(dispatcher.py_func)
-            dispatcher._cache.what = what
-    return dispatcher
+    name, own = function.__name__, bindings or {}
+    digest, target = fingerprint(rebound(function, own)), objects.host_target()
+    if digest is None:
+        return objects.load(_compile(function, signature, own, [target])[0], name)
+    # Without NUMBA_BOUNDSCHECK, code compiled without bounds checks would be used where they are switched on.
+    parts = (digest, signature, _compiler_digest(), os.environ.get("NUMBA_BOUNDSCHECK"))
+    key = f"{name}-{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}"
+    if key not in _loaded:
+        kept = _cache_folder() / f"{key}.{target.name}.o"
+        content = read_checked(SHIPPED / kept.name) or read_checked(kept)
+        if content is None:
+            with _locked(kept.with_suffix(".lock")):
+                # Another process may have compiled it in the meantime.
+                content = read_checked(kept)
+                if content is None:
+                    if what:
+                        text = f"compiling {what}; this takes some seconds, once: the result is kept on disk"
+                        print(f"capsule_gym: {text}", file=sys.stderr)
+                    content, *others = _compile(function, signature, own, [target, *shipping])
+                    write_checked(kept, content)
+                    for kind, other in zip(shipping, others, strict=True):
+                        write_checked(SHIPPED / f"{key}.{kind.name}.o", other)
+        _loaded[key] = objects.load(content, name)
+    return _loaded[key]
 
 
-class Cache(FunctionCache):
-    """numba's disk cache, for files that other processes may damage.
+_loaded: dict[str, Entry] = {}
 
-    numba believes what it finds: an index that was cut off ends the program with an unpickling error, and machine code
-    in which a bit has changed is run. It also names the file of the code in the index only, so that two processes for
-    different processors can give theirs the same name. Here each entry is a file of its own, whose name holds the hash
-    of all that the code depends on, and which begins with the hash of its content. What does not fit is compiled again;
-    where nothing can be written nothing is kept.
-    """
 
-    what = ""
+def _compile(
+    function: Callable[..., Any], signature: str, bindings: dict[str, Any], targets: list[Target]
+) -> list[bytes]:
+    # numba takes most of a second to import.
+    from capsule_gym.compiler import compile_objects
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The compiled function of a signature, or None."""
-        target_context.refresh()
-        # Code that was kept by another version may refer to a module that has another name now.
-        with suppress(OSError, ImportError, AttributeError):
-            content = self._file(sig, target_context.codegen()).read_bytes()
-            digest, payload = content[:DIGEST_SIZE], content[DIGEST_SIZE:]
-            if hashlib.sha256(payload).digest() == digest:
-                return self._impl.rebuild(target_context, pickle.loads(payload))
-        if self.what:
-            text = f"compiling {self.what}; this takes some seconds, once: numba keeps the result on disk"
-            print(f"capsule_gym: {text}", file=sys.stderr)
+    return compile_objects(function, signature, bindings, targets)
+
+
+def read_checked(file: Path) -> bytes | None:
+    """The content of a file that `write_checked` wrote, unless it is not there or damaged: it would be run."""
+    try:
+        content = file.read_bytes()
+    except OSError:
         return None
+    digest, payload = content[:_DIGEST_SIZE], content[_DIGEST_SIZE:]
+    return payload if hashlib.sha256(payload).digest() == digest else None
 
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Keeps a compiled function."""
-        if self._impl.check_cachable(data):
-            payload = dumps(self._impl.reduce(data))
-            with suppress(OSError):
-                write_atomically(self._file(sig, data.codegen), hashlib.sha256(payload).digest() + payload)
 
-    def _file(self, sig: Any, codegen: Any) -> Path:
-        """Where the code of a signature lies for this processor and this version of numba and of the sources."""
-        # Without BOUNDSCHECK, code compiled without bounds checks would be used where they are switched on.
-        stamp = self._impl.locator.get_source_stamp()
-        key = (self._index_key(sig, codegen), stamp, numba.__version__, numba.config.BOUNDSCHECK)
-        digest = hashlib.sha256(repr(key).encode()).hexdigest()[:16]
-        return Path(self.cache_path) / f"{self._impl.filename_base}.{digest}.nbc"
+def write_checked(file: Path, content: bytes) -> None:
+    """Writes a file for `read_checked`, where that is possible."""
+    with suppress(OSError):
+        write_atomically(file, hashlib.sha256(content).digest() + content)
 
 
 @cache
-def compile_cached(function: Callable[..., Any]) -> Any:
-    """Compiles a module-level function with numba; unlike numba's own, the disk cache notices edits of its callees.
-
-    The same function gives the same dispatcher.
-    """
-    return kernel(function, fingerprint(function), {})
+def _compiler_digest() -> str:
+    """A hash of the modules that turn a function into machine code."""
+    texts = [Path(__file__).with_name(name).read_bytes() for name in ("compiler.py", "objects.py")]
+    return hashlib.sha256(b"".join(texts)).hexdigest()
 
 
-def compile_entry(function: Callable[..., Any], signature: tuple[Any, ...], what: str = "") -> Any:
-    """A module-level function as compiled code alone: it checks neither dtype nor shape nor contiguity of its arrays.
+def _cache_folder() -> Path:
+    """Where this machine keeps machine code: numba's folder if it has one, beside the package, or the user's cache."""
+    beside = Path(__file__).with_name("__pycache__")
+    if folder := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(folder) / "capsule_gym"
+    with suppress(OSError):
+        beside.mkdir(exist_ok=True)
+        if os.access(beside, os.W_OK):
+            return beside
+    home = os.environ.get("LOCALAPPDATA") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(home) / "capsule_gym"
 
-    numba's search for the right compiled form takes time, and finds none for read-only arrays or another law's step.
 
-    Args:
-        function: plain.
-        signature: numba's types of its arguments.
-        what: as for `kernel`.
-    """
-    compiled = kernel(function, fingerprint(function), {}, what)
-    compiled.compile(signature)
-    return next(iter(compiled.overloads.values())).entry_point
+@contextmanager
+def _locked(file: Path) -> Iterator[None]:
+    """Holds a lock, so that of several processes one compiles; without one where no file can be written."""
+    lock = FileLock(file)
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except OSError:
+        pass
+    try:
+        yield
+    finally:
+        lock.release()

@@ -7,12 +7,11 @@ import pkgutil
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from capsule_gym.parameters import LAW_DT, check_number, written
+from capsule_gym.parameters import LAW_DT, check_number, first_cause, written
 
 Law = Callable[..., tuple[float, tuple[float, ...]]]
 
@@ -81,15 +80,6 @@ class Controller:
                 f"the control law of {self.name!r} must return a finite torque and as many finite memory cells as it "
                 f"is given ({len(self.memory)}), got {values} on its reference"
             )
-
-
-def first_cause(error: Exception) -> str:
-    """An error in one line; of one of numba's, the first cause and the line of source that it is about."""
-    text = re.sub(r"\x1b\[\d*m", "", str(error))
-    lines = [line.strip() for line in text.splitlines() if line.strip() and "pipeline (step:" not in line]
-    cause = " ".join(lines[: 2 if lines and lines[0].endswith(":") else 1])
-    place = re.search(r'File "(.*)", line (\d+)', text) or re.search(r" at (\S+) \((\d+)\)", text)
-    return cause + (f" ({Path(place[1]).name}, line {place[2]})" if place else "")
 
 
 def _check_reference(reference: Any) -> np.ndarray:

@@ -12,19 +12,27 @@ at all runs at five sixths of the speed.
 
 from __future__ import annotations
 
+import ctypes
+import ctypes.util
 import math
+import struct
+import sys
 from typing import Any
 
 import numpy as np
-from numba import njit, types
-from numba.extending import intrinsic
 
-from capsule_gym.compilation import compile_cached, inlined
+from capsule_gym.compilation import compile_entry, inlined, intrinsic
+
+if hasattr(math, "fma"):
+    _fma = math.fma
+else:
+    # Python 3.13 has it. The C library's rounds once as well.
+    _fma = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else ctypes.util.find_library("m")).fma
+    _fma.restype, _fma.argtypes = ctypes.c_double, [ctypes.c_double] * 3
 
 
-@intrinsic
-def _llvm_fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
-    """LLVM's fused multiply-add, of doubles."""
+def _define_fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
+    from numba import types
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.fma(*arguments)
@@ -32,10 +40,11 @@ def _llvm_fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
     return types.float64(types.float64, types.float64, types.float64), generate
 
 
-@njit(forceinline=True)
+@intrinsic(_define_fma)
 def fma(a: float, b: float, c: float) -> float:
-    """a b + c, rounded once; from Python it runs compiled, too."""
-    return _llvm_fma(a, b, c)
+    """a b + c, rounded once."""
+    value: float = _fma(a, b, c)
+    return value
 
 
 # 2 pi to twice the precision of a double.
@@ -77,7 +86,8 @@ def sines_and_cosines(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`sincos` of every angle of a float64 array, in two arrays of its shape: the same bits as one by one."""
     values = np.ascontiguousarray(angles, np.float64)
     sines, cosines = np.empty_like(values), np.empty_like(values)
-    compile_cached(_evaluate)(values.reshape(-1), sines.reshape(-1), cosines.reshape(-1))
+    entry = compile_entry(_evaluate, "void(float64[::1], float64[::1], float64[::1])")
+    entry.call(values.reshape(-1), sines.reshape(-1), cosines.reshape(-1))
     return sines.reshape(np.shape(angles)), cosines.reshape(np.shape(angles))
 
 
@@ -116,11 +126,11 @@ E_8, E_9 = 2.7620088445409746e-07, 2.510038549551032e-08
 FLAT = 20.0
 
 
-@intrinsic
-def _llvm_power_of_two(typing_context: Any, shifted: Any) -> Any:
-    """2^n from n + ROUNDING: the lowest digits of that sum become the exponent."""
+def _define_power_of_two(typing_context: Any, shifted: Any) -> Any:
+    from numba import types
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        # The lowest digits of the sum become the exponent.
         integer = context.get_value_type(types.int64)
         exponent = builder.shl(builder.bitcast(arguments[0], integer), integer(52))
         one = integer(1023 << 52)
@@ -129,10 +139,12 @@ def _llvm_power_of_two(typing_context: Any, shifted: Any) -> Any:
     return types.float64(types.float64), generate
 
 
-@njit(forceinline=True)
+@intrinsic(_define_power_of_two)
 def power_of_two(shifted: float) -> float:
-    """2^n from n + ROUNDING, for whole n in +-1022; from Python it runs compiled, too."""
-    return _llvm_power_of_two(shifted)
+    """2^n from n + ROUNDING, for whole n in +-1022."""
+    (bits,) = struct.unpack("<Q", struct.pack("<d", shifted))
+    (power,) = struct.unpack("<d", struct.pack("<Q", ((bits + 1023) << 52) % 2**64))
+    return float(power)
 
 
 @inlined

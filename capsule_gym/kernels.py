@@ -14,27 +14,11 @@ import math
 from collections.abc import Callable
 from functools import cache
 from typing import Any
-from uuid import uuid4
 
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.core import cgutils
-from numba.core.errors import NumbaError
-from numba.core.registry import CPUDispatcher
-from numba.extending import intrinsic
 
 from capsule_gym import dynamics, task
-from capsule_gym.compilation import (
-    distinct,
-    fingerprint,
-    inlined,
-    inner,
-    jitable,
-    kernel,
-    use_widest_vectors,
-)
-from capsule_gym.controller import first_cause
+from capsule_gym.compilation import compile_entry, inlined, intrinsic, jitable, use_widest_vectors
 from capsule_gym.elementary import clip
 from capsule_gym.layout import (
     AT,
@@ -51,10 +35,11 @@ from capsule_gym.layout import (
     store,
     unpack,
 )
+from capsule_gym.objects import Entry
 from capsule_gym.observation import write_observation
 from capsule_gym.parameters import Plant
 
-# `task` itself is imported without numba, which takes most of a second.
+# `task` itself imports nothing of the compiler's.
 for _function in (task.reward_terms, task.termination, task.continues, task.bounded):
     inlined(_function)
 
@@ -256,25 +241,65 @@ def evaluate_law(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, torqu
         block[AT.halt + j] = UNDER_WAY if halt == UNDER_WAY and clipped == clipped else HALTED
 
 
-LAW_SIGNATURE = (types.float64[::1], types.int64, types.float64[::1], types.int64, types.float64, types.float64)
+# What compiled functions take, as numba writes it: `evaluate_law` and `advance`.
+LAW_SIGNATURE = "void(float64[::1], int64, float64[::1], int64, float64, float64)"
+SIGNATURE = "int64(float64[:, ::1], int64, int64, boolean, float64[::1], float32[:, ::1])"
 
 
-@intrinsic
-def call_law(typing_context: Any, block: Any, n: Any, fixed: Any, cycle: Any, torque_limit: Any, tick: Any) -> Any:
-    """Calls a compiled `evaluate_law`, whose address `fixed` holds, with these arguments."""
+def _call(context: Any, builder: Any, address: Any, signature: Any, arguments: Any) -> Any:
+    """Generates a call of a compiled function by its address."""
+    from numba.core import cgutils
+
+    convention, (result, kinds) = context.call_conv, (signature.return_type, signature.args)
+    function = builder.inttoptr(address, convention.get_function_type(result, kinds).as_pointer())
+    status, value = convention.call_function(builder, function, result, kinds, arguments)
+    with cgutils.if_unlikely(builder, status.is_error):
+        convention.return_status_propagate(builder, status)
+    return value
+
+
+def _define_call_law(typing_context: Any, block: Any, n: Any, fixed: Any, cycle: Any, limit: Any, tick: Any) -> Any:
+    from numba import types
+    from numba.core.sigutils import normalize_signature
+
+    given, result = normalize_signature(LAW_SIGNATURE)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        convention = context.call_conv
-        table = context.make_array(signature.args[2])(context, builder, arguments[2])
-        number = ir.IntType(64)
-        address = builder.load(builder.bitcast(builder.gep(table.data, [number(LAW)]), number.as_pointer()))
-        function = builder.inttoptr(address, convention.get_function_type(types.none, signature.args).as_pointer())
-        status, _ = convention.call_function(builder, function, types.none, signature.args, arguments)
-        with cgutils.if_unlikely(builder, status.is_error):
-            convention.return_status_propagate(builder, status)
+        number, table = context.get_value_type(types.int64), context.make_array(given[2])
+        place = builder.gep(table(context, builder, arguments[2]).data, [number(LAW)])
+        address = builder.load(builder.bitcast(place, number.as_pointer()))
+        _call(context, builder, address, signature, arguments)
         return context.get_dummy_value()
 
-    return types.none(*LAW_SIGNATURE), generate
+    return result(*given), generate
+
+
+@intrinsic(_define_call_law)
+def call_law(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, torque_limit: float, tick: float) -> None:
+    """Calls a compiled `evaluate_law`, whose address `fixed` holds, with these arguments."""
+    raise NotImplementedError("only compiled code calls a law by its address")
+
+
+def _define_call_advance(
+    typing_context: Any, address: Any, world: Any, first: Any, last: Any, begin: Any, fixed: Any, observations: Any
+) -> Any:
+    from numba import types
+    from numba.core.sigutils import normalize_signature
+
+    given, result = normalize_signature(SIGNATURE)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _call(context, builder, arguments[0], result(*given), arguments[1:])
+
+    return result(types.int64, *given), generate
+
+
+@intrinsic(_define_call_advance)
+def call_advance(
+    address: int, world: np.ndarray, first: int, last: int, begin: bool, fixed: np.ndarray, observations: np.ndarray
+) -> int:
+    """Calls a compiled `advance` by its address with the other arguments."""
+    raise NotImplementedError("only compiled code calls the step by its address")
 
 
 @inlined
@@ -402,45 +427,18 @@ def advance(world: np.ndarray, first: int, last: int, begin: bool, fixed: np.nda
     return broken
 
 
-SIGNATURE = (
-    types.float64[:, ::1],
-    types.int64,
-    types.int64,
-    types.boolean,
-    types.float64[::1],
-    types.float32[:, ::1],
-)
-
-
 @cache
-def build_advance(pivot_torque_on_contact: float) -> Any:
-    """`advance` as a numba dispatcher, compiled or loaded from the disk cache; says so where it has to compile.
+def build_advance(pivot_torque_on_contact: float) -> Entry:
+    """`advance` as compiled code.
 
     Args:
         pivot_torque_on_contact: 1.0 for the paper's normal force, 0.0 for Newton's.
     """
-    digest = f"{fingerprint(advance)}_{pivot_torque_on_contact:g}"
-    built = kernel(advance, digest, {"PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact}, "the physics")
-    built.compile(SIGNATURE)
-    return built
+    return compile_entry(advance, SIGNATURE, "the physics", {"PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact})
 
 
-def bind_law(law_function: Callable[..., Any], digest: str, memory_size: int, reference_size: int) -> dict[str, Any]:
-    """The globals of `evaluate_law` for a law.
-
-    Args:
-        law_function: the law, plain or jitted.
-        digest: for the names of what is compiled: no two laws may have the same.
-        memory_size: number of its memory cells.
-        reference_size: number of columns of its reference table.
-    """
-    source = law_function.py_func if isinstance(law_function, CPUDispatcher) else law_function
-    compiled = inner(distinct(source, digest), forceinline=True)
-    return {"law": compiled, "MEMORY_SIZE": memory_size, "REFERENCE_SIZE": reference_size}
-
-
-def build(law_function: Callable[..., Any], memory_size: int, reference_size: int, name: str = "a law") -> Any:
-    """`evaluate_law` with a law in it as a numba dispatcher, compiled or loaded from the disk cache.
+def build(law_function: Callable[..., Any], memory_size: int, reference_size: int, name: str = "a law") -> Entry:
+    """`evaluate_law` with a law in it as compiled code.
 
     Args:
         law_function: the law, plain or jitted.
@@ -451,36 +449,11 @@ def build(law_function: Callable[..., Any], memory_size: int, reference_size: in
     Raises:
         TypeError: if the law is nothing that numba compiles.
     """
-    source = law_function.py_func if isinstance(law_function, CPUDispatcher) else law_function
-    content, digest = fingerprint(source), None
-    if content is not None:
-        digest = f"{content}_{memory_size}_{reference_size}_{_law_fingerprint()}"
-        if digest in _built:
-            return _built[digest]
-    built = kernel(evaluate_law, digest, bind_law(source, digest or uuid4().hex, memory_size, reference_size), name)
+    bindings = {"law": law_function, "MEMORY_SIZE": memory_size, "REFERENCE_SIZE": reference_size}
     try:
-        built.compile(LAW_SIGNATURE)
-    except (NumbaError, NotImplementedError, ValueError) as error:
+        return compile_entry(evaluate_law, LAW_SIGNATURE, name, bindings)
+    except TypeError as error:
         raise TypeError(
             f"{name} must be a function that numba compiles, of numbers and tuples of numbers, and return "
-            f"(torque, memory) with {memory_size} cells of memory; numba says: {first_cause(error)}"
+            f"(torque, memory) with {memory_size} cells of memory; {error}"
         ) from error
-    if digest is not None:
-        _built[digest] = built
-    return built
-
-
-def address(compiled: Any) -> int:
-    """Where the machine code of what `build` returns lies; it stays there as long as that is referred to."""
-    result = next(iter(compiled.overloads.values()))
-    found: int = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
-    return found
-
-
-_built: dict[str, Any] = {}
-
-
-@cache
-def _law_fingerprint() -> str | None:
-    """The part of a law's fingerprint that all laws share."""
-    return fingerprint(evaluate_law)

@@ -9,15 +9,14 @@ The arithmetic is the same everywhere, and so are the results, bit for bit.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, NamedTuple, TypeVar, get_type_hints
 
 import numpy as np
-from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic
 
-from capsule_gym.compilation import inlined, jitable
+from capsule_gym.compilation import inlined, intrinsic, jitable
 from capsule_gym.parameters import Plant
+
+T = TypeVar("T")
 
 # Environments that one loop takes through a step together. Their rows lie side by side at offsets that the compiler
 # knows, and one block stays in the first-level cache.
@@ -131,6 +130,9 @@ def _places(context: Any, builder: Any, kind: Any, array: Any, start: Any, strid
 
     NUMBA_BOUNDSCHECK has them checked like what is indexed (`make boundscheck`).
     """
+    from numba import types
+    from numba.core import cgutils
+
     own = context.make_array(kind)(context, builder, array)
     for n in range(count):
         offset = builder.add(start, context.get_constant(types.intp, n * stride))
@@ -139,13 +141,9 @@ def _places(context: Any, builder: Any, kind: Any, array: Any, start: Any, strid
         yield builder.gep(own.data, [offset])
 
 
-@intrinsic(prefer_literal=True)
-def load(typing_context: Any, array: Any, start: Any, stride: Any, count: Any) -> Any:
-    """The tuple of `count` entries of a contiguous float64 array from `start` on, in steps of `stride`; unchecked.
+def _define_load(typing_context: Any, array: Any, start: Any, stride: Any, count: Any) -> Any:
+    from numba import types
 
-    The last two are constants of the compiler's. Slices would do as well, were their bounds not checked at run time,
-    which keeps the loop around them from vectorising.
-    """
     size, step = count.literal_value, stride.literal_value
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -155,9 +153,20 @@ def load(typing_context: Any, array: Any, start: Any, stride: Any, count: Any) -
     return types.UniTuple(types.float64, size)(array, types.intp, stride, count), generate
 
 
-@intrinsic(prefer_literal=True)
-def store(typing_context: Any, array: Any, start: Any, stride: Any, values: Any) -> Any:
-    """Writes a tuple where `load` would read it."""
+@intrinsic(_define_load, prefer_literal=True)
+def load(array: np.ndarray, start: int, stride: int, count: int) -> tuple[float, ...]:
+    """The tuple of `count` entries of a contiguous float64 array from `start` on, in steps of `stride`; unchecked.
+
+    The last two are constants of the compiler's. Slices would do as well, were their bounds not checked at run time,
+    which keeps the loop around them from vectorising.
+    """
+    return tuple(array[start : start + stride * count : stride].tolist())
+
+
+def _define_store(typing_context: Any, array: Any, start: Any, stride: Any, values: Any) -> Any:
+    from numba import types
+    from numba.core import cgutils
+
     step = stride.literal_value
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -170,12 +179,15 @@ def store(typing_context: Any, array: Any, start: Any, stride: Any, values: Any)
     return types.void(array, types.intp, stride, types.UniTuple(types.float64, len(values))), generate
 
 
-@intrinsic
-def record(typing_context: Any, array: Any, start: Any, kind: Any) -> Any:
-    """The named tuple of class `kind` whose fields are the entries of a float64 array from `start` on; unchecked.
+@intrinsic(_define_store, prefer_literal=True)
+def store(array: np.ndarray, start: int, stride: int, values: tuple[float, ...]) -> None:
+    """Writes a tuple where `load` would read it."""
+    array[start : start + stride * len(values) : stride] = values
 
-    The class says the order of the fields and their types: float, int or bool.
-    """
+
+def _define_record(typing_context: Any, array: Any, start: Any, kind: Any) -> Any:
+    from numba import types
+
     hints = get_type_hints(kind.instance_class)
     compiled = {float: types.float64, int: types.int64, bool: types.boolean}
     fields = [compiled[hints[name]] for name in kind.instance_class._fields]
@@ -190,6 +202,17 @@ def record(typing_context: Any, array: Any, start: Any, kind: Any) -> Any:
         return context.make_tuple(builder, result, values)
 
     return result(array, types.intp, kind), generate
+
+
+@intrinsic(_define_record)
+def record(array: np.ndarray, start: int, kind: type[T]) -> T:
+    """The named tuple of class `kind` whose fields are the entries of a float64 array from `start` on; unchecked.
+
+    The class says the order of the fields and their types: float, int or bool.
+    """
+    types = get_type_hints(kind)
+    fields: tuple[str, ...] = kind._fields  # type: ignore[attr-defined]
+    return kind(*(types[name](value) for name, value in zip(fields, array[start:], strict=False)))
 
 
 @jitable

@@ -7,15 +7,14 @@ an action depends on nothing but its own observation: neither on the batch nor o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numba import types
 
 from capsule_gym import kernels
-from capsule_gym.compilation import compile_entry, inlined, inner, jitable, use_widest_vectors
+from capsule_gym.compilation import compile_entry, inlined, jitable, use_widest_vectors
 from capsule_gym.elementary import clip, fma, log, tanh
 from capsule_gym.layout import AT, LANES, load, record, store
 from capsule_gym.observation import CELLS, ESTIMATES, estimates, identify, observation_names
@@ -126,8 +125,7 @@ def pack(layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, header: H
     return np.concatenate(parts, dtype=np.float64)
 
 
-@jitable
-def workspace(network: np.ndarray) -> np.ndarray:
+def make_workspace(network: np.ndarray) -> np.ndarray:
     """The memory that `forward` works in, shape (2, units of the widest layer times LANES)."""
     size = LANES * int(network[HEADER : HEADER + record(network, 0, Header).layers + 1].max())
     room = np.zeros(2 * size + LINE)
@@ -169,7 +167,7 @@ def add_tile(
         store(sums, k * LANES + j, LANES, (add(s0, w0, x), add(s1, w1, x), add(s2, w2, x), add(s3, w3, x)))
 
 
-@inner
+@jitable
 def affine(bias: np.ndarray, weights: np.ndarray, n: int, values: np.ndarray, sums: np.ndarray) -> None:
     """The outputs of a layer for n lanes in `values`, before its activation.
 
@@ -200,9 +198,9 @@ def activate(sums: np.ndarray, units: int, n: int, relu: bool) -> None:
             store(sums, j, 1, ((0.0 if total < 0.0 else total) if relu else tanh(total),))
 
 
-@inner
+@jitable
 def forward(network: np.ndarray, inputs: np.ndarray, first: int, n: int, lanes: np.ndarray) -> np.ndarray:
-    """The outputs of n <= LANES environments from `first` on: float64, a part of `lanes`, which is from `workspace`."""
+    """The outputs of n <= LANES environments from `first` on: float64, a part of `lanes`, from `make_workspace`."""
     header = record(network, 0, Header)
     layers = header.layers
     values, sums = lanes[0], lanes[1]
@@ -221,7 +219,7 @@ def forward(network: np.ndarray, inputs: np.ndarray, first: int, n: int, lanes: 
     return values[:n]
 
 
-@inner
+@jitable
 def write_inputs(
     network: np.ndarray, observations: np.ndarray, first: int, n: int, memory: np.ndarray, inputs: np.ndarray
 ) -> None:
@@ -261,7 +259,7 @@ def to_action(
     return clip((header.torque_limit * wanted - law_torque) / header.residual_limit, 1.0)
 
 
-@inner
+@jitable
 def act_lanes(
     network: np.ndarray,
     observations: np.ndarray,
@@ -273,7 +271,7 @@ def act_lanes(
 ) -> np.ndarray:
     """The actions in [-1, 1] of n <= LANES environments from `first` on, a part of `lanes`: float64.
 
-    The arrays are those of `act_batch`; `lanes` is from `workspace`.
+    The arrays are those of `act_batch`; `lanes` is from `make_workspace`.
     """
     header = record(network, 0, Header)
     if header.identifies or header.observes_energy_weight:
@@ -292,10 +290,10 @@ def act_batch(
     observations: np.ndarray,  # shape (n, entries), float32
     memory: np.ndarray,  # shape (n * CELLS,), float64, changed; any where nothing is identified
     inputs: np.ndarray,  # shape (n, at least so many inputs), float32, written where the policy adds to the observation
+    lanes: np.ndarray,  # from `make_workspace`
     actions: np.ndarray,  # shape (n, 1), float32; written
 ) -> None:
     """The actions of any number of environments."""
-    lanes = workspace(network)
     for first in range(0, len(observations), LANES):
         n = min(LANES, len(observations) - first)
         found = act_lanes(network, observations, first, n, memory, inputs, lanes)
@@ -304,15 +302,15 @@ def act_batch(
 
 
 @lru_cache(maxsize=1)
-def compiled_act_batch() -> Any:
-    """`act_batch` as compiled code: it checks neither dtype nor shape nor contiguity of its arguments."""
-    rows = types.float32[:, ::1]
-    signature = (types.float64[::1], rows, types.float64[::1], rows, rows)
-    return compile_entry(act_batch, signature, "the network of trained policies")
+def compiled_act_batch() -> Callable[..., int]:
+    """`act_batch` as compiled code."""
+    rows, numbers = "float32[:, ::1]", "float64[::1]"
+    signature = f"void({numbers}, {rows}, {numbers}, {rows}, float64[:, ::1], {rows})"
+    return compile_entry(act_batch, signature, "the network of trained policies").call
 
 
 def run_episodes(
-    advance: Any,  # `kernels.advance`, compiled with the law
+    advance: int,  # address of the compiled `kernels.advance`
     world: np.ndarray,  # as `kernels.advance` takes it; changed
     first: int,  # first environment, a multiple of LANES
     last: int,  # one past the last
@@ -322,14 +320,15 @@ def run_episodes(
     observations: np.ndarray,  # changed
     network: np.ndarray,  # as `act_batch` takes it
     changes: np.ndarray,  # rows of environment, time (s), M (kg) and mu, those of an environment in order of time
+    memory: np.ndarray,  # the next three as `act_batch` takes them; changed
+    inputs: np.ndarray,
+    lanes: np.ndarray,
 ) -> int:
     """Takes the environments first..last-1 through agent steps, each until its episode ends.
 
     Returns:
         Index of an environment whose law returned no finite torque, or -1.
     """
-    memory, count = np.zeros(len(observations) * CELLS), record(network, 0, Header).inputs
-    inputs, lanes = np.empty((len(observations), count), np.float32), workspace(network)
     for b in range(first // LANES, (last + LANES - 1) // LANES):
         block, start = world[b], b * LANES
         n = min(LANES, last - start)
@@ -343,11 +342,11 @@ def run_episodes(
             for j in range(n):
                 # As coarse as an action that is handed to the environment.
                 block[AT.action + j] = np.float32(actions[j])
-            for change in changes:
-                j = int(change[0]) - start
-                if 0 <= j < n and change[1] <= block[AT.steps + j] * control_dt + 1e-9:
-                    block[AT.M + j], block[AT.mu + j] = change[2], change[3]
-            broken = advance(world, start, start + n, False, fixed, observations)
+            for k in range(len(changes)):
+                j = int(changes[k, 0]) - start
+                if 0 <= j < n and changes[k, 1] <= block[AT.steps + j] * control_dt + 1e-9:
+                    block[AT.M + j], block[AT.mu + j] = changes[k, 2], changes[k, 3]
+            broken = kernels.call_advance(advance, world, start, start + n, False, fixed, observations)
             if broken >= 0:
                 return broken
             # One step more than they need: it leaves what a loop in Python leaves.
@@ -357,13 +356,12 @@ def run_episodes(
 
 
 @lru_cache(maxsize=1)
-def _compiled_episodes() -> Any:
-    """`run_episodes`, compiled once for all laws, whose steps it takes as functions."""
-    world, first, last, _, fixed, observations = kernels.SIGNATURE
-    step = types.FunctionType(types.int64(*kernels.SIGNATURE))
-    given = (types.int64, types.float64, fixed, observations, types.float64[::1], types.float64[:, ::1])
-    signature = (step, world, first, last, *given)
-    return compile_entry(run_episodes, signature, "the episodes of trained policies")
+def _compiled_episodes() -> Callable[..., int]:
+    """`run_episodes` as compiled code, for all laws."""
+    numbers, table, rows = "float64[::1]", "float64[:, ::1]", "float32[:, ::1]"
+    given = f"int64, {table}, int64, int64, int64, float64, {numbers}, {rows}, {numbers}, {table}"
+    signature = f"int64({given}, {numbers}, {rows}, {table})"
+    return compile_entry(run_episodes, signature, "the episodes of trained policies").call
 
 
 def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.ndarray]:
@@ -395,9 +393,15 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
         [(i, *change) for i, schedule in simulation._changes.items() for change in schedule], np.float64
     ).reshape(-1, 4)
     blocks = simulation.world.reshape(len(simulation.world), -1)
-    compiled, step = _compiled_episodes(), simulation._kernel
-    given = steps, simulation.options.control_dt, simulation.fixed, simulation.observations, policy._network, changes
-    broken = max(simulation.share(lambda first, last: compiled(step, blocks, first, last, *given)))
+    compiled, network = _compiled_episodes(), policy._network
+    step, count = simulation._kernel.address, len(simulation.observations)
+    given = steps, simulation.options.control_dt, simulation.fixed, simulation.observations, network, changes
+    memory, inputs = np.zeros(count * CELLS), np.empty((count, record(network, 0, Header).inputs), np.float32)
+
+    def run(first: int, last: int) -> int:
+        return compiled(step, blocks, first, last, *given, memory, inputs, make_workspace(network))
+
+    broken = max(simulation.share(run))
     # The changes stay: what is due, the next step sets once more.
     simulation._everyone = False
     if broken >= 0:

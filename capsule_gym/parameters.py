@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -60,6 +62,15 @@ def written(value: Any) -> str:
     except ValueError:  # an integer of thousands of digits
         return f"{type(value).__name__} of more digits than can be shown"
     return text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} .. {text[-LONGEST // 2 :]}"
+
+
+def first_cause(error: Exception) -> str:
+    """An error in one line; of one of numba's, the first cause and the line of source that it is about."""
+    text = re.sub(r"\x1b\[\d*m", "", str(error))
+    lines = [line.strip() for line in text.splitlines() if line.strip() and "pipeline (step:" not in line]
+    cause = " ".join(lines[: 2 if lines and lines[0].endswith(":") else 1])
+    place = re.search(r'File "(.*)", line (\d+)', text) or re.search(r" at (\S+) \((\d+)\)", text)
+    return cause + (f" ({Path(place[1]).name}, line {place[2]})" if place else "")
 
 
 def nearest(given: str, names: Iterable[str]) -> str:

@@ -150,7 +150,7 @@ class Policy:
     _network: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        # With it comes numba, which takes most of a second to import; the names of policies need none of it.
+        # With it comes LLVM, which takes time to import; the names of policies need none of it.
         from capsule_gym import network
 
         for name, choices in CHOICES.items():
@@ -234,7 +234,7 @@ class Policy:
 
     def _act(self, observation: Any, memory: np.ndarray, count: int | None = None) -> np.ndarray:
         """The actions for one observation or for many, of `count` episodes where that is fixed; changes the memory."""
-        from capsule_gym.network import compiled_act_batch
+        from capsule_gym.network import compiled_act_batch, make_workspace
 
         try:
             array = np.require(observation, np.float32, ["C", "A"])
@@ -247,8 +247,8 @@ class Policy:
         rows = array.reshape(-1, self.entries)
         if count not in (None, len(rows)):
             raise ValueError(f"observations must be of {count} episodes, one a row, got {len(rows)} rows")
-        actions = np.empty((len(rows), 1), np.float32)
-        compiled_act_batch()(self._network, rows, memory, np.empty((len(rows), len(self.mean)), np.float32), actions)
+        inputs, actions = np.empty((len(rows), len(self.mean)), np.float32), np.empty((len(rows), 1), np.float32)
+        compiled_act_batch()(self._network, rows, memory, inputs, make_workspace(self._network), actions)
         return actions if array.ndim == 2 else actions[0]
 
     def start(self, seeds: Sequence[int]) -> Callable[[np.ndarray], np.ndarray]:

@@ -6,10 +6,8 @@ import math
 from collections.abc import Callable
 from enum import IntEnum
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
-from numba import types
 
 from capsule_gym.compilation import compile_entry, inlined
 from capsule_gym.elementary import exp, log
@@ -135,7 +133,7 @@ def draw(
     for n in range(rows.size):
         i = rows[n]
         if i < 0 or i >= len(keys):
-            raise IndexError("rows must be indices of environments, from 0 to num_envs - 1")
+            raise IndexError
         share_M, share_mu = draw_two(keys[i, 0], keys[i, 1], PARAMETERS, np.uint64(episodes[i]))
         theta = START_THETA
         if noise > 0.0:
@@ -184,14 +182,10 @@ def renew(
         episodes[rows[n]] += 1
 
 
-_INDICES, _TABLE = types.int64[::1], types.float64[:, ::1]
-_SIGNATURES: dict[Callable[..., None], tuple[Any, ...]] = {
-    draw: (types.float64[::1], types.float64, _INDICES, types.uint64[:, ::1], _INDICES, _TABLE),
-    renew: (_TABLE, types.float64[::1], types.float64, types.float64, _INDICES, _TABLE, _INDICES),
-}
-
-
 @lru_cache(maxsize=1)
-def compiled() -> tuple[Callable[..., None], Callable[..., None]]:
-    """`draw` and `renew`, compiled or from the disk cache, without numba's search for the right types."""
-    return compile_entry(draw, _SIGNATURES[draw]), compile_entry(renew, _SIGNATURES[renew])
+def compiled() -> tuple[Callable[..., int], Callable[..., int]]:
+    """`draw` and `renew` as compiled code."""
+    indices, table = "int64[::1]", "float64[:, ::1]"
+    drawing = f"void(float64[::1], float64, {indices}, uint64[:, ::1], {indices}, {table})"
+    renewing = f"void({table}, float64[::1], float64, float64, {indices}, {table}, {indices})"
+    return compile_entry(draw, drawing).call, compile_entry(renew, renewing).call

@@ -285,10 +285,9 @@ class Simulation:
         # Kept, since the step calls it by its address.
         self._law = kernels.build(acting.law, len(self.memory), self.reference.shape[1], name)
         blocks, observations = self.world.reshape(len(self.world), -1), self.observations
-        self.fixed = fixed = layout.pack(plant, self.settings, self.reference, kernels.address(self._law))
-        # The kernel's only compiled form: numba's search for the right one is 0.3 us of the 4 that a step takes, and so
-        # are the arguments, where they are looked up each time.
-        compiled: Callable[..., int] = next(iter(self._kernel.overloads.values())).entry_point
+        self.fixed = fixed = layout.pack(plant, self.settings, self.reference, self._law.address)
+        # Looking the arguments up each time takes a tenth of a step.
+        compiled = self._kernel.call
         self._advance: Callable[[int, int, bool], int] = lambda first, last, begin: compiled(
             blocks, first, last, begin, fixed, observations
         )
@@ -350,7 +349,11 @@ class Simulation:
         # Compiled code believes that it is given these.
         rows = np.ascontiguousarray(rows, np.int64)
         starts = np.empty((Row.torque, len(rows)))
-        self._draw(rows, self._keys, self._episodes, starts)
+        try:
+            self._draw(rows, self._keys, self._episodes, starts)
+        except IndexError:
+            accepted = f"rows must be indices of environments, from 0 to {self.num_envs - 1}"
+            raise IndexError(f"{accepted}, got {written(rows.tolist())}") from None
         if M is not None or mu is not None:
             masses = starts[Row.M].tolist() if M is None else M
             frictions = starts[Row.mu].tolist() if mu is None else mu

@@ -6,26 +6,20 @@ optimiser, which looks at them, must be off (`NUMBA_OPT=0`), and loops stay scal
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
 import numba
 from numba import types
-from numba.core.compiler import Flags, compile_extra
-from numba.core.registry import cpu_target
 
-from capsule_gym.compilation import OPTIONS
+from capsule_gym.compiler import lower
 from web.fused import fused
 
 TRIPLE = "wasm32-unknown-unknown"
 # What every engine has had since 2021.
 FEATURES = "+bulk-memory,+mutable-globals,+nontrapping-fptoint,+sign-ext"
 LLVM_TYPES = {types.float64: "double", types.int32: "i32", types.int64: "i64", types.uint64: "i64"}
-
-# Calls that count the references to an array.
-COUNTING = re.compile(r"^ *(tail )?call void @NRT_(incref|decref)\(.*$", re.MULTILINE)
 
 # What numba takes from a library of its own, for positive, normal numbers.
 RUNTIME = f"""
@@ -116,24 +110,15 @@ def _hide(module: Any, names: Sequence[str]) -> None:
 def _adapted(text: str) -> str:
     """Intermediate code without what WebAssembly lacks."""
     # The instruction becomes a call; the declaration of what is defined must go.
-    text = text.replace("declare double @llvm.fma.f64(", "declare double @unused(").replace("@llvm.fma.f64(", "@fused(")
-    # All arrays are the page's, and have no counts of references.
-    return COUNTING.sub("", text)
+    return text.replace("declare double @llvm.fma.f64(", "declare double @unused(").replace("@llvm.fma.f64(", "@fused(")
 
 
 def _lower(entry: Entry) -> Any:
     """LLVM's module of a function, under the entry's name with plain arguments and result."""
-    flags = Flags()
-    flags.error_model = OPTIONS["error_model"]
-    flags.nrt = True
-    flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
-    result = compile_extra(
-        cpu_target.typing_context, cpu_target.target_context, entry.function, entry.arguments, entry.result, flags, {}
-    )
-    module = llvm.parse_assembly(result.library.get_llvm_str())
+    module, result = lower(entry.function, entry.result(*entry.arguments), {})
     kinds = [LLVM_TYPES.get(kind, "ptr") for kind in entry.arguments]
     given = ", ".join(f"{kind} %{n}" for n, kind in enumerate(kinds))
-    kind, inner = LLVM_TYPES[entry.result], result.fndesc.mangled_name
+    kind, inner = LLVM_TYPES[entry.result], result.fndesc.llvm_func_name
     # numba's functions return whether they have raised an exception, which none of these does, and the result through
     # a pointer. Inlined at each of its calls, the multiply-add would make the step many times as long.
     wrapper = (

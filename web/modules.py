@@ -25,13 +25,13 @@ import numba
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic
+from numba.core.sigutils import normalize_signature
 from numba.np.arrayobj import get_cfarray_intrinsic
 
 import baselines
 from baselines.gaits import families
 from capsule_gym import kernels, layout, resets
-from capsule_gym.compilation import fingerprint, inlined, inner, rebound
+from capsule_gym.compilation import fingerprint, inlined, intrinsic, jitable, rebound
 from capsule_gym.controller import Controller, find_controller
 from capsule_gym.elementary import log
 from capsule_gym.files import write_atomically
@@ -70,25 +70,31 @@ def find_law(name: str) -> Controller | None:
     return None if name == DIRECT else find_controller(f"baselines:{name}")
 
 
-@intrinsic
-def call_linked_law(typing_context: Any, block: Any, n: Any, fixed: Any, cycle: Any, limit: Any, tick: Any) -> Any:
-    """`kernels.call_law` for a law that is linked to the step under the name LAW."""
+def _define_call_linked_law(
+    typing_context: Any, block: Any, n: Any, fixed: Any, cycle: Any, limit: Any, tick: Any
+) -> Any:
+    given, result = normalize_signature(kernels.LAW_SIGNATURE)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         rows, table = (context.make_array(signature.args[n])(context, builder, arguments[n]) for n in (0, 2))
-        given = [rows.data, rows.nitems, arguments[1], table.data, table.nitems, *arguments[3:]]
-        kind = ir.FunctionType(ir.IntType(32), [value.type for value in given])
-        builder.call(cgutils.get_or_insert_function(builder.module, kind, LAW), given)
+        passed = [rows.data, rows.nitems, arguments[1], table.data, table.nitems, *arguments[3:]]
+        kind = ir.FunctionType(ir.IntType(32), [value.type for value in passed])
+        builder.call(cgutils.get_or_insert_function(builder.module, kind, LAW), passed)
         return context.get_dummy_value()
 
-    return types.none(*kernels.LAW_SIGNATURE), generate
+    return result(*given), generate
+
+
+@intrinsic(_define_call_linked_law)
+def call_linked_law(block: Any, n: int, fixed: Any, cycle: int, torque_limit: float, tick: float) -> None:
+    """`kernels.call_law` for a law that is linked to the step under the name LAW."""
 
 
 def step_entry() -> Entry:
     """`advance`, which takes an environment a step further or begins its episode; its law is linked to it."""
-    step = inlined(rebound(kernels.step, "step_of_linked_law", {"call_law": call_linked_law}))
+    step = inlined(rebound(kernels.step, {"call_law": call_linked_law}))
     bindings = {"step": step, "PIVOT_TORQUE_ON_CONTACT": NOMINAL.plant().pivot_torque_on_contact}
-    compiled = inner(rebound(kernels.advance, "advance", bindings))
+    compiled = jitable(rebound(kernels.advance, bindings))
     to_int = types.int32
 
     def advance(world, size, begin, fixed, fixed_size, observations):  # type: ignore[no-untyped-def]
@@ -102,9 +108,8 @@ def step_entry() -> Entry:
 def law_entry(law: Controller | None) -> Entry:
     """What `call_linked_law` calls."""
     controller = law or NO_CONTROLLER
-    digest = hashlib.sha256(controller.name.encode()).hexdigest()[:16]
-    bindings = kernels.bind_law(controller.law, digest, len(controller.memory), controller.reference.shape[1])
-    compiled = inner(rebound(kernels.evaluate_law, f"evaluate_law_{digest}", bindings))
+    sizes = {"MEMORY_SIZE": len(controller.memory), "REFERENCE_SIZE": controller.reference.shape[1]}
+    compiled = jitable(rebound(kernels.evaluate_law, {"law": inlined(controller.law), **sizes}))
     to_int = types.int32
 
     def evaluate_law(block, size, n, fixed, fixed_size, cycle, torque_limit, tick):  # type: ignore[no-untyped-def]
@@ -121,7 +126,7 @@ def common_entries() -> list[Entry]:
     `renew` gives an environment the first values of an episode, `act` is one action of a policy, `log` the logarithm of
     the energy weight that it is told, and `gait` one action of a gait with a clock.
     """
-    compiled = inner(resets.renew)
+    compiled = jitable(resets.renew)
 
     def renew(world, size, memory, memory_size, m, g, starts, rows, episodes):  # type: ignore[no-untyped-def]
         blocks, cells, start = array(world, (1, size)), array(memory, (memory_size,)), array(starts, (STARTS, 1))

@@ -17,7 +17,7 @@ from agents.distillation.config import Student
 from agents.evaluation.policies import Act
 from baselines.dynamic_programming.policy import TORQUES, Oracle
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym.compilation import compile_cached
+from capsule_gym.compiler import compile_cached
 from capsule_gym.network import make_header, write_inputs
 from capsule_gym.observation import CELLS
 from capsule_gym.parameters import NOMINAL, EnvConfig, Randomization
@@ -69,7 +69,7 @@ def collect(
         outputs_torque=False,
     )
     numbers, memory = np.array([*header], np.float64), np.zeros(count * CELLS)
-    given, compute_inputs = np.zeros((count, header.inputs), np.float32), compile_cached(write_inputs.py_func)
+    given, compute_inputs = np.zeros((count, header.inputs), np.float32), compile_cached(write_inputs)
     seeds = rng.integers(2**31, size=count).tolist()
     observations, _ = env.reset(seed=seeds, options=_plant_changes(student, rng))
     running, expert_acts = np.ones(count, bool), rng.random(count) < expert_share

@@ -8,15 +8,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
-from numba import types
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from agents.training.presets import PPOConfig
 from capsule_gym import kernels, layout, resets
-from capsule_gym.compilation import compile_entry, inlined, inner
+from capsule_gym.compilation import inlined, jitable
+from capsule_gym.compiler import compile_allocating
 from capsule_gym.elementary import exp
 from capsule_gym.layout import AT, LANES, record
-from capsule_gym.network import LAW_TORQUE, Header, forward, make_header, to_action, workspace, write_inputs
+from capsule_gym.network import LAW_TORQUE, Header, forward, make_header, make_workspace, to_action, write_inputs
 from capsule_gym.observation import CELLS
 from capsule_gym.resets import Stream, draw_two, plant_at, plant_ranges
 from capsule_gym.sb3 import CapsuleSB3VecEnv
@@ -24,7 +24,8 @@ from capsule_gym.simulation import episode_metrics
 
 DISTURBANCES = np.uint64(Stream.disturbances)
 
-draw_noinline, renew_noinline = inner(resets.draw), inner(resets.renew)
+for _function in (resets.draw, resets.renew):
+    jitable(_function)
 
 
 @inlined
@@ -52,7 +53,7 @@ def observe(
 
 
 def collect(
-    advance: Any,  # `kernels.advance`, compiled with the law, which documents the next four
+    advance: int,  # address of the compiled `kernels.advance`, which documents the next four
     world: np.ndarray,  # changed
     count: int,  # number of environments
     fixed: np.ndarray,
@@ -82,6 +83,7 @@ def collect(
     ends: np.ndarray,  # written: 1.0 where the episode ends with the step, else 0.0
     cut: np.ndarray,  # written: step and environment of the truncated episodes, shape (rows, 2)
     cut_inputs: np.ndarray,  # written: their last inputs, shape (rows, columns)
+    lanes: np.ndarray,  # from `network.make_workspace`; written
     ended: np.ndarray,  # written: return, length and rows of `world` of ended episodes, (rows, 2 + layout.ROWS)
 ) -> tuple[int, int, int]:
     """Steps environments as often as there is noise for; an episode that ends is followed by the next one.
@@ -93,7 +95,6 @@ def collect(
     weighted = header.observes_energy_weight
     # Only fields of the plant that do not depend on the law are read here.
     plant, settings = layout.unpack(fixed, 0.0)
-    lanes = workspace(network)
     row, starts = np.empty(1, np.int64), np.empty((layout.Row.torque, 1))
     cuts = endings = 0
     for b in range(len(world)):
@@ -119,7 +120,7 @@ def collect(
                 block[AT.active + j] = 1.0
                 if len(chances) > 0 and chances[t, i, 0] < jump:
                     block[AT.M + j], block[AT.mu + j] = plant_at(lines, chances[t, i, 1], chances[t, i, 2])
-            broken = advance(world, first, first + n, False, fixed, observations)
+            broken = kernels.call_advance(advance, world, first, first + n, False, fixed, observations)
             if broken >= 0:
                 return cuts, endings, broken
             for j in range(n):
@@ -147,10 +148,10 @@ def collect(
                 row[0] = i
                 share, _ = draw_two(keys[i, 0], keys[i, 1], DISTURBANCES, np.uint64(episodes[i]))
                 log_weights[i] = least + share * (most - least)
-                draw_noinline(lines, start_noise, row, keys, episodes, starts)
-                renew_noinline(world[b : b + 1], law_memory, plant.m, plant.g, row - first, starts, episodes[first:])
+                resets.draw(lines, start_noise, row, keys, episodes, starts)
+                resets.renew(world[b : b + 1], law_memory, plant.m, plant.g, row - first, starts, episodes[first:])
                 # This is step 0 of the new episode; the others have `active` set to 0 by `renew`.
-                broken = advance(world, first, first + n, True, fixed, observations)
+                broken = kernels.call_advance(advance, world, first, first + n, True, fixed, observations)
                 if broken >= 0:
                     return cuts, endings, broken
                 returns[i], lengths[i] = 0.0, 0
@@ -163,15 +164,14 @@ def collect(
 @lru_cache(maxsize=1)
 def _compiled() -> Any:
     """`collect`, compiled once for all laws: the compiled step of a law is an argument."""
-    world, count, _, _, fixed, observations = kernels.SIGNATURE
-    step = types.FunctionType(types.int64(*kernels.SIGNATURE))
-    number, numbers, rows, indices = types.float64, types.float64[::1], types.float64[:, ::1], types.int64[::1]
-    many, cube = types.float32[:, ::1], types.float32[:, :, ::1]
-    simulation = (step, world, count, fixed, observations)
-    episodes = (types.int64, number, number, number, numbers, number, types.uint64[:, ::1], indices, numbers)
-    policy = (numbers, numbers, numbers, many, types.boolean, number, rows, types.float64[:, :, ::1])
-    written = (numbers, indices, cube, many, many, many, types.int64[:, ::1], many, rows)
-    return compile_entry(collect, (*simulation, *episodes, *policy, *written), "the rollouts of training")
+    number, numbers, rows, indices = "float64", "float64[::1]", "float64[:, ::1]", "int64[::1]"
+    many, cube = "float32[:, ::1]", "float32[:, :, ::1]"
+    simulation = ("int64", rows, "int64", numbers, many)
+    episodes = ("int64", number, number, number, numbers, number, "uint64[:, ::1]", indices, numbers)
+    policy = (numbers, numbers, numbers, many, "boolean", number, rows, "float64[:, :, ::1]")
+    written = (numbers, indices, cube, many, many, many, "int64[:, ::1]", many, rows, rows)
+    signature = f"({', '.join((*simulation, *episodes, *policy, *written))})"
+    return compile_allocating(collect, signature, "the rollouts of training")
 
 
 class Rollout(NamedTuple):
@@ -274,11 +274,12 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         lines, law_memory = plant_ranges(simulation.randomization, simulation.capsule), np.array(simulation.memory)
         # The groups of `_compiled`.
         cuts, endings, broken = _compiled()(
-            *(simulation._kernel, blocks, count, simulation.fixed, simulation.observations),
+            *(simulation._kernel.address, blocks, count, simulation.fixed, simulation.observations),
             *(self.steps, self.jump, self.least, self.most, lines, simulation.options.initial_noise),
             *(simulation._keys, simulation._episodes, law_memory),
             *(network, self.memory, self.log_weights, self.inputs, self.fresh, deviation, noise, chances),
-            *(self._returns, self._lengths, seen, actions, rewards, ends, cut, cut_inputs, ended),
+            *(self._returns, self._lengths, seen, actions, rewards, ends, cut, cut_inputs),
+            *(make_workspace(network), ended),
         )
         simulation._everyone = False
         if broken >= 0:

@@ -25,7 +25,8 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from agents.training.algorithms import HALF_LOG_2_PI
-from capsule_gym.compilation import compile_entry, inlined, inner, jitable, use_widest_vectors
+from capsule_gym.compilation import inlined, jitable, use_widest_vectors
+from capsule_gym.compiler import compile_allocating
 from capsule_gym.network import Layer
 
 # Samples that are taken through the networks together.
@@ -281,7 +282,7 @@ def tanh(x: float) -> float:
 
 def _inner(*flags: str) -> Any:
     """Compiles a function that the update calls, with whose arithmetic the compiler may do so."""
-    return lambda function: inner(function, fastmath=dict.fromkeys(flags, True))
+    return lambda function: jitable(function, fastmath=dict.fromkeys(flags, True))
 
 
 @_inner("contract")
@@ -551,8 +552,8 @@ def update(
 @lru_cache(maxsize=1)
 def compiled() -> Any:
     """`update` as compiled code: it checks neither dtype nor shape nor contiguity of its arrays."""
-    number, row, widths = types.float64, types.float32[::1], types.int64[::1]
-    settings = (types.int64, *[number] * 5, types.int64, types.boolean, number)
-    samples = (types.int64[:, ::1], types.float32[:, ::1], row, row, row, row)
-    signature = (*settings, widths, widths, *samples, row, row, row, number[::1])
-    return compile_entry(update, signature, "the updates of training")
+    number, row, widths = "float64", "float32[::1]", "int64[::1]"
+    settings = ("int64", *[number] * 5, "int64", "boolean", number)
+    samples = ("int64[:, ::1]", "float32[:, ::1]", row, row, row, row)
+    given = (*settings, widths, widths, *samples, row, row, row, "float64[::1]")
+    return compile_allocating(update, f"void({', '.join(given)})", "the updates of training")

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capsule_gym.compilation import compile_cached, jitable
+from capsule_gym.compilation import jitable
+from capsule_gym.compiler import compile_cached
 from capsule_gym.elementary import sincos, sines_and_cosines
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import THETA_LIMIT

@@ -18,7 +18,7 @@ from baselines.dynamic_programming.archive import known_results
 from baselines.dynamic_programming.grid import clamped, interpolate, locate
 from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem, Transitions
 from baselines.dynamic_programming.solver import cell_curvature
-from capsule_gym.compilation import compile_cached
+from capsule_gym.compiler import compile_cached
 from capsule_gym.parameters import NOMINAL
 
 Act = Callable[[np.ndarray], np.ndarray]

@@ -22,7 +22,7 @@ import numpy as np
 
 from baselines.dynamic_programming.grid import FAILED, INITIAL_Y, MIN_COSINE, Grid, interpolate
 from baselines.dynamic_programming.problem import ACTIONS, SETTLED, Problem, Trajectory, Transitions, record
-from capsule_gym.compilation import compile_cached
+from capsule_gym.compiler import compile_cached
 from capsule_gym.task import HORIZON, START_THETA
 
 # cm: a loss larger than the distance of any policy in two seconds.

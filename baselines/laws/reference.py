@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
-from numba.extending import register_jitable
 
 from baselines.laws.profiles import Profile
 from capsule_gym import dynamics
-from capsule_gym.compilation import compile_cached
+from capsule_gym.compilation import compile_entry, jitable
+from capsule_gym.layout import record
 from capsule_gym.parameters import LAW_DT, Plant, check_number
 
 # The nominal platform is integrated in steps of about this length, s; the error is then below 1e-8 m.
@@ -19,7 +18,7 @@ FINE_DT = 2e-5
 COLUMNS = ("theta_d", "theta_d_dot", "theta_d_ddot", "x_d", "x_d_dot", "x_d_ddot", "cycle_start")
 
 
-@register_jitable
+@jitable
 def slide(
     force: float, forwards: float, backwards: float, static_ratio: float, total: float, x: float, x_dot: float, h: float
 ) -> tuple[float, float, float]:
@@ -76,7 +75,22 @@ def platform_motion(
     Returns:
         Shape (3, n), from rest at x = 0: m, m/s, m/s^2.
     """
-    motion = np.zeros((3, len(angle)))
+    motion, numbers = np.zeros((3, len(angle))), "float64[::1]"
+    angle, velocity, acceleration = map(np.ascontiguousarray, (angle, velocity, acceleration))
+    signature = f"void({numbers}, {numbers}, {numbers}, float64, {numbers}, float64[:, ::1])"
+    compile_entry(_write_motion, signature).call(angle, velocity, acceleration, h, np.array(p), motion)
+    return motion
+
+
+def _write_motion(
+    angle: np.ndarray,
+    velocity: np.ndarray,
+    acceleration: np.ndarray,
+    h: float,
+    plant: np.ndarray,  # the numbers of a `Plant`
+    motion: np.ndarray,  # written: what `platform_motion` returns
+) -> None:
+    p = record(plant, 0, Plant)
     total = p.M + p.m
     x = x_dot = 0.0
     for n in range(len(angle)):
@@ -86,13 +100,6 @@ def platform_motion(
         backwards = dynamics.kinetic_friction(-1.0, p) * normal
         motion[0, n], motion[1, n] = x, x_dot
         x, x_dot, motion[2, n] = slide(force, forwards, backwards, p.static_ratio, total, x, x_dot, h)
-    return motion
-
-
-@lru_cache(maxsize=1)
-def compiled_platform_motion() -> Any:
-    """The function above, compiled."""
-    return compile_cached(platform_motion)
 
 
 @lru_cache(maxsize=16)
@@ -119,7 +126,7 @@ def reference_table(profile: Profile, nominal: Plant, dt: float = LAW_DT) -> np.
     h = dt / fine
     # Sampled at the middle of the fine steps, where the jumps of theta_d'' at the edges of the phases do not lie.
     angle, velocity, acceleration = profile.evaluate((np.arange(steps * fine) + 0.5) * h)
-    platform = compiled_platform_motion()(angle, velocity, acceleration, h, nominal)[:, ::fine]
+    platform = platform_motion(angle, velocity, acceleration, h, nominal)[:, ::fine]
     table = np.zeros((steps, len(COLUMNS)))
     table[:, :3] = np.stack(profile.evaluate(np.arange(steps) * dt), axis=1)
     table[:, 3:6] = platform.T

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from baselines.laws.profiles import P2, PROPOSED, V1, Profile, seven_phases
-from baselines.laws.reference import compiled_platform_motion
+from baselines.laws.reference import platform_motion
 from baselines.paper import published
 from baselines.paper.optimal_profiles import DATA, PROG
 from baselines.paper.principles import Cycle, principle_3, principle_4, sample
@@ -155,10 +155,10 @@ def _assess_plant(
 ) -> tuple[float, float, float, float, dict[str, float]]:
     """The assessment on one plant; `steps` are integrated, and the demands are evaluated at the samples of `cycle`."""
     t, theta, theta_dot, theta_ddot = steps.t, steps.theta, steps.theta_dot, steps.theta_ddot
-    x, x_dot, x_ddot = compiled_platform_motion()(theta, theta_dot, theta_ddot, h, p)
+    x, x_dot, x_ddot = platform_motion(theta, theta_dot, theta_ddot, h, p)
     if x_dot[-1] + h * x_ddot[-1] != 0.0:
         t, theta, theta_dot, theta_ddot = (np.tile(row, 5) for row in (t, theta, theta_dot, theta_ddot))
-        x, x_dot, x_ddot = compiled_platform_motion()(theta, theta_dot, theta_ddot, h, p)
+        x, x_dot, x_ddot = platform_motion(theta, theta_dot, theta_ddot, h, p)
     ml = p.m * p.l
     inertia = ml * (p.l * theta_ddot - np.cos(theta) * x_ddot)
     u = inertia - ml * p.g * np.sin(theta) + p.k * theta + p.c * theta_dot  # Eq. (1), first row

@@ -20,7 +20,7 @@ from baselines.laws.profiles import EPC, PROPOSED, Profile
 from baselines.laws.reference import COLUMNS, slide
 from baselines.paper import published
 from capsule_gym import Capsule, Controller, dynamics
-from capsule_gym.compilation import compile_cached
+from capsule_gym.compiler import compile_cached
 from capsule_gym.layout import ROWS, Row
 from capsule_gym.parameters import LAW_DT, NOMINAL, EnvConfig, NormalForce, Plant
 from capsule_gym.simulation import Simulation

@@ -12,14 +12,26 @@ from typing import NamedTuple
 import numba
 import numpy as np
 import pytest
-from numba.core.registry import CPUDispatcher
 
-from capsule_gym import Capsule, dynamics, elementary, kernels, layout, observation, task
-from capsule_gym.compilation import OPTIONS, compile_cached, fingerprint, kernel
+from capsule_gym import Capsule, compilation, dynamics, elementary, kernels, layout, observation, task
+from capsule_gym.compilation import OPTIONS, compile_entry, fingerprint
+from capsule_gym.compiler import compile_cached
 from capsule_gym.layout import StepSettings, pack, unpack
 from tests.capsule_gym.fakes import helper, make_law
 
 PLANT = Capsule().plant()
+
+
+@pytest.fixture(autouse=True)
+def numbas_variables():
+    """numba reads its variables anew where they have changed."""
+    yield
+    numba.config.reload_config()
+
+
+def set_variable(monkeypatch, name: str, value: object) -> None:
+    monkeypatch.setenv(name, str(value))
+    numba.config.reload_config()
 
 
 @pytest.mark.parametrize(
@@ -50,64 +62,72 @@ def test_an_edit_of_the_layout_changes_the_fingerprint_of_the_kernel(monkeypatch
         assert fingerprint(kernels.advance) != before
 
 
-# The values of functions out of one factory, and how many came from the disk.
+# The values of functions out of one factory, and how many were compiled.
 SCRIPT = """
 import sys
+from capsule_gym.compilation import compile_entry
+
+
+DEFINITIONS
+
+def entry(value):
+    return int(bound(value))
+
+def law_of(gain):
+    return compile_entry(entry, "int64(float64)", "a law", {"bound": make(gain)})
+
+print([law_of(float(gain)).call(100.0) for gain in sys.argv[1:]], "numba" in sys.modules)
+"""
+
+
+PLAIN = """
+def make(gain):
+    factor = FACTOR * gain
+    return lambda value: factor * value
+"""
+JITTED = """
 import numba
-from capsule_gym.compilation import distinct, fingerprint, inner, kernel
 
 def make(gain):
     @numba.njit
     def helper(value):
         return FACTOR * gain * value
 
-    def law(value):
-        return helper(value)
-
-    digest = fingerprint(law)[:16]
-    return kernel(entry, digest, {"bound": inner(distinct(law, digest))})
-
-def entry(value):
-    return bound(value)
-
-values, hits = [], 0
-for gain in map(float, sys.argv[1:]):
-    function = make(gain)
-    function.compile((numba.float64,))
-    values.append(function(0.5))
-    hits += sum(function.stats.cache_hits.values())
-print(values, hits)
+    return lambda value: helper(value)
 """
 
 
-def test_the_disk_cache_serves_other_processes_and_never_another_law(tmp_path):
+@pytest.mark.parametrize("definitions", [PLAIN, JITTED], ids=["plain", "jitted"])
+def test_the_disk_cache_serves_other_processes_and_never_another_law(tmp_path, definitions):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
     environment["PYTHONPATH"] = str(Path(__file__).parents[2])
     script = tmp_path / "script.py"
 
-    def run(*gains: float, factor: float = 1.0) -> str:
+    def run(*gains: float, factor: float = 1.0) -> tuple[str, int]:
         # The same size and the same date: nothing of the file but its content tells of an edit.
-        script.write_text(SCRIPT.replace("FACTOR", str(factor)))
+        script.write_text(SCRIPT.replace("DEFINITIONS", definitions).replace("FACTOR", str(factor)))
         os.utime(script, (1e9, 1e9))
         command = [sys.executable, str(script), *map(str, gains)]
-        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        return done.stdout.strip(), done.stderr.count("compiling a law")
 
-    assert run(0.5) == "[0.25] 0"
-    # numba's counter stands at the same number as in the process before.
-    assert run(0.25) == "[0.125] 0"
-    assert run(0.5, 0.25) == "[0.25, 0.125] 2"
-    assert run(0.5, factor=3.0) == "[0.75] 0"
-    assert run(0.5) == "[0.25] 1"
-
-
-def shifted(x: float) -> float:
-    return x + 0.125
+    assert run(0.5) == ("[50] True", 1)
+    assert run(0.25) == ("[25] True", 1)
+    # Where nothing has to be compiled numba is not imported.
+    jitted = definitions is JITTED
+    assert run(0.5, 0.25) == (f"[50, 25] {jitted}", 0)
+    assert run(0.5, factor=3.0) == ("[150] True", 1)
+    assert run(0.5) == (f"[50] {jitted}", 0)
 
 
-def compiled() -> tuple[float, bool]:
-    """The function's value at 1, and whether it came from the disk."""
-    function = kernel(shifted, fingerprint(shifted), {}, "a function")
-    return function(1.0), bool(function.stats.cache_hits)
+def shifted(x: float) -> int:
+    return int(x + 7.5)
+
+
+def compiled(monkeypatch) -> int:
+    """The function's value at 1, from the disk or compiled anew."""
+    monkeypatch.setattr(compilation, "_loaded", {})
+    return compile_entry(shifted, "int64(float64)", "a function").call(1.0)
 
 
 def truncate(path: Path) -> None:
@@ -130,43 +150,89 @@ def occupy(path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [truncate, flip, garble, Path.unlink, occupy])
-def test_a_damaged_cache_is_compiled_again(tmp_path, monkeypatch, capsys, damage):
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
-    assert compiled() == (1.125, False)
-    assert compiled() == (1.125, True)
+def test_damaged_machine_code_is_compiled_again(tmp_path, monkeypatch, capsys, damage):
+    set_variable(monkeypatch, "NUMBA_CACHE_DIR", tmp_path)
+    for expected in (1, 0):
+        assert compiled(monkeypatch) == 8
+        assert capsys.readouterr().err.count("compiling a function") == expected
+    (entry,) = tmp_path.rglob("*.o")
+    damage(entry)
+    # Repaired, where it can be.
+    for expected in (1, damage is occupy):
+        assert compiled(monkeypatch) == 8
+        assert capsys.readouterr().err.count("compiling a function") == expected
+
+
+def allocating(x: float) -> tuple[float, int]:
+    return x + 0.125, len(np.zeros(3))
+
+
+@pytest.mark.parametrize("damage", [truncate, flip, garble, Path.unlink, occupy])
+def test_a_damaged_file_of_numbas_is_compiled_again(tmp_path, monkeypatch, damage):
+    set_variable(monkeypatch, "NUMBA_CACHE_DIR", tmp_path)
+
+    def hits() -> int:
+        function = compile_cached.__wrapped__(allocating)
+        assert function(1.0) == (1.125, 3)
+        return sum(function.stats.cache_hits.values())
+
+    assert (hits(), hits()) == (0, 1)
     (entry,) = tmp_path.rglob("*.nbc")
     damage(entry)
-    assert compiled() == (1.125, False)
-    # Repaired, where it can be.
-    assert compiled() == (1.125, damage is not occupy)
-    assert capsys.readouterr().err.count("compiling a function") == (3 if damage is occupy else 2)
+    assert (hits(), hits()) == (0, damage is not occupy)
 
 
-def test_where_no_cache_can_be_written_to_everything_is_compiled(tmp_path, monkeypatch):
+def test_where_no_cache_can_be_written_to_everything_is_compiled(tmp_path, monkeypatch, capsys):
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "file"))
-    monkeypatch.setattr(numba.core.caching.CacheImpl, "_locator_classes", [])
-    assert compiled() == compiled() == (1.125, False)
+    set_variable(monkeypatch, "NUMBA_CACHE_DIR", tmp_path / "file")
+    assert compiled(monkeypatch) == compiled(monkeypatch) == 8
+    assert capsys.readouterr().err.count("compiling a function") == 2
 
 
-def test_a_law_is_compiled_once_and_no_two_laws_share_a_symbol(monkeypatch):
-    monkeypatch.setattr(CPUDispatcher, "compile", lambda *arguments: None)
+def wait(seconds: float) -> int:
+    return int(seconds)
 
+
+def test_of_several_processes_one_compiles_and_the_others_wait(tmp_path):
+    script = (
+        "from tests.capsule_gym.test_compilation import wait, compile_entry\n"
+        "print(compile_entry(wait, 'int64(float64)', 'a function').call(3.5))"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    processes = [
+        subprocess.Popen([sys.executable, "-c", script], env=environment, stdout=-1, stderr=-1, text=True)
+        for _ in range(3)
+    ]
+    outputs = [process.communicate() for process in processes]
+    assert [out for out, _ in outputs] == ["3\n"] * 3
+    assert sum("compiling a function" in err for _, err in outputs) == 1
+
+
+def test_a_law_is_compiled_once(monkeypatch):
     def build(gain, memory_size=1, reference_size=2):
         return kernels.build(make_law(gain, numba.njit(helper)), memory_size, reference_size)
 
     one = build(0.71)
     others = build(0.72), build(0.71, memory_size=2), build(0.71, reference_size=3)
     assert build(0.71) is one
-    assert len({id(law) for law in (one, *others)}) == 4
+    assert len({law.address for law in (one, *others)}) == 4
 
-    # Symbols hold the name and a counter of the process: of two equal ones the linker would use the first.
-    def names(law):
-        own = law.py_func.__globals__["law"].py_func
-        inner = next(c.cell_contents for c in own.__closure__ if hasattr(c.cell_contents, "py_func")).py_func
-        return {law.py_func.__name__, own.__name__, own.__qualname__, inner.__name__, inner.__qualname__}
 
-    assert not names(one) & names(others[0])
+def total_of(array: np.ndarray, scale: float, last: bool) -> int:
+    total = 0
+    for i in range(array.shape[0]):
+        for j in range(array.shape[1]):
+            total += int(array[i, j] * scale)
+    return -total if last else total
+
+
+def test_what_python_calls_checks_its_arguments():
+    call = compile_entry(total_of, "int64(float32[:, ::1], float64, boolean)").call
+    array = np.arange(6, dtype=np.float32).reshape(2, 3)
+    assert (call(array, 2.0, False), call(array, 2, True), call(array, np.float32(2), 7)) == (30, -30, -30)
+    for wrong in ((array, 2.0), (array[0], 2.0, True), ([[1.0]], 2.0, True), (array, "2", True), (array, 2.0, True, 1)):
+        with pytest.raises(TypeError, match="total_of: arguments must be"):
+            call(*wrong)
 
 
 def three_from(array: np.ndarray, start: int) -> tuple[float, ...]:
@@ -185,7 +251,7 @@ def settings_at(array: np.ndarray, start: int) -> StepSettings:
     ("function", "last"), [(three_from, 7), (two_to, 10), (settings_at, 12 - len(StepSettings._fields))]
 )
 def test_numbas_boundscheck_reaches_what_is_read_and_written_by_offset(function, last, monkeypatch):
-    monkeypatch.setattr(numba.config, "BOUNDSCHECK", 1)
+    set_variable(monkeypatch, "NUMBA_BOUNDSCHECK", 1)
     compiled = numba.njit(function, **OPTIONS)
     compiled(np.zeros(12), last)
     for start in (last + 1, -1):
@@ -193,12 +259,20 @@ def test_numbas_boundscheck_reaches_what_is_read_and_written_by_offset(function,
             compiled(np.zeros(12), start)
 
 
+def entry_of(array: np.ndarray, n: int) -> int:
+    return int(array[n])
+
+
 def test_checked_code_has_its_own_place_in_the_cache(monkeypatch, tmp_path):
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
-    for boundscheck in (None, 1, None):
-        monkeypatch.setattr(numba.config, "BOUNDSCHECK", boundscheck)
-        assert compile_cached.__wrapped__(three_from)(np.arange(12.0), 1) == (1.0, 3.0, 5.0)
-    assert len(list(tmp_path.rglob("*.nbc"))) == 2
+    set_variable(monkeypatch, "NUMBA_CACHE_DIR", tmp_path)
+    for boundscheck in (0, 1, 0):
+        set_variable(monkeypatch, "NUMBA_BOUNDSCHECK", boundscheck)
+        entry = compile_entry(entry_of, "int64(float64[::1], int64)").call
+        assert entry(np.arange(12.0), 1) == 1
+        if boundscheck:
+            with pytest.raises(IndexError, match="entry_of: an index is out of range"):
+                entry(np.arange(12.0), 12)
+    assert len(list(tmp_path.rglob("*.o"))) == 2
 
 
 def test_plant_and_settings_survive_packing():

@@ -15,6 +15,7 @@ from capsule_gym.network import (
     TILE,
     Header,
     compiled_act_batch,
+    make_workspace,
     pack,
     to_action,
 )
@@ -62,7 +63,8 @@ def expected(layers, observations, mean, scale, clip, relu, tanh_squashing) -> n
 
 def run(packed: np.ndarray, observations: np.ndarray) -> np.ndarray:
     actions = np.full((len(observations), 1), np.nan, np.float32)
-    compiled_act_batch()(packed, observations, np.zeros(0), np.empty_like(observations), actions)
+    inputs, lanes = np.empty_like(observations), make_workspace(packed)
+    compiled_act_batch()(packed, observations, np.zeros(0), inputs, lanes, actions)
     return actions
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from capsule_gym import Capsule, CapsuleEnv, observation
-from capsule_gym.network import compiled_act_batch
+from capsule_gym.network import compiled_act_batch, make_workspace
 from capsule_gym.observation import (
     CELLS,
     DEVIATION_LOG_MU,
@@ -125,12 +125,12 @@ def test_compiled_and_in_python_it_is_the_same_bits(n):
     layers = make_layers((9, 1))
     network = make_network(layers, observed=5, identifies=True)
     memory, given, actions = np.zeros(n * CELLS), np.empty((n, 9), np.float32), np.empty((n, 1), np.float32)
-    by_hand = [EMPTY] * n
+    by_hand, lanes = [EMPTY] * n, make_workspace(network)
     rows = states(0.5, 0.05, 1.5).astype(np.float32)
     for row in rows:
         observations = np.zeros((n, 5), np.float32)
         observations[:, :3] = row * rng.uniform(0.9, 1.1, (n, 1))
-        compiled_act_batch()(network, observations, memory, given, actions)
+        compiled_act_batch()(network, observations, memory, given, lanes, actions)
         by_hand = [identify(own, *seen[:3].tolist(), **PLANT) for own, seen in zip(by_hand, observations, strict=True)]
         assert memory.tobytes() == np.array(by_hand).tobytes()
         assert given[:, :5].tobytes() == observations.tobytes()

@@ -1,0 +1,147 @@
+"""Machine code in object files: for which processors, and how it is loaded without numba."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import platform
+import sys
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import llvmlite.binding as llvm
+import numpy as np
+
+# What has the compiler use the whole width of the registers.
+WIDEST_VECTORS = '"prefer-vector-width"="512"'
+# The names of what an object file exports: the function, in numba's calling convention, and what Python calls.
+FUNCTION, PYTHON_FUNCTION = "function", "python_function"
+
+_V3 = ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
+_V4 = (*_V3, "avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl")
+
+
+class Target(NamedTuple):
+    """A kind of processors.
+
+    Attributes:
+        name: for file names.
+        cpu: LLVM's name.
+        features: in LLVM's notation.
+    """
+
+    name: str
+    cpu: str
+    features: str
+
+
+def _levels() -> dict[Target, tuple[str, ...]]:
+    """The kinds that machine code is shipped for, the best one first, and the features that a processor needs."""
+    system = sys.platform
+    if platform.machine().lower() in ("arm64", "aarch64"):
+        return {Target(f"{system}-arm64", "generic", "+neon"): ("neon",)}
+    return {
+        Target(f"{system}-x86-64-v4", "x86-64-v4", ""): _V4,
+        Target(f"{system}-x86-64-v3", "x86-64-v3", ""): _V3,
+    }
+
+
+LEVELS = _levels()
+
+
+@cache
+def host_target() -> Target:
+    """The kind that this processor is: one of `LEVELS`, or one of its own.
+
+    NUMBA_CPU_NAME and NUMBA_CPU_FEATURES choose another, as they do for numba.
+    """
+    given = os.environ.get("NUMBA_CPU_NAME"), os.environ.get("NUMBA_CPU_FEATURES")
+    found = llvm.get_host_cpu_features()
+    if given == (None, None):
+        for target, needed in LEVELS.items():
+            if all(found.get(feature) for feature in needed):
+                return target
+    cpu = given[0] or llvm.get_host_cpu_name()
+    features = (given[1] or "") if given != (None, None) else found.flatten()
+    digest = hashlib.sha256(features.encode()).hexdigest()[:8]
+    return Target(f"{sys.platform}-{cpu}-{digest}", cpu, features)
+
+
+def target_machine(target: Target) -> Any:
+    """LLVM's compiler for a kind of processors."""
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    triple = llvm.Target.from_triple(llvm.get_process_triple())
+    return triple.create_target_machine(cpu=target.cpu, features=target.features, opt=3)
+
+
+class Entry(NamedTuple):
+    """A compiled function.
+
+    Attributes:
+        call: what Python calls with arrays and numbers, positionally. It checks that arrays are numpy's, and their
+            number of dimensions; it releases the interpreter's lock.
+        address: of the function in numba's calling convention, for compiled code, while `call` is referred to.
+    """
+
+    call: Callable[..., int]
+    address: int
+
+
+class _MethodDefinition(ctypes.Structure):
+    """CPython's PyMethodDef."""
+
+    _fields_ = (
+        ("name", ctypes.c_char_p),
+        ("function", ctypes.c_void_p),
+        ("flags", ctypes.c_int),
+        ("documentation", ctypes.c_char_p),
+    )
+
+
+# Arguments come as an array of objects and their number.
+_METH_FASTCALL = 0x80
+# What the functions of an object file call of the interpreter.
+_PYTHON_API = (
+    "PyErr_Occurred",
+    "PyErr_SetObject",
+    "PyEval_RestoreThread",
+    "PyEval_SaveThread",
+    "PyFloat_AsDouble",
+    "PyLong_AsLongLong",
+    "PyLong_FromLongLong",
+    "PyTuple_GetItem",
+)
+
+
+@cache
+def _initialize() -> Any:
+    """Gives the linker the interpreter's functions; returns the one that makes a function out of a definition."""
+    for name in _PYTHON_API:
+        llvm.add_symbol(name, ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value)
+    new = ctypes.pythonapi.PyCFunction_NewEx
+    new.restype, new.argtypes = ctypes.py_object, [ctypes.POINTER(_MethodDefinition), ctypes.py_object, ctypes.c_void_p]
+    return new
+
+
+def load(content: bytes, name: str) -> Entry:
+    """The function of an object file, whose name is for messages."""
+    new = _initialize()
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target_machine(host_target()))
+    engine.add_object_file(llvm.ObjectFileRef.from_data(content))
+    engine.finalize_object()
+    address = engine.get_function_address(PYTHON_FUNCTION)
+    definition = _MethodDefinition(name.encode(), address, _METH_FASTCALL, None)
+    # The function reads the first of these from its `self`, as `capsule_gym.compiler` says, and keeps the rest alive.
+    itself = (
+        np.ndarray,
+        TypeError,
+        f"{name}: arguments must be the numbers and arrays of its signature",
+        IndexError,
+        f"{name}: an index is out of range",
+        engine,
+        definition,
+    )
+    return Entry(new(ctypes.byref(definition), itself, None), engine.get_function_address(FUNCTION))
