@@ -79,24 +79,34 @@ def intrinsic(define: Callable[..., Any], prefer_literal: bool = False) -> Calla
     return mark
 
 
-def _define_widest_vectors(typing_context: Any) -> Any:
-    from numba import types
+def _attribute(text: str) -> Callable[..., Any]:
+    """Generates nothing, but gives the calling function an attribute of LLVM's."""
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        # llvmlite only adds attributes that it knows by name.
-        set.add(builder.function.attributes, objects.WIDEST_VECTORS)
-        return context.get_dummy_value()
+    def define(typing_context: Any) -> Any:
+        from numba import types
 
-    return types.void(), generate
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            # llvmlite only adds attributes that it knows by name.
+            set.add(builder.function.attributes, text)
+            return context.get_dummy_value()
+
+        return types.void(), generate
+
+    return define
 
 
-@intrinsic(_define_widest_vectors)
+@intrinsic(_attribute(objects.WIDEST_VECTORS))
 def use_widest_vectors() -> None:
     """Has the calling function's loops vectorised over the whole width of the registers.
 
     On most processors with AVX-512 the compiler takes half of it, since a few wide instructions lower the clock for all
     others. The kernel's loops are nothing but arithmetic, and gain a fifth.
     """
+
+
+@intrinsic(_attribute("noinline"))
+def stay_apart() -> None:
+    """Has the calling function called, and not copied into its callers."""
 
 
 def fingerprint(function: Callable[..., Any]) -> str | None:
@@ -243,6 +253,12 @@ def compile_entry(
 
 
 _loaded: dict[str, Entry] = {}
+
+
+@cache
+def cached_entry(function: Callable[..., Any], signature: str, what: str = "") -> Entry:
+    """`compile_entry` of a module-level function, looked for once in a process."""
+    return compile_entry(function, signature, what)
 
 
 def _compile(

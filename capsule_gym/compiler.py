@@ -81,14 +81,21 @@ def _inlined(function: Callable[..., Any], options: dict[str, Any], outer: tuple
 
 @contextmanager
 def _scalar() -> Iterator[None]:
-    """Has numba simplify the code, and leave vectors to `_emit`: LLVM then reads a tenth of the text."""
+    """Has numba simplify the code for any processor, and leave vectors to `_emit`.
+
+    Without its optimiser LLVM would read ten times the text.
+    """
     chosen = {"OPT": type(config.OPT)(min(config.OPT, 1)), "LOOP_VECTORIZE": 0, "SLP_VECTORIZE": 0}
     before = {name: getattr(config, name) for name in chosen}
+    codegen = cpu_target.target_context.codegen()
+    machine = codegen._tm
     try:
         vars(config).update(chosen)
+        codegen._tm = objects.target_machine(Target("any", "generic", ""))
         yield
     finally:
         vars(config).update(before)
+        codegen._tm = machine
 
 
 def lower(function: Callable[..., Any], signature: Any, bindings: dict[str, Any]) -> tuple[Any, Any]:

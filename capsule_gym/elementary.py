@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym.compilation import compile_entry, inlined, intrinsic
+from capsule_gym.compilation import cached_entry, inlined, intrinsic
 
 if hasattr(math, "fma"):
     _fma = math.fma
@@ -86,7 +86,7 @@ def sines_and_cosines(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`sincos` of every angle of a float64 array, in two arrays of its shape: the same bits as one by one."""
     values = np.ascontiguousarray(angles, np.float64)
     sines, cosines = np.empty_like(values), np.empty_like(values)
-    entry = compile_entry(_evaluate, "void(float64[::1], float64[::1], float64[::1])")
+    entry = cached_entry(_evaluate, "void(float64[::1], float64[::1], float64[::1])")
     entry.call(values.reshape(-1), sines.reshape(-1), cosines.reshape(-1))
     return sines.reshape(np.shape(angles)), cosines.reshape(np.shape(angles))
 

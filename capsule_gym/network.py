@@ -8,13 +8,12 @@ an action depends on nothing but its own observation: neither on the batch nor o
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from capsule_gym import kernels
-from capsule_gym.compilation import compile_entry, inlined, jitable, use_widest_vectors
+from capsule_gym.compilation import cached_entry, inlined, jitable, stay_apart, use_widest_vectors
 from capsule_gym.elementary import clip, fma, log, tanh
 from capsule_gym.layout import AT, LANES, load, record, store
 from capsule_gym.observation import CELLS, ESTIMATES, estimates, identify, observation_names
@@ -127,7 +126,8 @@ def pack(layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, header: H
 
 def make_workspace(network: np.ndarray) -> np.ndarray:
     """The memory that `forward` works in, shape (2, units of the widest layer times LANES)."""
-    size = LANES * int(network[HEADER : HEADER + record(network, 0, Header).layers + 1].max())
+    layers = int(network[Header._fields.index("layers")])
+    size = LANES * int(network[HEADER : HEADER + layers + 1].max())
     room = np.zeros(2 * size + LINE)
     # A wide load that crosses a cache line takes twice as long.
     start = -(room.ctypes.data // 8) % LINE
@@ -175,6 +175,7 @@ def affine(bias: np.ndarray, weights: np.ndarray, n: int, values: np.ndarray, su
     all sums of a tile in registers, of which there are too few, and the loop takes half as long again.
     """
     use_widest_vectors()
+    stay_apart()
     inputs = weights.size // bias.size
     for k in range(0, bias.size, TILE):
         start = load(bias, k, 1, TILE)
@@ -301,12 +302,11 @@ def act_batch(
             actions[first + j, 0] = found[j]
 
 
-@lru_cache(maxsize=1)
 def compiled_act_batch() -> Callable[..., int]:
     """`act_batch` as compiled code."""
     rows, numbers = "float32[:, ::1]", "float64[::1]"
     signature = f"void({numbers}, {rows}, {numbers}, {rows}, float64[:, ::1], {rows})"
-    return compile_entry(act_batch, signature, "the network of trained policies").call
+    return cached_entry(act_batch, signature, "the network of trained policies").call
 
 
 def run_episodes(
@@ -355,13 +355,12 @@ def run_episodes(
     return -1
 
 
-@lru_cache(maxsize=1)
 def _compiled_episodes() -> Callable[..., int]:
     """`run_episodes` as compiled code, for all laws."""
     numbers, table, rows = "float64[::1]", "float64[:, ::1]", "float32[:, ::1]"
     given = f"int64, {table}, int64, int64, int64, float64, {numbers}, {rows}, {numbers}, {table}"
     signature = f"int64({given}, {numbers}, {rows}, {table})"
-    return compile_entry(run_episodes, signature, "the episodes of trained policies").call
+    return cached_entry(run_episodes, signature, "the episodes of trained policies").call
 
 
 def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.ndarray]:
@@ -396,7 +395,7 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
     compiled, network = _compiled_episodes(), policy._network
     step, count = simulation._kernel.address, len(simulation.observations)
     given = steps, simulation.options.control_dt, simulation.fixed, simulation.observations, network, changes
-    memory, inputs = np.zeros(count * CELLS), np.empty((count, record(network, 0, Header).inputs), np.float32)
+    memory, inputs = np.zeros(count * CELLS), np.empty((count, len(policy.mean)), np.float32)
 
     def run(first: int, last: int) -> int:
         return compiled(step, blocks, first, last, *given, memory, inputs, make_workspace(network))

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from enum import IntEnum
-from functools import lru_cache
 
 import numpy as np
 
-from capsule_gym.compilation import compile_entry, inlined
+from capsule_gym.compilation import cached_entry, inlined
 from capsule_gym.elementary import exp, log
 from capsule_gym.layout import AT, LANES, MEMORY, Row
 from capsule_gym.parameters import Capsule, Randomization
@@ -182,10 +181,9 @@ def renew(
         episodes[rows[n]] += 1
 
 
-@lru_cache(maxsize=1)
 def compiled() -> tuple[Callable[..., int], Callable[..., int]]:
     """`draw` and `renew` as compiled code."""
     indices, table = "int64[::1]", "float64[:, ::1]"
     drawing = f"void(float64[::1], float64, {indices}, uint64[:, ::1], {indices}, {table})"
     renewing = f"void({table}, float64[::1], float64, float64, {indices}, {table}, {indices})"
-    return compile_entry(draw, drawing).call, compile_entry(renew, renewing).call
+    return cached_entry(draw, drawing).call, cached_entry(renew, renewing).call

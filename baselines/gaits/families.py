@@ -21,7 +21,7 @@ import numpy as np
 
 from baselines.gaits import GAIT_DT as GAIT_DT
 from baselines.laws.gait import COEFFICIENTS, cubic
-from capsule_gym.compilation import compile_entry, inlined
+from capsule_gym.compilation import cached_entry, inlined
 from capsule_gym.elementary import clip, sincos
 from capsule_gym.layout import load
 
@@ -160,7 +160,7 @@ def actions(gaits: np.ndarray, time: float, observations: np.ndarray) -> np.ndar
         observations: one per gait, float32; theta, theta_dot and x_dot come first.
     """
     out = np.empty((len(gaits), 1), np.float32)
-    entry = compile_entry(_act, "void(float64[::1], float64, float64[:, ::1], float32[:, ::1])")
+    entry = cached_entry(_act, "void(float64[::1], float64, float64[:, ::1], float32[:, ::1])")
     entry.call(gaits.reshape(-1), time, observations[:, :3].astype(np.float64), out)
     return out
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from baselines.laws.profiles import Profile
 from capsule_gym import dynamics
-from capsule_gym.compilation import compile_entry, jitable
+from capsule_gym.compilation import cached_entry, jitable
 from capsule_gym.layout import record
 from capsule_gym.parameters import LAW_DT, Plant, check_number
 
@@ -78,7 +78,7 @@ def platform_motion(
     motion, numbers = np.zeros((3, len(angle))), "float64[::1]"
     angle, velocity, acceleration = map(np.ascontiguousarray, (angle, velocity, acceleration))
     signature = f"void({numbers}, {numbers}, {numbers}, float64, {numbers}, float64[:, ::1])"
-    compile_entry(_write_motion, signature).call(angle, velocity, acceleration, h, np.array(p), motion)
+    cached_entry(_write_motion, signature).call(angle, velocity, acceleration, h, np.array(p), motion)
     return motion
 
 
