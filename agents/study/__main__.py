@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from agents.study.jobs import plan, publish, results_table, train_all
+from agents.study.jobs import RESUME, plan, publish, results_table, train_all
 from agents.training.presets import ROWS, RunError
 from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Positional, parse, refuse
@@ -24,12 +24,12 @@ PROG = "python -m agents.study"
 class Args:
     """Trains rows of the leaderboard over training seeds, several runs in parallel.
 
-    The same command resumes: finished runs stay as they are, others continue from their last checkpoint. Ctrl-C stops.
-    A run that fails does not stop the others; the exit status is then 1.
+    Ctrl-C stops; finished runs stay as they are, and --resume continues the others from their last checkpoint. A run
+    that fails does not stop the others; the exit status is then 1.
 
     Examples:
       python -m agents.study direct-ppo residual-ppo --seeds {0..4} 7 --jobs 4
-      python -m agents.study direct-ppo --publish
+      python -m agents.study direct-ppo --resume --publish
     """
 
     rows: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME", help=f"Which of {', '.join(ROWS)}.")]
@@ -41,6 +41,8 @@ class Args:
     """Backend of joblib: processes of this machine, or the Ray cluster that RAY_ADDRESS names (extra `cluster`)."""
     runs: Path = Path("runs/study")
     """Folder of the runs, each in NAME/seed-N with its output in NAME/seed-N.log; a cluster must share it."""
+    resume: bool = False
+    """Continue unfinished runs of your own: checkpoints contain pickles, which can run any code."""
     publish: bool = False
     """Copy the policies of finished runs to agents/checkpoints, for the leaderboard."""
 
@@ -48,7 +50,9 @@ class Args:
         """Checks names and ranges."""
         if not self.rows:
             raise ValueError(f"NAME must be one or several of {', '.join(ROWS)}")
-        plan(self.rows, self.seeds, self.runs)
+        for job in plan(self.rows, self.seeds, self.runs):
+            if job.run.exists() and not job.finished and not self.resume:
+                raise ValueError(f"{job.run} holds an unfinished run: {RESUME}")
         if self.jobs is not None:
             check_count("--jobs", self.jobs)
         if self.backend == "ray" and find_spec("ray") is None:
@@ -64,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (RunError, OSError) as error:
         refuse(PROG, str(error))
     except KeyboardInterrupt:
-        print("\nStopped. The same command resumes.")
+        print("\nStopped; --resume continues.")
         return INTERRUPTED
     print(results_table(jobs))
     print("Mean speed and failures of the best evaluation on the run's validation plants, never on a frozen set.")

@@ -27,6 +27,10 @@ FINISHED = "finished"
 score = itemgetter("score_cm_s")
 
 
+# For messages.
+RESUME = "--resume continues what is your own, reading the pickles of its checkpoints"
+
+
 @dataclass(frozen=True)
 class Job:
     """One run of a study."""
@@ -140,7 +144,7 @@ def train_all(
             found = Parallel(batch_size=1, pre_dispatch="n_jobs")(delayed(train_job)(job) for job in waiting)
     except Exception as error:
         # `train_job` raises nothing: this is the backend, for example because a worker was killed.
-        reason = f"{type(error).__name__}: {str(error).partition(chr(10))[0]} The same command resumes."
+        reason = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}; --resume continues"
         found = ["" if job.finished else reason for job in waiting]
     return {job: reason for job, reason in zip(waiting, found, strict=True) if reason}
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import arg
 
 from agents.evaluation.episodes import versions
-from agents.study.jobs import evaluations, score
+from agents.study.jobs import RESUME, evaluations, score
 from agents.training.presets import PRESETS, ROWS, Algorithm, Config, OffPolicyConfig, RunError, row_settings
 from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Count, Positional, parse, refuse
@@ -90,10 +90,10 @@ def suggest(trial: Trial, algo: Algorithm) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Args:
-    """Tunes the hyperparameters of a preset or row on the validation plants of its runs; the same command resumes.
+    """Tunes the hyperparameters of a preset or row on the validation plants of its runs.
 
     Prints the best trial, and writes all of them to runs/tune/NAME/trials.json. The trials are in Optuna's storage
-    runs/tune/NAME/study.db: the same command in several terminals trains trials in parallel.
+    runs/tune/NAME/study.db: with --resume the same command goes on, and in other terminals trains trials in parallel.
 
     Examples:
       python -m agents.study.tune efficient --trials 60 --runs runs/mine
@@ -109,9 +109,14 @@ class Args:
     runs: Path = Path("runs/tune")
     """Folder of the searches, each in NAME."""
 
+    resume: bool = False
+    """Continue a search of your own: checkpoints contain pickles, which can run any code."""
+
     def check(self) -> None:
         """Checks names and ranges."""
         self.settings().check()
+        if (self.runs / self.row).exists() and not self.resume:
+            raise ValueError(f"{self.runs / self.row} holds a search: {RESUME}")
         check_count("--trials", self.trials)
         if find_spec("optuna") is None:
             raise ValueError("tuning needs Optuna: pip install 'capsule-gym[tune]'")
@@ -221,7 +226,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (RunError, OSError) as error:
         refuse(PROG, str(error))
     except KeyboardInterrupt:
-        print("\nStopped. The same command resumes.")
+        print("\nStopped; --resume continues.")
         return INTERRUPTED
     complete = [trial for trial in study.trials if trial.state.name == "COMPLETE"]
     if not complete:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from baselines.dynamic_programming import FOLDER
-from capsule_gym.command_line import parse
+from capsule_gym.command_line import parse, refuse
 
 PROG = "python -m baselines.dynamic_programming"
 
@@ -44,15 +44,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from baselines.dynamic_programming.figure import report
     from baselines.dynamic_programming.problem import PROBLEMS
 
-    archive = load_archive(args.folder)
+    try:
+        archive = load_archive(args.folder)
+    except ValueError as error:
+        refuse(PROG, str(error))
     if args.check:
         stale = archive.check()
         print(*stale, f"{len(archive.results)} trajectories repeated: {len(stale)} differ", sep="\n")
         return int(bool(stale))
+    missing = [problem for problem in PROBLEMS if problem.key not in archive.results]
     if args.report:
+        if missing:
+            refuse(PROG, f"--report needs all {len(PROBLEMS)} problems on file, and {args.folder} lacks {len(missing)}")
         print(report(archive))
         return 0
-    missing = [problem for problem in PROBLEMS if problem.key not in archive.results]
     interrupted = run_search(archive.solve(missing), lambda: archive.save(args.folder))
     print(f"{len(archive.results)} problems on file in {args.folder}")
     return 130 if interrupted else 0

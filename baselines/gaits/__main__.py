@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from baselines.gaits import FOLDER
-from capsule_gym.command_line import parse
+from capsule_gym.command_line import parse, refuse
 
 PROG = "python -m baselines.gaits"
 
@@ -57,7 +57,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from baselines.gaits.law_search import search_law
 
         return 130 if run_search(search_law(args.law, args.seed), lambda: None) else 0
-    archive = load_archive(args.folder)
+    try:
+        archive = load_archive(args.folder)
+    except ValueError as error:
+        refuse(PROG, str(error))
     if args.check:
         stale = check(archive)
         print(*stale, f"{len(archive.everything())} gaits simulated again: {len(stale)} numbers differ", sep="\n")

@@ -1,11 +1,7 @@
-import base64
 import html
 import json
-import pickle
 import re
 import shutil
-import zipfile
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,33 +86,6 @@ def test_two_policies_of_one_name_are_refused(run, tmp_path, monkeypatch):
     write_run(tmp_path / "other" / NAME, 4)
     with pytest.raises(ValueError, match=f"different names, got {re.escape(NAME)} more than once"):
         page.collect([str(run), str(tmp_path / "other" / NAME)])
-
-
-class Touch:
-    """A pickle of this makes a file when it is loaded."""
-
-    def __reduce__(self):
-        return Path.touch, (Path("loaded"),)
-
-
-def test_nothing_is_unpickled_unless_it_is_trusted(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    config = {"task": "direct", "algo": "recurrent-ppo", "hyperparameters": small("direct", "recurrent-ppo").to_dict()}
-    best = tmp_path / "mine" / "best"
-    best.mkdir(parents=True)
-    (best.parent / "config.json").write_text(json.dumps(config))
-    for name in ("model.zip", "vecnormalize.pkl"):
-        (best / name).write_bytes(pickle.dumps(Touch()))
-    with zipfile.ZipFile(best / "model.zip", "w") as archive:
-        data = {"policy_class": {":type:": "type", ":serialized:": base64.b64encode(pickle.dumps(Touch())).decode()}}
-        archive.writestr("data", json.dumps(data))
-    with pytest.raises(SystemExit):
-        report.main(["mine"])
-    assert "--trust-pickle accepts that" in capsys.readouterr().err
-    assert not Path("loaded").exists()
-    with suppress(Exception):
-        report.main(["mine", "--trust-pickle"])
-    assert Path("loaded").exists()
 
 
 def test_an_existing_file_is_kept(capsys, tmp_path, monkeypatch):

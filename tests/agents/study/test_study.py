@@ -118,7 +118,7 @@ def test_unfinished_runs_and_other_settings_are_not_published(finished, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("error", "status", "message"), [(None, 1, "failed: lost"), (KeyboardInterrupt, 130, "resumes")]
+    ("error", "status", "message"), [(None, 1, "failed: lost"), (KeyboardInterrupt, 130, "--resume continues")]
 )
 def test_failures_and_ctrl_c_have_their_exit_status(tmp_path, monkeypatch, capsys, error, status, message):
     def train(jobs, parallel, backend):

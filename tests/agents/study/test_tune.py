@@ -46,6 +46,10 @@ def test_a_search_resumes_where_it_was_stopped(tmp_path, monkeypatch, capsys):
     words = ["tiny", "--trials", "2", "--total-steps", "1024", "--runs", str(tmp_path)]
     # Ctrl-C in the first trial, which is tried again with the same parameters.
     assert tune.main(words) == 130
+    with pytest.raises(SystemExit):
+        tune.main(words)
+    assert "holds a search: --resume continues" in capsys.readouterr().err
+    words.insert(1, "--resume")
     assert tune.main(words) == 0
     content = json.loads((tmp_path / "tiny" / "trials.json").read_text())
     assert [trial["state"] for trial in content["trials"]] == ["complete", "complete"]

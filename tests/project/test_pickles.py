@@ -1,0 +1,144 @@
+"""No command reads a pickle of a folder or file that it is given, unless an option says that it may."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import importlib
+import io
+import json
+import pickle
+import shutil
+import sys
+import zipfile
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.study.jobs import train_job
+from agents.training.presets import Config, row_settings
+from baselines.archive import ARCHIVE, ARRAYS
+from tests.agents.training.small import small
+from tests.project.test_commands import commands
+
+MARK = "unpickled"
+
+
+class Touch:
+    """A pickle of this makes a file when it is loaded."""
+
+    def __reduce__(self):
+        return Path.touch, (Path(MARK),)
+
+
+PICKLE = pickle.dumps(Touch())
+
+
+def archive() -> bytes:
+    """A model of Stable-Baselines3's, each part of which is such a pickle."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as parts:
+        data = {"policy_class": {":type:": "type", ":serialized:": base64.b64encode(PICKLE).decode()}}
+        parts.writestr("data", json.dumps(data))
+        for name in ("policy.pth", "policy.optimizer.pth", "pytorch_variables.pth"):
+            parts.writestr(name, PICKLE)
+    return content.getvalue()
+
+
+def arrays() -> bytes:
+    """A numpy archive with such a pickle in it."""
+    content = io.BytesIO()
+    np.savez(content, nominal=np.array([Touch()], object), values=np.array([Touch()], object))
+    return content.getvalue()
+
+
+def write_run(folder: Path, algo: str, config: Config | None = None) -> None:
+    """The folder of a run whose files are such pickles, but for its configuration."""
+    (folder / "best").mkdir(parents=True)
+    settings = (config or small("direct", algo)).to_dict()
+    (folder / "config.json").write_text(json.dumps({"task": "direct", "algo": algo, "hyperparameters": settings}))
+    (folder / "evaluations.csv").write_text("steps,mean_speed_cm_s,failed\n512,1.0,0.0\n")
+    for name in ("checkpoint-000000000512", "checkpoint-000000001024"):
+        (folder / name).write_bytes(hashlib.sha256(PICKLE).digest() + PICKLE)
+    for part in (folder, folder / "best"):
+        (part / "model.zip").write_bytes(archive())
+        for name in ("vecnormalize.pkl", "policy.safetensors"):
+            (part / name).write_bytes(PICKLE)
+
+
+@pytest.fixture
+def hostile(tmp_path, monkeypatch) -> Path:
+    """A working folder with every kind of file and folder that a command may be given."""
+    monkeypatch.chdir(tmp_path)
+    write_run(tmp_path / "run", "ppo")
+    write_run(tmp_path / "lstm", "recurrent-ppo")
+    (tmp_path / "lstm" / "best" / "policy.safetensors").unlink()
+    write_run(tmp_path / "study" / "direct-ppo" / "seed-0", "ppo", replace(row_settings("direct-ppo"), seed=0))
+    shutil.copytree("run", tmp_path / "tune" / "direct-ppo" / "0123456789ab")
+    (tmp_path / "tune" / "direct-ppo" / "study.db").write_bytes(PICKLE)
+    (tmp_path / "set.json").write_bytes(PICKLE)
+    (tmp_path / "archive").mkdir()
+    (tmp_path / "archive" / ARCHIVE).write_text("{}")
+    (tmp_path / "archive" / ARRAYS).write_bytes(arrays())
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "model.zip").write_bytes(archive())
+    (tmp_path / "policy.safetensors").write_bytes(PICKLE)
+    return tmp_path
+
+
+PATHS = ("run", "lstm", "run/best", "lstm/best", "lstm/best/model.zip", "model.zip", "policy.safetensors", "archive")
+# The commands that take a path which they read, and how.
+READERS = {
+    "agents.evaluate": [*([path] for path in PATHS), ["adaptive", "--set", "set.json"], ["zero", "--against", "run"]],
+    "agents.report": [[path, "-o", "page.html"] for path in PATHS],
+    "agents.study": [["direct-ppo", "--runs", "study", "--seeds", "0"]],
+    "agents.study.tune": [["direct-ppo", "--runs", "tune", "--trials", "1"]],
+    "baselines.dynamic_programming": [["--folder", name, "--report"] for name in ("archive", "empty")],
+    "baselines.gaits": [["--folder", "archive", "--check"]],
+    "capsule_gym.demo": [*([path, "-o", "a.gif"] for path in PATHS), ["zero", "--set", "set.json", "-o", "a.gif"]],
+    "capsule_gym.play": [["--rival", "run"], ["--set", "set.json"]],
+    "train": [["--run", "run"], ["--run", "lstm", "--task", "direct", "--algo", "recurrent-ppo"]],
+}
+# Those that read what an option names as trusted.
+TRUSTING = (
+    ["agents.report", "lstm", "-o", "page.html", "--trust-pickle"],
+    ["agents.study", "direct-ppo", "--runs", "study", "--seeds", "0", "--resume"],
+    ["train", "--resume", "run"],
+)
+
+
+def main_of(command: str) -> Callable[[list[str]], int]:
+    """The function of a command's line."""
+    module = importlib.import_module(command)
+    return (module if hasattr(module, "main") else importlib.import_module(f"{command}.__main__")).main
+
+
+@pytest.mark.parametrize("command", READERS)
+def test_nothing_is_unpickled_that_is_not_trusted(command, hostile, monkeypatch, capsys):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    for words in READERS[command]:
+        with pytest.raises(SystemExit) as stop:
+            sys.exit(main_of(command)(words))
+        assert not Path(MARK).exists(), words
+        assert stop.value.code != 0, words
+        assert "Traceback" not in capsys.readouterr().err
+
+
+def test_what_reads_a_path_is_among_these():
+    """A new command has to say whether it reads what it is given."""
+    others = {name for name in commands() if name.startswith(("benchmarks", "tests", "web"))}
+    only_written = {"agents.analysis", "agents.distillation", "agents.evaluation.sets", "agents.leaderboard"}
+    only_written |= {"baselines.paper", "baselines.paper.optimal_profiles"}
+    assert set(commands()) == {*READERS, *others, *only_written}
+
+
+@pytest.mark.parametrize("words", TRUSTING, ids=lambda words: words[0])
+def test_an_option_says_what_is_trusted(words, hostile, monkeypatch):
+    monkeypatch.setattr("agents.study.__main__.train_all", lambda jobs, *_: {job: train_job(job) for job in jobs})
+    with suppress(BaseException):
+        main_of(words[0])(words[1:])
+    assert Path(MARK).exists()
