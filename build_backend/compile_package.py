@@ -1,5 +1,7 @@
 """Compiles what the package runs, for every kind of processors of this platform, into `capsule_gym/machine_code`."""
 
+import shutil
+
 import numpy as np
 
 import baselines
@@ -9,6 +11,8 @@ from capsule_gym.elementary import sines_and_cosines
 from capsule_gym.network import rollout
 from capsule_gym.objects import LEVELS
 
+# What an earlier build has left.
+shutil.rmtree(compilation.SHIPPED, ignore_errors=True)
 compilation.SHIPPED.mkdir()
 compilation.shipping = tuple(LEVELS)
 for law in (None, *(f"baselines:{name}" for name in baselines.__all__)):

@@ -24,7 +24,6 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils, config
 from numba.core.caching import FunctionCache
-from numba.core.errors import NumbaError
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.serialize import dumps
 from numba.core.typing.templates import infer, infer_global, make_intrinsic_template
@@ -112,7 +111,8 @@ def lower(function: Callable[..., Any], signature: Any, bindings: dict[str, Any]
     try:
         with _scalar():
             dispatcher.compile(signature)
-    except (NumbaError, NotImplementedError, ValueError) as error:
+    except Exception as error:
+        # Not all that numba raises are errors of numba's.
         raise TypeError(f"numba says: {first_cause(error)}") from error
     result = next(iter(dispatcher.overloads.values()))
     text = _COUNTING.sub("", result.library.get_llvm_str())

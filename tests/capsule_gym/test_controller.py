@@ -115,6 +115,12 @@ def test_memories_that_break_the_contract_are_refused(memory, error):
         Controller("bad", lambda *state: (0.0, state[4]), np.zeros((1, 2)), memory)
 
 
+def importing(theta, theta_dot, x, x_dot, memory, reference):
+    import math
+
+    return math.sin(theta), memory
+
+
 def law_of(gain):
     return lambda theta, theta_dot, x, x_dot, memory, reference: (gain * theta, memory)
 
@@ -133,6 +139,7 @@ GAINS = SimpleNamespace(gain=1.0)
     ("law", "cause"),
     [
         (law_of(np.float16(2.0)), "float16'"),
+        (importing, r"IMPORT_NAME\) found. Raised from .* \(\d+\)"),
         (lambda *state: (GAINS.gain * state[0], state[4]), r"'GAINS': .* \(test_controller\.py, line \d+\)"),
     ],
 )
