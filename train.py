@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -40,6 +42,13 @@ from capsule_gym.policy import POLICY  # noqa: E402
 
 PROG = "train.py"
 RUNS = Path("runs")
+AGENTS = Path(__file__).with_name("agents")
+COMPILATIONS = """
+from agents.fast_ppo import collection, update
+from capsule_gym import network
+
+collection._compiled(), update.compiled(), network._compiled_episodes(), network.compiled_act_batch()
+"""
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 
 
@@ -145,10 +154,19 @@ def _report(failure: threading.ExceptHookArgs) -> None:
         threading.__excepthook__(failure)
 
 
+def compile_beside() -> None:
+    """Compiles what PPO needs later in a process beside this one, which has other things to compile and to import."""
+    command = [sys.executable, "-W", "ignore", "-c", COMPILATIONS]
+    run = partial(subprocess.run, command, cwd=AGENTS.parent, stderr=subprocess.DEVNULL)
+    threading.Thread(target=run, daemon=True).start()
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = read_args(arguments)
     threading.excepthook = _report
+    if args.algo == "ppo" and not any(AGENTS.glob("fast_ppo/__pycache__/*.nbc")):
+        compile_beside()
     # After the command line is known to be right: importing torch takes seconds.
     from agents.report.page import compare
     from agents.training import algorithms, loop

@@ -39,7 +39,7 @@ NUM_ENVS = 1024
 # As many episodes as an evaluation set holds.
 EVALUATED, EVALUATED_STEPS = 100, 100
 EVALUATED_POLICY = "direct-ppo"
-TURNS = 15
+TURNS = 9
 TURN_SECONDS = 0.04
 ATTEMPTS = 5
 

@@ -237,7 +237,7 @@ def compile_entry(
         kept = _cache_folder() / f"{key}.{target.name}.o"
         content = read_checked(SHIPPED / kept.name) or read_checked(kept)
         if content is None:
-            with _locked(kept.with_suffix(".lock")):
+            with locked(kept.with_suffix(".lock")):
                 # Another process may have compiled it in the meantime.
                 content = read_checked(kept)
                 if content is None:
@@ -307,7 +307,7 @@ def _cache_folder() -> Path:
 
 
 @contextmanager
-def _locked(file: Path) -> Iterator[None]:
+def locked(file: Path) -> Iterator[None]:
     """Holds a lock, so that of several processes one compiles; without one where no file can be written."""
     lock = FileLock(file)
     try:

@@ -31,7 +31,7 @@ from numba.extending import register_jitable
 from numba.np.arrayobj import populate_array
 
 from capsule_gym import compilation, objects
-from capsule_gym.compilation import NO_WRAPPERS, OPTIONS, fingerprint, read_checked, rebound, write_checked
+from capsule_gym.compilation import NO_WRAPPERS, OPTIONS, fingerprint, locked, read_checked, rebound, write_checked
 from capsule_gym.objects import Target
 from capsule_gym.parameters import first_cause
 
@@ -269,7 +269,8 @@ def compile_cached(function: Callable[..., Any]) -> Any:
 def compile_allocating(function: Callable[..., Any], signature: str, what: str) -> Any:
     """What Python calls of a function that allocates memory or returns several numbers; see `compile_entry`."""
     compiled = _dispatcher(function, what)
-    compiled.compile(signature)
+    with locked(Path(compiled.stats.cache_path or ".", f"{compiled.py_func.__name__}.lock")):
+        compiled.compile(signature)
     return next(iter(compiled.overloads.values())).entry_point
 
 

@@ -20,7 +20,7 @@ ID = "capsule_gym:CapsuleStickSlip-v0"
 ZOO = "--algo ppo --env CapsuleStickSlip-v0 --gym-packages capsule_gym --device cpu -n 4096 --conf-file"
 # By the name of its extra: the module it needs, its command, and a word of what it prints at its end.
 PROGRAMS = {
-    "sb3": ("stable_baselines3", f"{EXAMPLES}/sb3_ppo.py --steps 8192", "return of an episode"),
+    "sb3": ("stable_baselines3", f"{EXAMPLES}/sb3_ppo.py --steps 2048", "return of an episode"),
     "rl-zoo": ("rl_zoo3", f"-m rl_zoo3.train {ZOO} {EXAMPLES}/rl_zoo.yml", "Saving to"),
     "rllib": ("ray.rllib", f"{EXAMPLES}/rllib_ppo.py --iterations 2 --batch 400", "steps, mean return -"),
     "skrl": ("skrl", f"{EXAMPLES}/skrl_ppo.py --steps 256", "256/256"),
