@@ -140,9 +140,8 @@ def compile_objects(
             if not value.is_declaration and value.name not in exported:
                 value.linkage = "internal"
                 value.name = f"{kind}{n}"
-    text = str(module)
-    if objects.WIDEST_VECTORS in text:
-        text = re.sub(r"^attributes #\d+ = \{", rf"\g<0> {objects.WIDEST_VECTORS}", text, flags=re.MULTILINE)
+    # What has been inlined has lost it.
+    text = re.sub(r"^(define .*) \{$", rf"\1 {objects.WIDEST_VECTORS} {{", str(module), flags=re.MULTILINE)
     return [_emit(text, target) for target in targets]
 
 
