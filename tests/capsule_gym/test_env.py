@@ -14,7 +14,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import baselines
-from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization
+from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization, dynamics
 from capsule_gym.layout import Row
 from capsule_gym.parameters import EnvConfig
 from capsule_gym.simulation import Simulation
@@ -393,3 +393,15 @@ def test_bad_actions_are_named(action):
     env.reset(seed=0)
     with pytest.raises(ValueError, match="action must be"):
         env.step(action)
+
+
+@pytest.mark.parametrize("x_dot", [0.0, 0.4, -0.4])
+def test_an_episode_may_begin_in_stick_or_in_slip_either_way(x_dot):
+    env = CapsuleEnv(randomization="none")
+    _, info = env.reset(seed=0, options={"state": [0.1, 0.0, 0.0, x_dot]})
+    state, settings = info["state"].tolist(), env.simulation.settings
+    _, _, _, _, info = env.step(np.array([0.2], np.float32))
+    plant = env.simulation.capsule.plant()
+    for _ in range(settings.physics_steps * settings.law_steps):
+        state = dynamics.step(*state, info["torque"], plant, settings.physics_dt)[:4]
+    assert info["state"] == pytest.approx(state, rel=1e-9, abs=1e-12)
