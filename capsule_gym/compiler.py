@@ -11,7 +11,7 @@ import pickle
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from functools import cache
 from pathlib import Path
 from types import CellType
@@ -140,7 +140,7 @@ def compile_objects(
             if not value.is_declaration and value.name not in exported:
                 value.linkage = "internal"
                 value.name = f"{kind}{n}"
-    # What has been inlined has lost it.
+    # A function that asks for it loses the attribute where it is inlined.
     text = re.sub(r"^(define .*) \{$", rf"\1 {objects.WIDEST_VECTORS} {{", str(module), flags=re.MULTILINE)
     return [_emit(text, target) for target in targets]
 
@@ -268,7 +268,8 @@ def compile_cached(function: Callable[..., Any]) -> Any:
 def compile_allocating(function: Callable[..., Any], signature: str, what: str) -> Any:
     """What Python calls of a function that allocates memory or returns several numbers; see `compile_entry`."""
     compiled = _dispatcher(function, what)
-    with locked(Path(compiled.stats.cache_path or ".", f"{compiled.py_func.__name__}.lock")):
+    folder = compiled.stats.cache_path
+    with locked(Path(folder, f"{compiled.py_func.__name__}.lock")) if folder else nullcontext():
         compiled.compile(signature)
     return next(iter(compiled.overloads.values())).entry_point
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import dynamics, task
-from capsule_gym.compilation import compile_entry, inlined, intrinsic, jitable, use_widest_vectors
+from capsule_gym.compilation import compile_entry, inlined, intrinsic, jitable
 from capsule_gym.elementary import clip
 from capsule_gym.layout import (
     AT,
@@ -67,7 +67,6 @@ PIVOT_TORQUE_ON_CONTACT = 0.0
 @inlined
 def begin_step(block: np.ndarray, n: int, plant: Plant, begin: bool) -> int:
     """Begins an agent step, or an episode, of a block's environments; returns how many take part."""
-    use_widest_vectors()
     count = 0
     for j in range(n):
         active = block[AT.active + j] != 0.0
@@ -85,7 +84,6 @@ def begin_step(block: np.ndarray, n: int, plant: Plant, begin: bool) -> int:
 @inlined
 def apply_torque(block: np.ndarray, n: int, plant: Plant, settings: StepSettings) -> int:
     """Switches the torque and finds the phases of contact under it; returns how many environments stick."""
-    use_widest_vectors()
     period = settings.physics_steps * settings.physics_dt
     resting = 0
     for j in range(n):
@@ -115,7 +113,6 @@ def apply_torque(block: np.ndarray, n: int, plant: Plant, settings: StepSettings
 @inlined
 def step_smooth(block: np.ndarray, n: int, plant: Plant, h: float, may_stick: bool) -> None:
     """Takes every environment to which nothing happens through one substep, and marks the others."""
-    use_widest_vectors()
     for j in range(n):
         p = plant_of(block, j, plant)
         theta, theta_dot, x, x_dot = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x + j], block[AT.x_dot + j]
@@ -205,7 +202,6 @@ def evaluate_law(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, torqu
         torque_limit: N m.
         tick: 1.0, or 0.0 for the first call of an episode.
     """
-    use_widest_vectors()
     for j in range(n):
         clock = block[AT.clock + j] + (tick if block[AT.halt + j] != HALTED else 0.0)
         block[AT.clock + j] = clock if clock < cycle else 0.0
@@ -305,7 +301,6 @@ def call_advance(
 @inlined
 def finish_step(block: np.ndarray, n: int, plant: Plant, settings: StepSettings) -> None:
     """Ends an agent step: rewards and the sums of the episode."""
-    use_widest_vectors()
     for j in range(n):
         active = block[AT.active + j] != 0.0
         share = 1.0 if active else 0.0

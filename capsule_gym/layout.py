@@ -9,14 +9,12 @@ The arithmetic is the same everywhere, and so are the results, bit for bit.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple, TypeVar, get_type_hints
+from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 
 from capsule_gym.compilation import inlined, intrinsic, jitable
 from capsule_gym.parameters import Plant
-
-T = TypeVar("T")
 
 # Environments that one loop takes through a step together. Their rows lie side by side at offsets that the compiler
 # knows, and one block stays in the first-level cache.
@@ -205,14 +203,13 @@ def _define_record(typing_context: Any, array: Any, start: Any, kind: Any) -> An
 
 
 @intrinsic(_define_record)
-def record(array: np.ndarray, start: int, kind: type[T]) -> T:
+def record(array: np.ndarray, start: int, kind: Any) -> Any:
     """The named tuple of class `kind` whose fields are the entries of a float64 array from `start` on; unchecked.
 
     The class says the order of the fields and their types: float, int or bool.
     """
     types = get_type_hints(kind)
-    fields: tuple[str, ...] = kind._fields  # type: ignore[attr-defined]
-    return kind(*(types[name](value) for name, value in zip(fields, array[start:], strict=False)))
+    return kind(*(types[name](value) for name, value in zip(kind._fields, array[start:], strict=False)))
 
 
 @jitable

@@ -230,11 +230,16 @@ class Policy:
                 f"{self.name!r} identifies M and mu from one observation to the next: act = policy.start([0]) at the "
                 "beginning of an episode, then act(observation) at every step"
             )
-        return self._act(observation, np.zeros(0))
+        return self._act(observation, np.zeros(0), self._workspace())
 
-    def _act(self, observation: Any, memory: np.ndarray, count: int | None = None) -> np.ndarray:
+    def _workspace(self) -> np.ndarray:
+        from capsule_gym.network import make_workspace
+
+        return make_workspace(self._network)
+
+    def _act(self, observation: Any, memory: np.ndarray, lanes: np.ndarray, count: int | None = None) -> np.ndarray:
         """The actions for one observation or for many, of `count` episodes where that is fixed; changes the memory."""
-        from capsule_gym.network import compiled_act_batch, make_workspace
+        from capsule_gym.network import compiled_act_batch
 
         try:
             array = np.require(observation, np.float32, ["C", "A"])
@@ -248,7 +253,7 @@ class Policy:
         if count not in (None, len(rows)):
             raise ValueError(f"observations must be of {count} episodes, one a row, got {len(rows)} rows")
         inputs, actions = np.empty((len(rows), len(self.mean)), np.float32), np.empty((len(rows), 1), np.float32)
-        compiled_act_batch()(self._network, rows, memory, inputs, make_workspace(self._network), actions)
+        compiled_act_batch()(self._network, rows, memory, inputs, lanes, actions)
         return actions if array.ndim == 2 else actions[0]
 
     def start(self, seeds: Sequence[int]) -> Callable[[np.ndarray], np.ndarray]:
@@ -263,8 +268,8 @@ class Policy:
         """
         from capsule_gym.observation import CELLS
 
-        memory = np.zeros(len(seeds) * CELLS)
-        return lambda observations: self._act(observations, memory, len(seeds))
+        memory, lanes = np.zeros(len(seeds) * CELLS), self._workspace()
+        return lambda observations: self._act(observations, memory, lanes, len(seeds))
 
     def with_energy_weight(self, energy_weight: float) -> Policy:
         """The same policy with another energy weight among its inputs, in cm/J.

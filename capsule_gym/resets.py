@@ -8,7 +8,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from capsule_gym.compilation import cached_entry, inlined
+from capsule_gym.compilation import cached_entry, inlined, jitable
 from capsule_gym.elementary import exp, log
 from capsule_gym.layout import AT, LANES, MEMORY, Row
 from capsule_gym.parameters import Capsule, Randomization
@@ -113,6 +113,7 @@ def draw_plant(randomization: Randomization, capsule: Capsule, rng: np.random.Ge
     return float(M), float(mu)
 
 
+@jitable
 def draw(
     ranges: np.ndarray, noise: float, rows: np.ndarray, keys: np.ndarray, episodes: np.ndarray, starts: np.ndarray
 ) -> None:
@@ -143,6 +144,7 @@ def draw(
         starts[Row.M, n], starts[Row.mu, n] = plant_at(ranges, share_M, share_mu)
 
 
+@jitable
 def renew(
     world: np.ndarray,
     memory: np.ndarray,

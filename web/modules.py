@@ -126,11 +126,10 @@ def common_entries() -> list[Entry]:
     `renew` gives an environment the first values of an episode, `act` is one action of a policy, `log` the logarithm of
     the energy weight that it is told, and `gait` one action of a gait with a clock.
     """
-    compiled = jitable(resets.renew)
 
     def renew(world, size, memory, memory_size, m, g, starts, rows, episodes):  # type: ignore[no-untyped-def]
         blocks, cells, start = array(world, (1, size)), array(memory, (memory_size,)), array(starts, (STARTS, 1))
-        compiled(blocks, cells, m, g, array(rows, (1,)), start, array(episodes, (1,)))
+        resets.renew(blocks, cells, m, g, array(rows, (1,)), start, array(episodes, (1,)))
         return types.int32(0)
 
     def act(network, size, observations, memory, inputs, lanes, units):  # type: ignore[no-untyped-def]

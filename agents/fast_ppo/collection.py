@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 
 from agents.training.presets import PPOConfig
 from capsule_gym import kernels, layout, resets
-from capsule_gym.compilation import inlined, jitable
+from capsule_gym.compilation import inlined
 from capsule_gym.compiler import compile_allocating
 from capsule_gym.elementary import exp
 from capsule_gym.layout import AT, LANES, record
@@ -23,9 +23,6 @@ from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.simulation import episode_metrics
 
 DISTURBANCES = np.uint64(Stream.disturbances)
-
-for _function in (resets.draw, resets.renew):
-    jitable(_function)
 
 
 @inlined
