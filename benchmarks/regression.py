@@ -106,9 +106,9 @@ def kernel_steps(held: bool = False, **options: Any) -> Turn:
                 simulation.reset(ended)
                 simulation.world[:, Row.active] = 1.0
             simulation.write(Row.action, next(draws))
-            start = time.thread_time()
+            start = time.process_time()
             simulation._run(begin=False)
-            seconds += time.thread_time() - start
+            seconds += time.process_time() - start
             steps += NUM_ENVS
         return steps / seconds
 
@@ -128,11 +128,11 @@ def single_kernel_steps() -> Turn:
         while seconds < TURN_SECONDS:
             simulation.reset(np.arange(1))
             simulation.write(Row.action, np.array([next(torques)]))
-            marks = [time.thread_time()]
+            marks = [time.process_time()]
             for last in (1, 0):
                 for _ in range(calls):
                     simulation._advance(0, last, False)
-                marks.append(time.thread_time())
+                marks.append(time.process_time())
             seconds += (marks[1] - marks[0]) - (marks[2] - marks[1])
             steps += calls
         return steps / seconds
@@ -144,11 +144,11 @@ def repeated(work: Callable[[], Any], steps: int) -> Turn:
     """Calls of a function that takes so many steps."""
 
     def turn() -> float:
-        start, done = time.thread_time(), 0
-        while time.thread_time() - start < TURN_SECONDS:
+        start, done = time.process_time(), 0
+        while time.process_time() - start < TURN_SECONDS:
             work()
             done += steps
-        return done / (time.thread_time() - start)
+        return done / (time.process_time() - start)
 
     return turn
 

@@ -19,7 +19,7 @@ from stable_baselines3.common.utils import explained_variance
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from agents.fast_ppo.collection import Rollout, RolloutVecEnv
-from agents.fast_ppo.update import LOSSES, compiled, pack, unpack
+from agents.fast_ppo.update import LOSSES, pack, unpack, update
 from agents.training.algorithms import HALF_LOG_2_PI, FastTanh
 from capsule_gym import network
 from capsule_gym.network import Layer
@@ -95,12 +95,10 @@ class FastPPO(PPO):
         - `energy_weights`: every episode draws an energy weight, whose logarithm is an input of the policy.
         - `jump_rate`: M and mu are drawn anew within episodes.
 
-    With a layer of more than `widest` units the update is SB3's own, whose large matrix products are faster.
+    The actor's and the critic's network are updated in a thread each.
     """
 
     policy: FastPolicy
-    widest = 256
-    """Units of the widest layer whose update is compiled."""
     critic_steps = 0
     """Environment steps at the start in which only the critic learns."""
 
@@ -175,10 +173,6 @@ class FastPPO(PPO):
 
     def train(self) -> None:
         """Makes `n_epochs` passes over the rollout."""
-        if max(len(bias) for layers in self._arrays(torch.Tensor.detach)[:2] for _, bias in layers) > self.widest:
-            self.rollout_buffer.full, self.rollout_buffer.generator_ready = True, False
-            super().train()
-            return
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         clip_range: Any = self.clip_range
@@ -195,8 +189,7 @@ class FastPPO(PPO):
         actor, critic = (
             np.array([layers[0][0].shape[1], *(len(bias) for _, bias in layers)]) for layers in changed[0][:2]
         )
-        losses = np.empty(len(LOSSES))
-        compiled()(
+        losses = update(
             self.batch_size,
             clip_range(self._current_progress_remaining),
             self.ent_coef,
@@ -207,7 +200,7 @@ class FastPPO(PPO):
             self.policy.tanh_mean,
             self.policy.least_log_std,
             *(actor, critic, orders, inputs, buffer.actions.ravel(), buffer.log_probs.ravel()),
-            *(buffer.advantages.ravel(), buffer.returns.ravel(), *packed, losses),
+            *(buffer.advantages.ravel(), buffer.returns.ravel(), *packed),
         )
         for array, (of_actor, of_critic, log_std) in zip(packed, changed, strict=True):
             unpack(array, [*of_actor, *of_critic], log_std)

@@ -1,4 +1,4 @@
-"""PPO's whole update in one compiled call: every epoch and minibatch, both networks forward and backward, and Adam.
+"""PPO's update by compiled code: both networks forward and backward, each in a thread of its own, and Adam.
 
 A sample is a lane. Minibatches are taken LANES samples at a time, whose numbers lie side by side, row by row, in the
 processor's nearest caches. The three products that take nearly all time (a layer forward, back to its inputs,
@@ -13,7 +13,8 @@ from __future__ import annotations
 import math
 from collections import namedtuple
 from collections.abc import Iterator
-from functools import lru_cache
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache, partial
 from itertools import product
 from typing import Any
 
@@ -30,14 +31,15 @@ from capsule_gym.compiler import compile_allocating
 from capsule_gym.network import Layer
 
 # Samples that are taken through the networks together.
-LANES = 128
-# float32 in the widest register. Where they are narrower the compiler takes several.
-WIDTH = 16
-# Rows, and vectors of each, whose sums are written together; widths of layers are filled up to a multiple.
-TILE = 4
-SPAN = TILE * WIDTH
+LANES = 160
 # Of a cache line, in float32.
 LINE = 16
+# float32 in the widest register. Where they are narrower the compiler takes several.
+WIDTH = 16
+# Rows whose sums are made together; widths of layers are filled up to a multiple.
+TILE = 6
+# Entries of these rows whose sums are made together, at most.
+WIDEST_SPAN = 2 * WIDTH
 
 F32 = np.float32
 ZERO, HALF, ONE, TWO = F32(0.0), F32(0.5), F32(1.0), F32(2.0)
@@ -58,7 +60,7 @@ LARGEST = F32(87.0)
 # From here on the tangent is 1 to the last digit.
 FLAT = F32(10.0)
 # Rows of a sample's numbers besides those of the networks.
-Rows = namedtuple("Rows", "action old_log_prob advantage target log_std_slope gain squared_error divergence clipped")
+Rows = namedtuple("Rows", "aim old_log_prob advantage log_std_slope gain squared_error divergence clipped")
 ROW = Rows(*range(len(Rows._fields)))
 # Logged means.
 LOSSES = ("policy_gradient_loss", "value_loss", "entropy_loss", "approx_kl", "clip_fraction")
@@ -104,13 +106,9 @@ FLOAT, INTEGER = ir.FloatType(), ir.IntType(32)
 VECTOR = ir.VectorType(FLOAT, WIDTH)
 
 
-def _vector_at(builder: Any, pointer: Any, kind: Any = VECTOR) -> Any:
+def _vector_at(builder: Any, pointer: Any) -> Any:
     """That address as one of a vector."""
-    return builder.bitcast(pointer, kind.as_pointer())
-
-
-def _load(builder: Any, pointer: Any, kind: Any = VECTOR) -> Any:
-    return builder.load(_vector_at(builder, pointer, kind), align=4)
+    return builder.bitcast(pointer, VECTOR.as_pointer())
 
 
 def _spread(builder: Any, value: Any) -> Any:
@@ -119,8 +117,8 @@ def _spread(builder: Any, value: Any) -> Any:
     return builder.shuffle_vector(first, first, ir.Constant(ir.VectorType(INTEGER, WIDTH), [0] * WIDTH))
 
 
-def parts(target_machine: Any) -> list[tuple[range, range]]:
-    """Rows and columns of the parts of a tile that are worked out in turn: the sums of each are kept in registers.
+def vectors(target_machine: Any) -> int:
+    """Vectors of a row whose sums are made together: as many as the registers of a processor hold for TILE rows.
 
     Args:
         target_machine: of the processor that the code is compiled for. With registers of 512 bits one holds a vector,
@@ -128,26 +126,17 @@ def parts(target_machine: Any) -> list[tuple[range, range]]:
     """
     vector, wide = f"<{WIDTH} x float>", '"prefer-vector-width"="512"'
     module = f"define {vector} @f({vector} %a) {wide} {{ %b = fadd {vector} %a, %a\n ret {vector} %b }}"
-    side = TILE if "zmm" in target_machine.emit_assembly(llvm.parse_assembly(module)) else TILE // 2
-    halves = [range(first, first + side) for first in range(0, TILE, side)]
-    return list(product(halves, halves))
+    return 2 if "zmm" in target_machine.emit_assembly(llvm.parse_assembly(module)) else 1
 
 
-def _sums(builder: Any, rows: range, columns: range) -> dict[tuple[int, int], Any]:
-    """A vector of zeros for every row and column, which the compiler keeps in registers."""
-    sums = {place: cgutils.alloca_once(builder, VECTOR) for place in product(rows, columns)}
-    for pointer in sums.values():
-        builder.store(ir.Constant(VECTOR, [0.0] * WIDTH), pointer)
-    return sums
+@intrinsic
+def span(typing_context: Any) -> Any:
+    """Entries of TILE rows that `multiply` writes."""
 
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return context.get_constant(types.intp, vectors(context.codegen()._tm) * WIDTH)
 
-def _add_products(builder: Any, sums: dict[tuple[int, int], Any], left: dict[int, Any], right: dict[int, Any]) -> None:
-    """Adds the product of every vector on the left with every one on the right."""
-    kind = ir.FunctionType(VECTOR, [VECTOR] * 3)
-    # llvmlite's own takes scalars only.
-    fma = cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{WIDTH}f32")
-    for (p, q), pointer in sums.items():
-        builder.store(builder.call(fma, [left[p], right[q], builder.load(pointer)]), pointer)
+    return types.intp(), generate
 
 
 def _data(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
@@ -165,89 +154,48 @@ def multiply(
     count: Any,
     given: Any,
     first: Any,
+    pitch: Any,
     sums: Any,
     target: Any,
+    distance: Any,
 ) -> Any:
-    """Writes TILE rows of a matrix times the rows of `given`, for SPAN lanes; unchecked.
+    """Writes TILE rows of a matrix times the rows of `given`, `span` of their entries; unchecked.
 
     The matrix begins at `weights[at]`; `row` and `column` are the distances of its rows and its columns, `count` is the
-    number of its columns. `given` has a row of LANES for each column, from `first` on. The products are written to
-    `sums`, from `target` on.
+    number of its columns. `given` has a row for each column, from `first` on, and `pitch` is their distance. The
+    products are written to `sums`, from `target` on, in rows with that `distance`.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         kinds = signature.args
-        _, at, row, column, count, _, first, _, target = arguments
+        _, at, row, column, count, _, first, pitch, _, target, distance = arguments
         matrix = _data(context, builder, kinds[0], arguments[0], at)
-        lanes = _data(context, builder, kinds[5], arguments[5], first)
-        out = _data(context, builder, kinds[7], arguments[7], target)
-        step = context.get_constant(types.intp, LANES)
-        for rows, columns in parts(context.codegen()._tm):
-            starts = {p: builder.gep(matrix, [builder.mul(row, row.type(p))]) for p in rows}
-            totals = _sums(builder, rows, columns)
-            with cgutils.for_range(builder, count) as loop:
-                line = builder.gep(lanes, [builder.mul(loop.index, step)])
-                x = {v: _load(builder, builder.gep(line, [step.type(v * WIDTH)])) for v in columns}
-                offset = builder.mul(loop.index, column)
-                w = {p: _spread(builder, builder.load(builder.gep(starts[p], [offset]))) for p in rows}
-                _add_products(builder, totals, w, x)
+        source = _data(context, builder, kinds[5], arguments[5], first)
+        out = _data(context, builder, kinds[8], arguments[8], target)
+        whole = row.type
+        starts = [builder.gep(matrix, [builder.mul(row, whole(p))]) for p in range(TILE)]
+        places = range(0, vectors(context.codegen()._tm) * WIDTH, WIDTH)
+        # Sums that the compiler keeps in registers.
+        totals = {place: cgutils.alloca_once(builder, VECTOR) for place in product(range(TILE), places)}
+        for pointer in totals.values():
+            builder.store(ir.Constant(VECTOR, [0.0] * WIDTH), pointer)
+        # llvmlite's own takes scalars only.
+        kind = ir.FunctionType(VECTOR, [VECTOR] * 3)
+        fma = cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{WIDTH}f32")
+        with cgutils.for_range(builder, count) as loop:
+            line = builder.gep(source, [builder.mul(loop.index, pitch)])
+            x = {v: builder.load(_vector_at(builder, builder.gep(line, [whole(v)])), align=4) for v in places}
+            offset = builder.mul(loop.index, column)
+            w = [_spread(builder, builder.load(builder.gep(start, [offset]))) for start in starts]
             for (p, v), pointer in totals.items():
-                place = builder.gep(out, [step.type(p * LANES + v * WIDTH)])
-                builder.store(builder.load(pointer), _vector_at(builder, place), align=4)
+                builder.store(builder.call(fma, [w[p], x[v], builder.load(pointer)]), pointer)
+        for (p, v), pointer in totals.items():
+            place = builder.gep(out, [builder.add(builder.mul(distance, whole(p)), whole(v))])
+            builder.store(builder.load(pointer), _vector_at(builder, place), align=4)
         return context.get_dummy_value()
 
     where = types.intp
-    return types.void(weights, where, where, where, where, given, where, sums, where), generate
-
-
-@intrinsic
-def correlate(
-    typing_context: Any, errors: Any, first: Any, given: Any, start: Any, gradients: Any, at: Any, row: Any
-) -> Any:
-    """Adds the products of TILE rows with TILE other rows, summed over the lanes, to a matrix; unchecked.
-
-    The rows of the matrix belong to `errors`, from `first` on, its columns to `given`, from `start` on. It begins at
-    `gradients[at]`, and `row` is the distance of its rows.
-    """
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        kinds = signature.args
-        _, first, _, start, _, at, row = arguments
-        left = _data(context, builder, kinds[0], arguments[0], first)
-        right = _data(context, builder, kinds[2], arguments[2], start)
-        matrix = _data(context, builder, kinds[4], arguments[4], at)
-        whole = first.type
-        totals: dict[tuple[int, int], Any] = {}
-        for ours, theirs in parts(context.codegen()._tm):
-            found = _sums(builder, ours, theirs)
-            with cgutils.for_range(builder, whole(LANES // WIDTH)) as loop:
-                lane = builder.mul(loop.index, whole(WIDTH))
-                e, x = (
-                    {p: _load(builder, builder.gep(rows, [builder.add(lane, whole(p * LANES))])) for p in chosen}
-                    for rows, chosen in ((left, ours), (right, theirs))
-                )
-                _add_products(builder, found, e, x)
-            totals |= {place: builder.load(pointer) for place, pointer in found.items()}
-        # Two vectors become one with half as many parts of each sum, until one vector holds all sums.
-        vectors = [totals[place] for place in sorted(totals)]
-        half = WIDTH // 2
-        while len(vectors) > 1:
-            halves = [[n for n in range(2 * WIDTH) if bool(n & half) == second] for second in (False, True)]
-            masks = [ir.Constant(ir.VectorType(INTEGER, WIDTH), numbers) for numbers in halves]
-            pairs = zip(vectors[::2], vectors[1::2], strict=True)
-            vectors = [builder.fadd(*(builder.shuffle_vector(a, b, mask) for mask in masks)) for a, b in pairs]
-            half //= 2
-        short = ir.VectorType(FLOAT, TILE)
-        for p in range(TILE):
-            mask = ir.Constant(ir.VectorType(INTEGER, TILE), list(range(p * TILE, (p + 1) * TILE)))
-            part = builder.shuffle_vector(vectors[0], vectors[0], mask)
-            place = builder.gep(matrix, [builder.mul(row, whole(p))])
-            total = builder.fadd(_load(builder, place, short), part)
-            builder.store(total, _vector_at(builder, place, short), align=4)
-        return context.get_dummy_value()
-
-    where = types.intp
-    return types.void(errors, where, given, where, gradients, where, where), generate
+    return types.void(weights, *[where] * 4, given, where, where, sums, where, where), generate
 
 
 @intrinsic
@@ -336,7 +284,7 @@ def policy_loss(
     use_widest_vectors()
     precision = exponential(-log_std)
     low, high = ONE - clip_range, ONE + clip_range
-    actions, old, advantages = samples[ROW.action], samples[ROW.old_log_prob], samples[ROW.advantage]
+    actions, old, advantages = samples[ROW.aim], samples[ROW.old_log_prob], samples[ROW.advantage]
     log_std_slope, gains = samples[ROW.log_std_slope], samples[ROW.gain]
     divergences, clipped = samples[ROW.divergence], samples[ROW.clipped]
     for j in range(LANES):
@@ -366,7 +314,7 @@ def policy_loss(
 def value_loss(samples: np.ndarray, values: np.ndarray, errors: np.ndarray, n: int, share: float) -> None:
     """Writes the slopes of the critic's loss over n lanes' values, and their squared errors; the others' are zero."""
     use_widest_vectors()
-    targets, squares = samples[ROW.target], samples[ROW.squared_error]
+    targets, squares = samples[ROW.aim], samples[ROW.squared_error]
     for j in range(LANES):
         error = values[j] - targets[j] if j < n else ZERO
         errors[j] = share * error
@@ -408,12 +356,13 @@ def forward(parameters: np.ndarray, widths: np.ndarray, rows: np.ndarray) -> int
     at = given = 0
     layers = len(widths) - 1
     for layer in range(layers):
-        columns, units = filled(widths[layer] + 1), widths[layer + 1]
+        inputs, units = widths[layer] + 1, widths[layer + 1]
+        columns = filled(inputs)
         sums = given + columns * LANES
-        for j in range(0, LANES, SPAN):
-            for k in range(0, filled(units), TILE):
+        for j in range(0, LANES, span()):
+            for k in range(0, units, TILE):
                 start, target = at + k * columns, sums + k * LANES + j
-                multiply(parameters, start, columns, 1, columns, rows, given + j, rows, target)
+                multiply(parameters, start, columns, 1, inputs, rows, given + j, LANES, rows, target, LANES)
         if layer < layers - 1:
             end = sums + units * LANES
             activate(rows[sums:end])
@@ -424,37 +373,56 @@ def forward(parameters: np.ndarray, widths: np.ndarray, rows: np.ndarray) -> int
     return given
 
 
+@jitable
+def distance_of_turned(inputs: int) -> int:
+    """Distance of the rows of transposed inputs: an odd number of cache lines, which share few places of a cache."""
+    return (-(-inputs // LINE) | 1) * LINE
+
+
 @_inner()
 def backward(
     parameters: np.ndarray,  # this and `widths` as in `forward`
     gradients: np.ndarray,  # of the parameters; changed
     widths: np.ndarray,
     rows: np.ndarray,  # as `forward` leaves them
-    errors: np.ndarray,  # slopes of the loss over the padded outputs; changed
+    errors: np.ndarray,  # slopes of the loss over the outputs; changed
     spare: np.ndarray,  # of the size of `errors`; changed
+    turned: np.ndarray,  # of the size of `errors`; changed
 ) -> None:
     """Adds the gradients of LANES samples to those of a network."""
     use_widest_vectors()
+    tile = np.empty(TILE * WIDEST_SPAN, np.float32)
     at = given = 0
     for layer in range(len(widths) - 1):
         at += filled(widths[layer + 1]) * filled(widths[layer] + 1)
         given += filled(widths[layer] + 1) * LANES
     for layer in range(len(widths) - 2, -1, -1):
-        inputs, outputs = widths[layer], filled(widths[layer + 1])
+        inputs, units = widths[layer], widths[layer + 1]
         columns = filled(inputs + 1)
-        at -= outputs * columns
+        at -= filled(units) * columns
         given -= columns * LANES
-        for k in range(0, outputs, TILE):
-            for i in range(0, columns, TILE):
-                correlate(errors, k * LANES, rows, given + i * LANES, gradients, at + k * columns + i, columns)
+        # A sample's inputs side by side, so that the sums over samples are of the same kind as the other products.
+        pitch = distance_of_turned(inputs)
+        for j in range(LANES):
+            for i in range(inputs):
+                turned[j * pitch + i] = rows[given + i * LANES + j]
+        for k in range(0, units, TILE):
+            for i in range(0, inputs, span()):
+                multiply(errors, k * LANES, LANES, 1, LANES, turned, i, pitch, tile, 0, WIDEST_SPAN)
+                width = min(span(), inputs - i)
+                for p in range(min(TILE, units - k)):
+                    place = at + (k + p) * columns + i
+                    for q in range(width):
+                        gradients[place + q] += tile[p * WIDEST_SPAN + q]
+        for k in range(units):
+            gradients[at + k * columns + inputs] += sum_of(errors[k * LANES : (k + 1) * LANES])
         if layer > 0:
-            for j in range(0, LANES, SPAN):
-                for i in range(0, filled(inputs), TILE):
-                    multiply(parameters, at + i, 1, columns, outputs, errors, j, spare, i * LANES + j)
+            for j in range(0, LANES, span()):
+                for i in range(0, inputs, TILE):
+                    target = i * LANES + j
+                    multiply(parameters, at + i, 1, columns, units, errors, j, LANES, spare, target, LANES)
             size = inputs * LANES
             activate_backward(spare[:size], rows[given : given + size])
-            # Padding must stay zero.
-            spare[size : filled(inputs) * LANES] = ZERO
             errors, spare = spare, errors
 
 
@@ -466,6 +434,76 @@ def zeros_aligned(count: int) -> np.ndarray:
     return memory[start : start + count]
 
 
+def gradients_of(
+    is_policy: bool,  # the actor's network or the critic's
+    chosen: np.ndarray,  # the samples of the minibatch
+    widths: np.ndarray,  # of the network's inputs and its layers, the last of which is 1
+    inputs: np.ndarray,  # normalised, shape (samples, inputs of the critic); the actor's come first
+    aims: np.ndarray,  # actions of the policy, or returns that the critic estimates, shape (samples,)
+    old_log_probs: np.ndarray,  # logarithmic probabilities of the actions when they were drawn, shape (samples,)
+    advantages: np.ndarray,  # of the minibatch, normalised, shape (chosen,)
+    vf_coef: float,  # this, `clip_range`, `tanh_mean` and `log_std` as in `update` and `policy_loss`
+    clip_range: float,
+    tanh_mean: bool,
+    log_std: float,
+    parameters: np.ndarray,  # the network's part of a packed array
+    gradients: np.ndarray,  # of these parameters; changed
+    means: np.ndarray,  # of the rows of a sample's numbers that `Rows` names; written
+) -> None:
+    """Adds the gradients of a minibatch's loss to those of one of the two networks."""
+    rows = zeros_aligned(filled(widths + 1).sum() * LANES)
+    errors, spare = zeros_aligned(filled(widths.max()) * LANES), zeros_aligned(filled(widths.max()) * LANES)
+    turned = zeros_aligned(distance_of_turned(widths.max()) * LANES + WIDEST_SPAN)
+    samples = zeros_aligned(len(ROW) * LANES).reshape(len(ROW), LANES)
+    rows[widths[0] * LANES : (widths[0] + 1) * LANES] = ONE
+    size = len(chosen)
+    means[:] = 0.0
+    for start in range(0, size, LANES):
+        n = min(LANES, size - start)
+        for j in range(n):
+            i = chosen[start + j]
+            samples[ROW.aim, j], samples[ROW.old_log_prob, j] = aims[i], old_log_probs[i]
+            samples[ROW.advantage, j] = advantages[start + j]
+            for k in range(widths[0]):
+                rows[k * LANES + j] = inputs[i, k]
+        out = forward(parameters, widths, rows)
+        outputs = rows[out : out + LANES]
+        if is_policy:
+            policy_loss(samples, outputs, errors, n, F32(1.0 / size), F32(log_std), F32(clip_range), tanh_mean)
+        else:
+            value_loss(samples, outputs, errors, n, F32(2.0 * vf_coef / size))
+        backward(parameters, gradients, widths, rows, errors, spare, turned)
+        for row in range(len(ROW)):
+            means[row] += sum_of(samples[row]) / size
+
+
+def step(
+    parameters: np.ndarray,  # this and the next three as in `adam`, each whole
+    gradients: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    max_grad_norm: float,
+    learning_rate: float,
+    count: int,  # of this step, from 1
+) -> None:
+    """Limits the norm of the gradients and makes a step of Adam."""
+    norm = math.sqrt(sum_of_squares(gradients))
+    clipping = F32(min(1.0, max_grad_norm / (norm + 1e-6)))
+    rate, root = F32(learning_rate / (1.0 - BETA_1**count)), F32(1.0 / math.sqrt(1.0 - BETA_2**count))
+    adam(parameters, gradients, first, second, clipping, rate, root)
+
+
+@lru_cache(maxsize=1)
+def compiled() -> tuple[Any, Any]:
+    """`gradients_of` and `step`, compiled: they check neither dtype nor shape nor contiguity of their arrays."""
+    number, row, widths = "float64", "float32[::1]", "int64[::1]"
+    given = ("boolean", widths, widths, "float32[:, ::1]", row, row, row, number, number, "boolean", number)
+    of_network = f"void({', '.join((*given, row, row, 'float64[::1]'))})"
+    of_step = f"void({', '.join((row, row, row, row, number, number, 'int64'))})"
+    what = "the updates of training"
+    return compile_allocating(gradients_of, of_network, what), compile_allocating(step, of_step, what)
+
+
 def update(
     batch_size: int,  # this and the next five as in SB3's PPO
     clip_range: float,
@@ -473,7 +511,7 @@ def update(
     vf_coef: float,
     max_grad_norm: float,
     learning_rate: float,
-    step: int,  # steps that Adam has made before
+    count: int,  # steps that Adam has made before
     tanh_mean: bool,  # whether tanh brings the action's mean to [-1, 1]
     least_log_std: float,  # floor of the logarithm of the standard deviation
     actor: np.ndarray,  # widths of its inputs and its layers, the last of which is 1
@@ -487,73 +525,32 @@ def update(
     parameters: np.ndarray,  # actor, critic and logarithm of the standard deviation, from `pack`; changed
     first: np.ndarray,  # Adam's first moments; changed
     second: np.ndarray,  # Adam's second moments; changed
-    losses: np.ndarray,  # written: means of LOSSES over the minibatches
-) -> None:
-    """Makes a step of Adam for every minibatch."""
-    split, last = (filled(actor[1:]) * filled(actor[:-1] + 1)).sum(), len(parameters) - 1
-    rows_a = zeros_aligned(filled(actor + 1).sum() * LANES)
-    rows_c = zeros_aligned(filled(critic + 1).sum() * LANES)
-    widest = max(actor.max(), critic.max())
-    errors, spare = zeros_aligned(filled(widest) * LANES), zeros_aligned(filled(widest) * LANES)
-    samples = zeros_aligned(len(ROW) * LANES).reshape(len(ROW), LANES)
-    gradients = zeros_aligned(len(parameters))
-    rows_a[actor[0] * LANES : (actor[0] + 1) * LANES] = ONE
-    rows_c[critic[0] * LANES : (critic[0] + 1) * LANES] = ONE
-    losses[:] = 0.0
-    power_1, power_2 = BETA_1**step, BETA_2**step
-    batches = 0
-    for order in orders:
-        for begin in range(0, len(order), batch_size):
-            chosen = order[begin : begin + batch_size]
-            size = len(chosen)
-            centre, scale = 0.0, 1.0
-            if size > 1:
-                values = advantages[chosen].astype(np.float64)
-                centre = values.mean()
-                scale = 1.0 / (math.sqrt(((values - centre) ** 2).sum() / (size - 1)) + 1e-8)
-            gradients[:] = ZERO
-            log_std = max(parameters[last], F32(least_log_std))
-            for start in range(0, size, LANES):
-                n = min(LANES, size - start)
-                for j in range(n):
-                    i = chosen[start + j]
-                    samples[ROW.action, j], samples[ROW.old_log_prob, j] = actions[i], old_log_probs[i]
-                    samples[ROW.advantage, j], samples[ROW.target, j] = (advantages[i] - centre) * scale, targets[i]
-                    for k in range(actor[0]):
-                        rows_a[k * LANES + j] = inputs[i, k]
-                    for k in range(critic[0]):
-                        rows_c[k * LANES + j] = inputs[i, k]
-                out = forward(parameters[:split], actor, rows_a)
-                errors[LANES : TILE * LANES] = ZERO
-                settings = F32(1.0 / size), log_std, F32(clip_range), tanh_mean
-                policy_loss(samples, rows_a[out : out + LANES], errors[:LANES], n, *settings)
-                backward(parameters[:split], gradients[:split], actor, rows_a, errors, spare)
-                out = forward(parameters[split:last], critic, rows_c)
-                errors[LANES : TILE * LANES] = ZERO
-                value_loss(samples, rows_c[out : out + LANES], errors[:LANES], n, F32(2.0 * vf_coef / size))
-                backward(parameters[split:last], gradients[split:last], critic, rows_c, errors, spare)
-                gradients[last] += sum_of(samples[ROW.log_std_slope])
-                losses[0] -= sum_of(samples[ROW.gain]) / size
-                losses[1] += sum_of(samples[ROW.squared_error]) / size
-                losses[3] += sum_of(samples[ROW.divergence]) / size
-                losses[4] += sum_of(samples[ROW.clipped]) / size
-            losses[2] -= log_std + NORMAL + HALF
-            gradients[last] = gradients[last] - ent_coef if parameters[last] >= F32(least_log_std) else 0.0
-            norm = math.sqrt(sum_of_squares(gradients))
-            power_1 *= BETA_1
-            power_2 *= BETA_2
-            clipping = F32(min(1.0, max_grad_norm / (norm + 1e-6)))
-            rate, root = F32(learning_rate / (1.0 - power_1)), F32(1.0 / math.sqrt(1.0 - power_2))
-            adam(parameters, gradients, first, second, clipping, rate, root)
-            batches += 1
-    losses /= batches
-
-
-@lru_cache(maxsize=1)
-def compiled() -> Any:
-    """`update` as compiled code: it checks neither dtype nor shape nor contiguity of its arrays."""
-    number, row, widths = "float64", "float32[::1]", "int64[::1]"
-    settings = ("int64", *[number] * 5, "int64", "boolean", number)
-    samples = ("int64[:, ::1]", "float32[:, ::1]", row, row, row, row)
-    given = (*settings, widths, widths, *samples, row, row, row, "float64[::1]")
-    return compile_allocating(update, f"void({', '.join(given)})", "the updates of training")
+) -> np.ndarray:
+    """Makes a step of Adam for every minibatch; returns the means of LOSSES over the minibatches."""
+    of_network, of_step = compiled()
+    split = int((filled(actor[1:]) * filled(actor[:-1] + 1)).sum())
+    of_actor, of_critic = slice(0, split), slice(split, -1)
+    gradients, means, losses = np.empty_like(parameters), np.empty((2, len(ROW))), []
+    with ThreadPoolExecutor(1) as beside:
+        for order in orders:
+            for begin in range(0, len(order), batch_size):
+                chosen = order[begin : begin + batch_size]
+                some = advantages[chosen].astype(np.float64)
+                if len(some) > 1:
+                    some = (some - some.mean()) / (some.std(ddof=1) + 1e-8)
+                log_std = max(parameters[-1], F32(least_log_std))
+                settings = old_log_probs, some.astype(np.float32), vf_coef, clip_range, tanh_mean, log_std
+                gradients[:] = 0.0
+                mine = True, chosen, actor, inputs, actions, *settings, parameters[of_actor], gradients[of_actor]
+                others = False, chosen, critic, inputs, targets, *settings, parameters[of_critic], gradients[of_critic]
+                other = beside.submit(partial(of_network, *others, means[1]))
+                of_network(*mine, means[0])
+                other.result()
+                bounded = parameters[-1] < F32(least_log_std)
+                gradients[-1] = 0.0 if bounded else means[0, ROW.log_std_slope] * len(chosen) - ent_coef
+                count += 1
+                of_step(parameters, gradients, first, second, max_grad_norm, learning_rate, count)
+                policy, value = (Rows(*row) for row in means.tolist())
+                entropy = -(log_std + NORMAL + HALF)
+                losses.append((-policy.gain, value.squared_error, entropy, policy.divergence, policy.clipped))
+    return np.mean(losses, axis=0)

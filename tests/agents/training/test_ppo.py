@@ -106,16 +106,6 @@ def test_an_update_is_that_of_stable_baselines(changes, monkeypatch):
     np.testing.assert_array_equal(moments(ours, "step"), moments(theirs, "step"))
 
 
-def test_a_wide_network_is_updated_by_stable_baselines(monkeypatch):
-    ours, theirs = (agent(net_arch=[FastPPO.widest + 1]) for _ in range(2))
-    # Rollouts do not fill the buffer entry by entry.
-    ours.rollout_buffer.full = False
-    for model in (ours, theirs):
-        np.random.seed(1)
-        model.train() if model is ours else PPO.train(model)
-    np.testing.assert_array_equal(weights(ours), weights(theirs))
-
-
 def test_torch_goes_on_from_a_compiled_update(monkeypatch):
     ours, theirs = agent(), agent()
     torch.manual_seed(1)

@@ -11,7 +11,7 @@ import pytest
 from llvmlite import binding as llvm
 
 from agents.fast_ppo import update
-from agents.fast_ppo.update import LOSSES, compiled, exponential, pack, tanh, unpack
+from agents.fast_ppo.update import exponential, pack, tanh, unpack
 from capsule_gym.compilation import fingerprint
 from capsule_gym.network import Layer
 
@@ -37,9 +37,8 @@ def updated(**changes: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
         "inputs": normal(random, SAMPLES, CRITIC[0]),
         **{name: normal(random, SAMPLES) for name in ("actions", "old_log_probs", "advantages", "targets")},
     }
-    losses = np.empty(len(LOSSES))
     settings = 32, 0.2, 0.0, 0.5, 0.5, 1e-2, 0, False, -20.0
-    compiled()(*settings, ACTOR, CRITIC, *(samples | changes).values(), *packed, losses)
+    losses = update.update(*settings, ACTOR, CRITIC, *(samples | changes).values(), *packed)
     return packed, losses
 
 
@@ -76,11 +75,11 @@ def test_nan_stays_nan():
 
 def test_the_compiled_code_is_found_again_by_any_process():
     # What has no representation of its own, or a set, would give every process another name, and all would compile.
-    code = "from agents.fast_ppo.update import update; from capsule_gym.compilation import fingerprint as of"
-    code += "; print(of(update))"
+    code = "from agents.fast_ppo.update import gradients_of; from capsule_gym.compilation import fingerprint as of"
+    code += "; print(of(gradients_of))"
     environment = {**os.environ, "PYTHONHASHSEED": "1"}
     found = subprocess.run([sys.executable, "-c", code], env=environment, check=True, capture_output=True, text=True)
-    assert found.stdout.strip() == fingerprint(update.update)
+    assert found.stdout.strip() == fingerprint(update.gradients_of)
 
 
 def test_exponential_and_tangent_are_exact_to_the_rounding_of_float32():
@@ -97,28 +96,26 @@ def test_exponential_and_tangent_are_exact_to_the_rounding_of_float32():
     assert abs(tangents - np.tanh(x.astype(np.float64))).max() < 2e-7
 
 
-def test_the_parts_of_a_tile_suit_the_processor_and_give_the_same_bits(monkeypatch):
+def test_the_width_of_a_tile_suits_the_processor_and_gives_the_same_bits(monkeypatch):
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     target = llvm.Target.from_triple("x86_64-unknown-linux-gnu")
-    kinds = [update.parts(target.create_target_machine(cpu=cpu)) for cpu in ("skylake-avx512", "haswell")]
-    # Sums, of one register each or of two, and registers that there are for them and what they are sums of.
-    assert [(len(kind), len(kind[0][0]) * len(kind[0][1])) for kind in kinds] == [(1, 16), (4, 4)]
+    machines = [target.create_target_machine(cpu=cpu) for cpu in ("skylake-avx512", "haswell")]
+    counts = [update.vectors(machine) for machine in machines]
+    assert counts == [2, 1]
     random = np.random.default_rng(0)
-    weights, rows, errors = normal(random, 4, 7), normal(random, 7, update.LANES), normal(random, 4, update.LANES)
+    weights, rows = normal(random, update.TILE, 7), normal(random, 7, update.LANES)
     found = []
-    for kind in kinds:
-        monkeypatch.setattr(update, "parts", lambda machine, kind=kind: kind)
+    for count in counts:
+        monkeypatch.setattr(update, "vectors", lambda machine, count=count: count)
 
         @numba.njit
-        def products(weights, rows, errors, sums, gradients):
-            for lane in range(0, update.LANES, update.SPAN):
-                update.multiply(weights, 0, 7, 1, 7, rows, lane, sums, lane)
-            update.correlate(errors, 0, rows, 0, gradients, 0, 4)
+        def product(weights, rows, sums):
+            for lane in range(0, update.LANES, update.span()):
+                update.multiply(weights, 0, 7, 1, 7, rows, lane, update.LANES, sums, lane, update.LANES)
 
-        sums, gradients = np.zeros((4, update.LANES), np.float32), np.ones((4, 4), np.float32)
-        products(*(array.ravel() for array in (weights, rows, errors, sums, gradients)))
+        sums = np.zeros((update.TILE, update.LANES), np.float32)
+        product(*(array.ravel() for array in (weights, rows, sums)))
         np.testing.assert_allclose(sums, weights @ rows, atol=1e-5)
-        np.testing.assert_allclose(gradients, 1.0 + errors @ rows[:4].T, atol=1e-4)
-        found.append((sums.tobytes(), gradients.tobytes()))
+        found.append(sums.tobytes())
     assert found[0] == found[1]
