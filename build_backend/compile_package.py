@@ -10,6 +10,7 @@ from capsule_gym import Capsule, CapsuleVectorEnv, compilation, load_policy
 from capsule_gym.elementary import sines_and_cosines
 from capsule_gym.network import rollout
 from capsule_gym.objects import LEVELS
+from capsule_gym.task import TASKS
 
 # What an earlier build has left.
 shutil.rmtree(compilation.SHIPPED, ignore_errors=True)
@@ -18,6 +19,8 @@ compilation.shipping = tuple(LEVELS)
 for law in (None, *(f"baselines:{name}" for name in baselines.__all__)):
     CapsuleVectorEnv(1, controller=law).reset(seed=0)
 CapsuleVectorEnv(1, capsule=Capsule(normal_force="paper")).reset(seed=0)
+for task in TASKS:
+    CapsuleVectorEnv(1, task=task).reset(seed=0)
 policy = load_policy("direct-ppo")
 env = CapsuleVectorEnv(1, **policy.env_kwargs)
 observations, _ = env.reset(seed=0)

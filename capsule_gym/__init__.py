@@ -1,7 +1,7 @@
 """capsule_gym: friction-driven locomotion of a capsule robot as a Gymnasium environment.
 
-Importing the package registers `CapsuleStickSlip-v0`. What needs numba, which takes most of a second to import, is
-imported at its first use.
+Importing the package registers `CapsuleStickSlip-v0` and the environments of the other tasks. What needs numba, which
+takes most of a second to import, is imported at its first use.
 """
 
 from importlib import import_module
@@ -11,7 +11,7 @@ from gymnasium.envs.registration import register, registry
 
 from capsule_gym.controller import Controller
 from capsule_gym.parameters import Capsule, Randomization
-from capsule_gym.task import ENV_ID, EPISODE_STEPS
+from capsule_gym.task import ENV_ID, TASKS
 
 if TYPE_CHECKING:
     from capsule_gym.env import CapsuleEnv
@@ -48,10 +48,12 @@ def __getattr__(name: str) -> Any:
     return getattr(import_module(_LAZY[name], __name__), name)
 
 
-if ENV_ID not in registry:
-    register(
-        id=ENV_ID,
-        entry_point="capsule_gym.env:CapsuleEnv",
-        vector_entry_point="capsule_gym.vector_env:CapsuleVectorEnv",
-        max_episode_steps=EPISODE_STEPS,
-    )
+for _name, (_id, _steps) in TASKS.items():
+    if _id not in registry:
+        register(
+            id=_id,
+            entry_point="capsule_gym.env:CapsuleEnv",
+            vector_entry_point="capsule_gym.vector_env:CapsuleVectorEnv",
+            max_episode_steps=_steps,
+            kwargs={} if _id == ENV_ID else {"task": _name},
+        )

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym.parameters import LAW_DT, check_number, first_cause, written
+from capsule_gym.parameters import LAW_DT, check_number, find_task, first_cause, written
 
 Law = Callable[..., tuple[float, tuple[float, ...]]]
 
@@ -43,6 +43,8 @@ class Controller:
             columns and ten million numbers. A law that follows none has zeros, and pictures then show none.
         memory: the law's memory at the start of an episode, at most 256 numbers.
         dt: seconds between calls; a divisor of the agent step.
+        task: name of the task that the law is made for: the task's memory follows the reference's row in `reference`.
+            None for a law that needs none of it, and so acts in every task.
 
     Raises:
         TypeError: if a field is of the wrong type, or the law does not return (torque, memory).
@@ -54,6 +56,7 @@ class Controller:
     reference: np.ndarray
     memory: tuple[float, ...] = (0.0,)
     dt: float = LAW_DT
+    task: str | None = None
 
     def __post_init__(self) -> None:
         if not callable(self.law):
@@ -62,7 +65,8 @@ class Controller:
         object.__setattr__(self, "memory", _check_memory(self.memory))
         check_number("Controller.dt", self.dt, "a finite number > 0 (s)", 0.0, open_low=True)
         # One call, so that a wrong signature is met here and not inside compiled code.
-        row = tuple(float(value) for value in self.reference[0])
+        task_size = 0 if self.task is None else find_task(self.task).rows
+        row = (*(float(value) for value in self.reference[0]), *([0.0] * task_size))
         # Compiled code does not check indices.
         law = getattr(self.law, "py_func", self.law)
         try:

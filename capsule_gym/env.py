@@ -14,10 +14,9 @@ from capsule_gym.layout import Row
 from capsule_gym.observation import observation_bounds
 from capsule_gym.parameters import RENDER_MODES, EnvConfig, check_count, written
 from capsule_gym.rendering import Renderer
-from capsule_gym.simulation import Simulation, check_seed
+from capsule_gym.simulation import SPEED, Simulation, check_seed
 
 RESET_OPTIONS = ("M", "mu", "state", "changes")
-REWARD_TERMS = ("reward_progress", "reward_energy", "reward_termination")
 _CODES = {float(code): np.int64(code) for code in task.Termination}
 # Looking the rows of an info up in `Row` at every step takes a tenth of it.
 _STATE, _X_DOT, _REWARD, _TERMINATION = slice(Row.theta, Row.M), Row.x_dot, Row.reward, Row.termination
@@ -143,6 +142,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     | `control_dt` | `0.02` | agent step, s |
     | `physics_dt` | 2 ms, with a controller 1 ms | step of the fourth-order integrator, s; at most a million in an agent step |
     | `render_mode` | `None` | "human" or, also of a batch, "rgb_array" |
+    | `task` | `"speed"` | what the agent is to do: speed, or a `Task` |
 
     Raises:
         TypeError: if an argument is of the wrong type.
@@ -176,6 +176,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     def _bind(self) -> None:
         """Makes views of the only environment: finding them takes a good part of a step."""
         self._rows = self.simulation.world[0, : Row.steps, 0]
+        self._memory = self.simulation.world[0, self.simulation.task_row :, 0]
         self._observation = self.simulation.observations[0]
         self._step = self.simulation.step_one
         self._renderer: Renderer | None = None
@@ -207,14 +208,16 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         if options is None:
             self.simulation.reset(_FIRST)
         else:
-            check_options(options, RESET_OPTIONS)
+            own = self.simulation.task.options
+            check_options(options, (*RESET_OPTIONS, *own))
             # One environment is a batch of one.
-            given = {name: [options[name]] for name in ("M", "mu", "changes") if options.get(name) is not None}
+            names = ("M", "mu", "changes", *own)
+            given = {name: [options[name]] for name in names if options.get(name) is not None}
             self.simulation.reset(_FIRST, state=options.get("state"), **given)
         self._running = True
         if self.render_mode == "human":
             self.render()
-        return self._observation.copy(), describe(self._rows.copy(), _CODES[0.0])
+        return self._observation.copy(), self._describe(self._rows.copy(), 0.0)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
         """One agent step: `capsule_gym.kernels.step`, compiled with the control law.
@@ -242,21 +245,25 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         self._running = ended == 0.0
         if self.render_mode == "human":
             self.render()
-        info = describe(rows, _CODES[ended])
-        return self._observation.copy(), rows.item(_REWARD), not self._running, False, info
+        return self._observation.copy(), rows.item(_REWARD), not self._running, False, self._describe(rows, ended)
 
-    def episode_metrics(self, horizon: int = task.EPISODE_STEPS) -> dict[str, float]:
-        """The metrics of the episode so far; `capsule_gym.task.Metrics` says what each means.
+    def _describe(self, rows: np.ndarray, ended: float) -> dict[str, Any]:
+        """The info of a reset or a step."""
+        info, own = describe(rows, _CODES[ended]), self.simulation.task
+        return info if own is SPEED else add_task(info, own, self._memory.copy())
+
+    def episode_metrics(self, horizon: int | None = None) -> dict[str, float]:
+        """The metrics of the episode so far; `capsule_gym.task.Metrics` and the task's module say what each means.
 
         Args:
-            horizon: agent steps of a whole episode: a failed one has its mean speed over these.
+            horizon: agent steps of a whole episode: a failed one has its mean speed over these. None takes the task's.
 
         Raises:
             TypeError: if the horizon is no integer.
             ValueError: if it is below 1.
         """
-        check_count("horizon", horizon)
-        return {name: float(value[0]) for name, value in self.simulation.metrics(_FIRST, horizon).items()}
+        steps = self.simulation.task.episode_steps if horizon is None else check_count("horizon", horizon)
+        return {name: float(value[0]) for name, value in self.simulation.metrics(_FIRST, steps).items()}
 
     def render(self) -> np.ndarray | None:
         """Draws the present state.
@@ -293,7 +300,7 @@ def make_renderer(simulation: Simulation, mode: str) -> Renderer:
 
 
 def describe(rows: np.ndarray, termination: Any) -> dict[str, Any]:
-    """The info of a reset or a step.
+    """The info of a reset or a step in the speed task.
 
     Args:
         rows: the first rows of `Row`, of one environment, shape (n,), or of a batch, shape (n, num_envs).
@@ -315,11 +322,24 @@ def describe(rows: np.ndarray, termination: Any) -> dict[str, Any]:
     }
 
 
+def add_task(info: dict[str, Any], own: task.Task, memory: np.ndarray) -> dict[str, Any]:
+    """Makes the info that of another task.
+
+    Args:
+        info: from `describe`; changed.
+        own: the task.
+        memory: its memory, of one environment, shape (n,), or of a batch, shape (n, num_envs).
+    """
+    info[own.term] = info.pop("reward_progress")
+    info.update((name, memory[place]) for name, place in own.places)
+    return info
+
+
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:
     """The action and the observation space of one environment."""
     settings, plants = simulation.settings, (simulation.capsule, simulation.randomization)
     switches = settings.with_reference, settings.with_parameters
-    low, high = observation_bounds(*switches, *plants, settings.torque_limit)
+    low, high = observation_bounds(*switches, *plants, settings.torque_limit, simulation.task.entries)
     return spaces.Box(-1.0, 1.0, (1,), np.float32), spaces.Box(low, high, dtype=np.float32)
 
 

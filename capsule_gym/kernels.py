@@ -4,8 +4,9 @@
 over the environments of a block and are vectorised; an environment in which an event happens (a change of the contact
 phase, the end of the episode) is left out of the loop over its substep and integrated by itself.
 
-The step is compiled once for all control laws. `build` compiles `evaluate_law` with a law in it, which takes about a
-second, and the step calls it once per law period and block by its address, which stands beside the settings.
+The step is compiled once for each task (`capsule_gym.tasks`), for all laws. `build` compiles `evaluate_law` with a law
+in it, which takes about a second, and the step calls it once per law period and block by its address, which stands
+beside the settings.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import dynamics, task
-from capsule_gym.compilation import compile_entry, inlined, intrinsic, jitable
+from capsule_gym.compilation import compile_entry, inlined, intrinsic, jitable, rebound
 from capsule_gym.elementary import clip
 from capsule_gym.layout import (
     AT,
@@ -38,9 +39,10 @@ from capsule_gym.layout import (
 from capsule_gym.objects import Entry
 from capsule_gym.observation import write_observation
 from capsule_gym.parameters import Plant
+from capsule_gym.tasks import speed
 
 # `task` itself imports nothing of the compiler's.
-for _function in (task.reward_terms, task.termination, task.continues, task.bounded):
+for _function in (task.termination, task.continues, task.bounded):
     inlined(_function)
 
 # As a plain integer, which numba takes for a constant.
@@ -57,11 +59,15 @@ def no_law(
 # A table for a task without a law.
 NO_REFERENCE = np.zeros((1, 2))
 
-# `build` gives these the values of a law, and `build_advance` the last one its own.
+# `build` gives these the values of a law. A row is a line of the reference and, if the law reads it, the task's memory.
 law: Callable[..., Any] = no_law
 MEMORY_SIZE = 1
-REFERENCE_SIZE = NO_REFERENCE.shape[1]
+REFERENCE_SIZE = ROW_SIZE = NO_REFERENCE.shape[1]
+# `build_advance` gives these the values of a plant and of a task.
 PIVOT_TORQUE_ON_CONTACT = 0.0
+begin_task, reward, observe_task = speed.begin, speed.reward, speed.observe
+TaskMemory = speed.Memory
+TASK_ROWS = TASK_ENTRIES = 0
 
 
 @inlined
@@ -219,7 +225,8 @@ def evaluate_law(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, torqu
             line = load(fixed, CONSTANTS + np.int64(block[AT.clock + j]) * REFERENCE_SIZE, 1, REFERENCE_SIZE)
             store(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, line)
     for j in range(n):
-        row = load(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, REFERENCE_SIZE)
+        # The task's memory lies behind the line.
+        row = load(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, ROW_SIZE)
         memory = load(block, MEMORY + j, LANES, MEMORY_SIZE)
         torque, renewed = law(
             block[AT.theta + j], block[AT.theta_dot + j], block[AT.x + j], block[AT.x_dot + j], memory, row
@@ -299,20 +306,33 @@ def call_advance(
 
 
 @inlined
+def start_task(block: np.ndarray, n: int) -> None:
+    """Gives the task's memory its first values in the environments whose episodes begin."""
+    at = block.size - TASK_ROWS * LANES
+    for j in range(n):
+        memory = TaskMemory(*load(block, at + j, LANES, TASK_ROWS))
+        begun = begin_task(block[AT.x + j], memory)
+        store(block, at + j, LANES, begun if block[AT.active + j] != 0.0 else memory)
+
+
+@inlined
 def finish_step(block: np.ndarray, n: int, plant: Plant, settings: StepSettings) -> None:
-    """Ends an agent step: rewards and the sums of the episode."""
+    """Ends an agent step: rewards, the task's memory and the sums of the episode."""
+    dt = settings.law_steps * settings.physics_steps * settings.physics_dt
+    at = block.size - TASK_ROWS * LANES
     for j in range(n):
         active = block[AT.active + j] != 0.0
         share = 1.0 if active else 0.0
         weight = (block[AT.M + j] + plant.m) * plant.g
         moved = block[AT.x + j] - block[AT.before_x + j]
         energy = block[AT.energy + j]
-        terms = task.reward_terms(
-            moved, energy, block[AT.termination + j] != 0.0, settings.energy_weight, settings.termination_penalty
-        )
-        progress, energy_cost, penalty = terms
-        block[AT.reward + j] = progress + energy_cost + penalty if active else 0.0
-        block[AT.reward_progress + j] = progress if active else block[AT.reward_progress + j]
+        memory = TaskMemory(*load(block, at + j, LANES, TASK_ROWS))
+        gain, renewed = reward(block[AT.x + j], block[AT.x_dot + j], moved, dt, memory)
+        store(block, at + j, LANES, renewed if active else memory)
+        energy_cost = -settings.energy_weight * energy
+        penalty = -settings.termination_penalty if block[AT.termination + j] != 0.0 else 0.0
+        block[AT.reward + j] = gain + energy_cost + penalty if active else 0.0
+        block[AT.reward_progress + j] = gain if active else block[AT.reward_progress + j]
         block[AT.reward_energy + j] = energy_cost if active else block[AT.reward_energy + j]
         block[AT.reward_termination + j] = penalty if active else block[AT.reward_termination + j]
         block[AT.steps + j] += share
@@ -327,8 +347,9 @@ def observe(
     block: np.ndarray, n: int, begin: bool, settings: StepSettings, cycle: int, observations: np.ndarray
 ) -> None:
     """Writes the observations of a block's environments that take part."""
-    # The present line of the reference is the last part of a block.
-    reference = block.size - settings.reference_size * LANES
+    # The present line of the reference and the task's memory are the last parts of a block.
+    at = block.size - TASK_ROWS * LANES
+    reference = at - settings.reference_size * LANES
     for j in range(n):
         if block[AT.active + j] != 0.0:
             write_observation(
@@ -345,6 +366,8 @@ def observe(
                 settings.with_reference,
                 settings.with_parameters,
             )
+            memory = TaskMemory(*load(block, at + j, LANES, TASK_ROWS))
+            observe_task(observations[j, observations.shape[1] - TASK_ENTRIES :], block[AT.x + j], memory)
 
 
 @inlined
@@ -373,6 +396,8 @@ def step(
     # The action is clipped to [-1, 1].
     if begin_step(block, n, plant, begin) == 0 and begin:
         return
+    if begin:
+        start_task(block, n)
     for _ in range(1 if begin else settings.law_steps):
         if not begin:
             # u = clip(law torque + residual_limit action), constant until the law is called again.
@@ -390,7 +415,7 @@ def step(
         # `evaluate_law`: the torque until the next call.
         call_law(block, n, fixed, cycle, settings.torque_limit, 0.0 if begin else 1.0)
     if not begin:
-        # The reward (`task.reward_terms`) and the sums of the episode.
+        # The reward (`Task.reward`) and the sums of the episode.
         finish_step(block, n, plant, settings)
     observe(block, n, begin, settings, cycle, observations)
 
@@ -399,7 +424,7 @@ def advance(world: np.ndarray, first: int, last: int, begin: bool, fixed: np.nda
     """`step` of the environments first..last-1 that `Row.active` names; the others stand still.
 
     Args:
-        world: shape (blocks, (ROWS + memory cells + columns of the reference) LANES), float64; changed.
+        world: shape (blocks, (ROWS + memory cells + columns of the reference + TASK_ROWS) LANES), float64; changed.
         first: first environment, a multiple of LANES.
         last: one past the last environment.
         begin: begin an episode instead of taking a step: the law is called for its first torque.
@@ -422,29 +447,47 @@ def advance(world: np.ndarray, first: int, last: int, begin: bool, fixed: np.nda
     return broken
 
 
+def step_of(own: task.Task) -> Any:
+    """`step` with a task's functions in it."""
+    bindings = {
+        **{"begin_task": own.begin, "reward": own.reward, "observe_task": own.observe},
+        **{"TaskMemory": own.memory, "TASK_ROWS": own.rows, "TASK_ENTRIES": len(own.entries)},
+    }
+    parts = {function.__name__: inlined(rebound(function, bindings)) for function in (start_task, finish_step, observe)}
+    return inlined(rebound(step, parts))
+
+
 @cache
-def build_advance(pivot_torque_on_contact: float) -> Entry:
+def build_advance(pivot_torque_on_contact: float, own: task.Task) -> Entry:
     """`advance` as compiled code.
 
     Args:
         pivot_torque_on_contact: 1.0 for the paper's normal force, 0.0 for Newton's.
+        own: the task.
     """
-    return compile_entry(advance, SIGNATURE, "the physics", {"PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact})
+    bindings: dict[str, Any] = {"PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact}
+    if own.memory is not TaskMemory:
+        bindings["step"] = step_of(own)
+    return compile_entry(advance, SIGNATURE, f"the physics with the task {own.name}", bindings)
 
 
-def build(law_function: Callable[..., Any], memory_size: int, reference_size: int, name: str = "a law") -> Entry:
+def build(
+    law_function: Callable[..., Any], memory_size: int, reference_size: int, task_size: int = 0, name: str = "a law"
+) -> Entry:
     """`evaluate_law` with a law in it as compiled code.
 
     Args:
         law_function: the law, plain or jitted.
         memory_size: number of its memory cells.
         reference_size: number of columns of its reference table.
+        task_size: size of the task's memory, where the law reads it, else 0.
         name: of the law, for the messages.
 
     Raises:
         TypeError: if the law is nothing that numba compiles.
     """
     bindings = {"law": law_function, "MEMORY_SIZE": memory_size, "REFERENCE_SIZE": reference_size}
+    bindings["ROW_SIZE"] = reference_size + task_size
     try:
         return compile_entry(evaluate_law, LAW_SIGNATURE, name, bindings)
     except TypeError as error:

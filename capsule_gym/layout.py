@@ -166,6 +166,8 @@ def _define_store(typing_context: Any, array: Any, start: Any, stride: Any, valu
     from numba.core import cgutils
 
     step = stride.literal_value
+    # numba casts no named tuple to a plain one.
+    kind = values if isinstance(values, types.BaseNamedTuple) else types.UniTuple(types.float64, len(values))
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         entries = cgutils.unpack_tuple(builder, arguments[3])
@@ -174,12 +176,12 @@ def _define_store(typing_context: Any, array: Any, start: Any, stride: Any, valu
             builder.store(entry, place)
         return context.get_dummy_value()
 
-    return types.void(array, types.intp, stride, types.UniTuple(types.float64, len(values))), generate
+    return types.void(array, types.intp, stride, kind), generate
 
 
 @intrinsic(_define_store, prefer_literal=True)
 def store(array: np.ndarray, start: int, stride: int, values: tuple[float, ...]) -> None:
-    """Writes a tuple where `load` would read it."""
+    """Writes a tuple, or a named tuple of floats, where `load` would read it."""
     array[start : start + stride * len(values) : stride] = values
 
 

@@ -17,7 +17,7 @@ from capsule_gym.compilation import cached_entry, inlined, jitable, stay_apart, 
 from capsule_gym.elementary import clip, fma, log, tanh
 from capsule_gym.layout import AT, LANES, load, record, store
 from capsule_gym.observation import CELLS, ESTIMATES, estimates, identify, observation_names
-from capsule_gym.parameters import Capsule, EnvConfig, check_count
+from capsule_gym.parameters import Capsule, EnvConfig, check_count, find_task
 
 if TYPE_CHECKING:
     from capsule_gym.policy import Policy
@@ -79,7 +79,8 @@ def make_header(options: EnvConfig, *, identifies: bool, observes_energy_weight:
     `network` are the header's `layers`, `relu`, `tanh_squashing`, `clip` and `outputs_torque`.
     """
     capsule = options.capsule or Capsule()
-    entries = observation_names(options.controller is not None, options.observe_parameters)
+    own = find_task(options.task).entries
+    entries = observation_names(options.controller is not None, options.observe_parameters, own)
     return Header(
         **network,
         inputs=len(input_names(entries, identifies, observes_energy_weight)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -20,11 +21,11 @@ M_BOUND = 4.0
 MU_BOUND = 1.0
 
 
-def observation_names(with_reference: bool, with_parameters: bool) -> tuple[str, ...]:
+def observation_names(with_reference: bool, with_parameters: bool, task_entries: Iterable[str] = ()) -> tuple[str, ...]:
     """The entries of the observation, in order."""
     reference = ("theta_d", "theta_d_dot", "sin_phase", "cos_phase", "law_torque") if with_reference else ()
     parameters = ("M", "mu") if with_parameters else ()
-    return ("theta", "theta_dot", "x_dot", "stick", "last_action", *reference, *parameters)
+    return ("theta", "theta_dot", "x_dot", "stick", "last_action", *reference, *parameters, *task_entries)
 
 
 def parameter_bounds(capsule: Capsule, randomization: Randomization) -> tuple[float, float]:
@@ -42,6 +43,7 @@ def observation_bounds(
     capsule: Capsule,
     randomization: Randomization,  # where M and mu of an episode come from
     torque_limit: float,  # N m
+    task_entries: dict[str, tuple[float, float]],  # bounds of the task's entries
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest observation, float32."""
     largest_M, largest_mu = parameter_bounds(capsule, randomization)
@@ -58,8 +60,10 @@ def observation_bounds(
         "law_torque": (-torque_limit, torque_limit),
         "M": (0.0, largest_M),
         "mu": (0.0, largest_mu),
+        **task_entries,
     }
-    low, high = np.array([bounds[name] for name in observation_names(with_reference, with_parameters)], np.float32).T
+    names = observation_names(with_reference, with_parameters, task_entries)
+    low, high = np.array([bounds[name] for name in names], np.float32).T
     return low.copy(), high.copy()
 
 

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import difflib
+import importlib
 import math
 import re
 import sys
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from capsule_gym import task
+from capsule_gym.task import Task
 
 if TYPE_CHECKING:
     from capsule_gym.controller import Controller
@@ -387,6 +389,28 @@ def _or_none(check: Check) -> Check:
     return lambda name, value: None if value is None else check(name, value)
 
 
+def find_task(value: Any) -> Task:
+    """The task that the environment's argument `task` names; a `Task` is returned as it is.
+
+    Raises:
+        TypeError: if it is neither a string nor a `Task`.
+        ValueError: if there is no task of that name.
+    """
+    if isinstance(value, Task):
+        return value
+    if not isinstance(value, str) or value not in task.TASKS:
+        error = ValueError if isinstance(value, str) else TypeError
+        raise error(f"task must be a Task or one of {sorted(task.TASKS)}, got {written(value)}")
+    # Which it is says what is imported, and compiled.
+    found: Task = importlib.import_module(f"capsule_gym.tasks.{value}").TASK
+    return found
+
+
+def _is_task(name: str, value: Any) -> str | Task:
+    find_task(value)
+    return value
+
+
 def _is_randomization(name: str, value: Any) -> str | Randomization:
     Randomization.named(value)
     return value
@@ -426,12 +450,14 @@ _IS_STEP = _number(SHORTEST_STEP, LONGEST_STEP, "s")
 _RANGES = "; ".join(f'"{name}": {ranges}' for name, ranges in RANDOMIZATIONS.items())
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, init=False)
 class EnvConfig:
     """The options of an environment; None stands for a value that follows from the other options.
 
+    What is not given has the default of the task, and where that has none the field's, which is the speed task's.
+
     Raises:
-        TypeError: if an option is of the wrong type.
+        TypeError: if an option is unknown or of the wrong type.
         ValueError: if an option is out of range.
     """
 
@@ -470,12 +496,16 @@ class EnvConfig:
         1, "threads that share a batch, from 64 environments each; the results do not depend on it", check_count
     )
     render_mode: str | None = _option(None, '"human" or, also of a batch, "rgb_array"', _or_none(_is_render_mode))
+    task: str | Task = _option("speed", f"what the agent is to do: {', '.join(task.TASKS)}, or a `Task`", _is_task)
 
-    def __post_init__(self) -> None:
-        for each in fields(self):
-            object.__setattr__(self, each.name, each.metadata["check"](each.name, getattr(self, each.name)))
+    def __init__(self, **options: Any) -> None:
+        known = {each.name: each for each in fields(self)}
+        if unknown := sorted(set(options) - set(known)):
+            raise TypeError(f"EnvConfig got an unexpected keyword argument {unknown[0]!r}{nearest(unknown[0], known)}")
+        given = {**find_task(options.get("task", known["task"].default)).defaults, **options}
+        for name, each in known.items():
+            object.__setattr__(self, name, each.metadata["check"](name, given.get(name, each.default)))
 
 
-DEFAULTS = EnvConfig()
 DOCS: dict[str, str] = {each.name: each.metadata["doc"] for each in fields(EnvConfig)}
 """The line of documentation of each option."""

@@ -169,6 +169,8 @@ class Policy:
         options = EnvConfig(**self.env_kwargs)
         if options.controller is not None and not isinstance(options.controller, str):
             raise TypeError(f"env_kwargs['controller'] must be None or an import string, got {options.controller!r}")
+        if not isinstance(options.task, str):
+            raise TypeError(f"env_kwargs['task'] must be the name of a task, got {options.task!r}")
         if self.observes_energy_weight:
             accepted_weights = f"{ENERGY_WEIGHT_TEXT} where it is observed"
             check_number("env_kwargs['energy_weight']", options.energy_weight, accepted_weights, *ENERGY_WEIGHTS)

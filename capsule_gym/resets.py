@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 
 import numpy as np
@@ -12,7 +12,7 @@ from capsule_gym.compilation import cached_entry, inlined, jitable
 from capsule_gym.elementary import exp, log
 from capsule_gym.layout import AT, LANES, MEMORY, Row
 from capsule_gym.parameters import Capsule, Randomization
-from capsule_gym.task import START_THETA
+from capsule_gym.task import START_THETA, Draw
 
 
 class Stream(IntEnum):
@@ -21,6 +21,7 @@ class Stream(IntEnum):
     parameters = 0
     initial_state = 1
     disturbances = 2
+    task = 3
 
 
 WORD = 2**64
@@ -56,6 +57,9 @@ _HALF, _LOW, _ZERO, _ONE = np.uint64(32), np.uint64(2**32 - 1), np.uint64(0), np
 # Of a word the upper 53 bits make a float in [0, 1).
 _SHIFT, _UNIT = np.uint64(11), 2.0**-53
 PARAMETERS, INITIAL_STATE = np.uint64(Stream.parameters), np.uint64(Stream.initial_state)
+TASK = np.uint64(Stream.task)
+# Numbers that `draw_four` draws at once.
+_WORDS = 4
 
 
 @inlined
@@ -67,16 +71,25 @@ def high_word(a: np.uint64, b: np.uint64) -> np.uint64:
 
 
 @inlined
-def draw_two(key_0: np.uint64, key_1: np.uint64, stream: np.uint64, episode: np.uint64) -> tuple[float, float]:
-    """The first two of `random_stream(..).random()`."""
-    a, b, c, d = _ONE, stream, episode, _ZERO
+def draw_four(
+    key_0: np.uint64, key_1: np.uint64, stream: np.uint64, episode: np.uint64, counter: np.uint64
+) -> tuple[float, float, float, float]:
+    """Four of `random_stream(..).random()`: with the counter 1 the first four, with 2 the next."""
+    a, b, c, d = counter, stream, episode, _ZERO
     for _ in range(_ROUNDS):
         low_0, low_1 = _FACTOR_0 * a, _FACTOR_1 * c
         a, c = high_word(_FACTOR_1, c) ^ b ^ key_0, high_word(_FACTOR_0, a) ^ d ^ key_1
         b, d = low_1, low_0
         key_0 += _STEP_0
         key_1 += _STEP_1
-    return _UNIT * (a >> _SHIFT), _UNIT * (b >> _SHIFT)
+    return _UNIT * (a >> _SHIFT), _UNIT * (b >> _SHIFT), _UNIT * (c >> _SHIFT), _UNIT * (d >> _SHIFT)
+
+
+@inlined
+def draw_two(key_0: np.uint64, key_1: np.uint64, stream: np.uint64, episode: np.uint64) -> tuple[float, float]:
+    """The first two of `random_stream(..).random()`."""
+    first, second, _, _ = draw_four(key_0, key_1, stream, episode, _ONE)
+    return first, second
 
 
 def plant_ranges(randomization: Randomization, capsule: Capsule) -> np.ndarray:
@@ -144,6 +157,33 @@ def draw(
         starts[Row.M, n], starts[Row.mu, n] = plant_at(ranges, share_M, share_mu)
 
 
+def task_ranges(draws: Sequence[Draw]) -> np.ndarray:
+    """Of each draw of a task its lowest value, the range above that, and 1.0 where its sign is drawn; shape (n, 3)."""
+    return np.array([(draw.low, draw.high - draw.low, draw.signed) for draw in draws], np.float64).reshape(-1, 3)
+
+
+@jitable
+def draw_task(ranges: np.ndarray, rows: np.ndarray, keys: np.ndarray, episodes: np.ndarray, values: np.ndarray) -> None:
+    """Draws what the task has drawn for the next episodes of some environments; arguments as of `draw`.
+
+    Args:
+        ranges: from `task_ranges`.
+        rows: indices of the environments.
+        keys: of every environment.
+        episodes: of every environment.
+        values: shape (draws, n); written.
+    """
+    for n in range(rows.size):
+        i = rows[n]
+        for k in range(len(ranges)):
+            counter = np.uint64(1 + k // _WORDS)
+            share = draw_four(keys[i, 0], keys[i, 1], TASK, np.uint64(episodes[i]), counter)[k % _WORDS]
+            low, growth, signed = ranges[k, 0], ranges[k, 1], ranges[k, 2] != 0.0
+            # Where the sign is drawn, the two halves of [0, 1) are those of either sign.
+            twice = 2.0 * share - 1.0
+            values[k, n] = math.copysign(low + growth * abs(twice), twice) if signed else low + growth * share
+
+
 @jitable
 def renew(
     world: np.ndarray,
@@ -189,3 +229,9 @@ def compiled() -> tuple[Callable[..., int], Callable[..., int]]:
     drawing = f"void(float64[::1], float64, {indices}, uint64[:, ::1], {indices}, {table})"
     renewing = f"void({table}, float64[::1], float64, float64, {indices}, {table}, {indices})"
     return cached_entry(draw, drawing).call, cached_entry(renew, renewing).call
+
+
+def compiled_task() -> Callable[..., int]:
+    """`draw_task` as compiled code."""
+    indices, table = "int64[::1]", "float64[:, ::1]"
+    return cached_entry(draw_task, f"void({table}, {indices}, uint64[:, ::1], {indices}, {table})").call

@@ -21,7 +21,7 @@ class CapsuleSB3VecEnv(VecEnv):
 
     It stands where `make_vec_env("capsule_gym:CapsuleStickSlip-v0", n_envs=num_envs)` would. An info is empty but where
     an episode ends; there it holds "terminal_observation", "TimeLimit.truncated", "episode" with the return "r" and the
-    length "l", as SB3's `Monitor` writes it, and the episode's "metrics" (`capsule_gym.task.Metrics`).
+    length "l", as SB3's `Monitor` writes it, and the episode's "metrics" (`capsule_gym.task.Metrics` and the task's).
 
     Args:
         num_envs: number of environments.

@@ -19,7 +19,6 @@ from capsule_gym.controller import Controller, find_controller
 from capsule_gym.layout import LANES, Row
 from capsule_gym.observation import observation_names, parameter_bounds
 from capsule_gym.parameters import (
-    DEFAULTS,
     DIRECT_PHYSICS_DT,
     LAW_PHYSICS_DT,
     MOST_SUBSTEPS,
@@ -30,10 +29,14 @@ from capsule_gym.parameters import (
     check_count,
     check_integer,
     check_number,
+    find_task,
     written,
 )
 
 Result = TypeVar("Result")
+
+DEFAULTS = EnvConfig()
+SPEED = find_task(DEFAULTS.task)
 
 # What acts where no controller does.
 NO_CONTROLLER = Controller("none", kernels.no_law, kernels.NO_REFERENCE)
@@ -142,21 +145,22 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> layout.S
     )
 
 
-def count_rows(controller: Controller | None) -> int:
-    """The rows of `Simulation.world`: those of `Row`, the law's memory and its line of the reference."""
+def count_rows(controller: Controller | None, own: task.Task = SPEED) -> int:
+    """The rows of `Simulation.world`: `Row`, the law's memory, its line of the reference, and the task's memory."""
     acting = controller or NO_CONTROLLER
-    return layout.ROWS + len(acting.memory) + acting.reference.shape[1]
+    return layout.ROWS + len(acting.memory) + acting.reference.shape[1] + own.rows
 
 
-def episode_metrics(world: np.ndarray, horizon: float | None) -> dict[str, np.ndarray]:
+def episode_metrics(world: np.ndarray, horizon: float | None, own: task.Task = SPEED) -> dict[str, np.ndarray]:
     """The metrics of episodes.
 
     Args:
-        world: shape (rows, n), one column per episode, the rows those of `Row`.
+        world: shape (rows, n), one column per episode, the rows those of `Simulation.world`.
         horizon: length of a whole episode, s; None takes the time that has passed.
+        own: the task.
 
     Returns:
-        One float64 array of shape (n,) for each field of `task.Metrics`.
+        One float64 array of shape (n,) for each field of `task.Metrics`, and for each metric of the task.
     """
     duration, energy = world[Row.duration], world[Row.episode_energy]
     failed = world[Row.termination] != 0
@@ -184,7 +188,8 @@ def episode_metrics(world: np.ndarray, horizon: float | None) -> dict[str, np.nd
         duration=duration,
         failed=failed.astype(np.float64),
     )
-    return metrics._asdict()
+    memory = own.memory(*world[len(world) - own.rows :])
+    return {**metrics._asdict(), **own.metrics(memory, whole)}
 
 
 class Simulation:
@@ -197,9 +202,11 @@ class Simulation:
     Attributes:
         capsule: the plant's constants.
         controller: the law inside the step, or None.
+        task: what the agent is to do.
         settings: the options as the kernel reads them.
         world: shape (blocks, rows, LANES): environment i is lane i % LANES of block i // LANES; the rows are those of
-            `Row`, the law's memory and its line of the reference. `row` and `columns` read it by environments.
+            `Row`, the law's memory, its line of the reference and the task's memory. `row` and `columns` read it by
+            environments.
         observations: shape (num_envs, entries), float32, of the present state.
         fixed: what the kernel reads besides, from `layout.pack`.
 
@@ -217,15 +224,24 @@ class Simulation:
         # M in kg and mu, where they are observed.
         self._largest = parameter_bounds(self.capsule, self.randomization)
         self.controller = find_controller(options.controller)
+        self.task = find_task(options.task)
+        if self.controller is not None and self.controller.task not in (None, self.task.name):
+            raise ValueError(
+                f"controller must be a law for the task {self.task.name!r} or for any, got {self.controller.name!r}, "
+                f"which is for the task {self.controller.task!r}"
+            )
         self.settings = make_settings(options, self.controller)
         # The lightest platform on the roughest floor is the stiffest plant.
         ranges = self.randomization
         lightest, roughest = (ranges.M or (self.capsule.M,))[0], (ranges.mu or (self.capsule.mu,))[-1]
         check_step(self.capsule, lightest, roughest, self.settings)
         blocks = -(-self.num_envs // LANES)
-        names = observation_names(self.settings.with_reference, self.settings.with_parameters)
+        rows = count_rows(self.controller, self.task)
+        # The first row of the task's memory.
+        self.task_row = rows - self.task.rows
+        names = observation_names(self.settings.with_reference, self.settings.with_parameters, self.task.entries)
         try:
-            self.world = np.zeros((blocks, count_rows(self.controller), LANES))
+            self.world = np.zeros((blocks, rows, LANES))
             self.observations = np.zeros((self.num_envs, len(names)), np.float32)
         except MemoryError as error:
             raise ValueError(f"num_envs must be as many as there is memory for, got {self.num_envs}: {error}") from None
@@ -253,8 +269,8 @@ class Simulation:
         return {name: getattr(self, name) for name in names}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        controller = state["options"].controller
-        if count_rows(find_controller(controller)) != state["world"].shape[1]:
+        controller, own = state["options"].controller, find_task(state["options"].task)
+        if count_rows(find_controller(controller), own) != state["world"].shape[1]:
             raise ValueError(
                 f"controller={controller!r} must be as it was when the simulation was pickled, with as "
                 f"much memory and as many columns of the reference"
@@ -280,10 +296,11 @@ class Simulation:
         acting = self.controller or NO_CONTROLLER
         self.reference, self.memory = acting.reference, acting.memory
         plant = self.capsule.plant()
-        self._kernel = kernels.build_advance(plant.pivot_torque_on_contact)
+        self._kernel = kernels.build_advance(plant.pivot_torque_on_contact, self.task)
         name = f"the control law {self.controller.name!r}" if self.controller else ""
         # Kept, since the step calls it by its address.
-        self._law = kernels.build(acting.law, len(self.memory), self.reference.shape[1], name)
+        task_size = self.task.rows if acting.task else 0
+        self._law = kernels.build(acting.law, len(self.memory), self.reference.shape[1], task_size, name)
         blocks, observations = self.world.reshape(len(self.world), -1), self.observations
         self.fixed = fixed = layout.pack(plant, self.settings, self.reference, self._law.address)
         # Looking the arguments up each time takes a tenth of a step.
@@ -296,6 +313,7 @@ class Simulation:
         ranges = resets.plant_ranges(self.randomization, self.capsule)
         self._draw = partial(draw, ranges, self.options.initial_noise)
         self._renew = partial(renew, blocks, np.array(self.memory), plant.m, plant.g)
+        self.task_ranges = resets.task_ranges(self.task.draws)
 
     def row(self, row: int) -> np.ndarray:
         """A copy of one quantity of every environment, shape (num_envs,)."""
@@ -329,6 +347,7 @@ class Simulation:
         mu: Sequence[float] | None = None,
         state: np.ndarray | None = None,
         changes: Sequence[Sequence[dict[str, float]]] | None = None,
+        **task_options: Sequence[Any],
     ) -> None:
         """Begins a new episode in some environments. What is not given is drawn.
 
@@ -339,6 +358,7 @@ class Simulation:
             state: shape (n, 4): theta, theta_dot, x, x_dot.
             changes: per environment the jumps of M and mu during the episode, in order of time: `{"t": s, "M": kg,
                 "mu": ..}`.
+            **task_options: per environment, what the task would draw, by the names of `Task.options`.
 
         Raises:
             TypeError: if a value is of the wrong type.
@@ -362,11 +382,14 @@ class Simulation:
             starts[Row.M], starts[Row.mu] = masses, frictions
         if state is not None:
             starts[: Row.M] = self._check_state(state, len(rows)).T
+        drawn = self._draw_task(rows, task_options)
 
         # Nothing above has touched the environments: a refused reset leaves them as they were.
         if self._changes or schedules:
             self._plan(rows, schedules)
         self._renew(rows, starts, self._episodes)
+        if len(drawn):
+            self.world[rows // LANES, -len(drawn) :, rows % LANES] = drawn.T
         self._everyone = False
         self._run(begin=True)
 
@@ -451,15 +474,30 @@ class Simulation:
                 early does not pay; None takes the time that has passed.
 
         Returns:
-            One float64 array of shape (n,) for each field of `task.Metrics`.
+            One float64 array of shape (n,) for each field of `task.Metrics`, and for each metric of the task.
         """
-        return episode_metrics(self.columns(rows), horizon * self.options.control_dt if horizon else None)
+        seconds = horizon * self.options.control_dt if horizon else None
+        return episode_metrics(self.columns(rows), seconds, self.task)
 
     def close(self) -> None:
         """Ends the threads."""
         if self._pool is not None and self._owner == os.getpid():
             self._pool.shutdown()
         self._pool = None
+
+    def _draw_task(self, rows: np.ndarray, given: dict[str, Sequence[Any]]) -> np.ndarray:
+        """What the episodes of some environments are given, or else draw, for the task; shape (draws, n)."""
+        drawn = np.empty((len(self.task_ranges), len(rows)))
+        if not len(drawn):
+            return drawn
+        resets.compiled_task()(self.task_ranges, rows, self._keys, self._episodes, drawn)
+        first = 0
+        for name, option in self.task.options.items():
+            last = first + len(option.draws)
+            for n, value in enumerate(given.get(name, ())):
+                drawn[first:last, n] = option.parse(f"options[{name!r}]", value)
+            first = last
+        return drawn
 
     def _check_plant(self, M: float, mu: float) -> None:
         """Refuses M and mu that are invalid, too stiff for the step, or outside the observation that shows them."""

@@ -1,13 +1,17 @@
-"""The task, once for every environment: reward, termination and the metrics of an episode.
+"""What every task shares: what a `Task` is, clips, termination and the metrics of an episode.
 
-The functions of a single time step are plain scalar functions; `capsule_gym.kernels` compiles them into the step.
+The tasks themselves are in `capsule_gym.tasks`. The functions of a single time step are plain scalar functions;
+`capsule_gym.kernels` compiles them into the step.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,6 +29,11 @@ START_THETA = -math.pi / 3.0
 LARGEST_STATE = (THETA_LIMIT, 1e3, 1e6, 1e3)
 # |theta_dot| + |x_dot| (rad/s, m/s) at an event, such as the end of an episode, beyond which the motion counts as lost.
 RATE_LIMIT = 1e4
+
+
+# The tasks by the value of the environment's argument `task`, which is also the name of its module in
+# `capsule_gym.tasks`: the id that Gymnasium knows the environment by, and agent steps until truncation.
+TASKS = {"speed": (ENV_ID, EPISODE_STEPS)}
 
 
 class Termination(IntEnum):
@@ -57,19 +66,81 @@ class Metrics(NamedTuple):
 METRICS = Metrics._fields
 
 
-def reward_terms(
-    progress: float,  # displacement of the platform, m
-    energy: float,  # integral of |u theta_dot|, J
-    terminated: bool,  # whether the episode failed in this step
-    energy_weight: float,  # cost of a joule, in centimetres
-    termination_penalty: float,  # cost of a failure, in centimetres
-) -> tuple[float, float, float]:
-    """The three terms of the reward of one agent step.
+class Draw(NamedTuple):
+    """How a number of an episode is drawn: uniformly."""
 
-    Returns:
-        Centimetres of forward progress, the cost of the energy (<= 0), the cost of a failure (<= 0).
+    low: float
+    high: float
+    # Whether low and high are those of its size, and either sign is equally likely.
+    signed: bool = False
+
+
+class Option(NamedTuple):
+    """What an episode of a task draws, and `reset(options={name: value})` sets."""
+
+    draws: tuple[Draw, ...]
+    # Takes the name of the argument and a value, and returns as many numbers as there are draws; raises a TypeError or
+    # ValueError that names the argument.
+    parse: Callable[[str, Any], list[float]]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Task:
+    """What the agent is to do: reward, further observations, memory, and metrics. The plant and failures are shared.
+
+    Functions of a time step are scalar functions that numba compiles, marked `capsule_gym.compilation.inlined`. The
+    task's memory is a named tuple of floats, which they take and return; the numbers that an episode draws are its last
+    fields, in the order of `options`. A law made for the task (`Controller.task`) gets it behind its reference.
+
+    Attributes:
+        name: value of the environment's argument `task`.
+        episode_steps: agent steps until truncation.
+        term: name of the task's reward in `info`; the costs of energy and failure are added to it.
+        reward: reward(x, x_dot, moved, dt, memory) -> (reward, memory) at the end of an agent step of dt seconds, in
+            which the platform has moved by so many metres.
+        memory: class of the memory.
+        begin: begin(x, memory) -> memory at the start of an episode; before, what is not drawn is 0.
+        entries: names of the entries that end the observation, with the bounds that they are clipped to.
+        observe: observe(out, x, memory) writes those entries into an array.
+        shown: fields of the memory that `info` shows under their names.
+        options: by name, what an episode draws.
+        metrics: metrics(memory, whole) -> its metrics by name, beside those of `Metrics`: of a memory of arrays, one
+            entry per episode, and the length in s that a failed episode should have had.
+        defaults: arguments of its environment that differ from those of the speed task.
     """
-    return 100.0 * progress, -energy_weight * energy, -termination_penalty if terminated else 0.0
+
+    name: str
+    episode_steps: int = EPISODE_STEPS
+    term: str
+    reward: Callable[..., Any]
+    memory: Any
+    begin: Callable[..., Any]
+    entries: dict[str, tuple[float, float]] = field(default_factory=dict)
+    observe: Callable[..., Any]
+    shown: tuple[str, ...] = ()
+    options: dict[str, Option] = field(default_factory=dict)
+    metrics: Callable[..., dict[str, Any]] = lambda memory, whole: {}
+    defaults: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def rows(self) -> int:
+        """Numbers in the memory of one environment."""
+        return len(self.memory._fields)
+
+    @cached_property
+    def places(self) -> list[tuple[str, int]]:
+        """The names in `shown`, and where they are in the memory."""
+        return [(name, self.memory._fields.index(name)) for name in self.shown]
+
+    @property
+    def draws(self) -> list[Draw]:
+        """Everything that an episode draws."""
+        return [draw for option in self.options.values() for draw in option.draws]
+
+    @property
+    def reward_terms(self) -> tuple[str, str, str]:
+        """The names in `info` of the terms whose sum is the reward."""
+        return self.term, "reward_energy", "reward_termination"
 
 
 def termination(theta: float, normal_force: float) -> int:

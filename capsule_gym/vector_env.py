@@ -12,10 +12,9 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from capsule_gym import task
 from capsule_gym.env import (
     RESET_OPTIONS,
-    REWARD_TERMS,
+    add_task,
     as_actions,
     check_options,
     describe,
@@ -27,7 +26,7 @@ from capsule_gym.env import (
 from capsule_gym.layout import Row
 from capsule_gym.parameters import EnvConfig, check_count, written
 from capsule_gym.rendering import Renderer
-from capsule_gym.simulation import check_seed
+from capsule_gym.simulation import SPEED, check_seed
 
 
 class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -45,7 +44,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     Args:
         num_envs: number of environments.
-        max_episode_steps: agent steps until truncation.
+        max_episode_steps: agent steps until truncation; None takes the task's.
         autoreset_mode: an `AutoresetMode` or its name, "NEXT_STEP", "SAME_STEP" or "DISABLED".
         render_mode: None or "rgb_array".
         **options: the other arguments of `CapsuleEnv`, and `threads`: threads that share a batch, from 64 environments
@@ -67,7 +66,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self,
         num_envs: int = 1,
         *,
-        max_episode_steps: int = task.EPISODE_STEPS,
+        max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
         **options: Any,
@@ -76,8 +75,11 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode of a batch must be None or 'rgb_array', got {written(render_mode)}")
         self.autoreset_mode = _find_mode(autoreset_mode)
-        self.max_episode_steps = check_count("max_episode_steps", max_episode_steps)
         self.simulation = make_simulation(num_envs, config)
+        own = self.simulation.task.episode_steps
+        self.max_episode_steps = check_count(
+            "max_episode_steps", own if max_episode_steps is None else max_episode_steps
+        )
         self.num_envs = self.simulation.num_envs
         self.render_mode = render_mode
         self.metadata = {
@@ -124,7 +126,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             TypeError: if an option is of the wrong type.
             ValueError: if an option is unknown, of the wrong shape or out of range.
         """
-        options = check_options(options, (*RESET_OPTIONS, "reset_mask"))
+        own = self.simulation.task.options
+        options = check_options(options, (*RESET_OPTIONS, *own, "reset_mask"))
         mask = self._check_mask(options.get("reset_mask"))
         self._seed(seed)
         rows = np.flatnonzero(mask)
@@ -134,11 +137,12 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             mu=self._per_row("mu", options.get("mu"), rows),
             state=self._states(options.get("state"), rows),
             changes=self._per_row("changes", options.get("changes"), rows),
+            **{name: self._per_row(name, options[name], rows) or [] for name in own if options.get(name) is not None},
         )
         self._ended[rows] = False
         # The mask of the first reset need not name every environment; one that has not begun has no mass.
         self._started = self._started or bool(self.simulation.row(Row.M).all())
-        return self.simulation.observations.copy(), _masked(_info(self.simulation.rows(0, Row.start_x)), mask)
+        return self.simulation.observations.copy(), _masked(self._info(self.simulation.rows(0, Row.start_x)), mask)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One agent step of every environment.
@@ -177,9 +181,9 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             terminated &= active
             truncated &= active
         ended = terminated | truncated
-        info = _masked(_info(shown), np.ones(self.num_envs, np.bool_))
+        info = _masked(self._info(shown), np.ones(self.num_envs, np.bool_))
         if active is not None and self.autoreset_mode is AutoresetMode.DISABLED:
-            info |= {f"_{name}": active for name in REWARD_TERMS}
+            info |= {f"_{name}": active for name in simulation.task.reward_terms}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
             self._begin_next(info, ended)
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
@@ -192,7 +196,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return simulation.observations.copy(), rewards, terminated, truncated, info
 
     def episode_metrics(self) -> dict[str, np.ndarray]:
-        """The metrics of the running episodes, each of shape (num_envs,); `capsule_gym.task.Metrics` defines them."""
+        """The metrics of the running episodes, each of shape (num_envs,), defined by `task.Metrics` and the task."""
         return self.simulation.metrics(np.arange(self.num_envs), self.max_episode_steps)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
@@ -212,6 +216,14 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._renderer.close()
             self._renderer = None
 
+    def _info(self, rows: np.ndarray) -> dict[str, Any]:
+        """The infos of the first rows of `Row`, without their masks."""
+        info, simulation = describe(rows, rows[Row.termination].astype(np.int64)), self.simulation
+        info["state"] = info["state"].T
+        if simulation.task is SPEED:
+            return info
+        return add_task(info, simulation.task, simulation.rows(simulation.task_row, simulation.world.shape[1]))
+
     def _begin_next(self, info: dict[str, Any], ended: np.ndarray) -> None:
         """Begins the next episodes, and moves to the info's `final_..` how the last ones have ended."""
         simulation = self.simulation
@@ -227,7 +239,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         info["final_info"] = _masked({**shared, "metrics": metrics}, ended)
         info["_final_obs"] = info["_final_info"] = ended
         simulation.reset(rows)
-        info |= _info(self.simulation.rows(0, Row.start_x))
+        info |= self._info(self.simulation.rows(0, Row.start_x))
 
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
         """Hands the seeds out: environment i of seed s gets s + i."""
@@ -292,13 +304,6 @@ def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:
             return candidate
     names = [candidate.name for candidate in AutoresetMode]
     raise ValueError(f"autoreset_mode must be an AutoresetMode or one of {names}, got {written(mode)}")
-
-
-def _info(rows: np.ndarray) -> dict[str, Any]:
-    """The infos of the first rows of `Row`, without their masks."""
-    info = describe(rows, rows[Row.termination].astype(np.int64))
-    info["state"] = info["state"].T
-    return info
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:

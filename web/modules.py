@@ -108,7 +108,8 @@ def step_entry() -> Entry:
 def law_entry(law: Controller | None) -> Entry:
     """What `call_linked_law` calls."""
     controller = law or NO_CONTROLLER
-    sizes = {"MEMORY_SIZE": len(controller.memory), "REFERENCE_SIZE": controller.reference.shape[1]}
+    columns = controller.reference.shape[1]
+    sizes = {"MEMORY_SIZE": len(controller.memory), "REFERENCE_SIZE": columns, "ROW_SIZE": columns}
     compiled = jitable(rebound(kernels.evaluate_law, {"law": inlined(controller.law), **sizes}))
     to_int = types.int32
 

@@ -114,7 +114,8 @@ class Config:
 
     def env_kwargs(self) -> dict[str, Any]:
         """The arguments of the environment that this run trains in."""
-        kwargs = {name: getattr(self, name) for name in DOCS if hasattr(self, name)}
+        # The run's task is not the environment's.
+        kwargs = {name: getattr(self, name) for name in DOCS if hasattr(self, name) and name != "task"}
         return kwargs | {"controller": None, "residual_limit": self.torque_limit} if self.task == "direct" else kwargs
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The task: clips, reward, termination, bounds."""
+"""What every task shares: termination, bounds."""
 
 from __future__ import annotations
 
@@ -8,11 +8,6 @@ import numpy as np
 import pytest
 
 from capsule_gym import task
-
-
-def test_reward_terms_are_centimetres_forward_minus_the_price_of_energy_and_failure():
-    assert task.reward_terms(0.03, 0.5, False, 0.1, 10.0) == (3.0, -0.05, 0.0)
-    assert task.reward_terms(-0.03, 2.0, True, 0.25, 7.0) == (-3.0, -0.5, -7.0)
 
 
 @pytest.mark.parametrize(
