@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,20 @@ import pytest
 from capsule_gym.files import canonical_hash, replacing, to_json, write_atomically
 
 
+def lowest_free_descriptor() -> int:
+    """The descriptor that the next file gets: it grows if one stays open."""
+    with open(os.devnull, "rb") as file:
+        return file.fileno()
+
+
 def test_a_file_appears_whole_and_replaces_what_was_there(tmp_path: Path):
     path = tmp_path / "result.json"
+    free = lowest_free_descriptor()
     for content, written in (("one", b"one"), ("zwölf\n", b"zw\xc3\xb6lf\n"), (b"\xff", b"\xff")):
         write_atomically(path, content)
         assert path.read_bytes() == written
     assert list(tmp_path.iterdir()) == [path]
+    assert lowest_free_descriptor() <= free
 
 
 def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path: Path):
