@@ -49,6 +49,8 @@ def test_every_quantity_is_that_of_the_environment_alone(kwargs, n, threads):
         own = [each.metrics(np.array([0]), 60)[name] for each in alone]
         assert values.tobytes() == np.concatenate(own).tobytes(), name
     batch.close()
+    # A second time does nothing.
+    batch.close()
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import sys
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
+from tqdm import tqdm
 
+from agents.training import callbacks
 from agents.training.loop import begin, train
 from agents.training.presets import RunError
 from tests.agents.training.small import log, small
@@ -31,18 +35,23 @@ class FakeWandb(SimpleNamespace):
         self.finished += 1
 
 
-def train_briefly(folder, **options):
-    config = small("direct", "ppo", total_steps=768, evaluate_every=256, episode_seconds=0.4)
+def train_briefly(folder, total_steps=768, **options):
+    config = small("direct", "ppo", total_steps=total_steps, evaluate_every=256, episode_seconds=0.4)
     if not folder.exists():
         begin(folder, config)
     return config, train(folder, **options)
 
 
-def test_the_log_holds_the_terms_of_the_reward(tmp_path):
-    _, finished = train_briefly(tmp_path / "run")
+def test_the_log_holds_the_terms_of_the_reward(tmp_path, monkeypatch):
+    screen = io.StringIO()
+    monkeypatch.setattr(screen, "isatty", lambda: True)
+    monkeypatch.setattr(callbacks, "tqdm", partial(tqdm, file=screen))
+    _, finished = train_briefly(tmp_path / "run", total_steps=1000)
     assert finished
+    # The progress bar on a terminal ends at the total, which the last rollout exceeds.
+    assert "100%" in screen.getvalue() and "1.00k/1.00k" in screen.getvalue()
     lines = log(tmp_path / "run")
-    assert list(lines) == [512, 768]
+    assert list(lines) == [512, 768, 1024]
     # Episodes that get nowhere have an infinite cost, which is not logged.
     line = {name: float(value) for name, value in lines[768].items() if name.startswith(("episodes/", "evaluation/"))}
     assert {f"episodes/{name}" for name in WATCHED} | {"evaluation/stuck_fraction"} <= set(line)
