@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from capsule_gym.parameters import LAW_DT, check_number, find_task, first_cause, written
+from capsule_gym.task import Task
 
 Law = Callable[..., tuple[float, tuple[float, ...]]]
 
@@ -43,8 +44,8 @@ class Controller:
             columns and ten million numbers. A law that follows none has zeros, and pictures then show none.
         memory: the law's memory at the start of an episode, at most 256 numbers.
         dt: seconds between calls; a divisor of the agent step.
-        task: name of the task that the law is made for: the task's memory follows the reference's row in `reference`.
-            None for a law that needs none of it, and so acts in every task.
+        task: the task, or its name, that the law is made for: the task's memory follows the row in `reference`. None
+            for a law that needs none of it, and so acts in every task.
 
     Raises:
         TypeError: if a field is of the wrong type, or the law does not return (torque, memory).
@@ -56,7 +57,7 @@ class Controller:
     reference: np.ndarray
     memory: tuple[float, ...] = (0.0,)
     dt: float = LAW_DT
-    task: str | None = None
+    task: str | Task | None = None
 
     def __post_init__(self) -> None:
         if not callable(self.law):

@@ -225,10 +225,10 @@ class Simulation:
         self._largest = parameter_bounds(self.capsule, self.randomization)
         self.controller = find_controller(options.controller)
         self.task = find_task(options.task)
-        if self.controller is not None and self.controller.task not in (None, self.task.name):
+        if self.controller and self.controller.task and find_task(self.controller.task) is not self.task:
             raise ValueError(
                 f"controller must be a law for the task {self.task.name!r} or for any, got {self.controller.name!r}, "
-                f"which is for the task {self.controller.task!r}"
+                f"which is for the task {find_task(self.controller.task).name!r}"
             )
         self.settings = make_settings(options, self.controller)
         # The lightest platform on the roughest floor is the stiffest plant.

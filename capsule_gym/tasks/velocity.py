@@ -1,0 +1,211 @@
+"""The velocity task, `CapsuleVelocity-v0`: follow a commanded mean velocity that changes during the episode.
+
+An episode of 20 s draws its commands uniformly from -10 to 10 cm/s, each for 4 to 8 s.
+`reset(options={"commands": [{"t": 0.0, "v": 0.05}, {"t": 6.0, "v": -0.1}]})`, with t in s and v in m/s, sets them:
+up to eight, in order of time, the first at 0 s. The last one stays.
+
+A target moves with the commanded velocity. It starts at the platform with every command, and stays within 0.3 m of it.
+
+| entry behind the observation | min | max |
+|---|---|---|
+| command (m/s) | -0.2 | 0.2 |
+| tanh(e / 5 cm) of the error e, the target's position less the platform's | -1 | 1 |
+| tanh(e / 20 cm) | -1 | 1 |
+| velocity of the platform (m/s), averaged with a time constant of 0.25 s | -2 | 2 |
+
+Reward: `reward_tracking`, per second exp(-|e| / 2 cm) + exp(-|e| / 10 cm) / 2 - |e| / 2 m; `reward_energy` and
+`reward_termination` as in the speed task, with an energy weight of 0 and a termination penalty of 3.
+
+`info` adds `command` (m/s), `target` (m) and `error` (m). Metrics: `velocity_error`, by how much the mean velocities
+under the commands miss them, in percent of the commands, each measured from 1.5 s after its change and weighted with
+that time; and `unsettled`, the share of commands that the platform was never within 2 cm of the target of, from then
+on. A command counts that was measured for a second. Where none was, the velocity error is 100 and the share 1.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from capsule_gym.compilation import inlined
+from capsule_gym.elementary import clip, exp, tanh
+from capsule_gym.parameters import check_number, written
+from capsule_gym.task import TASKS, Draw, Option, Task
+from capsule_gym.tasks import ROUGH, STICKY
+
+# Commands of an episode, the largest that is drawn and that may be set, m/s, and how long one lasts, s.
+COMMANDS = 8
+DRAWN, LARGEST = 0.1, 0.2
+LASTS = (4.0, 8.0)
+# How far the target may be away, m, and the time constant of the observed velocity, s, with its bound, m/s.
+LEAD = 0.3
+FILTER, SPEED_BOUND = 0.25, 2.0
+# What the metrics leave out after a change, and how long a command must have been measured to count, s.
+SETTLING, MEASURED = 1.5, 1.0
+# Within this of the target a command is settled, m.
+SETTLED = 0.02
+# Times are sums of the agent's steps, s.
+ROUNDING = 1e-9
+FOREVER = (math.inf,)
+
+
+class Memory(NamedTuple):
+    """What the task remembers; SI units."""
+
+    command: float
+    target: float
+    # The target's position less the platform's.
+    error: float
+    speed: float
+    # Since the command's change, and how long it lasts.
+    since: float
+    lasts: float
+    # Of the present command: when its measurement began and where the platform was then, and 1.0 once settled.
+    measured_from: float
+    measured_x: float
+    settled: float
+    # Sums over the commands before: missed and commanded distance, how many were measured, and how many not settled.
+    missed: float
+    commanded: float
+    measured: float
+    unsettled: float
+    # The commands to come, the present one first, and how long each lasts.
+    v_0: float
+    v_1: float
+    v_2: float
+    v_3: float
+    v_4: float
+    v_5: float
+    v_6: float
+    v_7: float
+    lasts_0: float
+    lasts_1: float
+    lasts_2: float
+    lasts_3: float
+    lasts_4: float
+    lasts_5: float
+    lasts_6: float
+    lasts_7: float
+
+
+# Where the commands begin in the memory, and where their times do.
+FIRST, TIMES = Memory._fields.index("v_0"), Memory._fields.index("lasts_0")
+
+
+@inlined
+def begin(x: float, memory: Memory) -> Memory:
+    """The first command, with the target at the platform."""
+    present = memory.v_0, x, 0.0, 0.0, 0.0, memory.lasts_0, 0.0, 0.0, 0.0
+    sums = 0.0, 0.0, 0.0, 0.0
+    return Memory(*(present + sums + memory[FIRST:]))
+
+
+@inlined
+def reward(x: float, x_dot: float, moved: float, dt: float, memory: Memory) -> tuple[float, Memory]:
+    """How close the platform is to the target; then the target moves on, and the command changes where it is time."""
+    command, target, _, speed, since, lasts, measured_from, measured_x, settled = memory[:9]
+    missed, commanded, measured, unsettled = memory[9:FIRST]
+    commands, times = memory[FIRST:TIMES], memory[TIMES:]
+    target = x + clip(target + command * dt - x, LEAD)
+    error = target - x
+    size = abs(error)
+    gain = dt * (exp(-size / 0.02) + 0.5 * exp(-size / 0.1) - 0.5 * size)
+    speed += (moved / dt - speed) * (dt / (FILTER + dt))
+    since += dt
+    if since >= SETTLING - ROUNDING:
+        if measured_from == 0.0:
+            measured_from, measured_x = since, x
+        settled = 1.0 if size <= SETTLED else settled
+    if since >= lasts - ROUNDING:
+        duration = since - measured_from
+        if measured_from > 0.0 and duration >= MEASURED - ROUNDING:
+            missed += abs(x - measured_x - command * duration)
+            commanded += abs(command) * duration
+            measured += 1.0
+            unsettled += 1.0 - settled
+        # The last command stays.
+        commands, times = commands[1:] + commands[-1:], times[1:] + FOREVER
+        command, lasts = commands[0], times[0]
+        target, error, since, measured_from, measured_x, settled = x, 0.0, 0.0, 0.0, 0.0, 0.0
+    present = command, target, error, speed, since, lasts, measured_from, measured_x, settled
+    sums = missed, commanded, measured, unsettled
+    return gain, Memory(*(present + sums + commands + times))
+
+
+@inlined
+def observe(out: np.ndarray, x: float, memory: Memory) -> None:
+    """Writes the entries in the order of `TASK.entries`."""
+    out[0] = memory.command
+    out[1] = tanh(memory.error / 0.05)
+    out[2] = tanh(memory.error / 0.2)
+    out[3] = clip(memory.speed, SPEED_BOUND)
+
+
+def parse_commands(name: str, value: Any) -> list[float]:
+    """The velocities of the commands and how long each lasts, from `[{"t": s, "v": m/s}]`.
+
+    Raises:
+        TypeError: if the value or an entry is of the wrong type.
+        ValueError: if an entry is out of range, or there are too many.
+    """
+    accepted = f"a list of 1 to {COMMANDS} dicts {{'t': s, 'v': m/s}}, the first at 0 s, each later than the one before"
+    if not isinstance(value, (list, tuple)):
+        raise TypeError(f"{name} must be {accepted}, got {written(value)}")
+    if not 1 <= len(value) <= COMMANDS:
+        raise ValueError(f"{name} must be {accepted}, got {len(value)}")
+    times: list[float] = []
+    commands: list[float] = []
+    for n, command in enumerate(value):
+        if not isinstance(command, dict):
+            raise TypeError(f"{name}[{n}] must be a dict with the keys 't' and 'v', got {written(command)}")
+        if set(command) != {"t", "v"}:
+            raise ValueError(f"{name}[{n}] must have the keys 't' and 'v' and no others, got {written(command)}")
+        t = check_number(f"{name}[{n}]['t']", command["t"], "a finite number >= 0 (s)", 0.0)
+        if (t != 0.0) if n == 0 else (t <= times[-1]):
+            late = f"later than the one before, {times[-1]:g} s" if n else "0 s for the first command"
+            raise ValueError(f"{name}[{n}]['t'] must be {late}, got {t:g} s")
+        times.append(t)
+        limit = f"a number of m/s within {LARGEST:g} of 0"
+        commands.append(check_number(f"{name}[{n}]['v']", command["v"], limit, -LARGEST, LARGEST))
+    more = COMMANDS - len(times)
+    lasts = [later - t for t, later in zip(times, [*times[1:], math.inf], strict=True)]
+    return [*commands, *[commands[-1]] * more, *lasts, *[math.inf] * more]
+
+
+def metrics(memory: Memory, whole: np.ndarray) -> dict[str, np.ndarray]:
+    """What `Task.metrics` returns: the sums with the present command, where it has been measured for long enough."""
+    duration = np.where(memory.measured_from > 0.0, memory.since - memory.measured_from, 0.0)
+    counts = duration >= MEASURED - ROUNDING
+    moved = memory.target - memory.error - memory.measured_x
+    missed = memory.missed + np.where(counts, abs(moved - memory.command * duration), 0.0)
+    commanded = memory.commanded + np.where(counts, abs(memory.command) * duration, 0.0)
+    measured = memory.measured + counts
+    unsettled = memory.unsettled + counts * (1.0 - memory.settled)
+    everything = np.ones(len(measured))
+    return {
+        "velocity_error": 100.0 * np.divide(missed, commanded, out=everything.copy(), where=commanded > 0.0),
+        "unsettled": np.divide(unsettled, measured, out=everything, where=measured > 0.0),
+    }
+
+
+TASK = Task(
+    name="velocity",
+    episode_steps=TASKS["velocity"][1],
+    term="reward_tracking",
+    reward=reward,
+    memory=Memory,
+    begin=begin,
+    entries={
+        "command": (-LARGEST, LARGEST),
+        "near_error": (-1.0, 1.0),
+        "far_error": (-1.0, 1.0),
+        "mean_x_dot": (-SPEED_BOUND, SPEED_BOUND),
+    },
+    observe=observe,
+    shown=("command", "target", "error"),
+    options={"commands": Option((Draw(-DRAWN, DRAWN),) * COMMANDS + (Draw(*LASTS),) * COMMANDS, parse_commands)},
+    metrics=metrics,
+    defaults={"capsule": STICKY, "randomization": ROUGH, "energy_weight": 0.0, "termination_penalty": 3.0},
+)

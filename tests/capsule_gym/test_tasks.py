@@ -1,0 +1,294 @@
+"""The tasks besides speed: their environments keep every contract of the speed task's, and mean what they say."""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+import warnings
+from typing import NamedTuple
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.env_checker import check_env as check_sb3
+
+from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Controller
+from capsule_gym.compilation import inlined
+from capsule_gym.parameters import EnvConfig, find_task
+from capsule_gym.resets import Stream, random_stream
+from capsule_gym.sb3 import CapsuleSB3VecEnv
+from capsule_gym.task import METRICS, TASKS, Draw, Option, Task
+from tests.capsule_gym.fakes import layout
+
+OTHERS = [name for name in TASKS if name != "speed"]
+# For each task, what a reset may set and `info` then shows.
+GIVEN = {"velocity": ({"commands": [{"t": 0.0, "v": 0.05}, {"t": 0.1, "v": -0.1}]}, "command", 0.05)}
+
+
+def actions(seed: int, steps: int, count: int) -> np.ndarray:
+    """Torques that swing the pendulum, and throw it over at times."""
+    rng = np.random.default_rng(seed)
+    return np.repeat(rng.uniform(-1.0, 1.0, (steps // 5 + 1, count, 1)), 5, axis=0)[:steps].astype(np.float32)
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_the_checkers_are_silent_and_the_info_keeps_its_form(name):
+    env_id, steps = TASKS[name]
+    assert gym.spec(env_id).max_episode_steps == find_task(name).episode_steps == steps
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gym.make(env_id).unwrapped
+        check_env(env)
+        check_sb3(gym.make(env_id))
+    own = env.simulation.task
+    _, info = env.reset(seed=0)
+    expected = layout(info)
+    assert {*own.reward_terms, *own.shown} <= set(expected) and "reward_progress" not in expected
+    ended = 0
+    for action in actions(0, 1000, 1)[:, 0]:
+        observation, reward, terminated, _, info = env.step(action)
+        assert env.observation_space.contains(observation)
+        assert layout(info) == expected
+        assert reward == sum(info[term] for term in own.reward_terms)
+        assert info["reward_termination"] == (-3.0 if terminated else 0.0) and info["reward_energy"] == 0.0
+        if terminated:
+            ended += 1
+            env.reset()
+    assert ended > 0
+    metrics = env.episode_metrics()
+    assert set(metrics) > set(METRICS) and all(not math.isnan(value) for value in metrics.values())
+
+
+@pytest.mark.parametrize("kwargs", [{}, {"controller": "baselines:gait", "observe_parameters": True}])
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_batch_gives_the_bits_of_single_environments_across_resets(name, kwargs):
+    count, horizon = 66, 40
+    batch = CapsuleVectorEnv(
+        count, max_episode_steps=horizon, autoreset_mode="SAME_STEP", threads=2, task=name, **kwargs
+    )
+    own = batch.simulation.task
+    alone = [CapsuleEnv(task=name, **kwargs) for _ in range(count)]
+    observations, infos = batch.reset(seed=7)
+    for i, env in enumerate(alone):
+        first, info = env.reset(seed=7 + i)
+        assert first.tobytes() == observations[i].tobytes()
+        assert all(infos[field][i] == info[field] for field in own.shown)
+    for t, given in enumerate(actions(1, 2 * horizon + 5, count)):
+        observations, rewards, terminated, truncated, infos = batch.step(given)
+        for i, env in enumerate(alone):
+            seen, reward, failed, _, info = env.step(given[i])
+            assert (reward, failed) == (rewards[i], terminated[i])
+            final = terminated[i] or truncated[i]
+            for field in (*own.shown, *own.reward_terms):
+                assert (infos["final_info"] if final else infos)[field][i] == info[field], (t, i, field)
+            if final:
+                assert infos["final_obs"][i].tobytes() == seen.tobytes()
+                metrics = env.episode_metrics(horizon)
+                assert all(infos["final_info"]["metrics"][key][i] == value for key, value in metrics.items())
+                seen, _ = env.reset()
+            assert seen.tobytes() == observations[i].tobytes()
+    batch.close()
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_what_an_episode_draws_are_numpys_numbers_and_a_reset_may_set_it(name):
+    own = find_task(name)
+    batch = CapsuleVectorEnv(5, task=name)
+    for episode in range(3):
+        batch.reset(seed=[2**64 + 3, 1, 2, 3, 4] if episode == 0 else None)
+        drawn = batch.simulation.rows(batch.simulation.world.shape[1] - len(own.draws), batch.simulation.world.shape[1])
+        for i, seed in enumerate((2**64 + 3, 1, 2, 3, 4)):
+            shares = random_stream(seed, episode, Stream.task).random(len(own.draws))
+            for draw, share, value in zip(own.draws, shares, drawn[:, i], strict=True):
+                signed = math.copysign(draw.low + (draw.high - draw.low) * abs(2 * share - 1), share - 0.5)
+                assert value == pytest.approx(signed if draw.signed else draw.low + (draw.high - draw.low) * share)
+                assert draw.low <= (abs(value) if draw.signed else value) <= draw.high
+    options, shown, value = GIVEN[name]
+    assert CapsuleEnv(task=name).reset(seed=0, options=options)[1][shown] == value
+    several = {key: [given] * 5 for key, given in options.items()}
+    assert (batch.reset(options=several)[1][shown] == value).all()
+    # Of the plant and the first angle the draws are those of the speed task.
+    masses = [CapsuleEnv(task=each, randomization="paper").reset(seed=3)[1]["M"] for each in (name, "speed")]
+    assert masses[0] == masses[1]
+
+
+@pytest.mark.parametrize("make_copy", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_copy_goes_on_with_the_episodes_bit_for_bit(name, make_copy):
+    env = CapsuleVectorEnv(3, task=name, max_episode_steps=30, autoreset_mode="NEXT_STEP")
+    env.reset(seed=0, options={key: [value] * 3 for key, value in GIVEN[name][0].items()})
+    for given in actions(0, 10, 3):
+        env.step(given)
+    twin = make_copy(env)
+    for given in actions(1, 60, 3):
+        ours, theirs = env.step(given), twin.step(given)
+        assert all(a.tobytes() == b.tobytes() for a, b in zip(ours[:4], theirs[:4], strict=True))
+        assert all(ours[4][key].tobytes() == theirs[4][key].tobytes() for key in ours[4])
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_the_batch_of_sb3_tells_the_metrics_of_the_task(name):
+    env = CapsuleSB3VecEnv(2, seed=0, task=name, max_episode_steps=10)
+    env.reset()
+    for _ in range(10):
+        *_, infos = env.step(np.zeros((2, 1), np.float32))
+    native = CapsuleVectorEnv(2, task=name).episode_metrics()
+    assert set(infos[0]["metrics"]) == set(native) > set(METRICS)
+
+
+@pytest.mark.parametrize(
+    ("value", "error"), [("fast", ValueError), (None, TypeError), (1, TypeError), (Task, TypeError)]
+)
+def test_an_unknown_task_is_refused_by_its_name(value, error):
+    with pytest.raises(error, match=r"^task must be a Task or one of \[.*'speed'.*\], got "):
+        EnvConfig(task=value)
+
+
+def test_the_defaults_are_the_tasks_and_what_is_given_goes_before():
+    config = EnvConfig(task="velocity")
+    assert (config.termination_penalty, config.energy_weight) == (3.0, 0.0) and config.capsule.static_ratio == 1.3
+    config = EnvConfig(task="velocity", randomization="paper", capsule=None, termination_penalty=10.0)
+    assert (config.randomization, config.capsule, config.termination_penalty) == ("paper", None, 10.0)
+    with pytest.raises(TypeError, match="unexpected keyword argument 'tusk'; did you mean 'task'"):
+        EnvConfig(tusk="velocity")
+
+
+class Height(NamedTuple):
+    """The memory of the task below."""
+
+    best: float
+    wanted: float
+
+
+@inlined
+def climb(x: float, x_dot: float, moved: float, dt: float, memory: Height) -> tuple[float, Height]:
+    best = max(memory.best, x)
+    return best - memory.best, Height(best, memory.wanted)
+
+
+@inlined
+def start(x: float, memory: Height) -> Height:
+    return Height(x, memory.wanted)
+
+
+@inlined
+def show(out: np.ndarray, x: float, memory: Height) -> None:
+    out[0] = memory.wanted - x
+
+
+OWN = Task(
+    name="record",
+    term="reward_record",
+    reward=climb,
+    memory=Height,
+    begin=start,
+    entries={"left": (-10.0, 10.0)},
+    observe=show,
+    shown=("best",),
+    options={"wanted": Option((Draw(1.0, 2.0),), lambda name, value: [float(value)])},
+    metrics=lambda memory, whole: {"best": memory.best},
+)
+
+
+def test_a_task_of_ones_own_is_an_object_and_its_law_reads_its_memory():
+    def law(theta, theta_dot, x, x_dot, memory, reference):
+        # Behind the two columns of the reference: the best, and the wanted.
+        return 0.1 * reference[3], memory
+
+    made = Controller("follows", law, np.zeros((1, 2)), task=OWN)
+    with pytest.raises(TypeError, match=r"the control law of 'follows' must be .* a trial call"):
+        Controller("follows", law, np.zeros((1, 2)))
+    with pytest.raises(ValueError, match=r"^controller must be a law for the task 'speed' or .* for the task 'record'"):
+        CapsuleEnv(controller=made)
+    env = CapsuleEnv(task=OWN, controller=made)
+    observation, info = env.reset(seed=1, options={"wanted": 1.5, "state": [0.0, 0.0, 0.25, 0.5]})
+    assert observation[-1] == 1.25 and info["best"] == 0.25
+    assert info["law_torque"] == 0.1 * 1.5
+    _, reward, _, _, info = env.step(np.zeros(1, np.float32))
+    assert reward == info["reward_record"] + info["reward_energy"] + info["reward_termination"]
+    assert info["reward_record"] == info["state"][2] - 0.25 == info["best"] - 0.25 > 0.0
+    assert env.episode_metrics()["best"] == info["best"]
+    assert 1.0 <= CapsuleEnv(task=OWN).reset(seed=0)[0][-1] < 2.0
+
+
+@pytest.mark.parametrize(
+    ("commands", "error", "message"),
+    [
+        (0.05, TypeError, r"^options\['commands'\] must be a list"),
+        ([], ValueError, r"^options\['commands'\] must be a list of 1 to 8"),
+        ([{"t": 0.0, "v": 0.1}] * 9, ValueError, "must be a list of 1 to 8 .* got 9"),
+        ([0.05], TypeError, r"^options\['commands'\]\[0\] must be a dict"),
+        ([{"t": 0.0}], ValueError, "must have the keys 't' and 'v' and no others"),
+        ([{"t": 1.0, "v": 0.1}], ValueError, r"^options\['commands'\]\[0\]\['t'\] must be 0 s for the first"),
+        ([{"t": 0.0, "v": 0.1}] * 2, ValueError, r"\[1\]\['t'\] must be later than the one before, 0 s"),
+        ([{"t": 0.0, "v": 0.3}], ValueError, r"\['v'\] must be a number of m/s within 0.2 of 0"),
+        ([{"t": 0.0, "v": "fast"}], TypeError, r"\['v'\] must be a number of m/s"),
+    ],
+)
+def test_bad_commands_are_named(commands, error, message):
+    env = CapsuleEnv(task="velocity")
+    env.reset(seed=0)
+    before = env.simulation.world.tobytes()
+    with pytest.raises(error, match=message):
+        env.reset(options={"commands": commands})
+    assert env.simulation.world.tobytes() == before
+    with pytest.raises(ValueError, match="options must have keys out of"):
+        CapsuleEnv().reset(options={"commands": commands})
+
+
+def test_velocity_is_measured_as_its_definition_says():
+    schedule = [{"t": 0.0, "v": 0.05}, {"t": 4.0, "v": -0.05}, {"t": 9.0, "v": 0.1}]
+    env = CapsuleEnv(task="velocity", controller="baselines:gait", randomization="none")
+    env.reset(seed=0, options={"commands": schedule, "mu": 0.2})
+    x, commands, target, gains = [0.0], [0.05], 0.0, []
+    for n in range(1, 501):
+        _, _, _, _, info = env.step(np.zeros(1, np.float32))
+        x.append(info["state"][2])
+        commands.append(info["command"])
+        # The target moves with the command before, and begins at the platform with the next.
+        target = x[-1] + np.clip(target + 0.02 * commands[-2] - x[-1], -0.3, 0.3)
+        error = abs(target - x[-1])
+        gains.append(info["reward_tracking"])
+        expected = 0.02 * (np.exp(-error / 0.02) + 0.5 * np.exp(-error / 0.1) - 0.5 * error)
+        assert gains[-1] == pytest.approx(expected, rel=1e-9)
+        target = x[-1] if n in (200, 450) else target
+        assert info["target"] == pytest.approx(target, abs=1e-12)
+        assert info["error"] == pytest.approx(target - x[-1], abs=1e-12)
+    assert commands[:200] == [0.05] * 200 and commands[200:450] == [-0.05] * 250 and commands[450:] == [0.1] * 51
+    # The third command has been there for 1 s.
+    spans = [(75, 200, 0.05), (275, 450, -0.05)]
+    missed = sum(abs(x[last] - x[first] - v * 0.02 * (last - first)) for first, last, v in spans)
+    commanded = sum(abs(v) * 0.02 * (last - first) for first, last, v in spans)
+    metrics = env.episode_metrics()
+    assert metrics["velocity_error"] == pytest.approx(100.0 * missed / commanded, rel=1e-9)
+    # The gait runs forwards at 20 cm/s, away from every target.
+    assert metrics["unsettled"] == 1.0
+
+
+def test_a_platform_that_moves_as_it_is_told_has_no_velocity_error():
+    # Without friction and torque, a platform in motion goes on.
+    env = CapsuleEnv(task="velocity", randomization="none")
+    env.reset(seed=0, options={"commands": [{"t": 0.0, "v": 0.08}], "mu": 0.0, "state": [0.0, 0.0, 0.0, 0.08]})
+    for _ in range(200):
+        observation, reward, _, _, info = env.step(np.zeros(1, np.float32))
+    metrics = env.episode_metrics()
+    assert metrics["velocity_error"] == pytest.approx(0.0, abs=1e-9) and metrics["unsettled"] == 0.0
+    assert reward == pytest.approx(0.03) and abs(info["error"]) < 1e-12
+    assert observation[-1] == pytest.approx(0.08, rel=1e-5)
+    # A command of which too little was measured does not count.
+    env.reset(options={"commands": [{"t": 0.0, "v": 0.08}], "mu": 0.0})
+    assert env.episode_metrics()["velocity_error"] == 100.0
+
+
+def test_modes_of_the_batch():
+    assert CapsuleVectorEnv(1, task="velocity").max_episode_steps == 1000
+    batch = gym.make_vec("CapsuleVelocity-v0", num_envs=2, autoreset_mode=AutoresetMode.DISABLED)
+    assert batch.unwrapped.max_episode_steps == 1000
+    batch.reset(seed=0, options={"state": [[1.5, 5.0, 0.0, 0.0], [0.0] * 4]})
+    for _ in range(2):
+        _, _, terminated, _, info = batch.step(np.zeros((2, 1), np.float32))
+        assert terminated.tolist() == [True, False]
+    assert info["_reward_tracking"].tolist() == [False, True]
