@@ -142,7 +142,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     | `control_dt` | `0.02` | agent step, s |
     | `physics_dt` | 2 ms, with a controller 1 ms | step of the fourth-order integrator, s; at most a million in an agent step |
     | `render_mode` | `None` | "human" or, also of a batch, "rgb_array" |
-    | `task` | `"speed"` | what the agent is to do: speed, velocity, or a `Task` |
+    | `task` | `"speed"` | what the agent is to do: speed, goal, velocity, or a `Task` |
 
     Raises:
         TypeError: if an argument is of the wrong type.

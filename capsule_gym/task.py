@@ -33,7 +33,11 @@ RATE_LIMIT = 1e4
 
 # The tasks by the value of the environment's argument `task`, which is also the name of its module in
 # `capsule_gym.tasks`: the id that Gymnasium knows the environment by, and agent steps until truncation.
-TASKS = {"speed": (ENV_ID, EPISODE_STEPS), "velocity": ("CapsuleVelocity-v0", 1000)}
+TASKS = {
+    "speed": (ENV_ID, EPISODE_STEPS),
+    "goal": ("CapsuleGoal-v0", 750),
+    "velocity": ("CapsuleVelocity-v0", 1000),
+}
 
 
 class Termination(IntEnum):

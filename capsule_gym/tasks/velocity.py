@@ -174,7 +174,7 @@ def parse_commands(name: str, value: Any) -> list[float]:
     return [*commands, *[commands[-1]] * more, *lasts, *[math.inf] * more]
 
 
-def metrics(memory: Memory, whole: np.ndarray) -> dict[str, np.ndarray]:
+def metrics(memory: Any, whole: np.ndarray) -> dict[str, np.ndarray]:
     """What `Task.metrics` returns: the sums with the present command, where it has been measured for long enough."""
     duration = np.where(memory.measured_from > 0.0, memory.since - memory.measured_from, 0.0)
     counts = duration >= MEASURED - ROUNDING

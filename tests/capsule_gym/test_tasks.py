@@ -25,7 +25,10 @@ from tests.capsule_gym.fakes import layout
 
 OTHERS = [name for name in TASKS if name != "speed"]
 # For each task, what a reset may set and `info` then shows.
-GIVEN = {"velocity": ({"commands": [{"t": 0.0, "v": 0.05}, {"t": 0.1, "v": -0.1}]}, "command", 0.05)}
+GIVEN = {
+    "goal": ({"goal": -0.2}, "goal", -0.2),
+    "velocity": ({"commands": [{"t": 0.0, "v": 0.05}, {"t": 0.1, "v": -0.1}]}, "command", 0.05),
+}
 
 
 def actions(seed: int, steps: int, count: int) -> np.ndarray:
@@ -281,6 +284,43 @@ def test_a_platform_that_moves_as_it_is_told_has_no_velocity_error():
     # A command of which too little was measured does not count.
     env.reset(options={"commands": [{"t": 0.0, "v": 0.08}], "mu": 0.0})
     assert env.episode_metrics()["velocity_error"] == 100.0
+
+
+@pytest.mark.parametrize(
+    ("goal", "error"), [(np.inf, ValueError), (-2e6, ValueError), ("far", TypeError), ([0.1], TypeError)]
+)
+def test_a_bad_goal_is_named(goal, error):
+    with pytest.raises(error, match=r"^options\['goal'\] must be a finite number of m within 1e\+06 of 0, got "):
+        CapsuleEnv(task="goal").reset(seed=0, options={"goal": goal})
+
+
+def test_the_goal_is_reached_after_a_second_of_rest_within_2_mm():
+    # At rest from the start, 1.9 mm or 2.1 mm away: in stick under no torque, or in slip under some.
+    for goal, reached in ((0.0019, 1.0), (-0.0019, 1.0), (0.0021, 0.0)):
+        env = CapsuleEnv(task="goal")
+        env.reset(seed=0, options={"goal": goal, "mu": 0.4, "state": [0.0, 0.0, 3.0, 0.0]})
+        size = abs(goal)
+        expected = -size / 0.5 + 0.5 * np.exp(-size / 0.1) + 0.5 * np.exp(-size / 0.02) + 2.0 * np.exp(-size / 0.004)
+        for n in range(60):
+            observation, reward, _, _, info = env.step(np.zeros(1, np.float32))
+            assert info["goal"] == 3.0 + goal and info["error"] == pytest.approx(goal)
+            assert reward == pytest.approx(0.02 * (expected + 2.0 * reached), rel=1e-9)
+            assert info["held"] == pytest.approx(0.02 * (n + 1) * reached)
+            assert observation[-3:] == pytest.approx([goal, np.tanh(goal / 0.02), min(1.0, info["held"])], rel=1e-5)
+            metrics = env.episode_metrics(750)
+            assert metrics["success"] == (reached if n >= 49 else 0.0)
+            assert metrics["goal_time"] == pytest.approx(1.0 if metrics["success"] else 0.02 * (n + 1))
+    # A step that began in slip does not count, and a goal that was reached stays so.
+    env.reset(options={"goal": 0.001, "mu": 0.4, "state": [0.0, 0.0, 0.0, 0.02]})
+    for n in range(120):
+        _, _, _, _, info = env.step(np.full(1, 1.0 if n == 100 else 0.0, np.float32))
+        assert (info["held"] == 0.0) == (n in (0, *range(100, 120)))
+    first = env.episode_metrics()
+    assert first["success"] == 1.0 and first["goal_time"] == pytest.approx(1.02)
+    # A failure counts as the whole episode.
+    env.reset(options={"state": [1.5, 5.0, 0.0, 0.0]})
+    assert env.step(np.zeros(1, np.float32))[2]
+    assert env.episode_metrics()["goal_time"] == 15.0
 
 
 def test_modes_of_the_batch():
