@@ -1,22 +1,24 @@
 """The scripted baselines: the paper's trajectories, control laws and policies made of them.
 
-The laws of `baselines.laws.LAWS` are the functions that the environment's argument `controller` takes, as in
-`controller="baselines:adaptive"`. Each is imported when it is first used: numba takes most of a second to import.
+The laws of `baselines.laws.LAWS`, and of `TASK_LAWS` in their tasks, are the functions that the environment's argument
+`controller` takes, as in `controller="baselines:adaptive"`. Each is imported when it is first used: numba takes most of
+a second to import.
 """
 
 from importlib import import_module
 from typing import Any
 
-from baselines.laws import LAWS
+from baselines.laws import LAWS, TASK_LAWS
 
 __all__ = sorted(LAWS)
 
 
 def __getattr__(name: str) -> Any:
-    if name not in LAWS:
+    law = LAWS.get(name) or TASK_LAWS.get(name)
+    if law is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"baselines.laws.{LAWS[name].module}"), name)
+    return getattr(import_module(f"baselines.laws.{law.module}"), name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, *TASK_LAWS})

@@ -12,6 +12,7 @@ import numpy as np
 
 from baselines.gaits import GAIT_DT
 from baselines.laws import LAWS as _LAWS
+from baselines.laws import TASK_LAWS
 
 Act = Callable[[np.ndarray], np.ndarray]
 Start = Callable[[Sequence[int]], Act]
@@ -87,4 +88,10 @@ SCRIPTED = {
             partial(_start, "baselines.dynamic_programming.policy", "start_oracle"),
         ),
     )
+}
+
+# Those of the other tasks.
+TASK_SCRIPTED = {
+    law.policy: ScriptedPolicy(law.policy, law.description, {"task": law.task, "controller": f"baselines:{name}"})
+    for name, law in TASK_LAWS.items()
 }

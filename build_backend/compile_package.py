@@ -6,6 +6,7 @@ import numpy as np
 
 import baselines
 from baselines.gaits import families
+from baselines.laws import TASK_LAWS
 from capsule_gym import Capsule, CapsuleVectorEnv, compilation, load_policy
 from capsule_gym.elementary import sines_and_cosines
 from capsule_gym.network import rollout
@@ -21,6 +22,8 @@ for law in (None, *(f"baselines:{name}" for name in baselines.__all__)):
 CapsuleVectorEnv(1, capsule=Capsule(normal_force="paper")).reset(seed=0)
 for task in TASKS:
     CapsuleVectorEnv(1, task=task).reset(seed=0)
+for name, law in TASK_LAWS.items():
+    CapsuleVectorEnv(1, task=law.task, controller=f"baselines:{name}").reset(seed=0)
 policy = load_policy("direct-ppo")
 env = CapsuleVectorEnv(1, **policy.env_kwargs)
 observations, _ = env.reset(seed=0)

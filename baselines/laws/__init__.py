@@ -1,4 +1,4 @@
-"""The control laws; an entry of `LAWS` makes a law a controller and a scripted policy."""
+"""The control laws; an entry of `LAWS` or `TASK_LAWS` makes a law a controller and a scripted policy."""
 
 from typing import NamedTuple
 
@@ -10,11 +10,13 @@ class Law(NamedTuple):
         module: of this package that holds the function.
         policy: the name of the scripted policy, the law with a zero residual.
         description: one line.
+        task: name of the task that it is made for.
     """
 
     module: str
     policy: str
     description: str
+    task: str = "speed"
 
 
 # By the functions' names: the environment's argument `controller` takes "baselines:NAME".
@@ -31,5 +33,12 @@ LAWS = {
     "gait": Law("gait", "gait-guarded", "a gait at 1 kHz that does not observe the plant, with a guard of the contact"),
     "gait_identifying": Law(
         "gait", "gait-identifying", "gait-guarded, whose guard identifies how light the platform is"
+    ),
+}
+# Those that act in one of the other tasks alone.
+TASK_LAWS = {
+    "goal_pulses": Law("pulses", "goal-pulses", "gait-guarded towards the goal, then pulses that adapt", "goal"),
+    "velocity_pulses": Law(
+        "pulses", "velocity-pulses", "gait-guarded after the target, and pulses that adapt", "velocity"
     ),
 }

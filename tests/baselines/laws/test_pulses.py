@@ -1,0 +1,51 @@
+"""The laws for the tasks `goal` and `velocity`: they reach, follow and keep the platform on the floor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from baselines.policies import TASK_SCRIPTED
+from capsule_gym import CapsuleVectorEnv
+
+
+def run(name: str, steps: int, **options) -> tuple[CapsuleVectorEnv, list[dict]]:
+    policy, count = TASK_SCRIPTED[name], 100
+    env = CapsuleVectorEnv(count, autoreset_mode="DISABLED", **policy.env_kwargs)
+    observations, first = env.reset(seed=3, options=options or None)
+    act, seen = policy.start(range(count)), [first]
+    for _ in range(steps):
+        observations, *_, info = env.step(act(observations))
+        seen.append(info)
+    return env, seen
+
+
+def test_the_goal_is_reached_from_both_sides_on_every_floor():
+    env, _ = run("goal-pulses", 750)
+    metrics = env.episode_metrics()
+    assert metrics["success"].mean() >= 0.99 and metrics["failed"].sum() == 0.0
+    assert np.median(metrics["goal_time"]) < 3.8
+
+
+@pytest.mark.parametrize("goal", [0.3, -0.3])
+def test_a_platform_at_its_goal_rests_there(goal):
+    env, seen = run("goal-pulses", 750, goal=goal)
+    assert env.episode_metrics()["success"].mean() >= 0.99
+    assert np.median(abs(seen[-1]["error"])) < 0.002
+    # Mirrored, the gait is as fast backwards.
+    assert 2.5 < np.median(env.episode_metrics()["goal_time"]) < 4.5
+
+
+def test_the_target_is_followed():
+    env, seen = run("velocity-pulses", 1000)
+    metrics = env.episode_metrics()
+    assert metrics["failed"].sum() == 0.0 and metrics["unsettled"].mean() <= 0.01
+    assert np.median(metrics["velocity_error"]) < 10.0
+    assert np.mean([abs(info["error"]) for info in seen[75:]]) < 0.025
+
+
+def test_each_law_is_refused_in_another_task():
+    with pytest.raises(ValueError, match="controller must be a law for the task 'speed' or for any"):
+        CapsuleVectorEnv(1, controller="baselines:goal_pulses")
+    with pytest.raises(ValueError, match="controller must be a law for the task 'goal' or for any"):
+        CapsuleVectorEnv(1, task="goal", controller="baselines:velocity_pulses")
