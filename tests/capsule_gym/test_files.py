@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capsule_gym.files import canonical_hash, replacing, to_json, write_atomically
+from capsule_gym.files import canonical_hash, naming, replacing, to_json, write_atomically
 
 
 def lowest_free_descriptor() -> int:
@@ -39,6 +39,17 @@ def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path: Path):
         raise RuntimeError
     assert path.read_text(encoding="utf-8") == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("error", "filename"),
+    [((28, "failed"), "run"), ((2, "failed", "other"), "other"), (("failed",), None)],
+    ids=["on a full disk", "named", "without a number"],
+)
+def test_an_error_of_the_system_names_a_file(error, filename):
+    with pytest.raises(OSError, match="failed") as caught, naming(Path("run")):
+        raise OSError(*error)
+    assert caught.value.filename == filename
 
 
 def test_json_has_null_where_a_number_is_not_finite():
