@@ -75,14 +75,6 @@ def test_committed_episodes_are_pythons(name: str) -> None:
     assert episodes.compute(committed) == (committed["steps"], committed["sha256"])
 
 
-def test_the_module_replays_every_committed_episode(node: Node) -> None:
-    all_equal, reports = node("const reports = []; show([await live.check((r) => reports.push(r)), reports]);")
-    assert [report["name"] for report in reports] == [episode["name"] for episode in COMMITTED]
-    assert [report["steps"] for report in reports] == [episode["steps"] for episode in COMMITTED]
-    assert all_equal and all(report["equal"] for report in reports)
-    assert sum(report["doubles"] for report in reports) > 1_000_000
-
-
 def test_a_single_bit_fails_the_check(node: Node, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     committed = {key: value for key, value in COMMITTED[0].items() if key not in ("set", "plant")}
     plant = data.describe_plant(data.load_set(COMMITTED[0]["set"]).plants[COMMITTED[0]["plant"]])
@@ -500,8 +492,7 @@ def test_check_replays_the_committed_episodes(open_page: Open) -> None:
     page.keyboard.press("Enter")
     shows(page, "verdict", "equal, bit for bit", 5 * PATIENCE)
     bits = page.locator("#check-rows td:last-child").all_inner_texts()
-    assert bits
-    assert set(bits) == {"equal"}
+    assert bits == ["equal"] * len(COMMITTED)
     page.keyboard.press("Escape")
     assert page.locator("#checks").is_hidden()
     assert page.evaluate("document.activeElement.id") == "check"
