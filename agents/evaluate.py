@@ -10,7 +10,17 @@ from typing import Annotated, Any
 
 from tyro.conf import arg
 
-from agents.evaluation.episodes import TABLE_METRICS, Episode, evaluate, scores, summarise, versions
+from agents.evaluation.episodes import (
+    SHARES,
+    TABLE_METRICS,
+    TASK_METRICS,
+    Episode,
+    check_task,
+    evaluate,
+    scores,
+    summarise,
+    versions,
+)
 from agents.evaluation.policies import BASELINE, find_candidate
 from agents.evaluation.statistics import paired_difference
 from baselines.tables import text_table
@@ -19,6 +29,8 @@ from capsule_gym.evaluation_sets import load_set
 from capsule_gym.files import to_json, write_atomically
 
 PROG = "python -m agents.evaluate"
+# What a policy is compared with, by the set's task.
+REFERENCES = {"speed": BASELINE, "goal": "goal-pulses", "velocity": "velocity-pulses"}
 
 
 @dataclass(frozen=True)
@@ -31,6 +43,7 @@ class Args:
       python -m agents.evaluate adaptive --set paper
       python -m agents.evaluate residual-ppo/seed-0 --set drift --against residual-ppo
       python -m agents.evaluate runs/my-run --set wide --json result.json
+      python -m agents.evaluate goal-pulses --set goal
       python -m agents.evaluate my_module:policy --trust
     """
 
@@ -39,8 +52,8 @@ class Args:
     module:attribute for a policy of another project."""
     set: Annotated[str, arg(metavar="NAME_OR_PATH")] = "paper"
     """A frozen set, or the path of a JSON file of the same form."""
-    against: Annotated[str, arg(metavar="NAME_OR_PATH")] = BASELINE
-    """The reference of the paired difference."""
+    against: Annotated[str | None, arg(metavar="NAME_OR_PATH")] = None
+    """The reference of the paired difference; by default adaptive, and in other tasks than speed their scripted law."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the result, with all episodes, to this file."""
     overwrite: bool = False
@@ -66,10 +79,15 @@ def comparison_table(name: str, episodes: Sequence[Episode], reference: str, oth
     """
     own, theirs = summarise(episodes), summarise(others)
     rows = [["", name, reference, "difference"]]
-    for metric in TABLE_METRICS.values():
+    further = [metric for metric in TASK_METRICS if metric.name in own]
+    for metric in (*TABLE_METRICS.values(), *further):
         paired = paired_difference(scores(episodes, metric.name), scores(others, metric.name)).to_dict()
         values = [metric.with_interval(each[metric.name]) for each in (own, theirs)]
         rows.append([metric.label, *values, metric.with_interval(paired, sign=True)])
+    for share in SHARES:
+        if share.name in own:
+            means = [float(scores(each, share.name).mean()) for each in (episodes, others)]
+            rows.append([share.label, *(share.format(mean) for mean in means)])
     rows.append(["failures", *(f"{each['failures']}/{each['episodes']}" for each in (own, theirs))])
     return text_table(rows)
 
@@ -81,12 +99,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         evaluation_set = load_set(args.set)
         candidate, reference = (
             find_candidate(name, trust=args.trust, trust_controller=args.trust_controller)
-            for name in (args.policy, args.against)
+            for name in (args.policy, args.against or REFERENCES[evaluation_set.task])
         )
+        for each in (candidate, reference):
+            check_task(each, evaluation_set)
     except ValueError as error:
         refuse(PROG, str(error))
     episodes = evaluate(candidate, evaluation_set)
-    others = episodes if args.policy == args.against else evaluate(reference, evaluation_set)
+    others = episodes if candidate.name == reference.name else evaluate(reference, evaluation_set)
     summary = summarise(episodes)
     # Written before anything is printed: a closed pipe must not lose the result.
     if args.json is not None:

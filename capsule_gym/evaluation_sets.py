@@ -15,9 +15,11 @@ from typing import Any
 
 from capsule_gym.files import canonical_hash
 from capsule_gym.parameters import NOMINAL, check_integer, check_number, nearest, written
-from capsule_gym.task import HORIZON, START_THETA, THETA_LIMIT
+from capsule_gym.task import HORIZON, LARGEST_STATE, START_THETA, TASKS, THETA_LIMIT
 
 SET_NAMES = ("nominal", "paper", "wide", "extrapolation", "drift")
+# Of the other tasks, one each, with the task's name.
+TASK_SET_NAMES = ("goal", "velocity")
 # The options of an episode of a set; they override those of a policy's training.
 EPISODE_SETTINGS: dict[str, Any] = {"randomization": "none", "initial_noise": 0.0}
 # A wheel carries their files in the package; in a checkout they lie with the evaluation.
@@ -35,6 +37,7 @@ class PlantSpec:
         changes: the plant's jumps in order of time: `{"t": s from the start, "M": kg, "mu": ..}`, with M and mu from
             then on.
         theta: the angle that the episode starts from, at rest, rad.
+        goal: displacement of the goal in the task `goal`, m; None where the seed draws it.
     """
 
     M: float
@@ -42,14 +45,18 @@ class PlantSpec:
     seed: int
     changes: tuple[dict[str, float], ...] = ()
     theta: float = START_THETA
+    goal: float | None = None
 
     def reset_options(self) -> dict[str, Any]:
         """The options of `reset` that begin this episode."""
-        return {"M": self.M, "mu": self.mu, "state": [self.theta, 0.0, 0.0, 0.0], "changes": list(self.changes)}
+        own = {} if self.goal is None else {"goal": self.goal}
+        state = [self.theta, 0.0, 0.0, 0.0]
+        return {"M": self.M, "mu": self.mu, "state": state, "changes": list(self.changes), **own}
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""
         start = {} if self.theta == START_THETA else {"theta": self.theta}
+        start |= {} if self.goal is None else {"goal": self.goal}
         return {"M": self.M, "mu": self.mu, "seed": self.seed, **start, "changes": list(self.changes)}
 
 
@@ -63,10 +70,12 @@ class EvaluationSet:
     Attributes:
         name: as it appears in results.
         plants: the episodes, at least one.
+        task: name of the task.
     """
 
     name: str
     plants: tuple[PlantSpec, ...]
+    task: str = "speed"
 
     @cached_property
     def hash(self) -> str:
@@ -75,12 +84,19 @@ class EvaluationSet:
 
     def to_dict(self) -> dict[str, Any]:
         """The content of the set's file."""
-        return {"name": self.name, "plants": [plant.to_dict() for plant in self.plants]}
+        return {"name": self.name, **self._own_task, "plants": [plant.to_dict() for plant in self.plants]}
 
     def to_json(self) -> str:
         """The text of the set's file: one plant a line."""
         plants = ",\n".join("  " + json.dumps(plant.to_dict()) for plant in self.plants)
-        return f'{{\n "name": {json.dumps(self.name)},\n "plants": [\n{plants}\n ]\n}}\n'
+        named = {"name": self.name, **self._own_task}
+        head = "".join(f' "{key}": {json.dumps(value)},\n' for key, value in named.items())
+        return f'{{\n{head} "plants": [\n{plants}\n ]\n}}\n'
+
+    @property
+    def _own_task(self) -> dict[str, str]:
+        """The task, where it is another than speed: the hashes of older sets do not hold it."""
+        return {} if self.task == "speed" else {"task": self.task}
 
 
 def _fields(where: str, value: Any, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Any]:
@@ -97,8 +113,8 @@ def _fields(where: str, value: Any, required: Sequence[str], optional: Sequence[
     return {**value, "M": float(value["M"]), "mu": float(value["mu"])}
 
 
-def _parse_plant(where: str, value: Any) -> PlantSpec:
-    entry = _fields(where, value, ("M", "mu", "seed"), ("theta", "changes"))
+def _parse_plant(where: str, value: Any, task: str) -> PlantSpec:
+    entry = _fields(where, value, ("M", "mu", "seed"), ("theta", "changes", *(("goal",) if task == "goal" else ())))
     accepted = f"an angle in rad within {THETA_LIMIT:.4g} of 0"
     largest = math.nextafter(THETA_LIMIT, 0.0)
     theta = check_number(f"{where}.theta", entry.get("theta", START_THETA), accepted, -largest, largest)
@@ -112,7 +128,10 @@ def _parse_plant(where: str, value: Any) -> PlantSpec:
         accepted = f"a number of seconds within (0, {HORIZON:g}), later than the change before"
         t = check_number(f"{name}.t", fields["t"], accepted, t, math.nextafter(HORIZON, 0.0), open_low=True)
         changes.append({"t": t, "M": fields["M"], "mu": fields["mu"]})
-    return PlantSpec(entry["M"], entry["mu"], seed, tuple(changes), theta)
+    goal, farthest = entry.get("goal"), LARGEST_STATE[2]
+    if goal is not None:
+        goal = check_number(f"{where}.goal", goal, f"a number of m within {farthest:g} of 0", -farthest, farthest)
+    return PlantSpec(entry["M"], entry["mu"], seed, tuple(changes), theta, goal)
 
 
 def parse_set(content: Any) -> EvaluationSet:
@@ -120,37 +139,46 @@ def parse_set(content: Any) -> EvaluationSet:
 
     Args:
         content: `{"name": .., "plants": [{"M": .., "mu": .., "seed": .., "theta": .., "changes": [{"t": .., "M": ..,
-            "mu": ..}]}]}` with M in kg, theta in rad and t in s; `theta` and `changes` may be left out.
+            "mu": ..}]}]}` with M in kg, theta in rad and t in s; `theta` and `changes` may be left out. A set may have
+            a "task", and the plants of the task "goal" a "goal" in m, all or none.
 
     Raises:
         TypeError: if a number is of the wrong type.
         ValueError: if anything else is malformed; the message names the field, its value and what is accepted.
     """
-    entry = _fields("set", content, ("name", "plants"))
+    entry = _fields("set", content, ("name", "plants"), ("task",))
+    task = entry.get("task", "speed")
+    if not isinstance(task, str) or task not in TASKS:
+        raise ValueError(f"set.task must be one of {sorted(TASKS)}, got {written(task)}")
     name = entry["name"]
     if not isinstance(name, str) or not name.strip():
         raise ValueError(f"set.name must be a string that is not empty, got {name!r}")
     plants = entry["plants"]
     if not isinstance(plants, list) or not plants:
         raise ValueError(f"set.plants must be a list of at least one plant, got {plants!r}")
-    return EvaluationSet(name, tuple(_parse_plant(f"set.plants[{i}]", plant) for i, plant in enumerate(plants)))
+    parsed = tuple(_parse_plant(f"set.plants[{i}]", plant, task) for i, plant in enumerate(plants))
+    if len({plant.goal is None for plant in parsed}) > 1:
+        raise ValueError("set.plants must have a goal each, or none must have one")
+    return EvaluationSet(name, parsed, task)
 
 
 def load_set(name_or_path: str | Path) -> EvaluationSet:
     """Loads an evaluation set.
 
     Args:
-        name_or_path: one of `SET_NAMES`, or the path of a JSON file of the same form (see `parse_set`).
+        name_or_path: one of `SET_NAMES` or `TASK_SET_NAMES`, or the path of a JSON file of the same form (see
+            `parse_set`).
 
     Raises:
         ValueError: if there is no such set, or its file is malformed.
     """
     frozen = next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[-1])
-    path = frozen / f"{name_or_path}.json" if name_or_path in SET_NAMES else Path(name_or_path)
+    names = SET_NAMES + TASK_SET_NAMES
+    path = frozen / f"{name_or_path}.json" if name_or_path in names else Path(name_or_path)
     if not path.is_file():
         raise ValueError(
-            f"set must be one of {', '.join(SET_NAMES)}, or the path of a JSON file, got {str(name_or_path)!r}"
-            f"{nearest(str(name_or_path), SET_NAMES)}"
+            f"set must be one of {', '.join(names)}, or the path of a JSON file, got {str(name_or_path)!r}"
+            f"{nearest(str(name_or_path), names)}"
         )
     try:
         return parse_set(json.loads(path.read_text(encoding="utf-8")))

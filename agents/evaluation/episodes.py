@@ -16,14 +16,16 @@ from gymnasium.vector import AutoresetMode
 import capsule_gym
 from agents.evaluation.policies import Candidate, Policy, find_candidate, wrap_policy
 from agents.evaluation.statistics import estimate
+from baselines.policies import ScriptedPolicy
 from capsule_gym import __version__
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, EvaluationSet, load_set
-from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA, TORQUE_LIMIT
+from capsule_gym.parameters import find_task
+from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
 
 Episode = dict[str, Any]
 
 # The fields of an episode that are no metrics.
-LABELS = ("M", "mu", "seed", "theta", "changes", "training_seed")
+LABELS = ("M", "mu", "seed", "theta", "goal", "changes", "training_seed")
 NOISE_SEED = 1_000_000_007
 PACKAGES = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
 
@@ -65,6 +67,15 @@ _SHOWN = (
     TableMetric("stuck_fraction", "fraction of time stuck", 3),
 )
 TABLE_METRICS = {metric.name: metric for metric in _SHOWN}
+# What tables show of the other tasks besides; of shares no mean is trimmed, which would hide a few misses.
+TASK_METRICS = (
+    TableMetric("goal_time", "time to the goal (s)", 2),
+    TableMetric("velocity_error", "error of the mean velocity (%)", 2),
+)
+SHARES = (
+    TableMetric("success", "share of goals reached", 4),
+    TableMetric("unsettled", "share of commands never settled", 4),
+)
 # The mean speed over the optimum's for the episode's plant, on sets that the table of optima covers.
 SHARE_OF_OPTIMUM = TableMetric("share_of_optimum", "share of optimum", 2)
 
@@ -74,7 +85,7 @@ def evaluate(
     evaluation_set: EvaluationSet | str | Path = "paper",
     *,
     env_kwargs: Mapping[str, Any] | None = None,
-    horizon: float = HORIZON,
+    horizon: float | None = None,
     action_noise: float = 0.0,
 ) -> list[Episode]:
     """Runs a policy once on every plant of a set, all plants at once, each from rest.
@@ -87,7 +98,7 @@ def evaluate(
             seeds, one after the other.
         evaluation_set: a set, the name of a frozen one, or the path of one.
         env_kwargs: as for `wrap_policy`.
-        horizon: length of an episode in s.
+        horizon: length of an episode in s; None takes that of the set's task.
         action_noise: half width of uniform noise on every action, different in every episode.
 
     Returns:
@@ -97,7 +108,8 @@ def evaluate(
 
     Raises:
         TypeError: if the policy is something else.
-        ValueError: if there is no such policy or set, or the policy's actions are not finite or of another shape.
+        ValueError: if there is no such policy or set, the policy is for another task than the set, or the policy's
+            actions are not finite or of another shape.
     """
     chosen = evaluation_set if isinstance(evaluation_set, EvaluationSet) else load_set(evaluation_set)
     if isinstance(policy, (str, Path)):
@@ -109,10 +121,29 @@ def evaluate(
         return [episode for each in policy.policies for episode in evaluate(each, chosen, **options)]
     policy = wrap_policy(policy, env_kwargs=env_kwargs)
     settings: dict[str, Any] = {**policy.env_kwargs, **EPISODE_SETTINGS}
-    metrics = _run(policy, settings, chosen, round(horizon / settings.get("control_dt", CONTROL_DT)), action_noise)
-    limited = settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
+    settings["task"] = task = check_task(Candidate(policy.name, (policy,), ""), chosen)
+    seconds = find_task(task).episode_steps * CONTROL_DT if horizon is None else horizon
+    metrics = _run(policy, settings, chosen, round(seconds / settings.get("control_dt", CONTROL_DT)), action_noise)
+    limited = task == "speed" and settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
     seed = policy.training_seed if isinstance(policy, capsule_gym.Policy) else None
     return as_episodes(chosen, metrics, training_seed=seed, shared=limited)
+
+
+def check_task(candidate: Candidate, evaluation_set: EvaluationSet) -> str:
+    """The task of a set, in which scripted policies that are for no task in particular act as well.
+
+    Raises:
+        ValueError: if a policy is for another task.
+    """
+    wanted = evaluation_set.task
+    for policy in candidate.policies:
+        task = policy.env_kwargs.get("task", wanted if isinstance(policy, ScriptedPolicy) else "speed")
+        if task != wanted:
+            raise ValueError(
+                f"policy must be for the task {wanted!r} of the set {evaluation_set.name!r}, got {candidate.name!r}, "
+                f"which is for {task!r}"
+            )
+    return wanted
 
 
 def as_episodes(

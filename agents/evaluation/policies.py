@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 import capsule_gym
-from baselines.policies import SCRIPTED, ScriptedPolicy
+from baselines.policies import SCRIPTED, TASK_SCRIPTED, ScriptedPolicy
 from capsule_gym.parameters import nearest
 from capsule_gym.task import TORQUE_LIMIT
 
@@ -124,7 +124,8 @@ class Candidate:
 
 
 def _scripted(name: str) -> Candidate:
-    return Candidate(name, (SCRIPTED[name],), SCRIPTED[name].description)
+    policy = {**SCRIPTED, **TASK_SCRIPTED}[name]
+    return Candidate(name, (policy,), policy.description)
 
 
 def _trained(name: str, folder: Path, trust_controller: bool = False) -> Candidate:
@@ -178,16 +179,17 @@ def find_candidate(name_or_path: str, *, trust: bool = False, trust_controller: 
     """
     if REFERENCE.fullmatch(name_or_path):
         return _imported(name_or_path, trust)
-    if name_or_path in SCRIPTED:
+    known_scripted = [*SCRIPTED, *TASK_SCRIPTED]
+    if name_or_path in known_scripted:
         return _scripted(name_or_path)
     known = name_or_path.partition("/")[0] in checkpoint_names()
     path = CHECKPOINTS / name_or_path if known else Path(name_or_path)
     if path.exists():
         return _trained(name_or_path, path, trust_controller)
-    scripted, checkpoints = (", ".join(names) or "there is none" for names in (SCRIPTED, checkpoint_names()))
+    scripted, checkpoints = (", ".join(names) or "there is none" for names in (known_scripted, checkpoint_names()))
     raise ValueError(
         f"policy must be a scripted policy ({scripted}), a checkpoint ({checkpoints}), or the path of a run's folder "
-        f"or of a policy file, got {name_or_path!r}{nearest(name_or_path, [*SCRIPTED, *checkpoint_names()])}"
+        f"or of a policy file, got {name_or_path!r}{nearest(name_or_path, [*known_scripted, *checkpoint_names()])}"
     )
 
 

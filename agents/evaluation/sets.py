@@ -9,6 +9,8 @@
 | `wide` | 100 | drawn as by `randomization="wide"` |
 | `extrapolation` | 100 | outside `wide` in M, in mu or in both |
 | `drift` | 100 | drawn three times as in `wide` |
+| `goal` | 1000 | of the task `goal`: M and mu as the task draws them, and the goal |
+| `velocity` | 1000 | of the task `velocity`: M and mu as the task draws them; commands from the plant's seed |
 
 `nominal` starts at rest as all do, but within 0.1 rad of the angle that the others start from (uniform, to a
 microradian); its first episode is the paper's own. From a single start a chaotic policy would show a single draw.
@@ -41,14 +43,16 @@ from pathlib import Path
 import numpy as np
 
 from capsule_gym.command_line import parse
-from capsule_gym.evaluation_sets import NOMINAL_PLANT, SET_NAMES, EvaluationSet, PlantSpec
+from capsule_gym.evaluation_sets import NOMINAL_PLANT, SET_NAMES, TASK_SET_NAMES, EvaluationSet, PlantSpec
 from capsule_gym.files import write_atomically
-from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, Randomization
+from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, Randomization, find_task
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
 
 PROG = "python -m agents.evaluation.sets"
 SETS_FOLDER = Path(__file__).with_name("frozen")
 EPISODES = 100
+# Of the other tasks, whose failures are rare.
+TASK_EPISODES = 1000
 # Half the width of the angles that `nominal` starts from, rad.
 STARTS = 0.1
 
@@ -58,6 +62,7 @@ LIGHTER, HEAVIER = (0.25, _WIDE.M[0]), (_WIDE.M[1], 1.2)
 SMOOTHER, ROUGHER = (0.002, _WIDE.mu[0]), (_WIDE.mu[1], 0.6)
 # Of the sets' own random streams. Frozen: a different set needs a different name.
 SEEDS = {"nominal": 20180, "paper": 20181, "wide": 20182, "extrapolation": 20183, "drift": 20184}
+TASK_SEEDS = {"goal": 20190, "velocity": 20191}
 CHANGE_WINDOWS = ((HORIZON / 6.0, HORIZON / 3.0), (HORIZON * 2.0 / 3.0, HORIZON * 5.0 / 6.0))
 
 
@@ -72,11 +77,11 @@ def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     return float(low * exp(float(rng.random()) * log(high / low)))
 
 
-def _sample(rng: np.random.Generator, randomization: str) -> tuple[float, float]:
+def _sample(rng: np.random.Generator, randomization: str | Randomization) -> tuple[float, float]:
     """M and mu from one of the environment's own distributions, rounded."""
     from capsule_gym.resets import draw_plant
 
-    M, mu = draw_plant(RANDOMIZATIONS[randomization], NOMINAL, rng)
+    M, mu = draw_plant(Randomization.named(randomization), NOMINAL, rng)
     return round(M, 4), float(f"{mu:.5g}")
 
 
@@ -103,10 +108,27 @@ def draw_set(name: str) -> EvaluationSet:
     """Draws a frozen set anew, from its fixed seed.
 
     Args:
-        name: one of `SET_NAMES`.
+        name: one of `SET_NAMES` or `TASK_SET_NAMES`.
     """
+    if name in TASK_SET_NAMES:
+        return _draw_task_set(name)
     rng = np.random.default_rng(SEEDS[name])
     return EvaluationSet(name, tuple(_sample_plant(name, rng, seed) for seed in range(EPISODES)))
+
+
+def _draw_task_set(name: str) -> EvaluationSet:
+    """The frozen set of another task than speed."""
+    task, rng = find_task(name), np.random.default_rng(TASK_SEEDS[name])
+    plants = []
+    for seed in range(TASK_EPISODES):
+        M, mu = _sample(rng, task.defaults["randomization"])
+        goal = None
+        if name == "goal":
+            (draw,) = task.draws
+            distance = round(_uniform(rng, draw.low, draw.high), 4)
+            goal = distance if rng.random() < 0.5 else -distance
+        plants.append(PlantSpec(M, mu, seed, goal=goal))
+    return EvaluationSet(name, tuple(plants), name)
 
 
 def validation_set(randomization: str, name: str, first_seed: int, count: int) -> EvaluationSet:
@@ -138,7 +160,7 @@ class Args:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     parse(Args, PROG, arguments)
-    for name in SET_NAMES:
+    for name in (*SET_NAMES, *TASK_SET_NAMES):
         found = draw_set(name)
         write_atomically(SETS_FOLDER / f"{name}.json", found.to_json())
         print(f"{name}: {len(found.plants)} episodes, {found.hash[:12]}")

@@ -59,3 +59,19 @@ def test_command_line_refuses_before_any_work(arguments, message, capsys):
         evaluate.main(arguments)
     assert caught.value.code == 2
     assert message in capsys.readouterr().err
+
+
+def test_a_set_of_another_task_is_compared_with_its_scripted_law(tmp_path, capsys):
+    plants = [{"M": 0.5, "mu": mu, "seed": 0, "goal": goal} for mu, goal in ((0.1, 0.1), (0.3, -0.2))]
+    path = tmp_path / "goals.json"
+    path.write_text(json.dumps({"name": "goals", "task": "goal", "plants": plants}))
+    assert evaluate.main(["zero", "--set", str(path), "--json", str(tmp_path / "result.json")]) == 0
+    printed = capsys.readouterr().out
+    assert "goal-pulses" in printed and "share of goals reached 0.0000 1.0000 " in " ".join(printed.split())
+    (first, _) = json.loads((tmp_path / "result.json").read_text())["episodes"]
+    assert (first["goal"], first["goal_time"]) == (0.1, pytest.approx(15.0))
+    assert "share_of_optimum" not in first
+    for policy in ("velocity-pulses", "direct-ppo/seed-0"):
+        with pytest.raises(SystemExit):
+            evaluate.main([policy, "--set", str(path)])
+        assert "policy must be for the task 'goal' of the set 'goals'" in capsys.readouterr().err

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from capsule_gym.evaluation_sets import SET_NAMES, load_set, parse_set
+from capsule_gym.evaluation_sets import SET_NAMES, TASK_SET_NAMES, load_set, parse_set
 
 
 def test_hash_ignores_layout_and_integers_for_floats(tmp_path):
@@ -31,8 +31,8 @@ def change(*changes):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ([], r"set must be an object with the fields name, plants, got \[\]"),
-        ({"name": "x"}, r"set must be an object with the fields name, plants, got {'name': 'x'}"),
+        ([], r"set must be an object with the fields name, plants and optionally task, got \[\]"),
+        ({"name": "x"}, r"fields name, plants and optionally task, got {'name': 'x'}"),
         ({"name": "", "plants": []}, "set.name must be a string that is not empty, got ''"),
         ({"name": "x", "plants": []}, r"at least one plant, got \[\]"),
         (plant(M="heavy"), r"set.plants\[0\]: M must be a finite number from 1e-12 to 1e\+12, got 'heavy'"),
@@ -41,6 +41,16 @@ def change(*changes):
         (plant(seed=-1), r"seed must be an integer in .*, got -1"),
         (plant(theta=1.58), r"theta must be an angle in rad within 1\.571 of 0, got 1\.58"),
         (plant(colour="red"), "fields M, mu, seed and optionally theta, changes, got .*colour"),
+        (plant(goal=0.3), "fields M, mu, seed and optionally theta, changes, got .*goal"),
+        ({**plant(), "task": "tow"}, r"set.task must be one of \['goal', 'speed', 'velocity'\], got 'tow'"),
+        (
+            {**plant(goal=2e6), "task": "goal"},
+            r"plants\[0\].goal must be a number of m within 1e\+06 of 0, got 2000000.0",
+        ),
+        (
+            {"name": "x", "task": "goal", "plants": [*plant()["plants"], *plant(goal=0.1)["plants"]]},
+            "set.plants must have a goal each, or none must have one",
+        ),
         (plant(changes=3), r"set.plants\[0\].changes must be a list"),
         (change((33.0, 0.5, 0.01)), r"changes\[0\].t must be a number of seconds within \(0, 33\).*got 33.0"),
         (change((5.0, 0.5, 0.01), (5.0, 0.5, 0.01)), r"changes\[1\].t .*later than the change before, got 5.0"),
@@ -64,7 +74,7 @@ def test_unknown_sets_and_broken_files(tmp_path):
         load_set(path)
 
 
-@pytest.mark.parametrize("name", SET_NAMES)
+@pytest.mark.parametrize("name", SET_NAMES + TASK_SET_NAMES)
 def test_a_sets_file_gives_back_the_set(name):
     found = load_set(name)
     assert parse_set(json.loads(found.to_json())) == found

@@ -42,7 +42,7 @@ def test_unknown_policies_raise_an_error_that_lists_the_known_ones(world):
     (world / "empty").mkdir()
     (world / "model.zip").write_bytes(b"PK")
     for name, message in (
-        ("lernt", r"scripted policy \(adaptive, bold\), a checkpoint \(learnt\), .* got 'lernt'"),
+        ("lernt", r"policy \(adaptive, bold, goal-pulses, velocity-pulses\), a checkpoint \(learnt\), .* got 'lernt'"),
         (world / "empty", r"run's folder, which holds best/.*empty'"),
         (world / "model.zip", r"model\.zip is no policy"),
     ):

@@ -1,7 +1,7 @@
 import pytest
 
 from agents.evaluation import sets
-from capsule_gym.evaluation_sets import SET_NAMES, load_set
+from capsule_gym.evaluation_sets import SET_NAMES, TASK_SET_NAMES, load_set
 
 # The sets are frozen: a changed hash makes every published result incomparable. Add a set under a new name instead.
 HASHES = {
@@ -10,18 +10,31 @@ HASHES = {
     "wide": "4eb52be12a6e",
     "extrapolation": "37f72254b16c",
     "drift": "a64a8c831746",
+    "goal": "fc320f20332b",
+    "velocity": "a8ff944552c4",
 }
 
 
-@pytest.mark.parametrize("name", SET_NAMES)
+@pytest.mark.parametrize("name", SET_NAMES + TASK_SET_NAMES)
 def test_committed_sets_are_frozen(name):
-    frozen = load_set(name)
-    assert (frozen.name, frozen.hash[:12], len(frozen.plants)) == (name, HASHES[name], 100)
+    frozen, episodes = load_set(name), 100 if name in SET_NAMES else 1000
+    assert (frozen.name, frozen.hash[:12], len(frozen.plants)) == (name, HASHES[name], episodes)
+    assert frozen.task == (name if name in TASK_SET_NAMES else "speed")
+
+
+def test_the_plants_of_a_task_are_those_that_it_draws():
+    for name in TASK_SET_NAMES:
+        plants = load_set(name).plants
+        mus = [plant.mu for plant in plants]
+        assert 0.05 <= min(mus) < 0.052 and 0.48 < max(mus) <= 0.5 and all(0.45 <= plant.M <= 0.55 for plant in plants)
+    goals = [plant.goal for plant in load_set("goal").plants]
+    assert 0.05 <= min(map(abs, goals)) and max(map(abs, goals)) <= 0.5
+    assert 400 < sum(goal > 0.0 for goal in goals) < 600
 
 
 def test_the_command_writes_the_committed_files(tmp_path, monkeypatch):
     committed = sets.SETS_FOLDER
     monkeypatch.setattr(sets, "SETS_FOLDER", tmp_path)
     assert sets.main([]) == 0
-    for name in SET_NAMES:
+    for name in SET_NAMES + TASK_SET_NAMES:
         assert (tmp_path / f"{name}.json").read_bytes() == (committed / f"{name}.json").read_bytes()
