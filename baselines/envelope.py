@@ -47,11 +47,11 @@ def largest_acceleration(
     theta: float, theta_dot: float, u: float, plants: tuple[Plant, ...], frictionless: Plant
 ) -> float:
     """The largest theta'' in rad/s^2 in stick, without contact, and in slip either way on any of the plants."""
-    largest = dynamics.accelerations(theta, theta_dot, 0.0, u, frictionless)[0]
-    largest = max(largest, dynamics.accelerations(theta, theta_dot, 1.0, u, frictionless)[0])
+    largest = dynamics.accelerations(theta, theta_dot, 0.0, 0.0, u, frictionless)[0]
+    largest = max(largest, dynamics.accelerations(theta, theta_dot, 0.0, 1.0, u, frictionless)[0])
     for p in plants:
         for slip in (1.0, -1.0):
-            largest = max(largest, dynamics.accelerations(theta, theta_dot, slip, u, p)[0])
+            largest = max(largest, dynamics.accelerations(theta, theta_dot, 0.0, slip, u, p)[0])
     return largest
 
 

@@ -52,18 +52,21 @@ class Trajectory(NamedTuple):
     events: list[tuple[float, float, float]]
 
 
-def rates(theta: float, omega: float, slip: float, u: float, p: Plant) -> tuple[float, float, float]:
+def rates(theta: float, omega: float, v: float, slip: float, u: float, p: Plant) -> tuple[float, float, float]:
     """theta'', x'' and the normal force in one phase of contact."""
     s = math.sin(theta)
     c = math.cos(theta)
+    u -= p.motor_friction * omega / math.hypot(omega, 0.5)
     internal = p.k * theta + p.c * omega
-    free = (u - internal + p.m * p.g * p.l * s) / (p.m * p.l**2)  # theta'' on a platform that does not accelerate
+    # theta'' on a platform that does not accelerate
+    free = (u - internal + p.m * p.l * (p.g * s + p.downhill * c)) / (p.m * p.l**2)
     weight = (p.M + p.m) * p.g - p.pivot_torque_on_contact * internal * s
     normal_rest = weight - p.m * p.l * (free * s + omega**2 * c)
-    load = p.m * p.l * (free * c - omega**2 * s)
+    load = p.m * p.l * (free * c - omega**2 * s) - (p.M + p.m) * p.downhill - p.viscous * v
     if slip == 0.0:
         return free, 0.0, normal_rest
     mu = p.mu if slip > 0.0 else p.mu * p.backward_ratio
+    mu *= 1.0 + p.stribeck_excess / (1.0 + (v * p.stribeck_rate) ** 2)
     # theta'' = free + cos x'' / l, hence N = normal_rest - m sin cos x'': only x'' is left.
     inertia = p.M + p.m * s**2
     x_ddot = (load - slip * mu * normal_rest) / (inertia - slip * mu * p.m * s * c)
@@ -76,8 +79,8 @@ def rates(theta: float, omega: float, slip: float, u: float, p: Plant) -> tuple[
 
 def margins(theta: float, omega: float, u: float, p: Plant) -> tuple[float, float]:
     """How far the load on a platform at rest is from the static limit, forwards and backwards, in N."""
-    alpha, _, normal = rates(theta, omega, 0.0, u, p)
-    load = p.m * p.l * (alpha * math.cos(theta) - omega**2 * math.sin(theta))
+    alpha, _, normal = rates(theta, omega, 0.0, 0.0, u, p)
+    load = p.m * p.l * (alpha * math.cos(theta) - omega**2 * math.sin(theta)) - (p.M + p.m) * p.downhill
     limit = p.static_ratio * p.mu * max(0.0, normal)
     return limit - load, p.backward_ratio * limit + load
 
@@ -183,21 +186,21 @@ def _phase(
 
     def f(_: float, y: np.ndarray) -> tuple[float, float, float, float]:
         theta, omega, _x, v = y.tolist()
-        alpha, accel, _normal = rates(theta, omega, slip, u, p)
+        alpha, accel, _normal = rates(theta, omega, v, slip, u, p)
         return omega, alpha, v, accel
 
     def g(y: np.ndarray) -> float:
         return min(margins(y[0], y[1], u, p)) if slip == 0.0 else slip * y[3]
 
     solver = DOP853(f, t, y, end, rtol=RTOL, atol=ATOL, first_step=end - t)
-    _, accel, normal = rates(y[0], y[1], slip, u, p)
+    _, accel, normal = rates(y[0], y[1], y[3], slip, u, p)
     swept = 0.0
     while solver.status == "running":
         message = solver.step()
         if solver.status == "failed":
             raise RuntimeError(message)
         t_0, y_0, t_1, y_1 = solver.t_old, solver.y_old, solver.t, solver.y
-        _, accel_1, normal_1 = rates(y_1[0], y_1[1], slip, u, p)
+        _, accel_1, normal_1 = rates(y_1[0], y_1[1], y_1[3], slip, u, p)
         normal = min(normal, normal_1)
         crossing = None
         dense: Any = None

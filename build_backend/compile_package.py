@@ -20,6 +20,7 @@ compilation.shipping = tuple(LEVELS)
 for law in (None, *(f"baselines:{name}" for name in baselines.__all__)):
     CapsuleVectorEnv(1, controller=law).reset(seed=0)
 CapsuleVectorEnv(1, capsule=Capsule(normal_force="paper")).reset(seed=0)
+CapsuleVectorEnv(1, capsule=Capsule(viscous=1.0)).reset(seed=0)
 for task in TASKS:
     CapsuleVectorEnv(1, task=task).reset(seed=0)
 for name, law in TASK_LAWS.items():

@@ -9,6 +9,17 @@ friction force f:
 Within a phase of contact the motion is smooth. `slip` names the phase: +1.0 forwards, -1.0 backwards, 0.0 stick.
 The phase follows from the state alone: the platform sticks only where x_dot is exactly 0.0.
 
+That is the plant on a level floor with Coulomb friction alone. Where `Plant.extended` is 1.0, a constant of the
+compiler's, the floor may slope (g is then g cos(slope), and a = g sin(slope)), its friction may depend on the speed (b
+is the viscous coefficient, v_s the speed of the Stribeck curve), and the motor may have friction u_f. The equations
+become
+
+    m l^2 theta'' - m l cos(theta) x'' - m l (g sin(theta) + a cos(theta)) + k theta + c theta'
+        = u - u_f theta' / sqrt(theta'^2 + w^2)
+    (M + m) (x'' + a) + b x' - m l cos(theta) theta'' + m l sin(theta) theta'^2 + f = 0
+
+with f = s mu (1 + (static_ratio - 1) / (1 + (x' / v_s)^2)) N in slip in the direction s.
+
 Every function is ordinary Python; `jitable` lets compiled code call it too. What a step does inside one phase is free
 of branches, so that compilers take several environments through it at once (`smooth_step`); `step` takes one
 environment through every change of phase. `fma(a, b, c)` is a b + c.
@@ -21,7 +32,7 @@ from typing import NamedTuple
 
 from capsule_gym.compilation import inlined, jitable
 from capsule_gym.elementary import fma, sincos
-from capsule_gym.parameters import Plant
+from capsule_gym.parameters import MOTOR_WIDTH, Plant
 
 # No step holds anywhere near as many events. The cap only keeps a rounding accident from hanging compiled code.
 EVENT_LIMIT = 1000
@@ -67,8 +78,15 @@ class Motion(NamedTuple):
 
 @inlined
 def kinetic_friction(slip: float, p: Plant) -> float:
-    """Friction coefficient while sliding in the direction of `slip` (+1.0 or -1.0)."""
+    """Friction coefficient while sliding fast in the direction of `slip` (+1.0 or -1.0)."""
     return p.mu * p.backward_ratio if slip < 0.0 else p.mu
+
+
+@inlined
+def stribeck(x_dot: float, p: Plant) -> float:
+    """Friction coefficient at a velocity over the one at high speed: the Stribeck curve of Hess and Soom (1990)."""
+    ratio = x_dot * p.stribeck_rate
+    return 1.0 + p.stribeck_excess / (1.0 + ratio * ratio)
 
 
 @inlined
@@ -88,20 +106,32 @@ def normal_force(theta: float, theta_dot: float, theta_ddot: float, p: Plant) ->
 def driving_force(theta: float, theta_dot: float, theta_ddot: float, p: Plant) -> float:
     """Horizontal force in N with which the pendulum pushes a platform that does not accelerate; friction opposes it."""
     sin, cos = sincos(theta)
-    return p.m * p.l * (cos * theta_ddot - sin * theta_dot * theta_dot)
+    force = p.m * p.l * (cos * theta_ddot - sin * theta_dot * theta_dot)
+    if p.extended != 0.0:
+        force -= (p.M + p.m) * p.downhill
+    return force
+
+
+@inlined
+def motor_friction(theta_dot: float, p: Plant) -> float:
+    """Torque in N m with which the motor's own friction opposes its motion: 0.7 of Coulomb's at MOTOR_WIDTH."""
+    return p.motor_friction * theta_dot / math.sqrt(theta_dot * theta_dot + MOTOR_WIDTH * MOTOR_WIDTH)
 
 
 @inlined
 def stick_acceleration(theta: float, theta_dot: float, u: float, p: Plant) -> float:
     """theta'' in rad/s^2 on a platform at rest: the first row of Eq. (1) with x'' = 0."""
     inertia = p.m * p.l * p.l
+    sin, cos = sincos(theta)
+    if p.extended != 0.0:
+        u += p.m * p.l * p.downhill * cos - motor_friction(theta_dot, p)
     free = fma(-(p.k / inertia), theta, fma(-(p.c / inertia), theta_dot, u * (1.0 / inertia)))
-    return fma(p.g / p.l, sincos(theta)[0], free)
+    return fma(p.g / p.l, sin, free)
 
 
 @inlined
 def pressed_accelerations(
-    theta: float, theta_dot: float, slip: float, mu: float, u: float, p: Plant
+    theta: float, theta_dot: float, x_dot: float, slip: float, mu: float, u: float, p: Plant
 ) -> tuple[float, float, float]:
     """theta'', x'' and N of Eq. (1) with f = slip mu N, one formula for slip and stick (slip = 0 pins x'' = 0).
 
@@ -110,6 +140,8 @@ def pressed_accelerations(
     sin, cos = sincos(theta)
     share = slip * slip * p.mass_ratio
     rough = slip * mu
+    if p.extended != 0.0:
+        rough *= stribeck(x_dot, p)
     squared = theta_dot * theta_dot
     weight = (p.M + p.m) * p.g
     brake = rough * p.g
@@ -117,6 +149,8 @@ def pressed_accelerations(
         pivot = p.pivot_torque_on_contact * (p.k * theta + p.c * theta_dot) * sin  # Eq. (7)
         weight -= pivot
         brake -= rough * pivot / (p.M + p.m)
+    if p.extended != 0.0:
+        brake += slip * slip * (p.downhill + p.viscous * x_dot / (p.M + p.m))
     # The second row over M + m: x'' = rest + share l tilted theta''. N holds theta'' too, hence cos + slip mu sin.
     tilted = fma(rough, sin, cos)
     rest = fma(share * p.l, fma(rough, cos, -sin) * squared, -brake)
@@ -129,19 +163,23 @@ def pressed_accelerations(
 
 
 @jitable
-def accelerations(theta: float, theta_dot: float, slip: float, u: float, p: Plant) -> tuple[float, float, float]:
+def accelerations(
+    theta: float, theta_dot: float, x_dot: float, slip: float, u: float, p: Plant
+) -> tuple[float, float, float]:
     """theta'' in rad/s^2, x'' in m/s^2 and the normal force in N, clamped at zero: a floor does not pull.
 
     Args:
         theta: angle, rad.
         theta_dot: its rate, rad/s.
+        x_dot: velocity of the platform, m/s.
         slip: phase of the contact, +1.0, -1.0 or 0.0 (stick).
         u: motor torque, N m.
         p: the plant.
     """
-    theta_ddot, x_ddot, normal = pressed_accelerations(theta, theta_dot, slip, kinetic_friction(slip, p), u, p)
+    mu = kinetic_friction(slip, p)
+    theta_ddot, x_ddot, normal = pressed_accelerations(theta, theta_dot, x_dot, slip, mu, u, p)
     if normal < 0.0:
-        theta_ddot, x_ddot, normal = pressed_accelerations(theta, theta_dot, slip, 0.0, u, p)
+        theta_ddot, x_ddot, normal = pressed_accelerations(theta, theta_dot, x_dot, slip, 0.0, u, p)
         normal = 0.0
     return theta_ddot, x_ddot, normal
 
@@ -174,7 +212,12 @@ def stick_margin_rate(theta: float, theta_dot: float, u: float, p: Plant) -> flo
     sin, cos = sincos(theta)
     ml = p.m * p.l
     a = stick_acceleration(theta, theta_dot, u, p)
-    jerk = (ml * p.g * cos * theta_dot - p.k * theta_dot - p.c * a) / (ml * p.l)
+    torque_rate = ml * p.g * cos * theta_dot - p.k * theta_dot - p.c * a
+    if p.extended != 0.0:
+        width = theta_dot * theta_dot + MOTOR_WIDTH * MOTOR_WIDTH
+        slope = p.motor_friction * (MOTOR_WIDTH * MOTOR_WIDTH) / (width * math.sqrt(width))
+        torque_rate -= ml * p.downhill * sin * theta_dot + slope * a
+    jerk = torque_rate / (ml * p.l)
     force = driving_force(theta, theta_dot, a, p)
     force_rate = ml * (cos * jerk - 3.0 * sin * theta_dot * a - cos * theta_dot * theta_dot * theta_dot)
     normal_rate = -ml * (sin * jerk + 3.0 * cos * theta_dot * a - sin * theta_dot * theta_dot * theta_dot)
@@ -195,14 +238,15 @@ def runge_kutta(
         The state afterwards, x'' and N at the start, and the smallest N of the stages: where that is negative, the step
         was none of a platform that presses on the floor.
     """
-    # The accelerations do not depend on x and x_dot, so the stages of the positions collapse into sums.
+    # The accelerations do not depend on x, nor on a level floor of Coulomb's friction on x_dot: sums are enough.
     half = 0.5 * h
     theta_2 = theta + half * theta_dot
-    a1, b1, normal_1 = pressed_accelerations(theta, theta_dot, slip, mu, u, p)
-    a2, b2, normal_2 = pressed_accelerations(theta_2, theta_dot + half * a1, slip, mu, u, p)
-    a3, b3, normal_3 = pressed_accelerations(theta_2 + half * half * a1, theta_dot + half * a2, slip, mu, u, p)
+    a1, b1, normal_1 = pressed_accelerations(theta, theta_dot, x_dot, slip, mu, u, p)
+    a2, b2, normal_2 = pressed_accelerations(theta_2, theta_dot + half * a1, x_dot + half * b1, slip, mu, u, p)
+    theta_3, theta_dot_3 = theta_2 + half * half * a1, theta_dot + half * a2
+    a3, b3, normal_3 = pressed_accelerations(theta_3, theta_dot_3, x_dot + half * b2, slip, mu, u, p)
     theta_4 = theta + h * theta_dot + half * h * a2
-    a4, b4, normal_4 = pressed_accelerations(theta_4, theta_dot + h * a3, slip, mu, u, p)
+    a4, b4, normal_4 = pressed_accelerations(theta_4, theta_dot + h * a3, x_dot + h * b3, slip, mu, u, p)
     sixth = h / 6.0
     return (
         theta + h * theta_dot + h * sixth * (a1 + a2 + a3),
@@ -303,7 +347,7 @@ class Piece(NamedTuple):
 def finish(end: Phase, tau: float, x_ddot: float, normal: float) -> Piece:
     """The piece of tau seconds that has led to `end`; x_ddot and normal are those at its start."""
     theta, theta_dot, x, x_dot, slip, u, p = end
-    theta_ddot, last_x_ddot, _ = accelerations(theta, theta_dot, slip, u, p)
+    theta_ddot, last_x_ddot, _ = accelerations(theta, theta_dot, x_dot, slip, u, p)
     value, rate = boundary(theta, theta_dot, x_dot, last_x_ddot, slip, u, p)
     return Piece(tau, theta, theta_dot, x, x_dot, value, rate, theta_ddot, last_x_ddot, x_ddot, max(0.0, normal))
 

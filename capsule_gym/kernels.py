@@ -64,7 +64,7 @@ law: Callable[..., Any] = no_law
 MEMORY_SIZE = 1
 REFERENCE_SIZE = ROW_SIZE = NO_REFERENCE.shape[1]
 # `build_advance` gives these the values of a plant and of a task.
-PIVOT_TORQUE_ON_CONTACT = 0.0
+PIVOT_TORQUE_ON_CONTACT = EXTENDED = 0.0
 begin_task, reward, observe_task = speed.begin, speed.reward, speed.observe
 TaskMemory = speed.Memory
 TASK_ROWS = TASK_ENTRIES = 0
@@ -169,7 +169,7 @@ def step_with_events(block: np.ndarray, j: int, plant: Plant, h: float, elapsed:
     whole_motion = motion.theta + motion.x + motion.swept + motion.normal_force
     if not (task.bounded(motion.theta_dot, motion.x_dot) and math.isfinite(whole_motion)):
         # The substep is none: the environment stays where that has begun.
-        normal = dynamics.accelerations(theta, theta_dot, slip, torque, p)[2]
+        normal = dynamics.accelerations(theta, theta_dot, x_dot, slip, torque, p)[2]
         block[AT.normal_force + j] = min(block[AT.normal_force + j], normal)
         block[AT.termination + j] = DIVERGED
         block[AT.halt + j] = ENDING
@@ -323,7 +323,8 @@ def finish_step(block: np.ndarray, n: int, plant: Plant, settings: StepSettings)
     for j in range(n):
         active = block[AT.active + j] != 0.0
         share = 1.0 if active else 0.0
-        weight = (block[AT.M + j] + plant.m) * plant.g
+        mass = block[AT.M + j] + plant.m
+        weight = mass * plant.g
         moved = block[AT.x + j] - block[AT.before_x + j]
         energy = block[AT.energy + j]
         memory = TaskMemory(*load(block, at + j, LANES, TASK_ROWS))
@@ -337,7 +338,8 @@ def finish_step(block: np.ndarray, n: int, plant: Plant, settings: StepSettings)
         block[AT.reward_termination + j] = penalty if active else block[AT.reward_termination + j]
         block[AT.steps + j] += share
         block[AT.episode_energy + j] += share * energy
-        block[AT.weight_distance + j] += share * weight * moved
+        gravity = math.sqrt(plant.g * plant.g + plant.downhill * plant.downhill) if plant.extended != 0.0 else plant.g
+        block[AT.weight_distance + j] += share * (mass * gravity) * moved
         smallest = min(block[AT.smallest_normal_ratio + j], block[AT.normal_force + j] / weight)
         block[AT.smallest_normal_ratio + j] = smallest if active else block[AT.smallest_normal_ratio + j]
 
@@ -434,7 +436,7 @@ def advance(world: np.ndarray, first: int, last: int, begin: bool, fixed: np.nda
     Returns:
         Index of an environment whose law returned no finite torque, or -1.
     """
-    plant, settings = unpack(fixed, PIVOT_TORQUE_ON_CONTACT)
+    plant, settings = unpack(fixed, PIVOT_TORQUE_ON_CONTACT, EXTENDED)
     broken = -1
     for b in range(first // LANES, (last + LANES - 1) // LANES):
         block = world[b]
@@ -458,14 +460,15 @@ def step_of(own: task.Task) -> Any:
 
 
 @cache
-def build_advance(pivot_torque_on_contact: float, own: task.Task) -> Entry:
+def build_advance(pivot_torque_on_contact: float, extended: float, own: task.Task) -> Entry:
     """`advance` as compiled code.
 
     Args:
         pivot_torque_on_contact: 1.0 for the paper's normal force, 0.0 for Newton's.
+        extended: 1.0 for plants with more than Coulomb's friction on a level floor, as `Plant` has it.
         own: the task.
     """
-    bindings: dict[str, Any] = {"PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact}
+    bindings: dict[str, Any] = {"PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact, "EXTENDED": extended}
     if own.memory is not TaskMemory:
         bindings["step"] = step_of(own)
     return compile_entry(advance, SIGNATURE, f"the physics with the task {own.name}", bindings)

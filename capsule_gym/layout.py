@@ -215,12 +215,11 @@ def record(array: np.ndarray, start: int, kind: Any) -> Any:
 
 
 @jitable
-def unpack(fixed: np.ndarray, pivot_torque_on_contact: float) -> tuple[Plant, StepSettings]:
-    """Plant and settings out of what `pack` has packed, but for the constant that the compiler is to know."""
+def unpack(fixed: np.ndarray, pivot_torque_on_contact: float, extended: float) -> tuple[Plant, StepSettings]:
+    """Plant and settings out of what `pack` has packed, but for the constants that the compiler is to know."""
     plant = record(fixed, 0, Plant)
-    return Plant(plant.M, plant.mu, plant.mass_ratio, pivot_torque_on_contact, *plant[4:]), record(
-        fixed, SETTINGS, StepSettings
-    )
+    plant = Plant(plant.M, plant.mu, plant.mass_ratio, pivot_torque_on_contact, extended, *plant[5:])
+    return plant, record(fixed, SETTINGS, StepSettings)
 
 
 @inlined

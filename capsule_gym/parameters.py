@@ -29,19 +29,24 @@ NormalForce = Literal["newton", "paper"]
 
 # Sizes of a plant's constants, in SI units: within these every force and acceleration is a floating-point number.
 SMALLEST, LARGEST = 1e-12, 1e12
+# rad: the floor stays a floor.
+LARGEST_SLOPE = 1.5
+# Rate in rad/s below which the motor's Coulomb friction is smooth: a change of sign that the integrator resolves.
+MOTOR_WIDTH = 0.5
 
 
 class Plant(NamedTuple):
     """The constants of one plant as the compiled functions read them: SI units, float64, no validation.
 
     The first three differ between the environments of a batch. mass_ratio, m / (M + m), follows from others: it saves
-    the integrator its divisions.
+    the integrator its divisions. g is the part of gravity at right angles to the floor.
     """
 
     M: float
     mu: float
     mass_ratio: float
     pivot_torque_on_contact: float
+    extended: float
     m: float
     l: float
     g: float
@@ -49,6 +54,13 @@ class Plant(NamedTuple):
     c: float
     static_ratio: float
     backward_ratio: float
+    # Read only where `extended` is 1.0: g sin(slope), the viscous coefficient of the floor, static_ratio - 1 and the
+    # inverse of the speed of the Stribeck curve (both 0.0 without one), and the motor's friction.
+    downhill: float
+    viscous: float
+    stribeck_excess: float
+    stribeck_rate: float
+    motor_friction: float
 
 
 # Subclasses of Python's and numpy's integers that are none.
@@ -147,6 +159,11 @@ class Capsule:
         mu: kinetic friction coefficient when the platform slides forwards, without dimension.
         static_ratio: static over kinetic friction coefficient, at least 1.
         backward_ratio: friction coefficient backwards over forwards (the paper's Remark 1: anisotropic contact).
+        viscous: viscous friction of the floor, N s/m, in addition to Coulomb's.
+        stribeck_speed: speed in m/s at which the friction coefficient has fallen half way from its static to its
+            kinetic value (Hess and Soom's curve); 0 lets it fall at once.
+        slope: angle by which the floor rises forwards, rad.
+        motor_friction: Coulomb friction of the motor, N m, smooth below 0.5 rad/s.
         normal_force: "newton", from Newton's law, or "paper", which subtracts (k theta + c theta') sin(theta) as the
             paper's (7) does; that torque is internal, so the option serves the reproduction only.
 
@@ -172,14 +189,22 @@ class Capsule:
     mu: float = 0.01
     static_ratio: float = 1.0
     backward_ratio: float = 1.0
+    viscous: float = 0.0
+    stribeck_speed: float = 0.0
+    slope: float = 0.0
+    motor_friction: float = 0.0
     normal_force: NormalForce = "newton"
 
     def __post_init__(self) -> None:
         smallest = {**dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), SMALLEST), "static_ratio": 1.0}
-        for name in ("M", "m", "l", "g", "k", "c", "mu", "static_ratio", "backward_ratio"):
+        friction = ("static_ratio", "backward_ratio", "viscous", "stribeck_speed", "motor_friction")
+        for name in ("M", "m", "l", "g", "k", "c", "mu", *friction):
             # numpy's narrow numbers would make what follows from them as coarse as they are.
             value = _check_size(f"Capsule.{name}", getattr(self, name), smallest.get(name, 0.0))
             object.__setattr__(self, name, value)
+        accepted = f"a finite number (rad) from -{LARGEST_SLOPE} to {LARGEST_SLOPE}"
+        slope = check_number("Capsule.slope", self.slope, accepted, -LARGEST_SLOPE, LARGEST_SLOPE)
+        object.__setattr__(self, "slope", slope)
         if not isinstance(self.normal_force, str) or self.normal_force not in ("newton", "paper"):
             raise ValueError(f"Capsule.normal_force must be 'newton' or 'paper', got {written(self.normal_force)}")
         self.check_plant(self.M, self.mu)
@@ -229,14 +254,18 @@ class Capsule:
             return math.inf
         # The paper's normal force, which the pivot's torque changes, adds this share of that torque at most.
         pivot = 0.5 * mu * share * self.l if self.normal_force == "paper" else 0.0
-        damping, weight = (1.0 + pivot) * self.c / inertia, self.m * self.g * self.l
+        # The friction of the motor is steepest at rest, the Stribeck curve, which falls, at v_s / sqrt(3).
+        damping = (1.0 + pivot) * (self.c + self.motor_friction / MOTOR_WIDTH) / inertia
+        weight = self.m * self.g * self.l
+        steepest = 0.65 * mu * (self.static_ratio - 1.0) * self.g / self.stribeck_speed if self.stribeck_speed else 0.0
+        floor = self.viscous / M + steepest * (M + self.m) / M
         lowest = (1.0 - (1.0 + math.pi) * pivot) * self.k - weight * math.sqrt(1.0 + mu * mu)
         highest = (1.0 + (1.0 + math.pi) * pivot) * self.k + weight * mu
         rates = []
         for stiffness in (lowest / inertia, highest / inertia):
             square = damping * damping / 4.0 - stiffness
             rates.append(damping / 2.0 + math.sqrt(square) if square >= 0.0 else math.sqrt(stiffness))
-        return max(rates)
+        return max(rates) + floor
 
     def plant(self, M: float | None = None, mu: float | None = None) -> Plant:
         """The constants as the compiled functions read them.
@@ -249,6 +278,11 @@ class Capsule:
         derived = {
             "mass_ratio": float(capsule.m / (capsule.M + capsule.m)),
             "pivot_torque_on_contact": float(capsule.normal_force == "paper"),
+            "extended": float(any((self.viscous, self.stribeck_speed, self.slope, self.motor_friction))),
+            "g": float(self.g * math.cos(self.slope)),
+            "downhill": float(self.g * math.sin(self.slope)),
+            "stribeck_excess": self.static_ratio - 1.0 if self.stribeck_speed else 0.0,
+            "stribeck_rate": 1.0 / self.stribeck_speed if self.stribeck_speed else 0.0,
         }
         own = {name: float(getattr(capsule, name)) for name in Plant._fields if name not in derived}
         return Plant(**own, **derived)

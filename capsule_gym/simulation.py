@@ -296,7 +296,7 @@ class Simulation:
         acting = self.controller or NO_CONTROLLER
         self.reference, self.memory = acting.reference, acting.memory
         plant = self.capsule.plant()
-        self._kernel = kernels.build_advance(plant.pivot_torque_on_contact, self.task)
+        self._kernel = kernels.build_advance(plant.pivot_torque_on_contact, plant.extended, self.task)
         name = f"the control law {self.controller.name!r}" if self.controller else ""
         # Kept, since the step calls it by its address.
         task_size = self.task.rows if acting.task else 0

@@ -123,6 +123,8 @@ def subjects() -> Iterator[Subject]:
     capsule = Capsule(static_ratio=1.4, backward_ratio=1.3)
     yield Subject("plant", {**wide, "observe_parameters": True}, random_actions(0.15))
     yield Subject("plant anisotropic", {**wide, "capsule": capsule, "initial_noise": 0.1}, random_actions(0.15))
+    rough = Capsule(static_ratio=1.3, stribeck_speed=0.1, viscous=0.2, slope=-0.02, motor_friction=0.1)
+    yield Subject("plant beyond Coulomb", {**wide, "capsule": rough, "initial_noise": 0.1}, random_actions(0.15))
     for name in baselines.__all__:
         yield Subject(f"law {name}", {"controller": f"baselines:{name}"}, random_actions(0.05))
     # Its bits differ from those of the law without a filter where the platform is light.

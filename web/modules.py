@@ -93,7 +93,8 @@ def call_linked_law(block: Any, n: int, fixed: Any, cycle: int, torque_limit: fl
 def step_entry() -> Entry:
     """`advance`, which takes an environment a step further or begins its episode; its law is linked to it."""
     step = inlined(rebound(kernels.step, {"call_law": call_linked_law}))
-    bindings = {"step": step, "PIVOT_TORQUE_ON_CONTACT": NOMINAL.plant().pivot_torque_on_contact}
+    plant = NOMINAL.plant()
+    bindings = {"step": step, "PIVOT_TORQUE_ON_CONTACT": plant.pivot_torque_on_contact, "EXTENDED": plant.extended}
     compiled = jitable(rebound(kernels.advance, bindings))
     to_int = types.int32
 

@@ -61,7 +61,7 @@ compiled_rates = njit(reference.rates)
 def losses(state: tuple, slip: float, u: float, p: Plant) -> tuple[float, float, float]:
     """Power of the damper, power of friction and friction force, from the independently typed equations."""
     theta, theta_dot, _, x_dot = state
-    alpha, _, normal = compiled_rates(theta, theta_dot, slip, u, p)
+    alpha, _, normal = compiled_rates(theta, theta_dot, x_dot, slip, u, p)
     if slip == 0.0:
         # At rest friction is what holds the platform: row two of Eq. (1) with x'' = 0.
         force = p.m * p.l * (math.cos(theta) * alpha - math.sin(theta) * theta_dot**2)
@@ -147,7 +147,7 @@ def test_accelerations_satisfy_both_rows_of_equation_1():
         M, m, l, g = capsule.M, capsule.m, capsule.l, capsule.g
         theta, theta_dot, u = rng.uniform(-3, 3), rng.uniform(-12, 12), rng.uniform(-2, 2)
         slip = float(rng.integers(-1, 2))
-        a, b, N = dynamics.accelerations(theta, theta_dot, slip, u, capsule.plant())
+        a, b, N = dynamics.accelerations(theta, theta_dot, 0.0, slip, u, capsule.plant())
         pivot = capsule.k * theta + capsule.c * theta_dot
         newton = (M + m) * g - m * l * (a * np.sin(theta) + theta_dot**2 * np.cos(theta))
         expected = newton - pivot * np.sin(theta) if capsule.normal_force == "paper" else newton
@@ -230,6 +230,7 @@ def test_a_load_below_the_threshold_never_moves_the_platform(ratio, mu):
 # Against the reference
 
 
+ALL = {"static_ratio": 1.3, "stribeck_speed": 0.1, "viscous": 0.2, "slope": -0.02, "motor_friction": 0.1}
 AGREEMENT = [
     *((mu, f"random {amplitude}", random_torque(amplitude, 10 + seed), {})
       for mu in (0.01, 0.3) for seed, amplitude in enumerate((0.2, 0.8))),
@@ -239,6 +240,9 @@ AGREEMENT = [
     (0.1, "both", periodic_torque(), {"static_ratio": 1.2, "backward_ratio": 0.5}),
     (0.1, "paper", random_torque(0.7, 22), {"normal_force": "paper"}),
     (0.0, "frictionless", random_torque(0.5, 23), {}),
+    (0.1, "slope", random_torque(0.7, 24), {"slope": 0.03, "motor_friction": 0.05}),
+    (0.1, "Stribeck", random_torque(0.7, 25), {"static_ratio": 1.5, "stribeck_speed": 0.05, "viscous": 0.4}),
+    (0.3, "all", periodic_torque(), ALL),
 ]  # fmt: skip
 
 
@@ -265,8 +269,8 @@ def test_agreement_with_the_reference_after_ten_seconds(mu, name, torques, optio
 def test_fourth_order_through_dozens_of_events():
     hold = 0.024
     orders = []
-    for mu, amplitude in ((0.01, 0.3), (0.03, 0.8), (0.1, 0.6), (0.3, 1.0)):
-        capsule = Capsule(mu=mu)
+    for mu, amplitude, others in ((0.01, 0.3, {}), (0.03, 0.8, {}), (0.1, 0.6, {}), (0.3, 1.0, {}), (0.1, 0.8, ALL)):
+        capsule = Capsule(mu=mu, **others)
         for seed in range(1):
             torques = random_torque(amplitude, 30 + seed, hold=hold, seconds=9.6)
             expected = reference.simulate(torques, START, capsule.plant(), hold=hold)
@@ -316,7 +320,7 @@ def test_a_step_reports_that_the_contact_is_lost():
         assert dynamics.step(0.0, 0.999 * upright, 0.0, x_dot, 0.0, p, 1e-4).normal_force > 0.0
         assert dynamics.step(0.0, 1.001 * upright, 0.0, x_dot, 0.0, p, 1e-4).normal_force == 0.0
     resting = dynamics.step(-0.2, 0.0, 0.0, 0.0, 0.0, p, 1e-3).normal_force
-    assert resting == pytest.approx(reference.rates(-0.2, 0.0, 0.0, 0.0, Capsule().plant())[2], rel=1e-12)
+    assert resting == pytest.approx(reference.rates(-0.2, 0.0, 0.0, 0.0, 0.0, Capsule().plant())[2], rel=1e-12)
 
 
 def test_friction_never_pushes_a_platform_that_has_lost_contact():

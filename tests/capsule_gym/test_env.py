@@ -395,9 +395,13 @@ def test_bad_actions_are_named(action):
         env.step(action)
 
 
+ROUGH = Capsule(static_ratio=1.3, stribeck_speed=0.1, viscous=0.2, slope=-0.005, motor_friction=0.1, mu=0.05)
+
+
+@pytest.mark.parametrize("capsule", [Capsule(), ROUGH], ids=["Coulomb", "rough"])
 @pytest.mark.parametrize("x_dot", [0.0, 0.4, -0.4])
-def test_an_episode_may_begin_in_stick_or_in_slip_either_way(x_dot):
-    env = CapsuleEnv(randomization="none")
+def test_an_episode_may_begin_in_stick_or_in_slip_either_way(x_dot, capsule):
+    env = CapsuleEnv(randomization="none", capsule=capsule)
     _, info = env.reset(seed=0, options={"state": [0.1, 0.0, 0.0, x_dot]})
     state, settings = info["state"].tolist(), env.simulation.settings
     _, _, _, _, info = env.step(np.array([0.2], np.float32))

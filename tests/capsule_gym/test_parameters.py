@@ -22,13 +22,14 @@ from capsule_gym.parameters import (
 from capsule_gym.simulation import Simulation
 
 POSITIVE = ("M", "m", "l", "g", "backward_ratio")
-NON_NEGATIVE = ("k", "c", "mu")
+NON_NEGATIVE = ("k", "c", "mu", "viscous", "motor_friction")
 
 
 def test_the_defaults_are_the_papers():
     own = {"M": 0.5, "m": 0.138, "l": 0.3, "g": 9.81, "k": 0.36, "c": 0.0923, "mu": 0.01}
     ratios = {"static_ratio": 1.0, "backward_ratio": 1.0, "mass_ratio": 0.138 / 0.638}
-    assert Capsule().plant() == Plant(**own, **ratios, pivot_torque_on_contact=0.0)
+    others = dict.fromkeys(Plant._fields, 0.0)
+    assert Capsule().plant() == Plant(**(others | own | ratios))
 
 
 @pytest.mark.parametrize("field", [*POSITIVE, *NON_NEGATIVE, "static_ratio"])
@@ -101,7 +102,7 @@ def eigenvalue(theta: float, slip: float, plant: Plant) -> float:
     mu = dynamics.kinetic_friction(slip, plant)
 
     def turn(theta: float, theta_dot: float, u: float) -> float:
-        return dynamics.pressed_accelerations(theta, theta_dot, slip, mu, u, plant)[0]
+        return dynamics.pressed_accelerations(theta, theta_dot, 0.0, slip, mu, u, plant)[0]
 
     free = turn(theta, 0.0, 0.0)
     u = -free / (turn(theta, 0.0, 1.0) - free)

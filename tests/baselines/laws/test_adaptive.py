@@ -117,7 +117,7 @@ def test_error_dynamics_are_those_of_the_plant(contact):
     for _ in range(200):
         (theta, theta_dot, x, x_dot), memory, reference = draw(rng)
         u = rng.uniform(-1.0, 1.0)
-        theta_ddot, x_ddot, normal = dynamics.accelerations(theta, theta_dot, math.copysign(1.0, x_dot), u, p)
+        theta_ddot, x_ddot, normal = dynamics.accelerations(theta, theta_dot, x_dot, math.copysign(1.0, x_dot), u, p)
         if normal <= 0.0:
             continue
         checked += 1

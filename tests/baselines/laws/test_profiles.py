@@ -86,4 +86,4 @@ def test_feedback_linearisation_gives_the_commanded_acceleration(theta, theta_do
     torque, _ = controller.law(theta, theta_dot, 0.0, x_dot, controller.memory, row)
     commanded = row[2] - K_v * (theta_dot - row[1]) - K_p * (theta - row[0])
     slip = dynamics.contact_phase(theta, theta_dot, x_dot, torque, p)
-    assert dynamics.accelerations(theta, theta_dot, slip, torque, p)[0] == pytest.approx(commanded, rel=1e-12)
+    assert dynamics.accelerations(theta, theta_dot, 0.0, slip, torque, p)[0] == pytest.approx(commanded, rel=1e-12)

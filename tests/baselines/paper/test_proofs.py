@@ -31,7 +31,7 @@ def test_torque_of_proof_1_does_not_accelerate_the_pendulum(option, slip):
     p = Capsule(normal_force=option).plant()
     for theta in np.linspace(-1.0, 1.2, 7):
         torque = proofs.torque_without_acceleration(np.array([theta]), 7.8, slip, p)[0]
-        assert dynamics.accelerations(theta, 7.8, slip, torque, p)[0] == pytest.approx(0.0, abs=1e-9)
+        assert dynamics.accelerations(theta, 7.8, 0.0, slip, torque, p)[0] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_bound_of_proof_1_lies_below_every_sample_and_close():
