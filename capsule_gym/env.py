@@ -23,7 +23,7 @@ _STATE, _X_DOT, _REWARD, _TERMINATION = slice(Row.theta, Row.M), Row.x_dot, Row.
 _M, _MU, _TORQUE, _LAW_TORQUE, _NORMAL_FORCE, _ENERGY, _PROGRESS, _ENERGY_COST, _FAILURE = Row[Row.M : Row.reward]
 _FIRST = np.zeros(1, np.int64)
 # What a copy of an environment does not take over.
-_VIEWS = ("_rows", "_observation", "_step", "_renderer")
+_VIEWS = ("_rows", "_memory", "_observation", "_step", "_renderer")
 
 
 class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
@@ -176,7 +176,9 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     def _bind(self) -> None:
         """Makes views of the only environment: finding them takes a good part of a step."""
         self._rows = self.simulation.world[0, : Row.steps, 0]
-        self._memory = self.simulation.world[0, self.simulation.task_row :, 0]
+        # Of another task than speed, what `info` shows besides.
+        memory = self.simulation.world[0, self.simulation.task_row :, 0]
+        self._memory = None if self.simulation.task is SPEED else memory
         self._observation = self.simulation.observations[0]
         self._step = self.simulation.step_one
         self._renderer: Renderer | None = None
@@ -217,7 +219,10 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         self._running = True
         if self.render_mode == "human":
             self.render()
-        return self._observation.copy(), self._describe(self._rows.copy(), 0.0)
+        info = describe(self._rows.copy(), _CODES[0.0])
+        if self._memory is not None:
+            add_task(info, self.simulation.task, self._memory)
+        return self._observation.copy(), info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
         """One agent step: `capsule_gym.kernels.step`, compiled with the control law.
@@ -245,12 +250,10 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         self._running = ended == 0.0
         if self.render_mode == "human":
             self.render()
-        return self._observation.copy(), rows.item(_REWARD), not self._running, False, self._describe(rows, ended)
-
-    def _describe(self, rows: np.ndarray, ended: float) -> dict[str, Any]:
-        """The info of a reset or a step."""
-        info, own = describe(rows, _CODES[ended]), self.simulation.task
-        return info if own is SPEED else add_task(info, own, self._memory.copy())
+        info = describe(rows, _CODES[ended])
+        if self._memory is not None:
+            add_task(info, self.simulation.task, self._memory)
+        return self._observation.copy(), rows.item(_REWARD), not self._running, False, info
 
     def episode_metrics(self, horizon: int | None = None) -> dict[str, float]:
         """The metrics of the episode so far; `capsule_gym.task.Metrics` and the task's module say what each means.
@@ -322,8 +325,8 @@ def describe(rows: np.ndarray, termination: Any) -> dict[str, Any]:
     }
 
 
-def add_task(info: dict[str, Any], own: task.Task, memory: np.ndarray) -> dict[str, Any]:
-    """Makes the info that of another task.
+def add_task(info: dict[str, Any], own: task.Task, memory: np.ndarray) -> None:
+    """Makes the info that of another task than speed.
 
     Args:
         info: from `describe`; changed.
@@ -331,8 +334,8 @@ def add_task(info: dict[str, Any], own: task.Task, memory: np.ndarray) -> dict[s
         memory: its memory, of one environment, shape (n,), or of a batch, shape (n, num_envs).
     """
     info[own.term] = info.pop("reward_progress")
-    info.update((name, memory[place]) for name, place in own.places)
-    return info
+    for name, place in own.places:
+        info[name] = memory[place]
 
 
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:

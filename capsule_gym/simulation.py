@@ -314,6 +314,7 @@ class Simulation:
         self._draw = partial(draw, ranges, self.options.initial_noise)
         self._renew = partial(renew, blocks, np.array(self.memory), plant.m, plant.g)
         self.task_ranges = resets.task_ranges(self.task.draws)
+        self._draws = len(self.task_ranges) > 0
 
     def row(self, row: int) -> np.ndarray:
         """A copy of one quantity of every environment, shape (num_envs,)."""
@@ -382,13 +383,13 @@ class Simulation:
             starts[Row.M], starts[Row.mu] = masses, frictions
         if state is not None:
             starts[: Row.M] = self._check_state(state, len(rows)).T
-        drawn = self._draw_task(rows, task_options)
+        drawn = self._draw_task(rows, task_options) if self._draws else None
 
         # Nothing above has touched the environments: a refused reset leaves them as they were.
         if self._changes or schedules:
             self._plan(rows, schedules)
         self._renew(rows, starts, self._episodes)
-        if len(drawn):
+        if drawn is not None:
             self.world[rows // LANES, -len(drawn) :, rows % LANES] = drawn.T
         self._everyone = False
         self._run(begin=True)
@@ -488,8 +489,6 @@ class Simulation:
     def _draw_task(self, rows: np.ndarray, given: dict[str, Sequence[Any]]) -> np.ndarray:
         """What the episodes of some environments are given, or else draw, for the task; shape (draws, n)."""
         drawn = np.empty((len(self.task_ranges), len(rows)))
-        if not len(drawn):
-            return drawn
         resets.compiled_task()(self.task_ranges, rows, self._keys, self._episodes, drawn)
         first = 0
         for name, option in self.task.options.items():

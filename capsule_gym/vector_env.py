@@ -220,9 +220,9 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """The infos of the first rows of `Row`, without their masks."""
         info, simulation = describe(rows, rows[Row.termination].astype(np.int64)), self.simulation
         info["state"] = info["state"].T
-        if simulation.task is SPEED:
-            return info
-        return add_task(info, simulation.task, simulation.rows(simulation.task_row, simulation.world.shape[1]))
+        if simulation.task is not SPEED:
+            add_task(info, simulation.task, simulation.rows(simulation.task_row, simulation.world.shape[1]))
+        return info
 
     def _begin_next(self, info: dict[str, Any], ended: np.ndarray) -> None:
         """Begins the next episodes, and moves to the info's `final_..` how the last ones have ended."""
