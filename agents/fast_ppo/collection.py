@@ -92,7 +92,7 @@ def collect(
     header = record(network, 0, Header)
     weighted = header.observes_energy_weight
     # Only fields of the plant that do not depend on the law are read here.
-    plant, settings = layout.unpack(fixed, 0.0)
+    plant, settings = layout.unpack(fixed, 0.0, 0.0)
     row, starts = np.empty(1, np.int64), np.empty((layout.Row.torque, 1))
     task_draws = np.empty((len(task_ranges), 1))
     cuts = endings = 0
