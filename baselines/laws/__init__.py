@@ -34,6 +34,12 @@ LAWS = {
     "gait_identifying": Law(
         "gait", "gait-identifying", "gait-guarded, whose guard identifies how light the platform is"
     ),
+    "gait_predictive": Law(
+        "predictive", "gait-predictive", "gait-guarded on a state that an observer and a predictor of the latency give"
+    ),
+    "adaptive_predictive": Law(
+        "predictive", "adaptive-predictive", "adaptive on a state that an observer and a predictor of the latency give"
+    ),
 }
 # Those that act in one of the other tasks alone.
 TASK_LAWS = {
