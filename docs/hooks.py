@@ -74,9 +74,9 @@ def _watched(page: Any, table: str) -> str:
 
 
 def _watched_row(page: Any, row: str, column: int) -> str:
-    """A row of a ranking, whose first cell gets the link: to the first plant of the paper's ranges."""
+    """A row of a ranking, whose first cell gets the link, to the first plant of the paper's ranges, if it is shown."""
     cells = CELL.findall(row)
-    if not cells:
+    if not cells or cells[column] not in drivers():
         return row
     words = f"Watch {cells[column]}"
     rival = {} if cells[column] == BASELINE else {"rival": BASELINE}
