@@ -31,15 +31,13 @@ from capsule_gym.compilation import inlined
 from capsule_gym.elementary import clip, exp, tanh
 from capsule_gym.parameters import check_number
 from capsule_gym.task import LARGEST_STATE, TASKS, Draw, Option, Task
-from capsule_gym.tasks import ROUGH, STICKY
+from capsule_gym.tasks import DEFAULTS, ROUNDING
 
 # The displacements that are drawn, and the error that is observed, m.
 NEAREST, FARTHEST = 0.05, 0.5
 ERROR_BOUND = 1.0
 # How near the goal the platform has to rest, m, and for how long, s.
 TOLERANCE, HOLD = 0.002, 1.0
-# Times are sums of the agent's steps, s.
-ROUNDING = 1e-9
 # What the package's exponential can take.
 LARGEST_EXPONENT = 700.0
 
@@ -123,5 +121,5 @@ TASK = Task(
     shown=("goal", "error", "held"),
     options={"goal": Option((Draw(NEAREST, FARTHEST, signed=True),), parse_goal)},
     metrics=metrics,
-    defaults={"capsule": STICKY, "randomization": ROUGH, "energy_weight": 0.0, "termination_penalty": 3.0},
+    defaults=DEFAULTS,
 )

@@ -33,7 +33,7 @@ from capsule_gym.compilation import inlined
 from capsule_gym.elementary import clip, exp, tanh
 from capsule_gym.parameters import check_number, written
 from capsule_gym.task import TASKS, Draw, Option, Task
-from capsule_gym.tasks import ROUGH, STICKY
+from capsule_gym.tasks import DEFAULTS, ROUNDING
 
 # Commands of an episode, the largest that is drawn and that may be set, m/s, and how long one lasts, s.
 COMMANDS = 8
@@ -46,8 +46,6 @@ FILTER, SPEED_BOUND = 0.25, 2.0
 SETTLING, MEASURED = 1.5, 1.0
 # Within this of the target a command is settled, m.
 SETTLED = 0.02
-# Times are sums of the agent's steps, s.
-ROUNDING = 1e-9
 FOREVER = (math.inf,)
 
 
@@ -207,5 +205,5 @@ TASK = Task(
     shown=("command", "target", "error"),
     options={"commands": Option((Draw(-DRAWN, DRAWN),) * COMMANDS + (Draw(*LASTS),) * COMMANDS, parse_commands)},
     metrics=metrics,
-    defaults={"capsule": STICKY, "randomization": ROUGH, "energy_weight": 0.0, "termination_penalty": 3.0},
+    defaults=DEFAULTS,
 )
