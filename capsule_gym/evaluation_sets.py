@@ -8,18 +8,18 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from capsule_gym.files import canonical_hash
-from capsule_gym.parameters import NOMINAL, check_integer, check_number, nearest, written
+from capsule_gym.parameters import NOMINAL, Capsule, check_integer, check_number, nearest, written
 from capsule_gym.task import HORIZON, LARGEST_STATE, START_THETA, TASKS, THETA_LIMIT
 
 SET_NAMES = ("nominal", "paper", "wide", "extrapolation", "drift")
-# Of the other tasks, one each, with the task's name.
-TASK_SET_NAMES = ("goal", "velocity")
+# Of the other tasks.
+TASK_SET_NAMES = ("goal", "goal-paper", "velocity")
 # The options of an episode of a set; they override those of a policy's training.
 EPISODE_SETTINGS: dict[str, Any] = {"randomization": "none", "initial_noise": 0.0}
 # A wheel carries their files in the package; in a checkout they lie with the evaluation.
@@ -71,11 +71,13 @@ class EvaluationSet:
         name: as it appears in results.
         plants: the episodes, at least one.
         task: name of the task.
+        capsule: the constants that its plants share; None takes the task's, and without any the policy's own.
     """
 
     name: str
     plants: tuple[PlantSpec, ...]
     task: str = "speed"
+    capsule: Capsule | None = None
 
     @cached_property
     def hash(self) -> str:
@@ -84,19 +86,23 @@ class EvaluationSet:
 
     def to_dict(self) -> dict[str, Any]:
         """The content of the set's file."""
-        return {"name": self.name, **self._own_task, "plants": [plant.to_dict() for plant in self.plants]}
+        return {"name": self.name, **self._options, "plants": [plant.to_dict() for plant in self.plants]}
 
     def to_json(self) -> str:
         """The text of the set's file: one plant a line."""
         plants = ",\n".join("  " + json.dumps(plant.to_dict()) for plant in self.plants)
-        named = {"name": self.name, **self._own_task}
+        named = {"name": self.name, **self._options}
         head = "".join(f' "{key}": {json.dumps(value)},\n' for key, value in named.items())
         return f'{{\n{head} "plants": [\n{plants}\n ]\n}}\n'
 
     @property
-    def _own_task(self) -> dict[str, str]:
-        """The task, where it is another than speed: the hashes of older sets do not hold it."""
-        return {} if self.task == "speed" else {"task": self.task}
+    def _options(self) -> dict[str, Any]:
+        """The fields that older sets, and their hashes, do not hold: the task other than speed, and the capsule."""
+        found: dict[str, Any] = {} if self.task == "speed" else {"task": self.task}
+        if self.capsule is not None:
+            nominal = asdict(NOMINAL)
+            found["capsule"] = {name: value for name, value in asdict(self.capsule).items() if value != nominal[name]}
+        return found
 
 
 def _fields(where: str, value: Any, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Any]:
@@ -140,26 +146,31 @@ def parse_set(content: Any) -> EvaluationSet:
     Args:
         content: `{"name": .., "plants": [{"M": .., "mu": .., "seed": .., "theta": .., "changes": [{"t": .., "M": ..,
             "mu": ..}]}]}` with M in kg, theta in rad and t in s; `theta` and `changes` may be left out. A set may have
-            a "task", and the plants of the task "goal" a "goal" in m, all or none.
+            a "task" and a "capsule" (`{"static_ratio": 1.3}`; what is left out is the paper's), and the plants of the
+            task "goal" a "goal" in m, all or none.
 
     Raises:
         TypeError: if a number is of the wrong type.
         ValueError: if anything else is malformed; the message names the field, its value and what is accepted.
     """
-    entry = _fields("set", content, ("name", "plants"), ("task",))
+    entry = _fields("set", content, ("name", "plants"), ("task", "capsule"))
     task = entry.get("task", "speed")
     if not isinstance(task, str) or task not in TASKS:
         raise ValueError(f"set.task must be one of {sorted(TASKS)}, got {written(task)}")
     name = entry["name"]
     if not isinstance(name, str) or not name.strip():
         raise ValueError(f"set.name must be a string that is not empty, got {name!r}")
+    capsule = entry.get("capsule")
+    if capsule is not None:
+        constants = [each.name for each in fields(Capsule)]
+        capsule = Capsule(**_fields("set.capsule", capsule, (), constants))
     plants = entry["plants"]
     if not isinstance(plants, list) or not plants:
         raise ValueError(f"set.plants must be a list of at least one plant, got {plants!r}")
     parsed = tuple(_parse_plant(f"set.plants[{i}]", plant, task) for i, plant in enumerate(plants))
     if len({plant.goal is None for plant in parsed}) > 1:
         raise ValueError("set.plants must have a goal each, or none must have one")
-    return EvaluationSet(name, parsed, task)
+    return EvaluationSet(name, parsed, task, capsule)
 
 
 def load_set(name_or_path: str | Path) -> EvaluationSet:

@@ -122,6 +122,8 @@ def evaluate(
     policy = wrap_policy(policy, env_kwargs=env_kwargs)
     settings: dict[str, Any] = {**policy.env_kwargs, **EPISODE_SETTINGS}
     settings["task"] = task = check_task(Candidate(policy.name, (policy,), ""), chosen)
+    if (capsule := chosen.capsule or find_task(task).defaults.get("capsule")) is not None:
+        settings["capsule"] = capsule
     seconds = find_task(task).episode_steps * CONTROL_DT if horizon is None else horizon
     metrics = _run(policy, settings, chosen, round(seconds / settings.get("control_dt", CONTROL_DT)), action_noise)
     limited = task == "speed" and settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT

@@ -10,6 +10,7 @@
 | `extrapolation` | 100 | outside `wide` in M, in mu or in both |
 | `drift` | 100 | drawn three times as in `wide` |
 | `goal` | 1000 | of the task `goal`: M and mu as the task draws them, and the goal |
+| `goal-paper` | 1000 | of the task `goal` on the paper's floor: M and mu as in `paper`, static friction as kinetic |
 | `velocity` | 1000 | of the task `velocity`: M and mu as the task draws them; commands from the plant's seed |
 
 `nominal` starts at rest as all do, but within 0.1 rad of the angle that the others start from (uniform, to a
@@ -62,7 +63,7 @@ LIGHTER, HEAVIER = (0.25, _WIDE.M[0]), (_WIDE.M[1], 1.2)
 SMOOTHER, ROUGHER = (0.002, _WIDE.mu[0]), (_WIDE.mu[1], 0.6)
 # Of the sets' own random streams. Frozen: a different set needs a different name.
 SEEDS = {"nominal": 20180, "paper": 20181, "wide": 20182, "extrapolation": 20183, "drift": 20184}
-TASK_SEEDS = {"goal": 20190, "velocity": 20191}
+TASK_SEEDS = {"goal": 20190, "velocity": 20191, "goal-paper": 20192}
 CHANGE_WINDOWS = ((HORIZON / 6.0, HORIZON / 3.0), (HORIZON * 2.0 / 3.0, HORIZON * 5.0 / 6.0))
 
 
@@ -118,17 +119,18 @@ def draw_set(name: str) -> EvaluationSet:
 
 def _draw_task_set(name: str) -> EvaluationSet:
     """The frozen set of another task than speed."""
-    task, rng = find_task(name), np.random.default_rng(TASK_SEEDS[name])
+    task_name, _, floor = name.partition("-")
+    task, rng = find_task(task_name), np.random.default_rng(TASK_SEEDS[name])
     plants = []
     for seed in range(TASK_EPISODES):
-        M, mu = _sample(rng, task.defaults["randomization"])
+        M, mu = _sample(rng, floor or task.defaults["randomization"])
         goal = None
-        if name == "goal":
+        if task_name == "goal":
             (draw,) = task.draws
             distance = round(_uniform(rng, draw.low, draw.high), 4)
             goal = distance if rng.random() < 0.5 else -distance
         plants.append(PlantSpec(M, mu, seed, goal=goal))
-    return EvaluationSet(name, tuple(plants), name)
+    return EvaluationSet(name, tuple(plants), task_name, NOMINAL if floor else None)
 
 
 def validation_set(randomization: str, name: str, first_seed: int, count: int) -> EvaluationSet:

@@ -31,8 +31,8 @@ def change(*changes):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ([], r"set must be an object with the fields name, plants and optionally task, got \[\]"),
-        ({"name": "x"}, r"fields name, plants and optionally task, got {'name': 'x'}"),
+        ([], r"set must be an object with the fields name, plants and optionally task, capsule, got \[\]"),
+        ({"name": "x"}, r"fields name, plants and optionally task, capsule, got {'name': 'x'}"),
         ({"name": "", "plants": []}, "set.name must be a string that is not empty, got ''"),
         ({"name": "x", "plants": []}, r"at least one plant, got \[\]"),
         (plant(M="heavy"), r"set.plants\[0\]: M must be a finite number from 1e-12 to 1e\+12, got 'heavy'"),
@@ -51,6 +51,8 @@ def change(*changes):
             {"name": "x", "task": "goal", "plants": [*plant()["plants"], *plant(goal=0.1)["plants"]]},
             "set.plants must have a goal each, or none must have one",
         ),
+        ({**plant(), "capsule": {"weight": 1.0}}, "set.capsule must be an object with the fields .*mu.*, got .*weight"),
+        ({**plant(), "capsule": {"static_ratio": 0.5}}, "Capsule.static_ratio must be a finite number from 1 to"),
         (plant(changes=3), r"set.plants\[0\].changes must be a list"),
         (change((33.0, 0.5, 0.01)), r"changes\[0\].t must be a number of seconds within \(0, 33\).*got 33.0"),
         (change((5.0, 0.5, 0.01), (5.0, 0.5, 0.01)), r"changes\[1\].t .*later than the change before, got 5.0"),

@@ -6,7 +6,7 @@ import pytest
 from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TableMetric, evaluate, failures, summarise
 from agents.evaluation.statistics import estimate
 from baselines.dynamic_programming.archive import optimal_speed
-from capsule_gym import CapsuleVectorEnv
+from capsule_gym import Capsule, CapsuleVectorEnv
 from capsule_gym.evaluation_sets import parse_set
 from capsule_gym.task import METRICS
 from tests.agents.fakes import PLANTS, Sine, make_policy, write_run
@@ -137,3 +137,16 @@ def test_noise_on_the_actions_is_the_same_every_time():
     # A trained policy is then called at every step.
     policy = make_policy()
     assert evaluate(policy, TINY, horizon=0.5, action_noise=1e-3) != evaluate(policy, TINY, horizon=0.5)
+
+
+def test_a_set_says_which_capsule_its_episodes_have():
+    content = {"name": "x", "task": "goal", "plants": [{"M": 0.5, "mu": 0.2, "seed": 0, "goal": 0.3}]}
+    capsules = {"task": None, "nominal": Capsule(), "sticky": Capsule(static_ratio=1.3)}
+    kwargs = {name: {"task": "goal"} | ({"capsule": capsule} if capsule else {}) for name, capsule in capsules.items()}
+    found = [
+        [evaluate(Sine(0.6, env_kwargs=own), parse_set(chosen), horizon=2.0) for own in kwargs.values()]
+        for chosen in (content, {**content, "capsule": {"static_ratio": 1.3}}, {**content, "capsule": {}})
+    ]
+    of_task, sticky, nominal = (each[0] for each in found)
+    assert all(each == first for first, *others in found for each in others)
+    assert of_task == sticky and 0.0 < nominal[0]["stuck_fraction"] < sticky[0]["stuck_fraction"]
