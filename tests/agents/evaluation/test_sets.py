@@ -12,6 +12,7 @@ HASHES = {
     "extrapolation": "37f72254b16c",
     "drift": "a64a8c831746",
     "goal": "fc320f20332b",
+    "goal-paper": "5e10e2b674c7",
     "velocity": "a8ff944552c4",
 }
 
