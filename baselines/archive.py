@@ -12,6 +12,8 @@ import zipfile
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +21,74 @@ import numpy as np
 
 from capsule_gym.elementary import log
 from capsule_gym.files import replacing, write_atomically
+from capsule_gym.parameters import NOMINAL, Capsule
 
-GRID_M = (0.35, 0.5, 0.75, 1.0)
-GRID_MU = (0.005, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5)
-LOG_MU = tuple(log(mu) for mu in GRID_MU)
-PLANTS = tuple((M, mu) for M in GRID_M for mu in GRID_MU)
+
+@dataclass(frozen=True)
+class PlantGrid:
+    """A grid of plants, between which solutions are interpolated linearly in M and log(mu).
+
+    Attributes:
+        M: masses of the platform, kg, in ascending order.
+        mu: friction coefficients, in ascending order.
+        static_ratio: static over kinetic friction coefficient of all plants.
+    """
+
+    M: tuple[float, ...]
+    mu: tuple[float, ...]
+    static_ratio: float = NOMINAL.static_ratio
+
+    @property
+    def capsule(self) -> Capsule:
+        """The constants that the plants share."""
+        return Capsule(static_ratio=self.static_ratio)
+
+    @cached_property
+    def log_mu(self) -> tuple[float, ...]:
+        """The logarithms of mu."""
+        return tuple(log(mu) for mu in self.mu)
+
+    @property
+    def plants(self) -> tuple[tuple[float, float], ...]:
+        """M and mu of all plants."""
+        return tuple((M, mu) for M in self.M for mu in self.mu)
+
+    def __contains__(self, plant: tuple[float, float]) -> bool:
+        """Whether a plant, M in kg and mu, lies within the grid."""
+        M, mu = plant
+        return self.M[0] <= M <= self.M[-1] and self.mu[0] <= mu <= self.mu[-1]
+
+    def cell(self, M: float, mu: float) -> tuple[list[int], float, float]:
+        """The cell that contains a plant, or the nearest one.
+
+        Args:
+            M: mass of the platform, kg.
+            mu: friction coefficient.
+
+        Returns:
+            Its four corners as indices of `plants`, and the position in it along M and along log(mu), each from 0 to 1.
+        """
+
+        def along(value: float, nodes: Sequence[float]) -> tuple[int, float]:
+            cell = min(max(bisect_right(nodes, value), 1), len(nodes) - 1) - 1
+            return cell, min(max((value - nodes[cell]) / (nodes[cell + 1] - nodes[cell]), 0.0), 1.0)
+
+        row, along_M = along(M, self.M)
+        column, along_mu = along(log(max(mu, self.mu[0])), self.log_mu)
+        corners = [i * len(self.mu) + j for i in (row, row + 1) for j in (column, column + 1)]
+        return corners, along_M, along_mu
+
+
+GRID = PlantGrid((0.35, 0.5, 0.75, 1.0), (0.005, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5))
+# Of the frozen set `sticky`.
+STICKY_GRID = PlantGrid((0.35, 0.5, 0.75), (0.2, 0.3, 0.45, 0.6), static_ratio=1.3)
+PLANTS = GRID.plants
 ARCHIVE, ARRAYS = "archive.json", "arrays.npz"
+
+
+def find_grid(capsule: Capsule) -> PlantGrid | None:
+    """The grid whose plants share the constants of a capsule other than M and mu; None where there is none."""
+    return next((grid for grid in (GRID, STICKY_GRID) if grid.capsule == capsule), None)
 
 
 @contextmanager
@@ -97,29 +161,3 @@ def run_search(steps: Iterable[object], save: Callable[[], None]) -> bool:
         print("\ninterrupted: results so far are kept", flush=True)
         return True
     return False
-
-
-def in_grid(M: float, mu: float) -> bool:
-    """Whether a plant lies within the grid."""
-    return GRID_M[0] <= M <= GRID_M[-1] and GRID_MU[0] <= mu <= GRID_MU[-1]
-
-
-def grid_cell(M: float, mu: float) -> tuple[list[int], float, float]:
-    """The cell of the grid that contains a plant, or the nearest one.
-
-    Args:
-        M: mass of the platform, kg.
-        mu: friction coefficient.
-
-    Returns:
-        Its four corners as indices of `PLANTS`, and the position in it along M and along log(mu), each from 0 to 1.
-    """
-
-    def along(value: float, nodes: Sequence[float]) -> tuple[int, float]:
-        cell = min(max(bisect_right(nodes, value), 1), len(nodes) - 1) - 1
-        return cell, min(max((value - nodes[cell]) / (nodes[cell + 1] - nodes[cell]), 0.0), 1.0)
-
-    row, along_M = along(M, GRID_M)
-    column, along_mu = along(log(max(mu, GRID_MU[0])), LOG_MU)
-    corners = [i * len(GRID_MU) + j for i in (row, row + 1) for j in (column, column + 1)]
-    return corners, along_M, along_mu

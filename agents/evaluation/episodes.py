@@ -19,7 +19,7 @@ from agents.evaluation.statistics import estimate
 from baselines.policies import ScriptedPolicy
 from capsule_gym import __version__
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, EvaluationSet, load_set
-from capsule_gym.parameters import find_task
+from capsule_gym.parameters import NOMINAL, find_task
 from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
 
 Episode = dict[str, Any]
@@ -120,10 +120,9 @@ def evaluate(
         options: dict[str, Any] = {"horizon": horizon, "action_noise": action_noise}
         return [episode for each in policy.policies for episode in evaluate(each, chosen, **options)]
     policy = wrap_policy(policy, env_kwargs=env_kwargs)
-    settings: dict[str, Any] = {**policy.env_kwargs, **EPISODE_SETTINGS}
-    settings["task"] = task = check_task(Candidate(policy.name, (policy,), ""), chosen)
-    if (capsule := chosen.capsule or find_task(task).defaults.get("capsule")) is not None:
-        settings["capsule"] = capsule
+    task = check_task(Candidate(policy.name, (policy,), ""), chosen)
+    capsule = chosen.capsule or find_task(task).defaults.get("capsule")
+    settings: dict[str, Any] = {**policy.env_kwargs, "task": task, "capsule": capsule, **EPISODE_SETTINGS}
     seconds = find_task(task).episode_steps * CONTROL_DT if horizon is None else horizon
     metrics = _run(policy, settings, chosen, round(seconds / settings.get("control_dt", CONTROL_DT)), action_noise)
     limited = task == "speed" and settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
@@ -164,18 +163,18 @@ def as_episodes(
         shared: whether the policy acts under the optimum's torque limit, so that its share of the optimum is defined.
     """
     # Imported here, as in other functions: it imports numba, which takes most of a second.
-    from baselines.archive import in_grid
+    from baselines.archive import find_grid
     from baselines.dynamic_programming.archive import optimal_speed
 
-    # The table of optima covers one start, its grid, and no changes of the plant.
-    plants = evaluation_set.plants
-    shared &= all(each.theta == START_THETA and not each.changes and in_grid(each.M, each.mu) for each in plants)
+    # The tables of optima cover one start, their grids, and no changes of the plant.
+    plants, grid = evaluation_set.plants, find_grid(evaluation_set.capsule or NOMINAL)
+    covered = grid and all(p.theta == START_THETA and not p.changes and (p.M, p.mu) in grid for p in plants)
     label = {} if training_seed is None else {"training_seed": training_seed}
     episodes = []
     for i, plant in enumerate(plants):
         values = {name: float(column[i]) for name, column in metrics.items()}
-        if shared:
-            values[SHARE_OF_OPTIMUM.name] = values["mean_speed"] / optimal_speed(plant.M, plant.mu)
+        if grid and covered and shared:
+            values[SHARE_OF_OPTIMUM.name] = values["mean_speed"] / optimal_speed(plant.M, plant.mu, grid)
         fields = plant.to_dict()
         if not plant.changes:
             del fields["changes"]

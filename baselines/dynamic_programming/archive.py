@@ -14,10 +14,10 @@ from time import perf_counter
 
 import numpy as np
 
-from baselines.archive import GRID_M, GRID_MU, PLANTS, grid_cell, in_grid, reading, write_archive
+from baselines.archive import GRID, PlantGrid, reading, write_archive
 from baselines.dynamic_programming import FOLDER
 from baselines.dynamic_programming.grid import Grid
-from baselines.dynamic_programming.problem import ACTIONS, ENERGY_WEIGHTS, Problem, Trajectory, repeat
+from baselines.dynamic_programming.problem import ACTIONS, ENERGY_WEIGHTS, Problem, Trajectory, plant_problems, repeat
 from baselines.dynamic_programming.solver import GRIDS, Solution, solve_on_grids
 from capsule_gym.parameters import DIRECT_PHYSICS_DT
 from capsule_gym.task import CONTROL_DT, TORQUE_LIMIT
@@ -101,7 +101,7 @@ class Archive:
         self.arrays[f"{key} numbers"] = np.array(numbers)
 
     def solution(self, problem: Problem) -> Solution:
-        """The stored values of a problem: there are some for every plant of the grid and for the margin."""
+        """The stored values of a problem: there are some for every plant of the grids and for the margin."""
         steps, numbers = (self.arrays[f"{problem.key} {kind}"] for kind in ("differences", "numbers"))
         low, step, *limits, curvature, gain = numbers.tolist()
         for axis in range(steps.ndim):
@@ -124,7 +124,9 @@ class Archive:
 
     def save(self, folder: Path = FOLDER) -> None:
         """Writes the archive."""
-        results = sorted(self.results.values(), key=lambda r: (r.margin, r.control_dt, r.energy_weight, r.M, r.mu))
+        results = sorted(
+            self.results.values(), key=lambda r: (r.static_ratio, r.margin, r.control_dt, r.energy_weight, r.M, r.mu)
+        )
         write_archive(folder, {"results": [asdict(result) for result in results]}, self.arrays)
 
 
@@ -153,7 +155,7 @@ def known_results() -> Archive:
     return load_archive()
 
 
-def optimal_speed(M: float, mu: float) -> float:
+def optimal_speed(M: float, mu: float, grid: PlantGrid = GRID) -> float:
     """The mean speed of dynamic programming from rest over 33 s, torque within 1.5 N m every 20 ms, in cm/s.
 
     Linear in M and in log(mu) between the plants of the grid, which can be off by some percent. At the plants it is the
@@ -162,18 +164,19 @@ def optimal_speed(M: float, mu: float) -> float:
     Args:
         M: mass of the platform, kg.
         mu: friction coefficient.
+        grid: with the plant's ratio of static to kinetic friction.
 
     Raises:
         ValueError: if the plant lies outside the grid.
     """
-    if not in_grid(M, mu):
+    if (M, mu) not in grid:
         raise ValueError(
-            f"M must be in [{GRID_M[0]}, {GRID_M[-1]}] kg and mu in [{GRID_MU[0]}, {GRID_MU[-1]}], "
+            f"M must be in [{grid.M[0]}, {grid.M[-1]}] kg and mu in [{grid.mu[0]}, {grid.mu[-1]}], "
             f"got M={M!r}, mu={mu!r}"
         )
-    corners, along_M, along_mu = grid_cell(M, mu)
-    results = known_results().results
-    a, b, c, d = (results[Problem(M=PLANTS[i][0], mu=PLANTS[i][1]).key].mean_speed for i in corners)
+    corners, along_M, along_mu = grid.cell(M, mu)
+    results, problems = known_results().results, plant_problems(grid)
+    a, b, c, d = (results[problems[i].key].mean_speed for i in corners)
     below, above = a + along_mu * (b - a), c + along_mu * (d - c)
     return below + along_M * (above - below)
 

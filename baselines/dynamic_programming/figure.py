@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
-from baselines.archive import GRID_M, GRID_MU
+from baselines.archive import GRID, STICKY_GRID
 from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, add_note, new_figure
 from baselines.dynamic_programming.archive import Archive, Result, cycle, known_results
-from baselines.dynamic_programming.problem import ACTIONS, CONTROL_INTERVALS, ENERGY_WEIGHTS, Problem, Transitions
+from baselines.dynamic_programming.problem import (
+    ACTIONS,
+    CONTROL_INTERVALS,
+    ENERGY_WEIGHTS,
+    Problem,
+    Transitions,
+    plant_problems,
+)
 from baselines.dynamic_programming.solver import Solution
 from baselines.gaits.archive import pareto_front
 from baselines.tables import markdown_table
@@ -135,8 +143,10 @@ def report(archive: Archive) -> str:
         numbers = [f"{each.energy_weight:g}", f"{each.mean_speed:.2f}", f"{each.cost_of_transport:.2f}"]
         weights.append([*numbers, f"{min(costs):.2f}" if costs else "-"])
 
-    plants = [["M (kg) \\ mu", *(f"{mu:g}" for mu in GRID_MU)]]
-    for M in GRID_M:
-        plants.append([f"{M:g}", *(f"{results[Problem(M=M, mu=mu).key].mean_speed:.2f}" for mu in GRID_MU)])
-    parts = {"Finer grids": grids, "Control intervals": intervals, "Energy weights": weights, "Plants (cm/s)": plants}
+    parts = {"Finer grids": grids, "Control intervals": intervals, "Energy weights": weights}
+    for grid in (GRID, STICKY_GRID):
+        plants = [["M (kg) \\ mu", *(f"{mu:g}" for mu in grid.mu)]]
+        speeds = iter(f"{results[problem.key].mean_speed:.2f}" for problem in plant_problems(grid))
+        plants += [[f"{M:g}", *islice(speeds, len(grid.mu))] for M in grid.M]
+        parts[f"Plants with a static ratio of {grid.static_ratio:g} (cm/s)"] = plants
     return "\n\n".join(f"{heading}\n\n{markdown_table(rows)}" for heading, rows in parts.items())

@@ -2,7 +2,7 @@
 
 A policy tries a few dozen torques in the environment's own step, on the plant that it assumes, and takes the one with
 the largest reward plus value of the next state. The values are those of the coarse grids; between the plants of
-`baselines.archive.PLANTS` they are interpolated, linearly in M and log(mu).
+`baselines.archive.PlantGrid` they are interpolated, linearly in M and log(mu).
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from baselines.archive import PLANTS, grid_cell
+from baselines.archive import GRID, PlantGrid
 from baselines.dynamic_programming import MIN_NORMAL_FORCE
 from baselines.dynamic_programming.archive import known_results
 from baselines.dynamic_programming.grid import clamped, interpolate, locate
-from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem, Transitions
+from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem, Transitions, plant_problems
 from baselines.dynamic_programming.solver import cell_curvature
 from capsule_gym.compiler import compile_cached
 from capsule_gym.parameters import NOMINAL
@@ -84,12 +84,13 @@ class Lookahead:
     Args:
         count: environments.
         margin: normal force that a torque must leave, N.
-        problems: whose values are interpolated; with one these are taken as they are.
+        problems: whose values are interpolated, all of one static ratio; with one these are taken as they are.
     """
 
     def __init__(self, count: int, margin: float, *problems: Problem) -> None:
         self._tables = _tables(*problems)
-        self._transitions = Transitions(Problem(margin=margin), count * NUM_TORQUES)
+        assumed = Problem(margin=margin, static_ratio=problems[0].static_ratio)
+        self._transitions = Transitions(assumed, count * NUM_TORQUES)
         self._actions = np.tile(TORQUES.astype(np.float64), count)
         self._q = np.full(count, NOMINAL.m * NOMINAL.l / (NOMINAL.M + NOMINAL.m))
         self._corners, self._weights = np.zeros((count, 1), np.int64), np.ones((count, 1))
@@ -120,10 +121,12 @@ class Oracle(Lookahead):
     Args:
         count: environments.
         margin: normal force that a torque must leave, N.
+        grid: the plants whose values are interpolated, with the static ratio of those observed.
     """
 
-    def __init__(self, count: int, margin: float = MIN_NORMAL_FORCE) -> None:
-        super().__init__(count, margin, *(Problem(M=M, mu=mu) for M, mu in PLANTS))
+    def __init__(self, count: int, margin: float = MIN_NORMAL_FORCE, grid: PlantGrid = GRID) -> None:
+        super().__init__(count, margin, *plant_problems(grid))
+        self._grid = grid
         self._observed = np.zeros((count, 2), np.float32)
 
     def scores(self, observations: np.ndarray) -> np.ndarray:
@@ -135,7 +138,7 @@ class Oracle(Lookahead):
             M, mu = plants.T.astype(np.float64)
             self._transitions.set_plants(np.repeat(M, NUM_TORQUES), np.repeat(mu, NUM_TORQUES))
             self._q = NOMINAL.m * NOMINAL.l / (M + NOMINAL.m)
-            cells = [grid_cell(*plant) for plant in zip(M.tolist(), mu.tolist(), strict=True)]
+            cells = [self._grid.cell(*plant) for plant in zip(M.tolist(), mu.tolist(), strict=True)]
             self._corners, a, b = (np.array(each) for each in zip(*cells, strict=True))
             self._weights = np.stack([(1.0 - a) * (1.0 - b), (1.0 - a) * b, a * (1.0 - b), a * b], axis=1)
         return super().scores(observations)

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from baselines.archive import PLANTS
+from baselines.archive import GRID, STICKY_GRID, PlantGrid
 from capsule_gym.layout import Row
-from capsule_gym.parameters import DIRECT_PHYSICS_DT, NOMINAL, EnvConfig
+from capsule_gym.parameters import DIRECT_PHYSICS_DT, NOMINAL, Capsule, EnvConfig
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
 
@@ -38,6 +38,7 @@ class Problem:
         energy_weight: cm/J.
         control_dt: control interval, over which the torque is constant, s.
         margin: normal force that must be left, N; a smaller one counts as a failure.
+        static_ratio: static over kinetic friction coefficient.
     """
 
     M: float = NOMINAL.M
@@ -45,11 +46,14 @@ class Problem:
     energy_weight: float = 0.0
     control_dt: float = CONTROL_DT
     margin: float = 0.0
+    static_ratio: float = NOMINAL.static_ratio
 
     @property
     def key(self) -> str:
-        """The name under which the archive holds the problem; the capsule's constants are the default ones."""
-        numbers = (self.M, self.mu, self.energy_weight, self.control_dt, self.margin)
+        """The name under which the archive holds the problem; the capsule's other constants are the default ones."""
+        numbers = [self.M, self.mu, self.energy_weight, self.control_dt, self.margin]
+        # As the first archives had it.
+        numbers += [self.static_ratio] if self.static_ratio != NOMINAL.static_ratio else []
         return " ".join(f"{number:g}" for number in numbers)
 
     @cached_property
@@ -62,13 +66,20 @@ class Problem:
             energy_weight=self.energy_weight,
             termination_penalty=0.0,
             randomization="none",
+            capsule=Capsule(static_ratio=self.static_ratio),
         )
 
 
-# All that are solved: every plant of the grid, the nominal one with a margin by which the weight of the platform may be
-# smaller, with energy weights in cm/J, and with shorter control intervals.
+def plant_problems(grid: PlantGrid) -> list[Problem]:
+    """The speed problem of every plant of a grid."""
+    return [Problem(M=M, mu=mu, static_ratio=grid.static_ratio) for M, mu in grid.plants]
+
+
+# All that are solved: every plant of the grids; the nominal one with a margin by which the weight of the platform may
+# be smaller, with energy weights in cm/J, and with shorter control intervals.
 PROBLEMS = (
-    *(Problem(M=M, mu=mu) for M, mu in PLANTS),
+    *plant_problems(GRID),
+    *plant_problems(STICKY_GRID),
     Problem(margin=NOMINAL_MARGIN),
     *(Problem(energy_weight=weight) for weight in ENERGY_WEIGHTS),
     *(Problem(control_dt=control_dt) for control_dt in CONTROL_INTERVALS),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from baselines.archive import GRID_M, GRID_MU
+from baselines.archive import GRID
 from baselines.drawing import BLUE, GREEN, INK, MUTED, PURPLE, VERMILION, add_note, new_figure
 from baselines.gaits.archive import known_gaits, pareto_front
 from baselines.gaits.families import FAMILIES
@@ -35,15 +35,15 @@ def draw_gaits() -> Any:
 def _draw_speeds(axes: Any) -> None:
     """Best-known speed over mu, one colour for each M, the mark for the family."""
     table = known_gaits().fastest()
-    for M, colour in zip(GRID_M, COLOURS, strict=True):
-        gaits = [table[M, mu] for mu in GRID_MU]
-        axes.plot(GRID_MU, [gait.mean_speed for gait in gaits], color=colour, label=f"M = {M:g} kg")
+    for M, colour in zip(GRID.M, COLOURS, strict=True):
+        gaits = [table[M, mu] for mu in GRID.mu]
+        axes.plot(GRID.mu, [gait.mean_speed for gait in gaits], color=colour, label=f"M = {M:g} kg")
         for gait in gaits:
             axes.plot(gait.mu, gait.mean_speed, color=colour, marker=MARKS[gait.family], markersize=4.5)
     axes.set(xscale="log", xlabel="friction coefficient μ", ylabel="mean speed over 33 s (cm/s)")
     axes.set_title(f"Best-known gaits, |u| ≤ {TORQUE_LIMIT:g} N m")
     axes.set_ylim(bottom=0.0)
-    axes.set_xticks(GRID_MU, [f"{mu:g}" for mu in GRID_MU])
+    axes.set_xticks(GRID.mu, [f"{mu:g}" for mu in GRID.mu])
     axes.set_xticks([], minor=True)
 
 

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from agents.evaluation.episodes import evaluate
-from baselines.archive import PLANTS, grid_cell
+from baselines.archive import GRID, PLANTS, STICKY_GRID, find_grid
 from baselines.dynamic_programming import FOLDER, archive
 from baselines.dynamic_programming import __main__ as command
 from baselines.dynamic_programming import problem as module
 from baselines.dynamic_programming.archive import Archive, cycle, known_results, load_archive, optimal_speed
 from baselines.dynamic_programming.grid import Grid
+from baselines.dynamic_programming.policy import Oracle
 from baselines.dynamic_programming.problem import Problem, repeat
 from baselines.dynamic_programming.solver import Solution, solve_on_grids
 from baselines.gaits.archive import known_gaits
 from baselines.policies import SCRIPTED
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
-from capsule_gym.parameters import NOMINAL
+from capsule_gym.parameters import NOMINAL, Capsule
 
 ROOT = Path(__file__).resolve().parents[3]
 # On a heavy platform with much friction gaits gain from changing their torque every 10 ms.
@@ -29,7 +31,7 @@ SHORTER_INTERVAL_WINS = {(0.75, 0.5), (1.0, 0.5)}
 
 def test_trajectories_give_the_speeds_on_file_to_the_last_bit():
     known = known_results()
-    keys = [Problem(M=M, mu=mu).key for M, mu in ((0.35, 0.5), (0.5, 0.01))]
+    keys = [Problem(M=0.35, mu=0.5).key, Problem().key, Problem(mu=0.45, static_ratio=1.3).key]
     some = Archive({key: known.results[key] for key in keys}, dict(known.arrays))
     assert some.check() == []
     some.arrays[f"{keys[0]} torques"] = some.arrays[f"{keys[0]} torques"][::-1]
@@ -47,11 +49,24 @@ def test_speeds_between_the_plants():
     assert optimal_speed(0.625, 0.1) == pytest.approx(0.5 * (optimal_speed(0.5, 0.1) + optimal_speed(0.75, 0.1)))
     with pytest.raises(ValueError, match=r"M must be in \[0.35, 1.0\] kg and mu in \[0.005, 0.5\], got M=0.3, mu=0.1"):
         optimal_speed(0.3, 0.1)
-    corners, *_ = grid_cell(0.6, 0.07)
+    corners, *_ = GRID.cell(0.6, 0.07)
     assert [PLANTS[corner] for corner in corners] == [(M, mu) for M in (0.5, 0.75) for mu in (0.03, 0.1)]
     # Rounding of the observation and plants outside the grid take the edge.
-    assert grid_cell(float(np.float32(0.35)), 0.6) == grid_cell(0.35, 0.5)
-    assert grid_cell(2.0, 0.0) == grid_cell(1.0, 0.005)
+    assert GRID.cell(float(np.float32(0.35)), 0.6) == GRID.cell(0.35, 0.5)
+    assert GRID.cell(2.0, 0.0) == GRID.cell(1.0, 0.005)
+
+
+def test_static_friction_that_is_planned_with_makes_the_optimum_faster():
+    grids = [find_grid(Capsule(static_ratio=ratio)) for ratio in (1.0, 1.3, 1.2)]
+    assert grids == [GRID, STICKY_GRID, None]
+    plants, capsule = tuple(PlantSpec(M, mu, seed=0) for M, mu in ((0.4, 0.25), (0.6, 0.4))), STICKY_GRID.capsule
+    found = []
+    for grid in (GRID, STICKY_GRID):
+        policy = replace(SCRIPTED["optimum-oracle"], start=lambda seeds, grid=grid: Oracle(len(seeds), grid=grid).act)
+        found.append(evaluate(policy, EvaluationSet("some", plants, capsule=capsule)))
+    for unaware, aware in zip(*found, strict=True):
+        assert not aware["failed"] and aware["mean_speed"] > 1.03 * unaware["mean_speed"]
+        assert aware["stuck_fraction"] > 0.3 and aware["share_of_optimum"] > 0.95
 
 
 def test_the_cycle_is_periodic():
