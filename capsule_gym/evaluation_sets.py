@@ -18,6 +18,8 @@ from capsule_gym.parameters import NOMINAL, Capsule, check_integer, check_number
 from capsule_gym.task import HORIZON, LARGEST_STATE, START_THETA, TASKS, THETA_LIMIT
 
 SET_NAMES = ("nominal", "paper", "wide", "extrapolation", "drift")
+# Of the speed task with another capsule than the paper's.
+FURTHER_SET_NAMES = ("sticky",)
 # Of the other tasks.
 TASK_SET_NAMES = ("goal", "goal-paper", "velocity")
 # The options of an episode of a set; they override those of a policy's training.
@@ -71,7 +73,7 @@ class EvaluationSet:
         name: as it appears in results.
         plants: the episodes, at least one.
         task: name of the task.
-        capsule: the constants that its plants share; None takes the task's, and without any the policy's own.
+        capsule: the constants that its plants share; None takes the task's.
     """
 
     name: str
@@ -177,14 +179,13 @@ def load_set(name_or_path: str | Path) -> EvaluationSet:
     """Loads an evaluation set.
 
     Args:
-        name_or_path: one of `SET_NAMES` or `TASK_SET_NAMES`, or the path of a JSON file of the same form (see
-            `parse_set`).
+        name_or_path: the name of a frozen set, or the path of a JSON file of the same form (see `parse_set`).
 
     Raises:
         ValueError: if there is no such set, or its file is malformed.
     """
     frozen = next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[-1])
-    names = SET_NAMES + TASK_SET_NAMES
+    names = SET_NAMES + FURTHER_SET_NAMES + TASK_SET_NAMES
     path = frozen / f"{name_or_path}.json" if name_or_path in names else Path(name_or_path)
     if not path.is_file():
         raise ValueError(

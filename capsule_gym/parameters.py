@@ -349,7 +349,7 @@ class Randomization:
 
     @classmethod
     def named(cls, name: str | Randomization) -> Randomization:
-        """The randomisation of that name ("none", "paper", "wide", "broad"); a Randomization is returned as it is.
+        """The randomisation of a name of `RANDOMIZATIONS`; a Randomization is returned as it is.
 
         Raises:
             ValueError: if the name is not known.
@@ -391,6 +391,7 @@ RANDOMIZATIONS = {
     "paper": Randomization(M=(0.45, 0.55), mu=(0.009, 0.011)),
     "wide": Randomization(M=(0.35, 0.75), mu=(0.005, 0.3), log_mu=True),
     "broad": Randomization(M=(0.25, 1.2), mu=(0.002, 0.6), log_mu=True),
+    "sticky": Randomization(M=(0.35, 0.75), mu=(0.2, 0.6)),
 }
 
 DIRECT_PHYSICS_DT = 2e-3

@@ -9,6 +9,7 @@
 | `wide` | 100 | drawn as by `randomization="wide"` |
 | `extrapolation` | 100 | outside `wide` in M, in mu or in both |
 | `drift` | 100 | drawn three times as in `wide` |
+| `sticky` | 1000 | M and mu as in `randomization="sticky"`, spread evenly; static friction 1.3 times the kinetic |
 | `goal` | 1000 | of the task `goal`: M and mu as the task draws them, and the goal |
 | `goal-paper` | 1000 | of the task `goal` on the paper's floor: M and mu as in `paper`, static friction as kinetic |
 | `velocity` | 1000 | of the task `velocity`: M and mu as the task draws them; commands from the plant's seed |
@@ -24,6 +25,9 @@ roughest floor is far from Painleve's paradox ((M + m) / m = 2.81, the bound is 
 `drift`: M and mu jump together at two times, the first drawn uniformly from the middle third of the episode's first
 half (5.5 to 11 s), the second from that of its second half (22 to 27.5 s), so that no plant rules for less than 5.5 s.
 Times are multiples of the agent's step.
+
+`sticky` has floors on which the platform sticks for much of the time. Its plants follow a low-discrepancy sequence
+(Roberts's R2, the multiples of the plastic number's powers modulo 1): the first few cover the ranges as all do.
 
 Numbers are rounded (M to 0.1 g, mu to five digits). Every set has a random seed of its own; the plants' own seeds are
 0, 1, ..
@@ -43,17 +47,27 @@ from pathlib import Path
 
 import numpy as np
 
+from baselines.archive import STICKY_GRID
 from capsule_gym.command_line import parse
-from capsule_gym.evaluation_sets import NOMINAL_PLANT, SET_NAMES, TASK_SET_NAMES, EvaluationSet, PlantSpec
+from capsule_gym.evaluation_sets import (
+    FURTHER_SET_NAMES,
+    NOMINAL_PLANT,
+    SET_NAMES,
+    TASK_SET_NAMES,
+    EvaluationSet,
+    PlantSpec,
+)
 from capsule_gym.files import write_atomically
-from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, Randomization, find_task
+from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, Capsule, Randomization, find_task
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
 
 PROG = "python -m agents.evaluation.sets"
 SETS_FOLDER = Path(__file__).with_name("frozen")
 EPISODES = 100
-# Of the other tasks, whose failures are rare.
-TASK_EPISODES = 1000
+# Of the other tasks and on sticky floors, where failures are rare.
+MANY_EPISODES = 1000
+# The real root of x^3 = x + 1.
+PLASTIC = 1.32471795724474602596
 # Half the width of the angles that `nominal` starts from, rad.
 STARTS = 0.1
 
@@ -109,10 +123,12 @@ def draw_set(name: str) -> EvaluationSet:
     """Draws a frozen set anew, from its fixed seed.
 
     Args:
-        name: one of `SET_NAMES` or `TASK_SET_NAMES`.
+        name: that of the set.
     """
     if name in TASK_SET_NAMES:
         return _draw_task_set(name)
+    if name in FURTHER_SET_NAMES:
+        return _spread_set(name, STICKY_GRID.capsule)
     rng = np.random.default_rng(SEEDS[name])
     return EvaluationSet(name, tuple(_sample_plant(name, rng, seed) for seed in range(EPISODES)))
 
@@ -122,7 +138,7 @@ def _draw_task_set(name: str) -> EvaluationSet:
     task_name, _, floor = name.partition("-")
     task, rng = find_task(task_name), np.random.default_rng(TASK_SEEDS[name])
     plants = []
-    for seed in range(TASK_EPISODES):
+    for seed in range(MANY_EPISODES):
         M, mu = _sample(rng, floor or task.defaults["randomization"])
         goal = None
         if task_name == "goal":
@@ -133,7 +149,20 @@ def _draw_task_set(name: str) -> EvaluationSet:
     return EvaluationSet(name, tuple(plants), task_name, NOMINAL if floor else None)
 
 
-def validation_set(randomization: str, name: str, first_seed: int, count: int) -> EvaluationSet:
+def _spread_set(name: str, capsule: Capsule) -> EvaluationSet:
+    """A set whose plants are spread evenly over the randomisation of its name."""
+    from capsule_gym.resets import plant_at, plant_ranges
+
+    ranges, plants = plant_ranges(Randomization.named(name), capsule), []
+    for seed in range(MANY_EPISODES):
+        M, mu = plant_at(ranges, (0.5 + seed / PLASTIC) % 1.0, (0.5 + seed / (PLASTIC * PLASTIC)) % 1.0)
+        plants.append(PlantSpec(round(M, 4), float(f"{mu:.5g}"), seed))
+    return EvaluationSet(name, tuple(plants), capsule=capsule)
+
+
+def validation_set(
+    randomization: str, name: str, first_seed: int, count: int, capsule: Capsule | None = None
+) -> EvaluationSet:
     """A set of plants that are drawn as the environment draws those of its episodes, for choices and studies.
 
     Args:
@@ -141,13 +170,14 @@ def validation_set(randomization: str, name: str, first_seed: int, count: int) -
         name: of the set.
         first_seed: the episodes' seeds are this and those that follow; far from 0, 1, .., which the frozen sets use.
         count: how many.
+        capsule: of the environment.
     """
     from capsule_gym.resets import Stream, draw_plant, random_stream
 
     drawn = Randomization.named(randomization)
     seeds = range(first_seed, first_seed + count)
     plants = [PlantSpec(*draw_plant(drawn, NOMINAL, random_stream(seed, 0, Stream.parameters)), seed) for seed in seeds]
-    return EvaluationSet(name, tuple(plants))
+    return EvaluationSet(name, tuple(plants), capsule=capsule)
 
 
 @dataclass(frozen=True)
@@ -162,7 +192,7 @@ class Args:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     parse(Args, PROG, arguments)
-    for name in (*SET_NAMES, *TASK_SET_NAMES):
+    for name in (*SET_NAMES, *FURTHER_SET_NAMES, *TASK_SET_NAMES):
         found = draw_set(name)
         write_atomically(SETS_FOLDER / f"{name}.json", found.to_json())
         print(f"{name}: {len(found.plants)} episodes, {found.hash[:12]}")

@@ -88,7 +88,7 @@ class Config:
         2.0 * EnvConfig.torque_limit
     )
     torque_limit: Annotated[float, _option("torque_limit")] = EnvConfig.torque_limit
-    randomization: Literal["none", "paper", "wide", "broad"] = "paper"
+    randomization: Literal["none", "paper", "wide", "broad", "sticky"] = "paper"
     """Where M and mu of an episode come from."""
     observe_parameters: Annotated[bool, _option("observe_parameters")] = EnvConfig.observe_parameters
     energy_weight: Annotated[float, _option("energy_weight")] = EnvConfig.energy_weight

@@ -1,8 +1,9 @@
+import numpy as np
 import pytest
 
 from agents.evaluation import sets
 from capsule_gym.evaluation_sets import SET_NAMES, TASK_SET_NAMES, load_set
-from capsule_gym.parameters import NOMINAL
+from capsule_gym.parameters import NOMINAL, Capsule
 
 # The sets are frozen: a changed hash makes every published result incomparable. Add a set under a new name instead.
 HASHES = {
@@ -11,13 +12,14 @@ HASHES = {
     "wide": "4eb52be12a6e",
     "extrapolation": "37f72254b16c",
     "drift": "a64a8c831746",
+    "sticky": "424bf16c03a5",
     "goal": "fc320f20332b",
     "goal-paper": "5e10e2b674c7",
     "velocity": "a8ff944552c4",
 }
 
 
-@pytest.mark.parametrize("name", SET_NAMES + TASK_SET_NAMES)
+@pytest.mark.parametrize("name", HASHES)
 def test_committed_sets_are_frozen(name):
     frozen, episodes = load_set(name), 100 if name in SET_NAMES else 1000
     assert (frozen.name, frozen.hash[:12], len(frozen.plants)) == (name, HASHES[name], episodes)
@@ -41,5 +43,14 @@ def test_the_command_writes_the_committed_files(tmp_path, monkeypatch):
     committed = sets.SETS_FOLDER
     monkeypatch.setattr(sets, "SETS_FOLDER", tmp_path)
     assert sets.main([]) == 0
-    for name in SET_NAMES + TASK_SET_NAMES:
+    for name in HASHES:
         assert (tmp_path / f"{name}.json").read_bytes() == (committed / f"{name}.json").read_bytes()
+
+
+def test_the_first_plants_of_the_sticky_set_cover_its_ranges_as_all_do():
+    sticky = load_set("sticky")
+    assert sticky.capsule == Capsule(static_ratio=1.3)
+    plants = np.array([((plant.M - 0.35) / 0.4, (plant.mu - 0.2) / 0.4) for plant in sticky.plants])
+    for count, cells in ((64, 5), (1000, 20)):
+        filled = np.minimum(plants[:count] * cells, cells - 1).astype(int)
+        assert len(np.unique(filled, axis=0)) == cells**2
