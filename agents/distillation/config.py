@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from baselines.archive import GRID, STICKY_GRID, PlantGrid
 from baselines.dynamic_programming import MIN_NORMAL_FORCE
+from capsule_gym.parameters import NOMINAL
 
 
 @dataclass(frozen=True)
@@ -14,6 +16,7 @@ class Student:
 
     Attributes:
         randomization: the distribution of M and mu.
+        grid: the plants that the expert's solutions are of, with the plants' static ratio.
         identifies: whether it identifies them on line.
         change_rate: how often M and mu are drawn anew within an episode, 1/s.
         margin: normal force that the expert leaves, N: a student that does not know M needs more than the expert.
@@ -30,6 +33,7 @@ class Student:
     """
 
     randomization: str
+    grid: PlantGrid = GRID
     identifies: bool = False
     change_rate: float = 0.0
     margin: float = MIN_NORMAL_FORCE
@@ -47,7 +51,8 @@ class Student:
     @property
     def env_kwargs(self) -> dict[str, Any]:
         """The arguments of the environment that it acts in."""
-        return {"randomization": self.randomization, "observe_parameters": False}
+        own = {"capsule": self.grid.capsule} if self.grid.capsule != NOMINAL else {}
+        return {"randomization": self.randomization, "observe_parameters": False, **own}
 
 
 # By the name of their rows on the leaderboard.
@@ -57,6 +62,16 @@ STUDENTS = {
         "wide",
         identifies=True,
         change_rate=0.2,
+        margin=0.4,
+        max_regret=30.0,
+        num_envs=96,
+        rounds=10,
+        final_updates=24_000,
+    ),
+    "sticky": Student(
+        "sticky",
+        grid=STICKY_GRID,
+        identifies=True,
         margin=0.4,
         max_regret=30.0,
         num_envs=96,

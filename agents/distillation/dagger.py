@@ -184,7 +184,8 @@ def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop) -> 
     rng = np.random.default_rng(seed)
     # Never a frozen set.
     count = student.evaluation_episodes
-    plants = validation_set(student.randomization, "validation plants", SELECTION_SEED + seed * count, count)
+    first = SELECTION_SEED + seed * count
+    plants = validation_set(student.randomization, "validation plants", first, count, student.grid.capsule)
     datasets: list[Dataset] = []
     network: Network | None = None
     policy: Policy | None = None

@@ -54,10 +54,8 @@ def collect(
         stopped: whether to end early.
     """
     count, none = student.num_envs, AutoresetMode.DISABLED
-    env = CapsuleVectorEnv(
-        num_envs=count, randomization=student.randomization, observe_parameters=True, autoreset_mode=none
-    )
-    expert = Oracle(count, student.margin)
+    env = CapsuleVectorEnv(num_envs=count, autoreset_mode=none, **{**student.env_kwargs, "observe_parameters": True})
+    expert = Oracle(count, student.margin, student.grid)
     header = make_header(
         EnvConfig(**student.env_kwargs),
         layers=1,
