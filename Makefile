@@ -92,8 +92,8 @@ fuzz: $(STAMP)  ## Call the environments with many random and invalid arguments;
 	$(BIN)/python -m pytest -n 2 --hypothesis-profile fuzz tests/capsule_gym/test_arguments.py \
 		tests/capsule_gym/test_fingerprint.py
 
-bits-check: $(STAMP)  ## Compare the bits of whole episodes with the committed ones
-	$(BIN)/python -m tests.bits
+bits-check: $(STAMP)  ## Compare the bits of whole episodes with the committed ones, of trained policies one seed each
+	$(BIN)/python -m tests.bits --first-seeds
 
 bits: $(STAMP)  ## The same on every processor that this one can emulate, and the live page's episodes
 	$(BIN)/python -m tests.bits --variants

@@ -1,6 +1,7 @@
 """The bits of whole episodes on this processor, and on a lesser one with other libraries of elementary functions.
 
-`make bits-check` compares all of them, `make bits` on every processor that this one can emulate.
+`make bits-check` compares them of one training seed of each policy, `make bits` all of them, and on every processor that
+this one can emulate.
 """
 
 from __future__ import annotations
