@@ -1,6 +1,6 @@
 """The bits of whole episodes on this processor, and on a lesser one with other libraries of elementary functions.
 
-`make bits-check` compares them of one training seed of each policy, `make bits` all of them, and on every processor that
+`make bits-check` compares those of one training seed of each policy, `make bits` all of them on every processor that
 this one can emulate.
 """
 
