@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -26,10 +26,6 @@ from baselines.tables import markdown_table, text_table
 from benchmarks.measurement import OutputArgs, machine
 from capsule_gym.command_line import Count, parse
 from capsule_gym.files import replacing
-
-if TYPE_CHECKING:
-    from stable_baselines3 import PPO
-    from stable_baselines3.common.vec_env import VecEnv
 
 COMMAND = "python -m benchmarks.training"
 EVALUATIONS = 16
@@ -46,30 +42,15 @@ TUNED: dict[str, Any] = {
 COLOURS = (drawing.BLUE, drawing.VERMILION, drawing.GREEN, drawing.PURPLE)
 
 
-@dataclass(frozen=True)
-class Trainer:
-    """A training that is measured.
-
-    Attributes:
-        name: for the table.
-        config: its hyperparameters.
-        stock: whether the algorithm is Stable-Baselines3's, or else that of this project.
-    """
-
-    name: str
-    config: PPOConfig
-    stock: bool = False
-
-
-def trainer(name: str, *, stock: bool = False, **changes: Any) -> Trainer:
+def configure(**changes: Any) -> PPOConfig:
     """The preset of the direct task with some fields changed."""
     preset = PRESETS["direct", "ppo"]
     assert isinstance(preset, PPOConfig)
-    return Trainer(name, dataclasses.replace(preset, **changes), stock)
+    return dataclasses.replace(preset, **changes)
 
 
-PRESET, PEER = trainer("preset"), trainer("SB3's PPO", stock=True, **TUNED)
-LEARNERS = (PRESET, PEER, trainer("256 x 64", num_envs=256, n_steps=64))
+PRESET, PEER = "preset", "SB3's PPO"
+LEARNERS = {PRESET: configure(), PEER: configure(**TUNED, stock=True), "256 x 64": configure(num_envs=256, n_steps=64)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,43 +75,12 @@ class Args(OutputArgs):
             raise ValueError(f"--seeds must be at least 2, for an interval over them, got {self.seeds}")
 
 
-def make_agent(entry: Trainer) -> PPO:
-    """The agent with its environments."""
-    # torch takes seconds to import, which --help need not wait for.
-    import torch
-    from stable_baselines3 import PPO
-    from stable_baselines3.common.vec_env import VecNormalize
-
-    from agents.training.algorithms import LinearSchedule, make_env, make_model
-    from capsule_gym.sb3 import CapsuleSB3VecEnv
-
-    config = entry.config
-    torch.set_num_threads(1)
-    if not entry.stock:
-        return cast("PPO", make_model(config, make_env(config, config.seed)))
-    batch = CapsuleSB3VecEnv(config.num_envs, config.seed, **config.env_kwargs())
-    return PPO(
-        "MlpPolicy",
-        VecNormalize(batch, norm_reward=False, gamma=config.gamma),
-        learning_rate=LinearSchedule(config.learning_rate, config.final_learning_rate),
-        n_steps=config.n_steps,
-        batch_size=config.batch_size,
-        n_epochs=config.n_epochs,
-        gamma=config.gamma,
-        gae_lambda=config.gae_lambda,
-        ent_coef=config.ent_coef,
-        policy_kwargs={"net_arch": [config.hidden, config.hidden], "log_std_init": config.log_std_init},
-        seed=config.seed,
-        device="cpu",
-    )
-
-
 @dataclass(frozen=True)
 class Run:
     """A learning curve.
 
     Attributes:
-        name: of its `Trainer`.
+        name: of its settings in `LEARNERS`.
         seed: of the training.
         steps: environment steps until each evaluation of the deterministic policy.
         seconds: of processor time until then, without the evaluations.
@@ -155,16 +105,20 @@ class Run:
         return self.mean_speed[int(np.abs(np.array(self.steps) - part * self.steps[-1]).argmin())]
 
 
-def learn(entry: Trainer) -> Run:
+def learn(name: str, config: PPOConfig) -> Run:
     """Trains for `total_steps`; the deterministic policy is evaluated about `EVALUATIONS` times, between updates."""
+    # torch takes seconds to import, which --help need not wait for.
+    import torch
     from stable_baselines3.common.callbacks import BaseCallback
 
     from agents.evaluation.episodes import evaluate, scores
     from agents.evaluation.statistics import interquartile_mean
+    from agents.training.algorithms import make_env, make_model
     from agents.training.callbacks import validation_plants
     from agents.training.export import export
 
-    config, run = entry.config, Run(entry.name, entry.config.seed)
+    torch.set_num_threads(1)
+    run = Run(name, config.seed)
     plants = validation_plants(dataclasses.replace(config, seed=PLANTS_SEED))
     every = max(1, config.total_steps // EVALUATIONS)
 
@@ -190,29 +144,27 @@ def learn(entry: Trainer) -> Run:
             run.failed.append(float(scores(episodes, "failed").mean()))
             self.began += time.process_time() - now
 
-    agent = make_agent(entry)
-    with closing(cast("VecEnv", agent.get_env())):
-        agent.learn(config.total_steps, callback=Evaluation())
+    with closing(make_env(config, config.seed)) as env:
+        make_model(config, env).learn(config.total_steps, callback=Evaluation())
     return run
 
 
 def learning(seeds: int, total_steps: int) -> dict[str, list[Run]]:
     """The learning curves of `LEARNERS` by name, a list over seeds."""
-    runs: dict[str, list[Run]] = {entry.name: [] for entry in LEARNERS}
+    runs: dict[str, list[Run]] = {name: [] for name in LEARNERS}
     with tqdm(total=seeds * len(LEARNERS), desc="learning", unit=" trainings") as bar:
-        for entry in LEARNERS:  # compiles before a clock runs
-            learn(dataclasses.replace(entry, config=dataclasses.replace(entry.config, total_steps=1)))
+        for name, config in LEARNERS.items():  # compiles before a clock runs
+            learn(name, dataclasses.replace(config, total_steps=1))
         for seed in range(seeds):
-            for entry in LEARNERS:
-                config = dataclasses.replace(entry.config, seed=seed, total_steps=total_steps)
-                runs[entry.name].append(learn(dataclasses.replace(entry, config=config)))
+            for name, config in LEARNERS.items():
+                runs[name].append(learn(name, dataclasses.replace(config, seed=seed, total_steps=total_steps)))
                 bar.update()
     return runs
 
 
 def learning_table(runs: Mapping[str, Sequence[Run]]) -> list[list[str]]:
     """The learning curves as a table; intervals are over seeds."""
-    peers = runs[PEER.name]
+    peers = runs[PEER]
     shown = (f"at {100.0 * part:g} %" for part in SHOWN)
     table = [["", "seeds", "steps/s", "ratio (range)", *shown, "whole curve", "failures"]]
     for name, own in runs.items():
@@ -234,11 +186,11 @@ def learning_table(runs: Mapping[str, Sequence[Run]]) -> list[list[str]]:
 
 def difference(runs: Mapping[str, Sequence[Run]]) -> str:
     """The difference of the preset's mean speed from its peer's over the whole curve, in a sentence."""
-    own, other = (np.array([[statistics.mean(run.mean_speed)] for run in runs[each.name]]) for each in (PRESET, PEER))
+    own, other = (np.array([[statistics.mean(run.mean_speed)] for run in runs[name]]) for name in (PRESET, PEER))
     found = paired_difference(own, other)
     return (
         f"Over the whole curve the preset is {found.value:+.1f} cm/s [{found.low:+.1f}, {found.high:+.1f}] compared "
-        f"with {PEER.name} from as many steps."
+        f"with {PEER} from as many steps."
     )
 
 

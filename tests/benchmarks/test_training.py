@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from benchmarks import training
-from benchmarks.training import Run, trainer
+from benchmarks.training import Run, configure
 
 TINY = {"num_envs": 8, "n_steps": 4, "batch_size": 32, "hidden": 8, "evaluation_episodes": 2}
 
 
 def test_the_learning_curves_are_measured_and_written(tmp_path, monkeypatch, capsys) -> None:
-    learners = (trainer("preset", **TINY), trainer("SB3's PPO", stock=True, **TINY))
+    learners = {"preset": configure(**TINY), "SB3's PPO": configure(**TINY, stock=True)}
     monkeypatch.setattr(training, "LEARNERS", learners)
-    run = training.learn(trainer("preset", **TINY, total_steps=1024))
+    run = training.learn("preset", configure(**TINY, total_steps=1024))
     assert run.steps == list(range(64, 1025, 64)) and run.seconds == sorted(run.seconds)
     assert len(run.mean_speed) == len(run.failed) == len(run.steps)
     words = ["--seeds", "2", "--total-steps", "64", "--markdown", str(tmp_path / "a.md")]
