@@ -25,20 +25,22 @@ from agents.training.presets import (  # noqa: E402
     BEST,
     CONFIG,
     MODEL,
-    PRESETS,
     ROWS,
     Algorithm,
     Config,
+    Environment,
     PPOConfig,
     RecurrentPPOConfig,
     RunError,
     Task,
+    preset,
     read_config,
     row_settings,
 )
 from capsule_gym.command_line import NO_NEGATIONS, parse, refuse  # noqa: E402
 from capsule_gym.controller import is_own  # noqa: E402
 from capsule_gym.policy import POLICY  # noqa: E402
+from capsule_gym.task import ENV_ID  # noqa: E402
 
 PROG = "train.py"
 RUNS = Path("runs")
@@ -56,8 +58,10 @@ Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 class Choice:
     """The options that decide the defaults of all others."""
 
-    task: Task = "residual"
-    """Residual torque on a control law, or direct torque."""
+    env: Environment = "CapsuleStickSlip-v0"
+    """The environment: as fast as possible, to a goal, or at a commanded velocity."""
+    task: Annotated[Task | None, tyro.conf.arg(metavar="{residual,direct}")] = None
+    """Residual torque on a control law, or direct torque; residual by default, and direct in the other environments."""
     algo: Algorithm = "ppo"
     """Algorithm of Stable-Baselines3."""
     row: Annotated[str | None, tyro.conf.arg(metavar="NAME", help=f"Row of the leaderboard: {', '.join(ROWS)}.")] = None
@@ -69,13 +73,14 @@ class Choice:
 class Args(Choice):
     """Trains an agent and compares it with the paper's adaptive controller on the set 'paper'.
 
-    The hyperparameters below are those of the chosen --task and --algo, with the preset as their defaults; --row starts
-    from the settings of a row of the leaderboard. Ctrl-C saves and stops; --resume DIR continues, also after a crash.
-    Checkpoints contain pickles: resume only runs of your own.
+    The hyperparameters below are those of the chosen --env, --task and --algo, with the preset as their defaults; --row
+    starts from the settings of a row of the leaderboard. Ctrl-C saves and stops; --resume DIR continues, also after a
+    crash. Checkpoints contain pickles: resume only runs of your own.
 
     Examples:
       python train.py --task direct --randomization wide --seed 1
       python train.py --row direct-ppo-wide --seed 1
+      python train.py --env CapsuleGoal-v0 --seed 1
       python train.py --algo sac --total-steps 8e5 --run runs/mine
       python train.py --resume runs/mine --total-steps 2e6
       python train.py --task direct --wrapper my_module:MyReward
@@ -105,13 +110,14 @@ def read_args(arguments: Sequence[str] | None = None) -> Args:
     if choice.resume is not None:
         return _read_resumed(choice.resume, arguments)
     if choice.row is None:
-        preset = PRESETS[choice.task, choice.algo]
-        return parse(Args, PROG, arguments, default=Args(choice.task, choice.algo, hyperparameters=preset))
+        task = choice.task or ("residual" if choice.env == ENV_ID else "direct")
+        settings = preset(choice.env, task, choice.algo)
+        return parse(Args, PROG, arguments, default=Args(choice.env, task, choice.algo, hyperparameters=settings))
     try:
         settings = row_settings(choice.row)
     except ValueError as error:
         refuse(PROG, f"--row: {error}")
-    default = Args(settings.task, settings.algo, choice.row, hyperparameters=settings)
+    default = Args(settings.env, settings.task, settings.algo, choice.row, hyperparameters=settings)
     args = parse(Args, PROG, arguments, default=default)
     _check_same_kind(default, args, f"--row {choice.row}")
     return args
@@ -123,7 +129,7 @@ def _read_resumed(run: Path, arguments: Sequence[str] | None) -> Args:
         before = read_config(run)
     except RunError as error:
         refuse(PROG, str(error))
-    default = Args(before.task, before.algo, None, run, hyperparameters=before)
+    default = Args(before.env, before.task, before.algo, None, run, hyperparameters=before)
     args = parse(Args, PROG, arguments, default=default)
     for option, given in (("--run", args.run), ("--row", args.row)):
         if given is not None:
@@ -141,8 +147,8 @@ def _read_resumed(run: Path, arguments: Sequence[str] | None) -> Args:
 
 
 def _check_same_kind(before: Args, args: Args, chosen_by: str) -> None:
-    """Ends the command if it names another task or algorithm than the run or the row that decides them."""
-    for name in ("task", "algo"):
+    """Ends the command if it names another environment, task or algorithm than the run or the row that decides them."""
+    for name in ("env", "task", "algo"):
         was, given = getattr(before, name), getattr(args, name)
         if was != given:
             refuse(PROG, f"--{name} must stay {was} with {chosen_by}, got {given}")
@@ -176,7 +182,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if run is not None:
             print(f"Resuming {run} (seed {config.seed}) until {config.total_steps:,} steps.")
         else:
-            kind = args.row or f"{config.task}-{config.algo}"
+            names = (config.task, config.algo) if config.env == ENV_ID else (config.env_task, config.task, config.algo)
+            kind = args.row or "-".join(names)
             run = args.run or RUNS / f"{kind}-seed{config.seed}-{time.strftime('%Y%m%d-%H%M%S')}"
             config = algorithms.usable(config)
             try:
@@ -185,7 +192,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise RunError(f"--run must name a new folder, got {str(run)!r}; --resume {run} resumes it") from None
             except (TypeError, ValueError) as error:
                 raise RunError(str(error)) from error
-            print(f"Training {config.algo.upper()} on the {config.task} task, seed {config.seed}, in {run}.")
+            what = f"{config.algo.upper()} on {config.env}, {config.task} torque"
+            print(f"Training {what}, seed {config.seed}, in {run}.")
         QUIET_EXIT.message = f"Stopped. To resume: python train.py --resume {run}"
         finished = loop.train(run, config.total_steps, wandb=args.wandb)
     except (RunError, OSError) as error:

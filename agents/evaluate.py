@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 from tyro.conf import arg
 
+from agents.evaluation.criteria import CRITERIA
 from agents.evaluation.episodes import (
-    SHARES,
     TABLE_METRICS,
     TASK_METRICS,
     Episode,
@@ -21,7 +21,7 @@ from agents.evaluation.episodes import (
     summarise,
     versions,
 )
-from agents.evaluation.policies import BASELINE, find_candidate
+from agents.evaluation.policies import find_candidate
 from agents.evaluation.statistics import paired_difference
 from baselines.tables import text_table
 from capsule_gym.command_line import Positional, check_output, parse, refuse
@@ -29,8 +29,6 @@ from capsule_gym.evaluation_sets import load_set
 from capsule_gym.files import to_json, write_atomically
 
 PROG = "python -m agents.evaluate"
-# What a policy is compared with, by the set's task.
-REFERENCES = {"speed": BASELINE, "goal": "goal-pulses", "velocity": "velocity-pulses"}
 
 
 @dataclass(frozen=True)
@@ -43,15 +41,15 @@ class Args:
       python -m agents.evaluate adaptive --set paper
       python -m agents.evaluate residual-ppo/seed-0 --set drift --against residual-ppo
       python -m agents.evaluate runs/my-run --set wide --json result.json
-      python -m agents.evaluate goal-pulses --set goal
+      python -m agents.evaluate goal
       python -m agents.evaluate my_module:policy --trust
     """
 
     policy: Annotated[Positional[str], arg(metavar="NAME_OR_PATH")]
     """A scripted policy, a checkpoint (all training seeds; one as NAME/seed-0), the path of a run or policy file, or
     module:attribute for a policy of another project."""
-    set: Annotated[str, arg(metavar="NAME_OR_PATH")] = "paper"
-    """A frozen set, or the path of a JSON file of the same form."""
+    set: Annotated[str | None, arg(metavar="NAME_OR_PATH")] = None
+    """A frozen set, or the path of a JSON file of the same form; by default the ranking's in the policy's task."""
     against: Annotated[str | None, arg(metavar="NAME_OR_PATH")] = None
     """The reference of the paired difference; by default adaptive, and in other tasks than speed their scripted law."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -79,15 +77,12 @@ def comparison_table(name: str, episodes: Sequence[Episode], reference: str, oth
     """
     own, theirs = summarise(episodes), summarise(others)
     rows = [["", name, reference, "difference"]]
-    further = [metric for metric in TASK_METRICS if metric.name in own]
-    for metric in (*TABLE_METRICS.values(), *further):
-        paired = paired_difference(scores(episodes, metric.name), scores(others, metric.name)).to_dict()
+    of_task = [metric for metric in TASK_METRICS if metric.name in own]
+    for metric in (*of_task, *TABLE_METRICS.values()):
         values = [metric.with_interval(each[metric.name]) for each in (own, theirs)]
+        both = (scores(each, metric.name) for each in (episodes, others))
+        paired = paired_difference(*both, mean=metric.share).to_dict()
         rows.append([metric.label, *values, metric.with_interval(paired, sign=True)])
-    for share in SHARES:
-        if share.name in own:
-            means = [float(scores(each, share.name).mean()) for each in (episodes, others)]
-            rows.append([share.label, *(share.format(mean) for mean in means)])
     rows.append(["failures", *(f"{each['failures']}/{each['episodes']}" for each in (own, theirs))])
     return text_table(rows)
 
@@ -96,11 +91,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, PROG, arguments)
     try:
-        evaluation_set = load_set(args.set)
-        candidate, reference = (
-            find_candidate(name, trust=args.trust, trust_controller=args.trust_controller)
-            for name in (args.policy, args.against or REFERENCES[evaluation_set.task])
-        )
+        trusted = {"trust": args.trust, "trust_controller": args.trust_controller}
+        candidate = find_candidate(args.policy, **trusted)
+        evaluation_set = load_set(args.set or CRITERIA[candidate.task].ranking_set)
+        reference = find_candidate(args.against or CRITERIA[evaluation_set.task].baseline, **trusted)
         for each in (candidate, reference):
             check_task(each, evaluation_set)
     except ValueError as error:
@@ -116,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     count = f"{len(evaluation_set.plants)} episodes, {evaluation_set.hash[:12]}"
     print(f"{candidate.name} on the set {evaluation_set.name} ({count})\n")
     print(comparison_table(candidate.name, episodes, reference.name, others))
-    print(f"\nInterquartile means with 95 % intervals; what is resampled: {summary['resampled']}.")
+    print(f"\nInterquartile means, of shares means, with 95 % intervals; what is resampled: {summary['resampled']}.")
     print(f"Differences to {reference.name} are taken episode by episode.")
     return 0
 

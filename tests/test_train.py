@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import train
-from agents.training.presets import PRESETS, ROWS
+from agents.training.presets import ENV_PRESETS, PRESETS, ROWS
 
 
 @pytest.mark.parametrize(
@@ -27,6 +27,11 @@ from agents.training.presets import PRESETS, ROWS
         (["--resume", "nowhere"], "nowhere"),
         (["--row", "fastest"], "--row: a row must be one of residual-ppo, "),
         (["--row", "direct-ppo", "--task", "residual"], "--task must stay direct with --row direct-ppo, got residual"),
+        (["--env", "Pendulum-v1"], "--env"),
+        (
+            ["--row", "direct-ppo", "--env", "CapsuleGoal-v0"],
+            "--env must stay CapsuleStickSlip-v0 with --row",
+        ),
         (["--row", "direct-sac", "--algo", "ppo"], "--algo must stay sac with --row direct-sac, got ppo"),
     ],
 )
@@ -43,6 +48,17 @@ def test_presets_are_the_defaults(task, algo):
     options = train.read_args(["--algo", algo, "--task", task])
     assert options.hyperparameters == PRESETS[task, algo]
     assert (options.task, options.algo, options.run, options.resume) == (task, algo, None, None)
+
+
+def test_another_environment_has_settings_of_its_own():
+    for env, tuned in ENV_PRESETS.items():
+        options = train.read_args(["--env", env])
+        assert options.hyperparameters == tuned and (options.env, options.task) == (env, "direct")
+        for algo, task in (("sac", "direct"), ("ppo", "residual")):
+            config = train.read_args(["--env", env, "--algo", algo, "--task", task]).hyperparameters
+            assert config.env_kwargs()["task"] == tuned.env_kwargs()["task"]
+            assert (config.task, config.algo, config.energy_weight) == (task, algo, 0.0)
+            assert ("_pulses" in str(config.controller)) is (task == "residual")
 
 
 @pytest.mark.parametrize("row", ROWS)

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from agents.evaluation.criteria import CRITERIA, Criteria
 from agents.evaluation.statistics import estimate
-from agents.leaderboard.page import RANKING_SET
 from agents.leaderboard.rows import Row
 from agents.training.presets import EVALUATIONS
 from capsule_gym.evaluation_sets import EvaluationSet
@@ -19,7 +19,7 @@ from capsule_gym.evaluation_sets import EvaluationSet
 SPEED = "mean_speed"
 # The sets whose plants are drawn and constant: the paper's ranges and the wide ones.
 SHOWN_SETS = ("paper", "wide")
-# The evaluations of a row's runs during training, on validation plants, by training seed: steps and mean speeds (cm/s).
+# The evaluations of a row's runs during training, on validation plants, by training seed: steps and the task's metric.
 Learning = dict[int, tuple[np.ndarray, np.ndarray]]
 
 
@@ -41,14 +41,21 @@ class Results:
     """Rows of the leaderboard with what they are compared on.
 
     Attributes:
-        rows: the fastest on the ranking set first.
+        rows: the best on the ranking set first.
         sets: the sets that they were evaluated on.
         learning: by the row's name; rows whose runs were committed without their evaluations are absent.
+        task: theirs.
     """
 
     rows: tuple[Row, ...]
     sets: tuple[EvaluationSet, ...]
     learning: dict[str, Learning]
+    task: str = "speed"
+
+    @property
+    def criteria(self) -> Criteria:
+        """How they are compared."""
+        return CRITERIA[self.task]
 
     @property
     def trained(self) -> list[Row]:
@@ -58,16 +65,17 @@ class Results:
     @property
     def shown_sets(self) -> list[str]:
         """The sets of the comparisons."""
-        return [each.name for each in self.sets if each.name in SHOWN_SETS]
+        return [each.name for each in self.sets if each.name in SHOWN_SETS or self.task != "speed"]
 
 
-def gather(rows: Sequence[Row], sets: Sequence[EvaluationSet], checkpoints: Path) -> Results:
+def gather(rows: Sequence[Row], sets: Sequence[EvaluationSet], checkpoints: Path, task: str = "speed") -> Results:
     """Ranks rows and reads their learning curves.
 
     Args:
         rows: in any order.
         sets: the sets that they were evaluated on, among them the ranking set.
         checkpoints: the folder with NAME/seed-N/evaluations.csv.
+        task: of the sets.
 
     Raises:
         ValueError: if a row was evaluated on other sets, or a run's evaluations cannot be read.
@@ -75,26 +83,29 @@ def gather(rows: Sequence[Row], sets: Sequence[EvaluationSet], checkpoints: Path
     for row in rows:
         for each in sets:
             row.check_set(each)
-    ranked = sorted(rows, key=lambda row: (-estimate(row.score(RANKING_SET, SPEED)).value, row.name))
-    learning = {row.name: read_learning(checkpoints / row.name) for row in ranked if row.trained}
-    return Results(tuple(ranked), tuple(sets), {name: each for name, each in learning.items() if each})
+    criteria = CRITERIA[task]
+    values = {row.name: estimate(row.score(criteria.ranking_set, criteria.metric.name)).value for row in rows}
+    ranked = sorted(rows, key=lambda row: criteria.rank(values[row.name], row.name))
+    learning = {row.name: read_learning(checkpoints / row.name, task) for row in ranked if row.trained}
+    return Results(tuple(ranked), tuple(sets), {name: each for name, each in learning.items() if each}, task)
 
 
-def read_learning(folder: Path) -> Learning:
+def read_learning(folder: Path, task: str = "speed") -> Learning:
     """Reads the committed evaluations of a checkpoint's runs.
 
     Args:
         folder: of the checkpoint, with seed-0, seed-1, .. inside.
+        task: theirs.
 
     Raises:
         ValueError: if a file is not what a training run writes.
     """
     paths = {int(path.parent.name.removeprefix("seed-")): path for path in folder.glob(f"seed-*/{EVALUATIONS}")}
-    return {seed: read_evaluations(paths[seed]) for seed in sorted(paths)}
+    return {seed: read_evaluations(paths[seed], task) for seed in sorted(paths)}
 
 
-def read_evaluations(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Reads the steps and mean speeds (cm/s) of a run's evaluations.csv.
+def read_evaluations(path: Path, task: str = "speed") -> tuple[np.ndarray, np.ndarray]:
+    """Reads the steps and the values of the task's metric of a run's evaluations.csv.
 
     Raises:
         ValueError: if the file is not what a training run writes.
@@ -102,11 +113,11 @@ def read_evaluations(path: Path) -> tuple[np.ndarray, np.ndarray]:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             # A run may be evaluated twice where a stage ends: the last line counts.
-            lines = {int(line["steps"]): float(line["mean_speed_cm_s"]) for line in csv.DictReader(file)}
-        steps, speeds = np.array(sorted(lines.items()), np.float64).T
+            lines = {int(line["steps"]): float(line[CRITERIA[task].column]) for line in csv.DictReader(file)}
+        steps, values = np.array(sorted(lines.items()), np.float64).T
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} must be what a training run writes, got {type(error).__name__}: {error}") from error
-    return steps, speeds
+    return steps, values
 
 
 def fronts() -> dict[str, list[tuple[float, float]]]:

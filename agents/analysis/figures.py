@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from agents.analysis.data import SPEED, Learning, fronts
+from agents.evaluation.episodes import TABLE_METRICS, TableMetric
 from agents.evaluation.statistics import (
     Curve,
     estimate,
@@ -96,21 +97,22 @@ def draw_profiles(rows: Sequence[Row], set_names: Sequence[str]) -> Any:
     return figure
 
 
-def draw_learning(learning: Mapping[str, Learning]) -> Any:
-    """Learning curves: the speeds of all seeds over steps, and their interquartile mean, a panel per row.
+def draw_learning(learning: Mapping[str, Learning], metric: TableMetric = TABLE_METRICS[SPEED]) -> Any:
+    """Learning curves: the metric of all seeds over steps, and their interquartile mean, a panel per row.
 
     Args:
         learning: by the row's name.
+        metric: what the curves show.
     """
     figure, places = panels(list(learning), 0.75)
     for runs, axes in zip(learning.values(), places, strict=False):
-        for steps, speeds in runs.values():
+        for steps, values in runs.values():
             # A run that was evaluated once is a point.
-            axes.plot(steps / 1e6, speeds, "." if len(speeds) == 1 else "-", color=MUTED, linewidth=0.5, alpha=0.6)
+            axes.plot(steps / 1e6, values, "." if len(values) == 1 else "-", color=MUTED, linewidth=0.5, alpha=0.6)
         curve = learning_curve(list(runs.values()))
         plot_curve(axes, replace(curve, x=curve.x / 1e6), PENS[0])
     axes.set(xlim=(0.0, None), ylim=(0.0, None))
-    figure.supylabel("mean speed (cm/s)", fontsize=8.0)
+    figure.supylabel(metric.label, fontsize=8.0)
     add_note(
         figure,
         "Horizontal: millions of agent steps. Evaluations on each run's validation plants, never on a frozen set; "

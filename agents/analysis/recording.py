@@ -12,7 +12,7 @@ import numpy as np
 
 from agents.analysis.data import Document
 from agents.evaluation.policies import Policy, find_candidate
-from baselines.drawing import BLUE, DPI, GREEN, MUTED, VERMILION, new_figure, style
+from baselines.drawing import BLUE, DPI, GREEN, INK, MUTED, VERMILION, new_figure, style
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, NOMINAL_PLANT, PlantSpec
 from capsule_gym.files import replacing
 from capsule_gym.parameters import DIRECT_PHYSICS_DT, EnvConfig
@@ -107,8 +107,9 @@ def record(
     if frames_from is not None:
         first_frame = round(frames_from / dt)
         renderer = Renderer(simulation.capsule, "rgb_array", 50, limit, name)
-    start = np.array([(plant.theta, 0.0, 0.0, 0.0)])
-    simulation.reset(np.zeros(1, np.int64), M=[plant.M], mu=[plant.mu], state=start)
+    simulation.seed(0, plant.seed)
+    start: dict[str, Any] = {name: [value] for name, value in plant.reset_options().items()}
+    simulation.reset(np.zeros(1, np.int64), **start)
     act = policy.start([plant.seed])
     wanted = [getattr(Row, each) for each in SERIES[1:]]
     samples, frames, action, failed = [], [], np.zeros(1), False
@@ -128,14 +129,15 @@ def record(
     )
 
 
-def draw_comparison(recordings: Sequence[Recording], path: Path) -> None:
+def draw_comparison(recordings: Sequence[Recording], path: Path, plant: PlantSpec = NOMINAL_PLANT) -> None:
     """Draws displacement over the episode, and torque, angle and contact over its last seconds, as one PNG.
 
     Args:
-        recordings: one to four on the nominal plant, the baseline first.
+        recordings: one to four on one plant, the baseline first.
         path: the PNG; written atomically.
+        plant: theirs.
     """
-    title = f"Nominal plant (M = {NOMINAL_PLANT.M:g} kg, μ = {NOMINAL_PLANT.mu:g})"
+    title = f"{'Nominal plant' if plant == NOMINAL_PLANT else 'Plant'} (M = {plant.M:g} kg, μ = {plant.mu:g})"
     with style():
         figure = new_figure(6.2)
         displacement, angle, torque, contact = figure.subplots(4, 1, height_ratios=(1.5, 1.0, 1.0, 0.5))
@@ -152,6 +154,8 @@ def draw_comparison(recordings: Sequence[Recording], path: Path) -> None:
             for where, alpha in ((shown, 0.2), (shown & (recording.x_dot == 0.0), 1.0)):
                 lane: dict[str, Any] = {"color": colour, "alpha": alpha, "linewidth": 0.0, "step": "post"}
                 contact.fill_between(recording.t, place - 0.35, place + 0.35, where=where, **lane)
+        if plant.goal is not None:
+            displacement.axhline(100.0 * plant.goal, color=INK, linewidth=0.8, linestyle=":", label="goal")
         displacement.set(title=title, xlabel="time (s)", ylabel="displacement x (cm)", xlim=(0.0, window))
         displacement.legend(loc="upper left")
         angle.set(ylabel="angle θ (deg)", xlim=(first, window))

@@ -38,11 +38,13 @@ class TableMetric:
         name: of the metric, as in results.
         label: its name in tables, with the unit.
         digits: decimals.
+        share: whether it is a share of the episodes, of which no mean is trimmed: that would hide a few misses.
     """
 
     name: str
     label: str
     digits: int
+    share: bool = False
 
     def format(self, value: float | None, *, sign: bool = False) -> str:
         """The number; a dash for an infinite or undefined one, which means 'no forward progress'."""
@@ -52,8 +54,8 @@ class TableMetric:
         return text.replace("-", "") if float(text) == 0.0 else text
 
     def with_interval(self, summary: Mapping[str, Any], *, sign: bool = False) -> str:
-        """`value [low, high]` from `{"iqm": .., "low": .., "high": ..}`; the value alone where there is no interval."""
-        value = self.format(summary["iqm"], sign=sign)
+        """`value [low, high]` from what `Estimate.to_dict` gives; the value alone where there is no interval."""
+        value = self.format(summary["mean" if self.share else "iqm"], sign=sign)
         low, high = (self.format(summary[end], sign=sign) for end in ("low", "high"))
         return value if low == high == "-" else f"{value} [{low}, {high}]"
 
@@ -67,15 +69,14 @@ _SHOWN = (
     TableMetric("stuck_fraction", "fraction of time stuck", 3),
 )
 TABLE_METRICS = {metric.name: metric for metric in _SHOWN}
-# What tables show of the other tasks besides; of shares no mean is trimmed, which would hide a few misses.
+# Of the other tasks.
 TASK_METRICS = (
+    TableMetric("success", "share of goals reached", 4, share=True),
     TableMetric("goal_time", "time to the goal (s)", 2),
     TableMetric("velocity_error", "error of the mean velocity (%)", 2),
+    TableMetric("unsettled", "share of commands never settled", 4, share=True),
 )
-SHARES = (
-    TableMetric("success", "share of goals reached", 4),
-    TableMetric("unsettled", "share of commands never settled", 4),
-)
+SHARES = [metric.name for metric in TASK_METRICS if metric.share]
 # The mean speed over the optimum's for the episode's plant, on sets that the table of optima covers.
 SHARE_OF_OPTIMUM = TableMetric("share_of_optimum", "share of optimum", 2)
 
@@ -125,7 +126,7 @@ def evaluate(
     settings: dict[str, Any] = {**policy.env_kwargs, "task": task, "capsule": capsule, **EPISODE_SETTINGS}
     seconds = find_task(task).episode_steps * CONTROL_DT if horizon is None else horizon
     metrics = _run(policy, settings, chosen, round(seconds / settings.get("control_dt", CONTROL_DT)), action_noise)
-    limited = task == "speed" and settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
+    limited = settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
     seed = policy.training_seed if isinstance(policy, capsule_gym.Policy) else None
     return as_episodes(chosen, metrics, training_seed=seed, shared=limited)
 
@@ -166,9 +167,10 @@ def as_episodes(
     from baselines.archive import find_grid
     from baselines.dynamic_programming.archive import optimal_speed
 
-    # The tables of optima cover one start, their grids, and no changes of the plant.
+    # The tables of optima cover the speed task, one start, their grids, and no changes of the plant.
     plants, grid = evaluation_set.plants, find_grid(evaluation_set.capsule or NOMINAL)
     covered = grid and all(p.theta == START_THETA and not p.changes and (p.M, p.mu) in grid for p in plants)
+    shared &= evaluation_set.task == "speed"
     label = {} if training_seed is None else {"training_seed": training_seed}
     episodes = []
     for i, plant in enumerate(plants):
@@ -236,12 +238,13 @@ def summarise(episodes: Sequence[Episode]) -> dict[str, Any]:
     """The summary of a policy's episodes on one set.
 
     Returns:
-        For every metric but `failed` its interquartile mean with interval, `{"iqm": .., "low": .., "high": ..}`; then
+        For every metric but `failed` its interquartile mean with interval, `{"iqm": .., "low": .., "high": ..}`, of
+        shares the mean, `{"mean": .., "low": .., "high": ..}`; then
         `episodes` and `failures` as counts over all training seeds (a trimmed mean would hide a few failures),
         `training_seeds` (empty for scripted policies) and `resampled`: "seeds", "episodes" or "nothing".
     """
     names = [name for name in episodes[0] if name not in LABELS and name != "failed"]
-    estimates = {name: estimate(scores(episodes, name)) for name in names}
+    estimates = {name: estimate(scores(episodes, name), mean=name in SHARES) for name in names}
     training_seeds = list(dict.fromkeys(e["training_seed"] for e in episodes if "training_seed" in e))
     return {
         **{name: result.to_dict() for name, result in estimates.items()},

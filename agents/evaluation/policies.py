@@ -118,6 +118,11 @@ class Candidate:
     folder: Path | None = None
 
     @property
+    def task(self) -> str:
+        """The task that it is for."""
+        return str(self.policies[0].env_kwargs.get("task", "speed"))
+
+    @property
     def trained(self) -> list[capsule_gym.Policy]:
         """The policies that come from training runs; empty for a scripted policy."""
         return [policy for policy in self.policies if isinstance(policy, capsule_gym.Policy)]
@@ -147,21 +152,21 @@ def checkpoint_names() -> list[str]:
     return sorted(path.name for path in CHECKPOINTS.glob("*") if path.is_dir())
 
 
-def all_candidates() -> list[Candidate]:
-    """All rows of the leaderboard: scripted policies, then checkpoints.
+def all_candidates(task: str = "speed") -> list[Candidate]:
+    """All rows of a task's leaderboard: scripted policies, then checkpoints.
 
     Raises:
         ValueError: if a checkpoint is incomplete, or has another torque limit than the scripted policies.
     """
-    found = [_scripted(name) for name in SCRIPTED]
-    for name in checkpoint_names():
-        found.append(_trained(name, CHECKPOINTS / name))
-        for policy in found[-1].policies:
+    found = [_scripted(name) for name in (SCRIPTED if task == "speed" else TASK_SCRIPTED)]
+    found += [_trained(name, CHECKPOINTS / name) for name in checkpoint_names()]
+    for candidate in found:
+        for policy in candidate.trained:
             limit = policy.env_kwargs.get("torque_limit", TORQUE_LIMIT)
             if limit != TORQUE_LIMIT:
                 accepted = f"a torque_limit of {TORQUE_LIMIT} N m as all others"
-                raise ValueError(f"{CHECKPOINTS / name} must act under {accepted}, got {limit}")
-    return found
+                raise ValueError(f"{candidate.folder} must act under {accepted}, got {limit}")
+    return [candidate for candidate in found if candidate.task == task]
 
 
 def find_candidate(name_or_path: str, *, trust: bool = False, trust_controller: bool = False) -> Candidate:

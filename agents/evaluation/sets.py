@@ -161,7 +161,12 @@ def _spread_set(name: str, capsule: Capsule) -> EvaluationSet:
 
 
 def validation_set(
-    randomization: str, name: str, first_seed: int, count: int, capsule: Capsule | None = None
+    randomization: str | Randomization,
+    name: str,
+    first_seed: int,
+    count: int,
+    capsule: Capsule | None = None,
+    task: str = "speed",
 ) -> EvaluationSet:
     """A set of plants that are drawn as the environment draws those of its episodes, for choices and studies.
 
@@ -171,13 +176,14 @@ def validation_set(
         first_seed: the episodes' seeds are this and those that follow; far from 0, 1, .., which the frozen sets use.
         count: how many.
         capsule: of the environment.
+        task: of the environment; what its episodes draw besides follows from their seeds.
     """
     from capsule_gym.resets import Stream, draw_plant, random_stream
 
     drawn = Randomization.named(randomization)
     seeds = range(first_seed, first_seed + count)
     plants = [PlantSpec(*draw_plant(drawn, NOMINAL, random_stream(seed, 0, Stream.parameters)), seed) for seed in seeds]
-    return EvaluationSet(name, tuple(plants), capsule=capsule)
+    return EvaluationSet(name, tuple(plants), task, capsule)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ the true median with a probability of 75 % (two seeds: 50 %, five: 94 %), not 95
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
@@ -42,16 +42,18 @@ class Estimate:
         low: lower end of the 95 % interval.
         high: upper end.
         resampled: what the bootstrap drew with replacement.
+        kind: of the summary, "iqm" or "mean".
     """
 
     value: float
     low: float
     high: float
     resampled: Unit
+    kind: str = "iqm"
 
     def to_dict(self) -> dict[str, float]:
         """The numbers as they stand in results."""
-        return {"iqm": self.value, "low": self.low, "high": self.high}
+        return {self.kind: self.value, "low": self.low, "high": self.high}
 
 
 def interquartile_mean(scores: ArrayLike) -> np.ndarray:
@@ -98,16 +100,18 @@ def _checked(name: str, scores: ArrayLike) -> np.ndarray:
     return array
 
 
-def estimate(scores: ArrayLike) -> Estimate:
+def estimate(scores: ArrayLike, *, mean: bool = False) -> Estimate:
     """The interquartile mean of all scores with its 95 % percentile bootstrap interval.
 
     Args:
         scores: shape (training seeds, episodes).
+        mean: take the mean instead.
 
     Raises:
         ValueError: if the scores are not of that shape.
     """
-    return _over_seeds(_checked("scores", scores), interquartile_mean)
+    array = _checked("scores", scores)
+    return replace(_over_seeds(array, _mean), kind="mean") if mean else _over_seeds(array, interquartile_mean)
 
 
 def _over_seeds(array: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray]) -> Estimate:
@@ -125,7 +129,7 @@ def _over_seeds(array: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray]
     return Estimate(value, float("nan"), float("nan"), "nothing")
 
 
-def paired_difference(scores: ArrayLike, reference: ArrayLike) -> Estimate:
+def paired_difference(scores: ArrayLike, reference: ArrayLike, *, mean: bool = False) -> Estimate:
     """The interquartile mean of the differences, episode by episode, between two policies on the same episodes.
 
     Differences are taken between every training seed of the one and every seed of the other. Where either has
@@ -135,6 +139,7 @@ def paired_difference(scores: ArrayLike, reference: ArrayLike) -> Estimate:
     Args:
         scores: shape (training seeds, episodes).
         reference: shape (training seeds of the reference, episodes), of the same episodes in the same order.
+        mean: take the mean of the differences instead.
 
     Raises:
         ValueError: if the scores are not of these shapes.
@@ -147,17 +152,18 @@ def paired_difference(scores: ArrayLike, reference: ArrayLike) -> Estimate:
         pairs = array[:, None, :] - other[None, :, :]
     rows, columns, episodes = pairs.shape
     if rows == 1 or columns == 1:
-        return _over_seeds(pairs.reshape(-1, episodes), interquartile_mean)
+        return estimate(pairs.reshape(-1, episodes), mean=mean)
+    summary, kind = (_mean, "mean") if mean else (interquartile_mean, "iqm")
     rng = np.random.default_rng(BOOTSTRAP_SEED)
 
     def statistic(drawn: np.ndarray) -> np.ndarray:
         chosen = pairs[drawn[:, :rows, None], drawn[:, None, rows:]]
-        return interquartile_mean(chosen.reshape(len(drawn), -1))
+        return np.asarray(summary(chosen.reshape(len(drawn), -1)))
 
     low, high = _seed_percentiles(
         statistic, rng.integers(rows, size=(RESAMPLES, rows)), rng.integers(columns, size=(RESAMPLES, columns))
     )
-    return Estimate(float(interquartile_mean(pairs.reshape(-1))), low, high, "seeds")
+    return Estimate(float(summary(pairs.reshape(-1))), low, high, "seeds", kind)
 
 
 def _means_of_seeds(values: np.ndarray) -> np.ndarray:

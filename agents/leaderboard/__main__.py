@@ -27,10 +27,10 @@ from agents.evaluation.policies import Candidate, all_candidates
 from agents.leaderboard.page import COMMAND, build, files, training_commands
 from agents.leaderboard.rows import RESULTS, Row, evaluate, load_rows, save_row, static_header
 from capsule_gym.command_line import Positional, parse, refuse
-from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, load_set
+from capsule_gym.evaluation_sets import SET_NAMES, TASK_SET_NAMES, EvaluationSet, load_set
 from capsule_gym.files import write_atomically
 from capsule_gym.parameters import nearest
-from capsule_gym.task import HORIZON
+from capsule_gym.task import TASKS
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -60,8 +60,9 @@ def _stale_headers(
     rows: Sequence[Row], candidates: Sequence[Candidate], sets: Sequence[EvaluationSet]
 ) -> Iterator[str]:
     """Compares the fields of the headers that need no evaluation."""
-    commands, hashes = training_commands(), {each.name: each.hash for each in sets}
+    commands = training_commands()
     for row, candidate in zip(rows, candidates, strict=True):
+        hashes = {each.name: each.hash for each in sets if each.task == candidate.task}
         for field, now in {**static_header(candidate), "sets": hashes}.items():
             if row.header[field] != now:
                 yield f"{row.name}: {field} differs from its results"
@@ -95,17 +96,17 @@ def check(
     *,
     evaluated: Sequence[Candidate],
     jobs: int = 1,
-    horizon: float = HORIZON,
+    horizon: float | None = None,
 ) -> list[str]:
     """What is stale, one line each.
 
     Args:
         root: the project's folder, with leaderboard.json, LEADERBOARD.md, README.md and the results.
         candidates: the rows that should be there.
-        sets: the sets that they should be evaluated on.
+        sets: of all tasks; a row should be evaluated on those of its own.
         evaluated: the rows to evaluate again.
         jobs: number of processes.
-        horizon: length of an episode in s.
+        horizon: length of an episode in s; None takes that of the task.
     """
     names = [candidate.name for candidate in candidates]
     # What needs no evaluation comes first: it takes no time.
@@ -139,7 +140,7 @@ def main(arguments: Sequence[str] | None = None, *, root: Path = ROOT) -> int:
             raise ValueError(f"--jobs must be an integer >= 1, got {args.jobs}")
         if args.names and args.from_results:
             raise ValueError(f"--from-results must stand without names, got {' '.join(args.names)}")
-        candidates = all_candidates()
+        candidates = [candidate for task in TASKS for candidate in all_candidates(task)]
         names = [candidate.name for candidate in candidates]
         unknown = [name for name in args.names if name not in names]
         if unknown:
@@ -147,7 +148,7 @@ def main(arguments: Sequence[str] | None = None, *, root: Path = ROOT) -> int:
     except ValueError as error:
         refuse(COMMAND, str(error))
     chosen = [] if args.from_results else [each for each in candidates if each.name in (args.names or names)]
-    sets = [load_set(name) for name in SET_NAMES]
+    sets = [load_set(name) for name in SET_NAMES + TASK_SET_NAMES]
     if args.check:
         stale = check(root, candidates, sets, evaluated=chosen, jobs=args.jobs)
         if stale:

@@ -11,7 +11,8 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TableMetric, summarise
+from agents.evaluation.criteria import CRITERIA
+from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TASK_METRICS, TableMetric, summarise
 from agents.evaluation.policies import BASELINE, CHECKPOINTS
 from agents.leaderboard.rows import Row
 from baselines.tables import markdown_table
@@ -64,18 +65,42 @@ def training_commands() -> dict[str, str]:
 
 
 def build(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> dict[str, Any]:
-    """The content of leaderboard.json, from the rows alone: the fastest row on the ranking set first.
+    """The content of leaderboard.json, from the rows alone: the best row of each task on its ranking set first.
 
     Args:
         rows: in any order.
-        sets: the columns; one of them is the ranking set.
+        sets: the columns; of each task that has rows, one of them is the ranking set.
 
     Raises:
         ValueError: if a row was evaluated on other sets.
     """
-    commands = training_commands()
-    shown = (*TABLE_METRICS, SHARE_OF_OPTIMUM.name, "episodes", "failures", "resampled")
+    by_task = {each.task: [other for other in sets if other.task == each.task] for each in sets}
     versions: dict[str, set[str]] = {}
+    for row in rows:
+        for package, number in row.header["versions"].items():
+            versions.setdefault(package, set()).add(number)
+    tasks = {
+        task: {
+            "sets": {each.name: each.hash for each in own},
+            "rows": _ranked([row for row in rows if row.task == task], own, task),
+        }
+        for task, own in by_task.items()
+    }
+    board = {
+        "sets": {each.name: each.hash for each in sets if each.task == "speed"},
+        # Where the rows were evaluated with different versions, all of them.
+        "versions": {package: ", ".join(sorted(numbers)) for package, numbers in versions.items()},
+        "rows": tasks.pop("speed", {}).get("rows", []),
+        "tasks": tasks,
+    }
+    return without_nonfinite(board)
+
+
+def _ranked(rows: Sequence[Row], sets: Sequence[EvaluationSet], task: str) -> list[dict[str, Any]]:
+    """The rows of one task, the best on its ranking set first."""
+    commands, criteria = training_commands(), CRITERIA[task]
+    of_task = [metric.name for metric in TASK_METRICS]
+    shown = (*of_task, *TABLE_METRICS, SHARE_OF_OPTIMUM.name, "episodes", "failures", "resampled")
     content = []
     for row in rows:
         entry = {name: row.header[name] for name in ("policy", "description", "training_seeds", "revision", "files")}
@@ -84,16 +109,14 @@ def build(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> dict[str, Any]:
         summaries = {each.name: summarise(row.episodes(each)) for each in sets}
         results = {name: {key: each[key] for key in shown if key in each} for name, each in summaries.items()}
         content.append({**entry, **_rounded({"results": results, "disturbed": row.header["disturbed"]}, 6)})
-        for package, number in row.header["versions"].items():
-            versions.setdefault(package, set()).add(number)
-    content.sort(key=lambda row: (-row["results"][RANKING_SET]["mean_speed"]["iqm"], row["policy"]))
-    board = {
-        "sets": {each.name: each.hash for each in sets},
-        # Where the rows were evaluated with different versions, all of them.
-        "versions": {package: ", ".join(sorted(numbers)) for package, numbers in versions.items()},
-        "rows": content,
-    }
-    return without_nonfinite(board)
+    ranking, metric = criteria.ranking_set, criteria.metric.name
+    return sorted(content, key=lambda row: criteria.rank(row["results"][ranking][metric]["iqm"], row["policy"]))
+
+
+def rows_of(board: Mapping[str, Any], task: str) -> list[dict[str, Any]]:
+    """The rows of a task in leaderboard.json."""
+    found: list[dict[str, Any]] = board["rows"] if task == "speed" else board["tasks"].get(task, {}).get("rows", [])
+    return found
 
 
 def _interval(metric: TableMetric, summary: Mapping[str, Any]) -> str:
@@ -155,10 +178,13 @@ def render(board: Mapping[str, Any]) -> str:
         board: the content of leaderboard.json.
     """
     rows, cells, sets = board["rows"], _all_cells(board), board["sets"]
+    of_tasks = {task: each["rows"] for task, each in board["tasks"].items()}
+    hashes = {name: value for each in (board, *board["tasks"].values()) for name, value in each["sets"].items()}
     details = {metric.label: name for name, metric in TABLE_METRICS.items() if metric != SPEED}
     shared = [name for name in sets if any(SHARE_OF_OPTIMUM.name in row["results"][name] for row in rows)]
-    trained_by = [f". Trained by `{row['trained_by']}`" if row.get("trained_by") else "" for row in rows]
-    policies = [f"- `{row['policy']}`: {row['description']}{by}" for row, by in zip(rows, trained_by, strict=True)]
+    every = [row for each in (rows, *of_tasks.values()) for row in each]
+    trained_by = [f". Trained by `{row['trained_by']}`" if row.get("trained_by") else "" for row in every]
+    policies = [f"- `{row['policy']}`: {row['description']}{by}" for row, by in zip(every, trained_by, strict=True)]
     parts = {
         "ranking": _table(cells, RANKING),
         "details": _table(cells, {**POLICY, **details, "training seeds": "training_seeds", "revision": "revision"}),
@@ -167,10 +193,26 @@ def render(board: Mapping[str, Any]) -> str:
         "shares": _table(cells, {**POLICY, **{name: f"share {name}" for name in shared}}),
         "sensitivity": _table(cells, SENSITIVITY),
         "policies": "\n".join(policies),
-        "hashes": ", ".join(f"`{name}` {value[:12]}" for name, value in sets.items()),
+        "hashes": ", ".join(f"`{name}` {value[:12]}" for name, value in hashes.items()),
         "versions": ", ".join(f"{name} {value}" for name, value in board["versions"].items()),
     }
+    parts |= {task: _task_tables(of_tasks.get(task, [])) for task in CRITERIA if task != "speed"}
     return Template(Path(__file__).with_suffix(".md").read_text(encoding="utf-8")).substitute(parts)
+
+
+def _task_tables(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The rows of another task than speed, a table per set."""
+    tables = []
+    for name in rows[0]["results"] if rows else ():
+        metrics = [metric for metric in TASK_METRICS if metric.name in rows[0]["results"][name]]
+        lines = [["policy", *(metric.label for metric in metrics), "failed", "training seeds", "revision"]]
+        for row in rows:
+            result = row["results"][name]
+            values = [_interval(metric, result) for metric in metrics]
+            seeds, revision = len(row["training_seeds"]) or "-", f"`{row['revision']}`" if row["revision"] else "-"
+            lines.append([row["policy"], *values, f"{result['failures']}/{result['episodes']}", str(seeds), revision])
+        tables.append(f"On the set `{name}`:\n\n{markdown_table(lines)}")
+    return "\n\n".join(tables)
 
 
 def head(board: Mapping[str, Any]) -> str:

@@ -11,7 +11,7 @@ shape (metrics, training seeds, episodes), and under `header` a JSON text in UTF
 | `metrics` | the rows of the arrays |
 | `sets` | the sha256 of each set's content |
 | `versions` | of Python and of the packages that evaluated it |
-| `disturbed` | the range of the mean speed under small noise on the actions (`disturbed_range`) |
+| `disturbed` | of the speed task: the range of the mean speed under small noise on the actions (`disturbed_range`) |
 
 Distance and energy are left out: they follow from speed and cost of transport. So is the share of the optimum, which
 follows from speed and plant.
@@ -39,8 +39,9 @@ from agents.evaluation.policies import Candidate, Policy
 from baselines.policies import SCRIPTED
 from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet
 from capsule_gym.files import write_atomically
+from capsule_gym.parameters import find_task
 from capsule_gym.policy import POLICY
-from capsule_gym.task import CONTROL_DT, HORIZON, METRICS
+from capsule_gym.task import CONTROL_DT, HORIZON, METRICS, TASKS
 
 # From the project's folder.
 RESULTS = Path("agents", "leaderboard", "results")
@@ -72,6 +73,11 @@ class Row:
     def trained(self) -> bool:
         """Whether the policy was trained."""
         return bool(self.header["training_seeds"])
+
+    @property
+    def task(self) -> str:
+        """The task that its metrics are of."""
+        return next(task for task in TASKS if columns(task) == self.header["metrics"])
 
     def score(self, set_name: str, metric: str) -> np.ndarray:
         """A metric of all episodes of a set, shape (runs, episodes), float64."""
@@ -123,12 +129,19 @@ def static_header(candidate: Candidate) -> dict[str, Any]:
     }
 
 
-def evaluate_run(policy: Policy, sets: Sequence[EvaluationSet], horizon: float) -> dict[str, np.ndarray]:
+def columns(task: str) -> list[str]:
+    """The metrics that rows of a task hold."""
+    of_task = find_task(task)
+    memory = of_task.memory(*np.zeros((of_task.rows, 1)))
+    return [*COLUMNS, *of_task.metrics(memory, np.zeros(1))]
+
+
+def evaluate_run(policy: Policy, sets: Sequence[EvaluationSet], horizon: float | None = None) -> dict[str, np.ndarray]:
     """Evaluates one training run: by the set's name the metrics of its episodes, shape (metrics, episodes)."""
     found = {}
     for each in sets:
         episodes = evaluate_policy(policy, each, horizon=horizon)
-        found[each.name] = np.array([[episode[column] for episode in episodes] for column in COLUMNS])
+        found[each.name] = np.array([[episode[name] for episode in episodes] for name in columns(each.task)])
     return found
 
 
@@ -166,7 +179,7 @@ def make_row(
     widest = max(ranges, key=lambda ends: ends[1] - ends[0], default=())
     header = {
         **static_header(candidate),
-        "metrics": list(COLUMNS),
+        "metrics": columns(candidate.task),
         "sets": {each.name: each.hash for each in sets},
         "versions": versions(),
         "disturbed": dict(zip(("low", "high"), widest, strict=False)),
@@ -174,9 +187,9 @@ def make_row(
     return Row(header, {each.name: np.stack([run[each.name] for run in runs], axis=1) for each in sets})
 
 
-def _work(policy: Policy, sets: Sequence[EvaluationSet], horizon: float, disturbed: bool) -> Any:
+def _work(policy: Policy, sets: Sequence[EvaluationSet], horizon: float | None, disturbed: bool) -> Any:
     """Evaluates one run on all sets, and its sensitivity if asked for."""
-    return evaluate_run(policy, sets, horizon), disturbed_range(policy, horizon) if disturbed else None
+    return evaluate_run(policy, sets, horizon), disturbed_range(policy, horizon or HORIZON) if disturbed else ()
 
 
 def evaluate(
@@ -184,33 +197,39 @@ def evaluate(
     sets: Sequence[EvaluationSet],
     *,
     jobs: int = 1,
-    horizon: float = HORIZON,
+    horizon: float | None = None,
     disturbed: bool = True,
 ) -> Iterator[Row]:
     """Evaluates policies, with a progress bar on a terminal; yields each row as soon as it is finished.
 
     Args:
         candidates: the rows.
-        sets: the sets to evaluate them on.
+        sets: of all tasks; a row is evaluated on those of its own.
         jobs: number of processes.
-        horizon: length of an episode in s.
-        disturbed: whether their sensitivity is evaluated too, which takes a third of the time; or else left empty.
+        horizon: length of an episode in s; None takes that of the task.
+        disturbed: whether the sensitivity of those of the speed task is evaluated too, which takes a third of the time;
+            or else left empty.
     """
     # Slow to import, and --help does not need it.
     from joblib import Parallel, delayed
 
-    work = [policy for candidate in candidates for policy in candidate.policies]
+    own = {candidate.name: [each for each in sets if each.task == candidate.task] for candidate in candidates}
+    work = [(policy, candidate) for candidate in candidates for policy in candidate.policies]
     if not work:
         return
     parallel = Parallel(jobs, return_as="generator")
     if jobs > 1:
         # The step is compiled once: the processes find it on disk.
-        evaluate_run(work[-1], sets[:1], CONTROL_DT)
-    results = parallel(delayed(_work)(policy, sets, horizon, disturbed) for policy in work)
+        policy, candidate = work[-1]
+        evaluate_run(policy, own[candidate.name][:1], CONTROL_DT)
+    results = parallel(
+        delayed(_work)(policy, own[candidate.name], horizon, disturbed and candidate.task == "speed")
+        for policy, candidate in work
+    )
     found = iter(tqdm(results, "evaluating", len(work), file=sys.stderr, disable=None))
     for candidate in candidates:
         runs, ranges = zip(*(next(found) for _ in candidate.policies), strict=True)
-        yield make_row(candidate, sets, runs, ranges if disturbed else ())
+        yield make_row(candidate, own[candidate.name], runs, [each for each in ranges if each])
 
 
 def path_of(folder: Path, name: str) -> Path:

@@ -16,23 +16,24 @@ from typing import Any, NamedTuple
 import numpy as np
 from tabulate import tabulate
 
-from agents.analysis.data import SPEED, Learning, Results, gather, read_evaluations, read_learning
+from agents.analysis.data import Learning, Results, gather, read_evaluations, read_learning
 from agents.analysis.figures import draw_learning, draw_profiles, draw_transport, panels
 from agents.analysis.recording import draw_comparison, record
 from agents.evaluate import comparison_table
-from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, evaluate
-from agents.evaluation.policies import BASELINE, CHECKPOINTS, Candidate, all_candidates, find_candidate
-from agents.leaderboard.page import RANKING_SET, build
+from agents.evaluation.criteria import CRITERIA
+from agents.evaluation.episodes import SHARE_OF_OPTIMUM, TABLE_METRICS, TASK_METRICS, TableMetric, evaluate
+from agents.evaluation.policies import CHECKPOINTS, Candidate, all_candidates, find_candidate
+from agents.leaderboard.page import build, rows_of
 from agents.leaderboard.rows import RESULTS, Row, evaluate_run, load_row, make_row, path_of
 from agents.report import COMMAND
 from agents.training.presets import BEST, EVALUATIONS, MODEL
 from baselines.drawing import DPI, VERMILION, add_note, style
-from baselines.policies import SCRIPTED
-from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, load_set
+from capsule_gym.evaluation_sets import NOMINAL_PLANT, SET_NAMES, TASK_SET_NAMES, EvaluationSet, load_set
 from capsule_gym.files import write_atomically
+from capsule_gym.parameters import find_task
 from capsule_gym.policy import POLICY
 from capsule_gym.rendering import write_gif
-from capsule_gym.task import HORIZON
+from capsule_gym.task import CONTROL_DT
 
 ROOT = Path(__file__).resolve().parents[2]
 # In the folder of a run that `compare` has compared; the part of an episode that it shows, s.
@@ -49,8 +50,10 @@ class Data(NamedTuple):
 
     @property
     def subjects(self) -> list[Row]:
-        """The rows that the report is about: all but the paper's controller, unless there is no other."""
-        return [row for row in self.results.rows if row.name != BASELINE] or list(self.results.rows)
+        """The rows that the report is about: all but the baseline, unless there is no other."""
+        return [row for row in self.results.rows if row.name != self.results.criteria.baseline] or list(
+            self.results.rows
+        )
 
 
 def collect(names: Sequence[str], *, trust_controller: bool = False, trust_pickle: bool = False) -> Data:
@@ -67,36 +70,42 @@ def collect(names: Sequence[str], *, trust_controller: bool = False, trust_pickl
         ValueError: if there is no such policy, two have one name, or a file is broken.
     """
     board = json.loads((ROOT / "leaderboard.json").read_text(encoding="utf-8"))
-    published = {row["policy"]: row["results"] for row in board["rows"]}
-    sets = [load_set(name) for name in SET_NAMES]
+    found = [_candidate(name, trust_controller, trust_pickle) for name in names]
+    task = found[0].task if found else "speed"
+    if others := [each.name for each in found if each.task != task]:
+        raise ValueError(f"policies of a report must be for one task, got {found[0].name} for {task} and {others[0]}")
+    published = {row["policy"]: row["results"] for row in rows_of(board, task)}
+    sets = [each for each in map(load_set, SET_NAMES + TASK_SET_NAMES) if each.task == task]
     rows: list[Row] = []
     curves: dict[str, Learning] = {}
     animations: dict[str, bytes] = {}
-    for name in dict.fromkeys([*(names or [each.name for each in all_candidates()]), BASELINE]):
+    baseline = find_candidate(CRITERIA[task].baseline)
+    given = dict(zip(names, found, strict=True)) or {each.name: each for each in all_candidates()}
+    for name, candidate in {**given, baseline.name: baseline}.items():
         if name in published:
             rows.append(load_row(path_of(ROOT / RESULTS, name)))
             continue
-        path, candidate = Path(name), _candidate(name, trust_controller, trust_pickle)
-        row = make_row(candidate, sets, [evaluate_run(policy, sets, HORIZON) for policy in candidate.policies])
+        path = Path(name)
+        row = make_row(candidate, sets, [evaluate_run(policy, sets) for policy in candidate.policies])
         # A recurrent policy has no file that says its seed.
         seeds = row.header["training_seeds"] or list(range(len(candidate.policies)))
         rows.append(replace(row, header={**row.header, "training_seeds": seeds}))
         one = path / EVALUATIONS
-        if learning := {0: read_evaluations(one)} if one.is_file() else read_learning(path):
+        if learning := {0: read_evaluations(one, task)} if one.is_file() else read_learning(path, task):
             curves[row.name] = learning
         if (path / ANIMATION).is_file():
             animations[row.name] = (path / ANIMATION).read_bytes()
     twins = [name for name, count in Counter(row.name for row in rows).items() if count > 1]
     if twins:
         raise ValueError(f"policies of a report must have different names, got {', '.join(twins)} more than once")
-    results = gather(rows, sets, CHECKPOINTS)
+    results = gather(rows, sets, CHECKPOINTS, task)
     own = build([row for row in rows if row.name not in published], sets)
-    summaries = published | {row["policy"]: row["results"] for row in own["rows"]}
+    summaries = published | {row["policy"]: row["results"] for row in rows_of(own, task)}
     return Data(replace(results, learning=results.learning | curves), summaries, animations)
 
 
 def _candidate(name: str, trust_controller: bool, trust_pickle: bool) -> Candidate:
-    """A policy, named by the last part of its path."""
+    """A policy by its name, or of a run, named by the last part of its path."""
     path = Path(name)
     if (path / BEST / MODEL).is_file() and not (path / BEST / POLICY).is_file():
         if not trust_pickle:
@@ -133,16 +142,17 @@ def render(data: Data, title: str) -> str:
         data: what it shows.
         title: of the page.
     """
-    results = data.results
+    results, metric = data.results, data.results.criteria.metric
+    speed = results.task == "speed"
     parts = [
         f"<h1>{html.escape(title)}</h1>",
         f"<p>{_sentence(data, data.subjects[0])}</p>",
         *(_image(f"{name} in motion", "gif", content) for name, content in data.animations.items()),
-        _figure("Learning curve", draw_learning, results.learning) if results.learning else "",
+        _figure("Learning curve", draw_learning, results.learning, metric) if results.learning else "",
         f"<h2>On every set</h2>\n{_tables(data)}",
-        _figure("Speed against cost of transport", draw_transport, results.rows),
-        _figure("Performance profile", draw_profiles, results.rows, results.shown_sets),
-        _figure("On which plants", draw_plants, results.rows, results.sets),
+        _figure("Speed against cost of transport", draw_transport, results.rows) if speed else "",
+        _figure("Performance profile", draw_profiles, results.rows, results.shown_sets) if speed else "",
+        _figure("On which plants", draw_plants, results.rows, results.sets, metric),
         _footer(data),
     ]
     body = "\n".join(part for part in parts if part)
@@ -154,42 +164,44 @@ def render(data: Data, title: str) -> str:
     )
 
 
-def draw_plants(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> Any:
-    """The mean speed on every plant with constant parameters, and where episodes fail."""
+def draw_plants(rows: Sequence[Row], sets: Sequence[EvaluationSet], metric: TableMetric) -> Any:
+    """A metric on every plant with constant parameters, and where episodes fail."""
     constant = [each for each in sets if not any(plant.changes for plant in each.plants)]
     M, mu = (np.array([getattr(plant, name) for each in constant for plant in each.plants]) for name in ("M", "mu"))
-    speeds, failed = (
-        {row.name: np.concatenate([row.score(each.name, metric).mean(axis=0) for each in constant]) for row in rows}
-        for metric in (SPEED, "failed")
+    values, failed = (
+        {row.name: np.concatenate([row.score(each.name, name).mean(axis=0) for each in constant]) for row in rows}
+        for name in (metric.name, "failed")
     )
-    top = max(1e-9, *(float(values.max()) for values in speeds.values()))
-    figure, places = panels(list(speeds), 1.2, columns=3, height=1.7)
+    top = max(1e-9, *(float(each.max()) for each in values.values()))
+    figure, places = panels(list(values), 1.2, columns=3, height=1.7)
     used = []
-    for name, axes in zip(speeds, places, strict=False):
-        marks = axes.scatter(M, mu, c=speeds[name], s=9.0, vmin=0.0, vmax=top, linewidths=0.0)
+    for name, axes in zip(values, places, strict=False):
+        marks = axes.scatter(M, mu, c=values[name], s=9.0, vmin=0.0, vmax=top, linewidths=0.0)
         lost = failed[name] > 0.0
         axes.plot(M[lost], mu[lost], "x", color=VERMILION, markersize=4.5, markeredgewidth=0.9)
         axes.set_yscale("log")
         used.append(axes)
-    figure.colorbar(marks, ax=used, aspect=30.0).set_label("mean speed (cm/s)")
+    figure.colorbar(marks, ax=used, aspect=30.0).set_label(metric.label)
     figure.supylabel("friction coefficient μ", fontsize=8.0)
     add_note(
         figure,
-        "Horizontal: mass of the platform M (kg). A point per episode of the sets with constant parameters: its mean "
-        "speed, averaged over the training seeds. A cross: an episode that failed with at least one of them.",
+        "Horizontal: mass of the platform M (kg). A point per episode of the sets with constant parameters, averaged "
+        "over the training seeds. A cross: an episode that failed with at least one of them.",
     )
     return figure
 
 
 def _sentence(data: Data, row: Row) -> str:
-    """What a policy is, how fast it is, and how often it fails."""
-    summary, reference = (data.summaries[name][RANKING_SET] for name in (row.name, BASELINE))
-    ratio = summary[SPEED]["iqm"] / reference[SPEED]["iqm"]
+    """What a policy is, its metric next to the baseline's, and how often it fails."""
+    criteria = data.results.criteria
+    metric, chosen = criteria.metric, criteria.ranking_set
+    own, theirs = (data.summaries[name][chosen] for name in (row.name, criteria.baseline))
+    values = [metric.with_interval(each[metric.name]) for each in (own, theirs)]
     description = re.sub("`([^`]+)`", r"<code>\1</code>", html.escape(row.header["description"]))
     return (
-        f"<strong>{html.escape(row.name)}</strong> ({description}): "
-        f"{TABLE_METRICS[SPEED].with_interval(summary[SPEED])} cm/s on the set <code>{RANKING_SET}</code>, {ratio:.2f} "
-        f"times as fast as the paper's controller; {summary['failures']} of {summary['episodes']} episodes failed."
+        f"<strong>{html.escape(row.name)}</strong> ({description}): {metric.label} {values[0]} on the set "
+        f"<code>{chosen}</code>, where <code>{criteria.baseline}</code> has {values[1]}; "
+        f"{own['failures']} of {own['episodes']} episodes failed."
     )
 
 
@@ -208,7 +220,9 @@ def _figure(heading: str, draw: Callable[..., Any], *arguments: Any) -> str:
 
 def _tables(data: Data) -> str:
     """All measures of all policies, a table per set."""
-    metrics = (*TABLE_METRICS.values(), SHARE_OF_OPTIMUM)
+    shown = [summary for each in data.summaries.values() for summary in each.values()]
+    every = (*TASK_METRICS, *TABLE_METRICS.values(), SHARE_OF_OPTIMUM)
+    metrics = [metric for metric in every if any(metric.name in summary for summary in shown)]
     tables = []
     for name in (each.name for each in data.results.sets):
         rows = [["policy", *(each.label for each in metrics), "failed"]]
@@ -229,29 +243,35 @@ def _footer(data: Data) -> str:
     hashes = ", ".join(f"{each.name} {each.hash[:12]}" for each in results.sets)
     return (
         "<footer><p>Numbers are interquartile means with 95 % intervals: over training seeds, resampled whole, or of "
-        "a single seed over its episodes. The mean speed of a failed episode is its distance over the whole "
-        f"33 s. Written by <code>{COMMAND}</code> with {html.escape(versions)}. Sets: {hashes}.</p></footer>"
+        "a single seed over its episodes; shares are means. The mean speed of a failed episode is its distance over "
+        f"the episode's whole length. Written by <code>{COMMAND}</code> with {html.escape(versions)}. "
+        f"Sets: {hashes}.</p></footer>"
     )
 
 
-def compare(run: Path, set_name: str = "paper") -> None:
+def compare(run: Path, set_name: str | None = None) -> None:
     """Evaluates a run's best model and the baseline on the same frozen episodes; prints and draws the comparison.
 
     Args:
         run: the run's folder; gets comparison.png, animation.gif and report.html.
-        set_name: a frozen set, or the path of one.
+        set_name: a frozen set, or the path of one; by default that of the task's ranking.
     """
-    evaluation_set = load_set(set_name)
     # Imports torch, which takes seconds.
     from agents.training.export import load_best
 
-    policy, baseline = load_best(run), SCRIPTED[BASELINE]
+    policy = load_best(run)
+    criteria = CRITERIA[policy.env_kwargs.get("task", "speed")]
+    evaluation_set, (baseline,) = load_set(set_name or criteria.ranking_set), find_candidate(criteria.baseline).policies
     own, theirs = (evaluate(each, evaluation_set) for each in (policy, baseline))
-    print(f"\nOn the set {evaluation_set.name} ({len(own)} episodes of {HORIZON:g} s, the same for both):\n")
-    print(comparison_table("agent", own, BASELINE, theirs) + "\n")
+    seconds = find_task(evaluation_set.task).episode_steps * CONTROL_DT
+    print(f"\nOn the set {evaluation_set.name} ({len(own)} episodes of {seconds:g} s, the same for both):\n")
+    print(comparison_table("agent", own, criteria.baseline, theirs) + "\n")
     print("Drawing, and evaluating the agent on every set for its report, takes some seconds.\n", flush=True)
-    draw_comparison([record(baseline), record(policy, name="agent")], run / "comparison.png")
-    moving = record(policy, seconds=ANIMATION_START + ANIMATION_SECONDS, frames_from=ANIMATION_START, name="agent")
+    speed = evaluation_set.task == "speed"
+    plant, start = (NOMINAL_PLANT, ANIMATION_START) if speed else (evaluation_set.plants[0], 0.0)
+    recordings = [record(baseline, plant, seconds=seconds), record(policy, plant, seconds=seconds, name="agent")]
+    draw_comparison(recordings, run / "comparison.png", plant)
+    moving = record(policy, plant, seconds=start + ANIMATION_SECONDS, frames_from=start, name="agent")
     if moving.frames:
         write_gif(moving.frames, run / ANIMATION)
     write(run / "report.html", [str(run)], trust_controller=True, trust_pickle=True)

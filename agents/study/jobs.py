@@ -10,10 +10,10 @@ import re
 import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
-from operator import itemgetter
 from pathlib import Path
 from typing import Literal
 
+from agents.evaluation.criteria import CRITERIA
 from agents.evaluation.policies import CHECKPOINTS
 from agents.training.presets import BEST, CONFIG, EVALUATIONS, Config, RunError, read_config, row_settings
 from baselines.tables import text_table
@@ -22,10 +22,6 @@ from capsule_gym.policy import POLICY
 
 # Written into a run's folder when its training is complete.
 FINISHED = "finished"
-
-# Selects the best policy.
-score = itemgetter("score_cm_s")
-
 
 # For messages.
 RESUME = "--resume continues what is your own, reading the pickles of its checkpoints"
@@ -156,15 +152,22 @@ def evaluations(run: Path) -> list[dict[str, float]]:
     return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(lines)]
 
 
+def score(evaluation: dict[str, float]) -> float:
+    """What selects the best policy of a run."""
+    return next(value for name, value in evaluation.items() if name.startswith("score_"))
+
+
 def results_table(jobs: Sequence[Job]) -> str:
     """The runs as a table, each with the evaluation of its best policy."""
-    rows = [["run", "steps", "best at", "cm/s", "failed"]]
+    rows = [["run", "steps", "best at", "best"]]
     for job in jobs:
         lines = evaluations(job.run)
         if lines:
             chosen = max(lines, key=score)
             steps = (f"{line['steps']:,.0f}" for line in (lines[-1], chosen))
-            rows.append([job.name, *steps, f"{chosen['mean_speed_cm_s']:.2f}", f"{chosen['failed']:.1%}"])
+            criteria = CRITERIA[job.config.env_task]
+            best = criteria.describe(chosen | {criteria.metric.name: chosen[criteria.column]})
+            rows.append([job.name, *steps, best])
     return text_table(rows, left=1)
 
 

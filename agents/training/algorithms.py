@@ -39,7 +39,7 @@ from agents.training.presets import (
     TQCConfig,
 )
 from capsule_gym.sb3 import CapsuleSB3VecEnv
-from capsule_gym.task import CONTROL_DT, ENV_ID, HORIZON
+from capsule_gym.task import CONTROL_DT, TASKS
 
 HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 # As in SB3: keeps a logarithm finite where tanh has saturated.
@@ -94,7 +94,8 @@ def wrapped_env(wrappers: tuple[str, ...], env_kwargs: Mapping[str, Any], steps:
     Raises:
         RunError: if there is no such subclass of `gymnasium.Wrapper`, or it is not made of an environment alone.
     """
-    env: Any = gym.make(f"capsule_gym:{ENV_ID}", max_episode_steps=steps, disable_env_checker=True, **env_kwargs)
+    env_id, _ = TASKS[env_kwargs.get("task", "speed")]
+    env: Any = gym.make(f"capsule_gym:{env_id}", max_episode_steps=steps, disable_env_checker=True, **env_kwargs)
     env = EpisodeMetrics(env)
     for name in wrappers:
         try:
@@ -117,7 +118,7 @@ def make_env(config: Config, seed: int) -> VecNormalize:
         ValueError: if one is out of range.
     """
     kwargs = config.env_kwargs()
-    steps = max(1, round(getattr(config, "episode_seconds", HORIZON) / kwargs.get("control_dt", CONTROL_DT)))
+    steps = max(1, round(getattr(config, "episode_seconds", config.horizon) / kwargs.get("control_dt", CONTROL_DT)))
     venv: VecEnv
     if config.wrapper:
         venv = DummyVecEnv([lambda: wrapped_env(config.wrapper, kwargs, steps)] * config.num_envs)

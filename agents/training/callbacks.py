@@ -16,8 +16,9 @@ from stable_baselines3.common.logger import KVWriter, Logger, filter_excluded_ke
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from tqdm import tqdm
 
+from agents.evaluation.criteria import CRITERIA
 from agents.evaluation.episodes import Episode, evaluate, scores
-from agents.evaluation.policies import BASELINE, Policy
+from agents.evaluation.policies import Policy
 from agents.evaluation.sets import validation_set
 from agents.evaluation.statistics import interquartile_mean
 from agents.training import checkpoint
@@ -26,15 +27,13 @@ from agents.training.checkpoint import Progress
 from agents.training.export import export, normalisation, recurrent_policy, save
 from agents.training.presets import BEST, EVALUATIONS, LOGS, Config, RunError
 from agents.training.signals import Stop
-from baselines.policies import SCRIPTED
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, EvaluationSet
 from capsule_gym.files import canonical_hash, write_atomically
-from capsule_gym.task import CONTROL_DT, HORIZON
+from capsule_gym.parameters import EnvConfig, find_task
+from capsule_gym.task import CONTROL_DT
 
 # Far from the seeds 0, 1, .. of training runs and evaluation sets: models are selected on plants of their own.
 SELECTION_SEED = 1_000_000
-# The best model has the largest mean speed less what its power costs, less this (cm/s) times its share of failures.
-FAILURE_COST = 30.0
 # Agent steps between two lines of the log of off-policy algorithms; the others write one per rollout.
 LOG_EVERY = 2_000
 # The project's name at Weights & Biases.
@@ -96,8 +95,9 @@ class Stopped(Exception):  # noqa: N818
 def validation_plants(config: Config) -> EvaluationSet:
     """The plants that a run selects its best model on: from its training ranges, with seeds that nothing else uses."""
     first = SELECTION_SEED + config.seed * config.evaluation_episodes
-    name = f"validation plants from {config.randomization}"
-    return validation_set(config.randomization, name, first, config.evaluation_episodes)
+    options = EnvConfig(**config.env_kwargs())
+    name, count = f"validation plants from {config.randomization}", config.evaluation_episodes
+    return validation_set(options.randomization, name, first, count, options.capsule, config.env_task)
 
 
 class TrainingCallback(BaseCallback):
@@ -129,8 +129,9 @@ class TrainingCallback(BaseCallback):
         self.run, self.config, self.revision, self.report = run, config, revision, report
         self.progress, self.latest, self.stop, self.restore_streams = progress, latest, stop, restore_streams
         self.plants = validation_plants(config)
-        baseline = evaluate(SCRIPTED[BASELINE], self.plants)
-        self.baseline_speed = float(interquartile_mean(scores(baseline, "mean_speed"))[0])
+        self.criteria = CRITERIA[config.env_task]
+        baseline = evaluate(self.criteria.baseline, self.plants)
+        self.baseline_value = float(interquartile_mean(scores(baseline, self.criteria.metric.name))[0])
         self.evaluated_at = int(progress.evaluations[-1]["steps"]) if progress.evaluations else 0
         self.core_began = time.process_time() - progress.core_seconds
         # Only on a terminal; evaluations are printed everywhere.
@@ -168,22 +169,26 @@ class TrainingCallback(BaseCallback):
     def _record_episodes(self) -> None:
         """Records the last episodes in the log and on the progress bar."""
         assert self.model.ep_info_buffer is not None
-        names = ("r", "distance", "mean_speed", "failed", "cost_of_transport", "stuck_fraction")
+        config, task, criteria = self.config, find_task(self.config.env_task), self.criteria
+        names = ("r", "distance", "energy", "cost_of_transport", "stuck_fraction", *criteria.weights)
         of = {name: np.array([episode[name] for episode in self.model.ep_info_buffer]) for name in names}
-        # The terms of the reward, in cm. Energy is the rest, since its weight may be another in every episode.
-        progress, failure = 100.0 * of["distance"], -self.config.termination_penalty * of["failed"]
-        of |= {
-            "reward_progress": progress,
-            "reward_termination": failure,
-            "reward_energy": of["r"] - progress - failure,
-        }
-        for name in ("mean_speed", "failed"):
-            self.logger.record(f"episodes/{name}", float(of[name].mean()))
+        # The terms of the reward. In the speed task energy is the rest: its weight may be another in every episode.
+        failure = -config.termination_penalty * of["failed"]
+        if task.name == "speed":
+            progress = 100.0 * of["distance"]
+            energy = of["r"] - progress - failure
+        else:
+            energy = -config.energy_weight * of["energy"]
+            progress = of["r"] - energy - failure
+        of |= dict(zip(task.reward_terms, (progress, energy, failure), strict=True))
+        means = {name: float(of[name].mean()) for name in criteria.weights}
+        for name, mean in means.items():
+            self.logger.record(f"episodes/{name}", mean)
         # Medians, since a single episode without progress has an infinite cost.
-        for name in ("cost_of_transport", "stuck_fraction", "reward_progress", "reward_energy", "reward_termination"):
+        for name in ("cost_of_transport", "stuck_fraction", *task.reward_terms):
             if math.isfinite(median := float(np.median(of[name]))):
                 self.logger.record(f"episodes/{name}", median)
-        self.bar.set_postfix_str(f"{of['mean_speed'].mean():.2f} cm/s, failed {of['failed'].mean():.0%}", refresh=False)
+        self.bar.set_postfix_str(criteria.describe(means), refresh=False)
 
     def _on_training_end(self) -> None:
         self.evaluate()
@@ -203,32 +208,33 @@ class TrainingCallback(BaseCallback):
             episodes = evaluate(policy, self.plants)
         else:
             episodes = evaluate_wrapped(self.model, self.config, self.plants)
-        speed, cost = (
-            float(interquartile_mean(scores(episodes, name))[0]) for name in ("mean_speed", "cost_of_transport")
+        criteria = self.criteria
+        names = (*criteria.weights, "energy", "stuck_fraction")
+        means = {name: float(scores(episodes, name).mean()) for name in names}
+        score = criteria.score(means) - self.config.energy_weight * means.pop("energy") / self.config.horizon
+        value, cost = (
+            float(interquartile_mean(scores(episodes, name))[0]) for name in (criteria.metric.name, "cost_of_transport")
         )
-        mean, failed, stuck, energy = (
-            float(scores(episodes, name).mean()) for name in ("mean_speed", "failed", "stuck_fraction", "energy")
-        )
-        score = mean - self.config.energy_weight * energy / HORIZON - FAILURE_COST * failed
-        logged = {"mean_speed": speed, "failed": failed, "score": score, "stuck_fraction": stuck}
-        for name, value in (logged | {"cost_of_transport": cost}).items():
-            if math.isfinite(value):
-                self.logger.record(f"evaluation/{name}", value)
+        values = means | {criteria.metric.name: value}
+        for name, logged in (values | {"score": score, "cost_of_transport": cost}).items():
+            if math.isfinite(logged):
+                self.logger.record(f"evaluation/{name}", logged)
         self.evaluated_at = self.num_timesteps
+        shares = {name: values[name] for name in criteria.weights if name != criteria.metric.name}
         self.progress.evaluations.append(
             {
                 "steps": self.num_timesteps,
                 "core_seconds": round(time.process_time() - self.core_began, 1),
-                "mean_speed_cm_s": round(speed, 4),
-                "failed": failed,
-                "score_cm_s": round(score, 4),
-                "baseline_mean_speed_cm_s": round(self.baseline_speed, 4),
+                criteria.column: round(value, 4),
+                **shares,
+                f"score_{criteria.suffix}": round(score, 4),
+                f"baseline_{criteria.column}": round(self.baseline_value, 4),
             }
         )
         lines = [",".join(map(str, line.values())) for line in self.progress.evaluations]
         write_atomically(self.run / EVALUATIONS, "\n".join([",".join(self.progress.evaluations[0]), *lines, ""]))
-        reference = f"{BASELINE} {self.baseline_speed:.2f}"
-        self.bar.write(f"{self.num_timesteps:12,} steps: {speed:.2f} cm/s ({reference}), failed {failed:.1%}")
+        reference = f"{criteria.baseline} {self.baseline_value:.2f} {criteria.unit}"
+        self.bar.write(f"{self.num_timesteps:12,} steps: {criteria.describe(values)} ({reference})")
         if score > self.progress.best_score:
             self.progress.best_score = score
             save(self.run / BEST, self.model, policy)
@@ -247,12 +253,11 @@ class TrainingCallback(BaseCallback):
 def evaluate_wrapped(model: BaseAlgorithm, config: Config, plants: EvaluationSet) -> list[Episode]:
     """One episode on every plant, from rest, in environments with the run's wrappers; as `evaluate` returns them."""
     normalise = normalisation(model).normalize_obs
-    steps = round(HORIZON / config.env_kwargs().get("control_dt", CONTROL_DT))
+    steps = round(config.horizon / config.env_kwargs().get("control_dt", CONTROL_DT))
     episodes = []
     for plant in plants.plants:
         env = wrapped_env(config.wrapper, {**config.env_kwargs(), **EPISODE_SETTINGS}, steps)
-        state = np.array([plant.theta, 0.0, 0.0, 0.0])
-        observation, _ = env.reset(seed=plant.seed, options={"M": plant.M, "mu": plant.mu, "state": state})
+        observation, _ = env.reset(seed=plant.seed, options=plant.reset_options())
         memory, begins, ended = None, np.ones(1, np.bool_), False
         while not ended:
             action, memory = model.predict(

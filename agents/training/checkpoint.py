@@ -53,7 +53,7 @@ class Progress:
     settings: dict[str, Any]  # the hyperparameters of the run, but for its length
     core_seconds: float = 0.0  # processor seconds of training
     evaluations: list[dict[str, float]] = field(default_factory=list)  # the lines of evaluations.csv
-    best_score: float = -np.inf  # of the best evaluation so far, cm/s
+    best_score: float = -np.inf  # of the best evaluation so far
 
 
 @contextmanager

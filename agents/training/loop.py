@@ -56,7 +56,7 @@ def begin(run: Path, config: Config) -> None:
         "algo": config.algo,
         "task": config.task,
         "seed": config.seed,
-        "env": config.env_kwargs(),
+        "env": json.loads(json.dumps(config.env_kwargs(), default=dataclasses.asdict)),
         "hyperparameters": config.to_dict(),
         "versions": versions(),
         "revision": git_revision(Path(__file__).parent),

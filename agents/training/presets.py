@@ -23,12 +23,13 @@ from capsule_gym.parameters import (
     DOCS,
     ENERGY_WEIGHT_TEXT,
     ENERGY_WEIGHTS,
+    Capsule,
     EnvConfig,
     check_integer,
     check_number,
     nearest,
 )
-from capsule_gym.task import HORIZON
+from capsule_gym.task import CONTROL_DT, HORIZON, TASKS
 
 # The largest seed of numpy's generators, which SB3 seeds.
 LARGEST_SEED = 2**32 - 1
@@ -37,6 +38,7 @@ CONFIG, MODEL, NORMALISATION, BEST = "config.json", "model.zip", "vecnormalize.p
 LOGS, EVALUATIONS = "logs", "evaluations.csv"
 
 Task = Literal["residual", "direct"]
+Environment = Literal["CapsuleStickSlip-v0", "CapsuleGoal-v0", "CapsuleVelocity-v0"]
 Algorithm = Literal["ppo", "sac", "td3", "tqc", "recurrent-ppo"]
 
 
@@ -74,8 +76,9 @@ class Config:
 
     algo: ClassVar[Algorithm]
 
-    # It chooses the preset, and so is no option of its own.
+    # They choose the preset, and so are no options of their own.
     task: Annotated[Task, Fixed, Suppress] = "residual"
+    env: Annotated[Environment, Fixed, Suppress] = "CapsuleStickSlip-v0"
     seed: Count = 0
     """Seed of everything: the same seed gives the same model on one machine."""
     total_steps: Count = 6_000_000
@@ -88,8 +91,10 @@ class Config:
         2.0 * EnvConfig.torque_limit
     )
     torque_limit: Annotated[float, _option("torque_limit")] = EnvConfig.torque_limit
-    randomization: Literal["none", "paper", "wide", "broad", "sticky"] = "paper"
-    """Where M and mu of an episode come from."""
+    randomization: Literal["default", "none", "paper", "wide", "broad", "sticky"] = "paper"
+    """Where M and mu of an episode come from; "default": the environment's own ranges."""
+    static_ratio: float | None = None
+    """Static over kinetic friction coefficient of the floor; None for the environment's default."""
     observe_parameters: Annotated[bool, _option("observe_parameters")] = EnvConfig.observe_parameters
     energy_weight: Annotated[float, _option("energy_weight")] = EnvConfig.energy_weight
     termination_penalty: Annotated[float, _option("termination_penalty")] = 30.0
@@ -116,7 +121,23 @@ class Config:
         """The arguments of the environment that this run trains in."""
         # The run's task is not the environment's.
         kwargs = {name: getattr(self, name) for name in DOCS if hasattr(self, name) and name != "task"}
+        if self.env_task != "speed":
+            kwargs["task"] = self.env_task
+        if self.randomization == "default":
+            del kwargs["randomization"]
+        if self.static_ratio is not None:
+            kwargs["capsule"] = Capsule(static_ratio=self.static_ratio)
         return kwargs | {"controller": None, "residual_limit": self.torque_limit} if self.task == "direct" else kwargs
+
+    @property
+    def env_task(self) -> str:
+        """The value of the environment's argument `task`."""
+        return next(name for name, (env_id, _) in TASKS.items() if env_id == self.env)
+
+    @property
+    def horizon(self) -> float:
+        """Length of the environment's episode, s."""
+        return TASKS[self.env_task][1] * CONTROL_DT
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""
@@ -325,6 +346,23 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ),
 }
 
+# What training on the other tasks shares: floors that grip, of whose friction the policy needs an estimate.
+ON_GRIP = PPOConfig(
+    task="direct",
+    controller=None,
+    randomization="default",
+    energy_weight=0.0,
+    identifies=True,
+    privileged_critic=True,
+    num_envs=256,
+    n_steps=64,
+    gamma=0.99,
+)
+ENV_PRESETS: dict[Environment, PPOConfig] = {
+    "CapsuleGoal-v0": dataclasses.replace(ON_GRIP, env="CapsuleGoal-v0", episode_seconds=10.0),
+    "CapsuleVelocity-v0": dataclasses.replace(ON_GRIP, env="CapsuleVelocity-v0", episode_seconds=20.0),
+}
+
 # A gait under the policy: small residuals, and a critic that knows the gait's return before the policy learns.
 ON_GAIT = PPOConfig(
     controller="baselines:gait",
@@ -378,6 +416,19 @@ ROWS: dict[str, Config] = {
     "efficient": dataclasses.replace(FRUGAL, total_steps=4_000_000, energy_weight=3.5),
     "pareto": dataclasses.replace(FRUGAL, total_steps=10_000_000, energy_weight=1.0, energy_weights=(0.1, 20.0)),
 }
+
+
+def preset(env: Environment, task: Task, algo: Algorithm) -> Config:
+    """The settings that a run begins with; tuned for the other environments only where the action is direct, by PPO."""
+    if (tuned := ENV_PRESETS.get(env)) is None:
+        return PRESETS[task, algo]
+    if (task, algo) == (tuned.task, tuned.algo):
+        return tuned
+    names = ("env", "randomization", "energy_weight", "termination_penalty")
+    shared: dict[str, Any] = {name: getattr(tuned, name) for name in names}
+    if task == "residual":
+        shared["controller"] = f"baselines:{tuned.env_task}_pulses"
+    return dataclasses.replace(PRESETS[task, algo], **shared)
 
 
 def row_settings(name: str, choices: Mapping[str, Config] = ROWS) -> Config:

@@ -3,10 +3,13 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from agents.leaderboard.rows import evaluate_run
 from agents.report import __main__ as report
 from agents.report import page
 from tests.agents.fakes import write_run
@@ -32,7 +35,7 @@ def run(tmp_path_factory):
 def both(run):
     """A row of the leaderboard, the run after short episodes, and the paper's controller."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page, "HORIZON", 0.6)
+        patch.setattr(page, "evaluate_run", partial(evaluate_run, horizon=0.6))
         return page.collect(["direct-ppo", str(run)])
 
 
@@ -81,8 +84,30 @@ def test_a_finished_run_is_compared_and_drawn(run, both, tmp_path, capsys, monke
     assert f"<h1>{NAME}</h1>" in html.unescape((folder / "report.html").read_text())
 
 
+def test_a_run_in_another_task_is_reported_by_its_metrics(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(page, "ANIMATION_SECONDS", 0.08)
+    monkeypatch.setattr(page, "DPI", 50)
+    monkeypatch.setattr(page, "evaluate_run", partial(evaluate_run, horizon=0.2))
+    folder, set_file = tmp_path / "mine", tmp_path / "two.json"
+    options = {"env_kwargs": {"task": "goal"}, "mean": np.zeros(8), "variance": np.ones(8)}
+    write_run(folder, 3, **options, layers=((np.zeros((1, 8), np.float32), np.zeros(1, np.float32)),))
+    (folder / "evaluations.csv").write_text("steps,goal_time_s,success,failed\n100,9.0,0.5,0\n200,2.0,0.9,0\n")
+    hyperparameters = {**small("direct", "ppo").to_dict(), "env": "CapsuleGoal-v0"}
+    content = {"task": "direct", "algo": "ppo", "hyperparameters": hyperparameters}
+    (folder / "config.json").write_text(json.dumps(content))
+    plants = [{"M": 0.5, "mu": 0.2, "seed": n, "goal": 0.1} for n in range(2)]
+    set_file.write_text(json.dumps({"name": "two", "task": "goal", "plants": plants}))
+    page.compare(folder, str(set_file))
+    assert "share of goals reached" in capsys.readouterr().out
+    text = (folder / "report.html").read_text()
+    assert "time to the goal (s)" in text and "<code>goal-pulses</code> has" in text and "share of optimum" not in text
+    assert re.findall("<h3>(.*)</h3>", text) == ["goal", "goal-paper"]
+    with pytest.raises(ValueError, match=r"must be for one task, got .+ for goal and direct-ppo"):
+        page.collect([str(folder), "direct-ppo"])
+
+
 def test_two_policies_of_one_name_are_refused(run, tmp_path, monkeypatch):
-    monkeypatch.setattr(page, "HORIZON", 0.2)
+    monkeypatch.setattr(page, "evaluate_run", partial(evaluate_run, horizon=0.2))
     write_run(tmp_path / "other" / NAME, 4)
     with pytest.raises(ValueError, match=f"different names, got {re.escape(NAME)} more than once"):
         page.collect([str(run), str(tmp_path / "other" / NAME)])

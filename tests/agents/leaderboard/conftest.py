@@ -11,12 +11,13 @@ README = f"# Title\n\nBefore.\n\n{START}\n{END}\n\nAfter.\n"
 
 @pytest.fixture
 def world(tmp_path, monkeypatch):
-    """Scripted policies, one that fails everywhere and a chaotic one, a checkpoint of two seeds, a README."""
+    """Scripted policies, one that fails everywhere, a chaotic one and one of a task; a checkpoint; a README."""
     known = {name: Sine(amplitude, name=name) for name, amplitude in (("adaptive", 0.3), ("bold", 0.6))}
     known["wild"] = Sine(1.5, period=10.0, name="wild")
     known["twitch"] = Twitch()
     for module in (policies, rows):
         monkeypatch.setattr(module, "SCRIPTED", known)
+    monkeypatch.setattr(policies, "TASK_SCRIPTED", {"stay": Sine(0.1, name="stay", env_kwargs={"task": "goal"})})
     for module in (policies, page):
         monkeypatch.setattr(module, "CHECKPOINTS", tmp_path / "checkpoints")
     monkeypatch.setattr(rows, "COPIES", 20)

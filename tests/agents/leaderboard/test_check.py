@@ -1,3 +1,6 @@
+import json
+from dataclasses import replace
+
 import pytest
 
 from agents.evaluation import episodes, policies
@@ -6,7 +9,7 @@ from agents.leaderboard.page import END, START
 from agents.leaderboard.rows import RESULTS
 from capsule_gym import Capsule
 from tests.agents.fakes import write_run
-from tests.agents.leaderboard.world import checked, edit_row, make_set
+from tests.agents.leaderboard.world import checked, edit_row, make_set, table
 
 
 def test_written_results_pass_the_check(written):
@@ -67,9 +70,11 @@ def test_check_finds_another_plant(written, monkeypatch):
 
 @pytest.fixture
 def main(world, monkeypatch):
-    """The command on one small set."""
+    """The command on a small set of two tasks each."""
     monkeypatch.setattr(leaderboard, "SET_NAMES", ("paper",))
-    monkeypatch.setattr(leaderboard, "load_set", lambda name: make_set("paper", (0.5, 0.01)))
+    monkeypatch.setattr(leaderboard, "TASK_SET_NAMES", ("goal",))
+    of_task = {"paper": "speed", "goal": "goal"}
+    monkeypatch.setattr(leaderboard, "load_set", lambda name: replace(make_set(name, (0.5, 0.2)), task=of_task[name]))
     evaluate = leaderboard.evaluate
     monkeypatch.setattr(leaderboard, "evaluate", lambda *args, **kwargs: evaluate(*args, **{**kwargs, "horizon": 0.1}))
     return lambda *words: leaderboard.main([*words, "--jobs", "1"], root=world)
@@ -80,7 +85,13 @@ def test_command_line(main, world, capsys):
     assert "The leaderboard is stale:\n- adaptive: has no results" in capsys.readouterr().out
     assert main() == 0
     assert main("--check") == 0
-    assert "up to date: 5 policies on 1 sets" in capsys.readouterr().out
+    assert "up to date: 6 policies on 2 sets" in capsys.readouterr().out
+    # Every task has a table of its own.
+    page = (world / "LEADERBOARD.md").read_text()
+    (_, _, stay) = table(page, "## Goal")
+    assert stay[:4] == ["stay", "0.0000", "0.10", "0/1"] and "stay" not in [row[1] for row in table(page)]
+    (row,) = json.loads((world / "leaderboard.json").read_text())["tasks"]["goal"]["rows"]
+    assert row["results"]["goal"]["success"]["mean"] == 0.0
     (world / "LEADERBOARD.md").unlink()
     assert main("--check", "--from-results") == 1
     assert main("--from-results") == 0
@@ -114,7 +125,7 @@ def test_finished_rows_survive_an_interruption(main, world, monkeypatch, capsys)
     [
         (["--jobs", "0"], "--jobs"),
         (["--jobs", "two"], "--jobs"),
-        (["lernt"], "names must be out of adaptive, bold, wild, twitch, learnt, got lernt"),
+        (["lernt"], "names must be out of adaptive, bold, wild, twitch, learnt, stay, got lernt"),
         (["bold", "--from-results"], "--from-results must stand without names, got bold"),
         (["bold"], "adaptive: has no results, expected in adaptive.npz: `python -m agents.leaderboard NAME`"),
     ],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import pickle
 
@@ -11,13 +12,17 @@ import pytest
 import torch
 from stable_baselines3 import PPO
 
-from agents.training.algorithms import algorithm, make_env, make_model
+from agents.evaluation.criteria import CRITERIA
+from agents.evaluation.episodes import evaluate, scores
+from agents.evaluation.statistics import interquartile_mean
+from agents.training.algorithms import algorithm, make_env, make_model, usable
 from agents.training.callbacks import validation_plants
-from agents.training.loop import begin
+from agents.training.loop import begin, train
+from agents.training.presets import preset
 from capsule_gym import load_policy
 from capsule_gym.network import LAW_TORQUE, to_action
 from capsule_gym.parameters import RANDOMIZATIONS
-from tests.agents.training.small import finished, log, small, weights
+from tests.agents.training.small import SMALL, differences, finished, log, rows, small, train_until, weights
 
 
 def test_bootstrap_happens_at_time_limits_only():
@@ -86,6 +91,42 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
         pairs = zip(torques[:, 0].tolist(), observations[:, LAW_TORQUE].tolist(), strict=True)
         wanted = [[to_action(header, torque, law_torque)] for torque, law_torque in pairs]
         np.testing.assert_allclose(policy(observations), wanted, atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("env", "column", "changes"),
+    [
+        ("CapsuleGoal-v0", "goal_time_s", {"stock": False, "static_ratio": 1.5}),
+        ("CapsuleVelocity-v0", "velocity_error_percent", {"stock": True}),
+        ("CapsuleGoal-v0", "goal_time_s", {"wrapper": ("tests.agents.training.wrappers:Swing",)}),
+    ],
+)
+def test_a_run_in_another_environment_is_judged_by_its_task(tmp_path, monkeypatch, env, column, changes):
+    task = preset(env, "direct", "ppo").env_task
+    settings = {**SMALL, "n_steps": 32, "n_epochs": 1, "total_steps": 768, "evaluate_every": 256, **changes}
+    config = usable(dataclasses.replace(preset(env, "direct", "ppo"), episode_seconds=0.4, **settings))
+    run, whole = tmp_path / "run", finished(tmp_path / "whole", config)
+    begin(run, config)
+    train_until(run, 600, monkeypatch, killed=True)
+    assert train(run)
+    assert differences(run, whole) == []
+    lines = rows(run / "evaluations.csv")
+    assert {column, f"baseline_{column}", "failed"} < set(lines[-1])
+    assert float(lines[-1][f"baseline_{column}"]) < float(lines[-1][column])
+    shown = CRITERIA[task].weights
+    assert {f"evaluation/{name}" for name in shown} < set(log(run)[768])
+    plants = validation_plants(config)
+    assert plants.task == task and min(plant.mu for plant in plants.plants) >= 0.05
+    if config.wrapper:
+        return
+    policy = load_policy(run)
+    assert policy.env_kwargs["task"] == task
+    assert (plants.capsule.static_ratio, policy.env_kwargs.get("capsule")) == (
+        (1.5, plants.capsule) if config.static_ratio else (1.3, None)
+    )
+    # The file knows its task: the column is that of its best evaluation.
+    values = scores(evaluate(policy, plants), column.rpartition("_")[0])
+    assert f"{interquartile_mean(values)[0]:.4f}" in {f"{float(line[column]):.4f}" for line in lines}
 
 
 def test_model_selection_uses_draws_of_its_own():

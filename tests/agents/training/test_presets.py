@@ -14,8 +14,9 @@ import train
 from agents.distillation.config import STUDENTS
 from agents.distillation.dagger import HIDDEN
 from agents.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
-from agents.training.presets import CONFIG, PRESETS, RANGES, ROWS, PPOConfig, read_config
+from agents.training.presets import CONFIG, PRESETS, RANGES, ROWS, Environment, PPOConfig, read_config
 from capsule_gym.parameters import DOCS, RANDOMIZATIONS, EnvConfig
+from capsule_gym.task import TASKS
 
 
 def test_the_command_line_of_a_training_run_takes_its_words_and_defaults_from_the_options():
@@ -30,7 +31,8 @@ def test_the_command_line_of_a_training_run_takes_its_words_and_defaults_from_th
     for name in ("torque_limit", "residual_limit", "observe_parameters", "energy_weight", "termination_penalty"):
         (about,) = hints[name].__metadata__
         assert DOCS[name][1:] in about.help
-    assert get_args(hints["randomization"]) == tuple(RANDOMIZATIONS)
+    assert get_args(hints["randomization"]) == ("default", *RANDOMIZATIONS)
+    assert get_args(Environment) == tuple(env_id for env_id, _ in TASKS.values())
 
 
 @pytest.mark.parametrize("changes", [{}, {"energy_weights": (0.1, 0.2)}])

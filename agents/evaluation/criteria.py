@@ -1,0 +1,85 @@
+"""What a policy of each task is judged by: a metric, a score, a baseline and a set."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from agents.evaluation.episodes import TABLE_METRICS, TASK_METRICS, TableMetric
+from agents.evaluation.policies import BASELINE
+
+_OF_TASKS = {metric.name: metric for metric in TASK_METRICS}
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """How policies of a task are compared.
+
+    Attributes:
+        metric: the one that learning curves show.
+        unit: of the metric and the score.
+        suffix: the unit in names of columns.
+        weights: by the metric's name, the main one first: the best model of a run has the largest sum of the
+            metrics' means times these.
+        baseline: the scripted policy that others are compared with.
+        ranking_set: the frozen set that policies are ranked on.
+    """
+
+    metric: TableMetric
+    unit: str
+    suffix: str
+    weights: dict[str, float]
+    baseline: str
+    ranking_set: str
+
+    @property
+    def column(self) -> str:
+        """The name of the metric in the evaluations of a run."""
+        return f"{self.metric.name}_{self.suffix}"
+
+    @property
+    def ascending(self) -> bool:
+        """Whether less of the metric is better."""
+        return self.weights[self.metric.name] < 0.0
+
+    def rank(self, value: float, name: str) -> tuple[float, str]:
+        """What policies are sorted by, from the interquartile mean of the metric and the policy's name."""
+        return (value if self.ascending else -value), name
+
+    def score(self, means: Mapping[str, float]) -> float:
+        """The score of a policy, from the means of the metrics in `weights`."""
+        return sum(weight * means[name] for name, weight in self.weights.items())
+
+    def describe(self, values: Mapping[str, float]) -> str:
+        """The metrics in `weights` as a line of text."""
+        main, *shares = self.weights
+        return ", ".join([f"{values[main]:.2f} {self.unit}", *(f"{name} {values[name]:.1%}" for name in shares)])
+
+
+CRITERIA = {
+    "speed": Criteria(
+        metric=TABLE_METRICS["mean_speed"],
+        unit="cm/s",
+        suffix="cm_s",
+        weights={"mean_speed": 1.0, "failed": -30.0},
+        baseline=BASELINE,
+        ranking_set="paper",
+    ),
+    # A miss counts as the whole 15 s, and here as much again.
+    "goal": Criteria(
+        metric=_OF_TASKS["goal_time"],
+        unit="s",
+        suffix="s",
+        weights={"goal_time": -1.0, "success": 15.0, "failed": -15.0},
+        baseline="goal-pulses",
+        ranking_set="goal",
+    ),
+    "velocity": Criteria(
+        metric=_OF_TASKS["velocity_error"],
+        unit="%",
+        suffix="percent",
+        weights={"velocity_error": -1.0, "unsettled": -100.0, "failed": -300.0},
+        baseline="velocity-pulses",
+        ranking_set="velocity",
+    ),
+}
