@@ -43,7 +43,12 @@ LAWS = {
 }
 # Those that act in one of the other tasks alone.
 TASK_LAWS = {
-    "goal_pulses": Law("pulses", "goal-pulses", "gait-guarded towards the goal, then pulses that adapt", "goal"),
+    "goal_pulses": Law(
+        "pulses",
+        "goal-pulses",
+        "gait-guarded towards the goal, then pulses that adapt; strokes on smooth floors",
+        "goal",
+    ),
     "velocity_pulses": Law(
         "pulses", "velocity-pulses", "gait-guarded after the target, and pulses that adapt", "velocity"
     ),

@@ -1,5 +1,7 @@
 """Laws for the tasks `goal` and `velocity`: a gait towards the goal, then pulses whose size adapts to the floor.
 
+On smooth floors the law for the task `goal` does neither, but what `baselines.laws.strokes` says.
+
 Far from the goal the platform runs by `baselines:gait`, mirrored where the goal lies behind it. Near the goal the law
 repeats three phases: it takes the pendulum back to where a pulse starts, so gently that the platform sticks;
 accelerates it with the whole torque until it has the rate that should move the platform by the error; and brakes it,
@@ -17,9 +19,10 @@ import math
 from typing import Any
 
 from baselines.laws.gait import NO_REFERENCE, guarded_torque, known_parameters
+from baselines.laws.strokes import CREEP, NEAR, STROKE, held_back, stroke_torque
 from capsule_gym.compilation import inlined
 from capsule_gym.controller import Controller
-from capsule_gym.elementary import clip, exp, sincos
+from capsule_gym.elementary import clip, exp
 from capsule_gym.observation import CELLS, estimates, identify
 from capsule_gym.parameters import LAW_DT, NOMINAL
 from capsule_gym.task import TORQUE_LIMIT
@@ -45,28 +48,12 @@ SLOWEST, FASTEST, ACCELERATION = 0.6, 9.0, 240.0
 # upright, where the whole torque moves the platform, at most EARLIEST before and START_END at the latest; it ends at
 # PULSE_END; the pendulum should stop before BRAKED.
 HOME, LEAST_HOME, ROUGHNESS, EARLIEST, START_END, PULSE_END, BRAKED = 0.9, 0.2, 2.2, 0.1, 0.3, 0.8, 0.9
-# The pendulum never swings further than this, rad.
-OUTERMOST = 1.25
+# On floors with a smaller mu than the first the platform goes to a goal by strokes, until mu is above the second.
+SMOOTH, LEAVE = 0.035, 0.06
 # The law's own memory behind the filter's: the phase, the direction, the rate of the pulse, where it began, the gain
 # and the time since it ended.
 MEMORY = (0.0,) * CELLS + (RETURN, 1.0, 0.0, 0.0, GAIN, 0.0)
 m, l, g, k, c = NOMINAL.m, NOMINAL.l, NOMINAL.g, NOMINAL.k, NOMINAL.c
-
-
-@inlined
-def held_back(theta: float, theta_dot: float, acceleration: float, grip: float) -> float:
-    """The torque in N m that gives the pendulum an acceleration where the platform sticks, but keeps it from falling.
-
-    Args:
-        theta: rad.
-        theta_dot: rad/s.
-        acceleration: wanted, rad/s^2.
-        grip: from this deceleration on, which stops the pendulum at OUTERMOST, that goes before, rad/s^2.
-    """
-    side = 1.0 if theta_dot > 0.0 else -1.0
-    needed = theta_dot * theta_dot / (2.0 * max(0.02, OUTERMOST - side * theta))
-    acceleration = -1.05 * side * needed if needed > grip else acceleration
-    return k * theta + c * theta_dot - m * l * g * sincos(theta)[0] + m * l * l * acceleration
 
 
 @inlined
@@ -142,9 +129,28 @@ def pulse_law(
 
 
 def goal_pulses() -> Controller:
-    """The law for the task `goal`."""
+    """The law for the task `goal`: pulses, and on smooth floors strokes."""
     position = NO_REFERENCE.shape[1] + goal.Memory._fields.index("goal")
-    law = pulse_law(known_parameters(), position, position, lead=0.0, near=0.0018, stop=0.025)
+    pulses = inlined(pulse_law(known_parameters(), position, position, lead=0.0, near=NEAR, stop=0.025))
+
+    def law(theta: float, theta_dot: float, x: float, x_dot: float, memory: Any, reference: Any) -> Any:
+        phase, side, rate, start_x, gain, timer = memory[CELLS:]
+        M, log_mu, _, _ = estimates(memory[:CELLS])
+        mu = exp(log_mu)
+        if mu > (LEAVE if phase >= CREEP else SMOOTH) or memory[0] == 0.0:
+            if phase >= CREEP:
+                phase, rate = BRAKE, 0.0
+            own = phase, side, rate, start_x, gain, timer
+            return pulses(theta, theta_dot, x, x_dot, memory[:CELLS] + own, reference)
+        cells = identify(memory[:CELLS], theta, theta_dot, x_dot, m, l, g, LAW_DT)
+        error = reference[position] - x
+        if phase < CREEP:
+            phase = STROKE if x_dot * side > 0.0 else CREEP
+        if phase == CREEP and x_dot == 0.0 and abs(error) > NEAR:
+            side = 1.0 if error > 0.0 else -1.0
+        torque, phase = stroke_torque(side * theta, side * theta_dot, side * x_dot, side * error, M, mu, phase)
+        return side * torque, (*cells, phase, side, rate, start_x, gain, timer)
+
     return Controller("goal_pulses", law, NO_REFERENCE, MEMORY, task="goal")
 
 
