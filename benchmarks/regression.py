@@ -153,12 +153,6 @@ def repeated(work: Callable[[], Any], steps: int) -> Turn:
     return turn
 
 
-def whole_steps() -> Turn:
-    """The `step` of a native batch of `NUM_ENVS`, with everything that it returns."""
-    step, _ = step_batch(ENV_ID, NUM_ENVS, ACTION_SCALE, max_episode_steps=sys.maxsize)
-    return repeated(lambda: step(DRAWS), DRAWS * NUM_ENVS)
-
-
 def resets(env_id: str) -> Turn:
     """The `reset` of a single environment through gymnasium's default wrappers."""
     env = gym.make(env_id)
@@ -199,10 +193,13 @@ def updates(*, stock: bool) -> Turn:
 def guards() -> list[Guard]:
     """Everything that is measured here."""
     direct, at_1_ms = kernel_steps(), kernel_steps(physics_dt=LAW_PHYSICS_DT)
+    # A native batch, with everything that it returns.
+    step, _ = step_batch(ENV_ID, NUM_ENVS, ACTION_SCALE, max_episode_steps=sys.maxsize)
+    whole = repeated(lambda: step(DRAWS), DRAWS * NUM_ENVS)
     return [
         Guard("lanes against one environment at a time", 2.0, kernel_steps(held=True), single_kernel_steps()),
         Guard("adaptive law with the physics against the physics, both at 1 ms", 0.46, kernel_steps(**LAW), at_1_ms),
-        Guard(f"whole step of {NUM_ENVS} environments against their kernel", 0.55, whole_steps(), direct),
+        Guard(f"whole step of {NUM_ENVS} environments against their kernel", 0.55, whole, direct),
         Guard(f"reset of one environment against {SINGLE_PEER}'s", 0.4, resets(ENV_ID), resets(SINGLE_PEER)),
         Guard(
             f"episodes of {EVALUATED_POLICY} against the kernel alone",

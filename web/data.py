@@ -20,7 +20,7 @@ from baselines.dynamic_programming.policy import TORQUES
 from baselines.gaits.archive import GaitMap, encode_gaits, known_gaits, tolerant_nominal
 from baselines.policies import SCRIPTED
 from capsule_gym import Policy, load_policy, task
-from capsule_gym.evaluation_sets import SET_NAMES, load_set
+from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, load_set
 from capsule_gym.layout import LANES, SETTINGS, Row, StepSettings, pack
 from capsule_gym.network import HEADER, Header
 from capsule_gym.observation import CELLS, M_BOUND, MU_BOUND, observation_names
@@ -31,7 +31,6 @@ from web.episodes import (
     OVER,
     RECORDED,
     controller_names,
-    describe_plant,
     env_kwargs,
     is_trained,
     known_recordings,
@@ -67,16 +66,6 @@ class Archive:
         content = table.view(np.uint8).reshape(rows, columns, 8).transpose(1, 2, 0).tobytes()
         return self._keep(f"{rows} {columns}", content, {"rows": rows, "columns": columns})
 
-    def add_recordings(self, places: np.ndarray) -> dict[str, Any]:
-        """Keeps what `web.episodes.record` gives; returns what the header says of it."""
-        return {**self.add(places[places != OVER].tobytes()), "steps": (places != OVER).sum(axis=1).tolist()}
-
-    def add_generators(self, count: int) -> dict[str, int]:
-        """Keeps the generators that `random` has for the seeds below `count`: state and increment, 16 bytes each."""
-        states = [np.random.default_rng([seed, 1]).bit_generator.state["state"] for seed in range(count)]
-        numbers = [each[key] for each in states for key in ("state", "inc")]
-        return {**self.add(b"".join(number.to_bytes(16, "little") for number in numbers)), "count": count}
-
     def _keep(self, kind: str, content: bytes, place: dict[str, int]) -> dict[str, int]:
         key = kind, content
         if key not in self._known:
@@ -99,7 +88,7 @@ def pack_data() -> str:
             "layout": layout(),
             "tasks": {name: describe_task(name, archive) for name in TASKS},
             "drivers": [describe_driver(name, archive) for name in controller_names()],
-            "sets": {name: describe_set(name) for name in SET_NAMES},
+            "sets": {each.name: describe_set(each) for each in map(load_set, SET_NAMES)},
             "constants": constants(),
             "episodes": json.loads(FILE.read_text(encoding="utf-8")),
         }
@@ -206,25 +195,30 @@ def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
         "description": SCRIPTED[name].description,
     }
     if name in GAITS:
-        return {**described, "kind": "gait", "gaits": describe_gaits(GAITS[name](), archive)}
+        found = GAITS[name]()
+        place = {"M": found.M, "edges": found.edges().tolist(), "cells": found.cells}
+        return {**described, "kind": "gait", "gaits": {**place, "table": archive.add_array(encode_gaits(found.gaits))}}
     if name in RECORDED:
-        recordings = {each: archive.add_recordings(places) for each, places in known_recordings()[name].items()}
+        recordings = {
+            each: {**archive.add(places[places != OVER].tobytes()), "steps": (places != OVER).sum(axis=1).tolist()}
+            for each, places in known_recordings()[name].items()
+        }
         return {**described, "kind": "recording", "recordings": recordings}
     if name == RANDOM:
-        return {**described, "kind": "none", "seeds": archive.add_generators(SEEDS)}
+        # The generators of these seeds: state and increment, 16 bytes each.
+        states = [np.random.default_rng([seed, 1]).bit_generator.state["state"] for seed in range(SEEDS)]
+        content = b"".join(each[key].to_bytes(16, "little") for each in states for key in ("state", "inc"))
+        return {**described, "kind": "none", "seeds": {**archive.add(content), "count": SEEDS}}
     return {**described, "kind": "none" if options.controller is None else "law"}
 
 
-def describe_gaits(gait_map: GaitMap, archive: Archive) -> dict[str, Any]:
-    """Gaits with a clock, and which of them suits which plant."""
-    table = archive.add_array(encode_gaits(gait_map.gaits))
-    return {"M": gait_map.M, "edges": gait_map.edges().tolist(), "cells": gait_map.cells, "table": table}
-
-
-def describe_set(name: str) -> dict[str, Any]:
-    """A frozen set: its hash and its plants."""
-    found = load_set(name)
-    return {"hash": found.hash, "plants": [describe_plant(plant) for plant in found.plants]}
+def describe_set(found: EvaluationSet) -> dict[str, Any]:
+    """A frozen set: its hash, and its plants without what is as it always is."""
+    plants = [
+        {key: value for key, value in plant.to_dict().items() if key != "seed" and value != []}
+        for plant in found.plants
+    ]
+    return {"hash": found.hash, "plants": plants}
 
 
 def constants() -> dict[str, Any]:

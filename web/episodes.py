@@ -70,11 +70,6 @@ def episodes() -> Iterator[Episode]:
             yield {"name": f"held torques on {name}, {i % 2 + 1}", "driver": name, "set": "wide", "plant": i, **held}
 
 
-def describe_plant(plant: PlantSpec) -> dict[str, Any]:
-    """A plant without what is as it always is."""
-    return {key: value for key, value in plant.to_dict().items() if key != "seed" and value != []}
-
-
 def compute(episode: Episode) -> tuple[int, str]:
     """How many steps an episode takes, and its hash, by Python's environment."""
     name, plant = episode["driver"], load_set(episode["set"]).plants[episode["plant"]]

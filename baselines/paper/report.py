@@ -14,8 +14,8 @@ from baselines.laws.gains import REGULARISED, UNREGULARISED
 from baselines.laws.profiles import V1
 from baselines.paper import adaptive, principles, proofs, published, selection, tracking
 from baselines.paper.adaptive import ERRORS, LONG, RATES, cycle_errors
+from baselines.paper.optimal_profiles import load
 from baselines.paper.principles import RESTORING_PHASES, THETA_0
-from baselines.paper.profile_search import load
 from baselines.paper.verdicts import AGREEMENT, compare_numbers, judge_claims
 from baselines.tables import printed_above, printed_below, text_table
 from capsule_gym.task import TORQUE_LIMIT

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, get_args
 
 import numpy as np
@@ -226,12 +225,6 @@ def displacements(
     return result, normal.min()
 
 
-@lru_cache(maxsize=1)
-def _displacements() -> Any:
-    """The function above, compiled."""
-    return compile_cached(displacements)
-
-
 @dataclass(frozen=True)
 class SpeedMap:
     """Mean speed along one profile over a grid of plants, exact tracking.
@@ -287,7 +280,7 @@ def speed_map(
     speed, smallest = np.empty((len(masses), len(friction))), np.empty(len(masses))
     for row, mass in enumerate(masses):
         plant = NOMINAL.plant(M=mass)
-        travelled, normal = _displacements()(*motion, plant, friction, h)
+        travelled, normal = compile_cached(displacements)(*motion, plant, friction, h)
         speed[row] = 100.0 * travelled / (CYCLES * profile.period)
         smallest[row] = normal / ((plant.M + plant.m) * plant.g)
     return SpeedMap(profile.name, masses, friction, speed, smallest)

@@ -77,7 +77,7 @@ def test_committed_episodes_are_pythons(name: str) -> None:
 
 def test_a_single_bit_fails_the_check(node: Node, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     committed = {key: value for key, value in COMMITTED[0].items() if key not in ("set", "plant")}
-    plant = data.describe_plant(data.load_set(COMMITTED[0]["set"]).plants[COMMITTED[0]["plant"]])
+    plant = data.describe_set(data.load_set(COMMITTED[0]["set"]))["plants"][COMMITTED[0]["plant"]]
     altered = [{**committed, **plant, "mu": float(np.nextafter(plant["mu"], 1.0))}]
     monkeypatch.setattr(data, "FILE", tmp_path / "episodes.json")
     data.FILE.write_text(json.dumps(altered), encoding="utf-8")

@@ -9,9 +9,8 @@ import pytest
 
 from baselines.laws.profiles import P2, PROPOSED, TABLE_1, V1
 from baselines.laws.reference import reference_table
-from baselines.paper import profile_search
-from baselines.paper.optimal_profiles import main
-from baselines.paper.profile_search import Problem, assess, load, problems, search
+from baselines.paper import optimal_profiles
+from baselines.paper.optimal_profiles import Problem, assess, load, main, problems, search
 from capsule_gym.parameters import NOMINAL
 
 SOLUTIONS = {each.problem: each for each in load()}
@@ -71,8 +70,8 @@ def test_command_solves_and_keeps_what_an_interrupted_search_found(tmp_path, mon
     known = [SOLUTIONS[Problem(limit)] for limit in (1.0, 1.5)]
     # The best profile of all searches counts.
     poor = replace(known[0], problem=Problem(1.5), mean_speed=0.0, found_by="poor")
-    monkeypatch.setattr(profile_search, "problems", lambda: [each.problem for each in known])
-    monkeypatch.setattr(profile_search, "search", lambda problem, found, **options: [known[0], poor][len(found)])
+    monkeypatch.setattr(optimal_profiles, "problems", lambda: [each.problem for each in known])
+    monkeypatch.setattr(optimal_profiles, "search", lambda problem, found, **options: [known[0], poor][len(found)])
     path = tmp_path / "found.json"
     assert main(["--json", str(path)]) == 0
     first, second = load(path)
@@ -87,6 +86,6 @@ def test_command_solves_and_keeps_what_an_interrupted_search_found(tmp_path, mon
             raise KeyboardInterrupt
         return known[1]
 
-    monkeypatch.setattr(profile_search, "search", interrupt)
+    monkeypatch.setattr(optimal_profiles, "search", interrupt)
     assert main(["--json", str(path), "--overwrite"]) == 130 and load(path) == [first, second]
     assert load(tmp_path / "found-partial.json") == known[1:]
