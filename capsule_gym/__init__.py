@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from gymnasium.envs.registration import register, registry
 
 from capsule_gym.controller import Controller
-from capsule_gym.parameters import Capsule, Randomization
+from capsule_gym.parameters import Capsule, Disturbances, Randomization
 from capsule_gym.task import ENV_ID, TASKS
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ __all__ = [
     "CapsuleEnv",
     "CapsuleVectorEnv",
     "Controller",
+    "Disturbances",
     "Policy",
     "Randomization",
     "__version__",

@@ -9,14 +9,14 @@ friction force f:
 Within a phase of contact the motion is smooth. `slip` names the phase: +1.0 forwards, -1.0 backwards, 0.0 stick.
 The phase follows from the state alone: the platform sticks only where x_dot is exactly 0.0.
 
-That is the plant on a level floor with Coulomb friction alone. Where `Plant.extended` is 1.0, a constant of the
+That is the plant on a level floor with Coulomb friction alone. Where `Plant.extended` is not 0.0, a constant of the
 compiler's, the floor may slope (g is then g cos(slope), and a = g sin(slope)), its friction may depend on the speed (b
-is the viscous coefficient, v_s the speed of the Stribeck curve), and the motor may have friction u_f. The equations
-become
+is the viscous coefficient, v_s the speed of the Stribeck curve), the motor may have friction u_f, and a force F may
+push the platform. The equations become
 
     m l^2 theta'' - m l cos(theta) x'' - m l (g sin(theta) + a cos(theta)) + k theta + c theta'
         = u - u_f theta' / sqrt(theta'^2 + w^2)
-    (M + m) (x'' + a) + b x' - m l cos(theta) theta'' + m l sin(theta) theta'^2 + f = 0
+    (M + m) (x'' + a) + b x' - m l cos(theta) theta'' + m l sin(theta) theta'^2 + f = F
 
 with f = s mu (1 + (static_ratio - 1) / (1 + (x' / v_s)^2)) N in slip in the direction s.
 
@@ -108,7 +108,7 @@ def driving_force(theta: float, theta_dot: float, theta_ddot: float, p: Plant) -
     sin, cos = sincos(theta)
     force = p.m * p.l * (cos * theta_ddot - sin * theta_dot * theta_dot)
     if p.extended != 0.0:
-        force -= (p.M + p.m) * p.downhill
+        force += p.push - (p.M + p.m) * p.downhill
     return force
 
 
@@ -150,7 +150,7 @@ def pressed_accelerations(
         weight -= pivot
         brake -= rough * pivot / (p.M + p.m)
     if p.extended != 0.0:
-        brake += slip * slip * (p.downhill + p.viscous * x_dot / (p.M + p.m))
+        brake += slip * slip * (p.downhill + (p.viscous * x_dot - p.push) / (p.M + p.m))
     # The second row over M + m: x'' = rest + share l tilted theta''. N holds theta'' too, hence cos + slip mu sin.
     tilted = fma(rough, sin, cos)
     rest = fma(share * p.l, fma(rough, cos, -sin) * squared, -brake)

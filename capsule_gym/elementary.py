@@ -147,6 +147,36 @@ def power_of_two(shifted: float) -> float:
     return float(power)
 
 
+def _define_bits(typing_context: Any, x: Any) -> Any:
+    from numba import types
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.bitcast(arguments[0], context.get_value_type(types.uint64))
+
+    return types.uint64(types.float64), generate
+
+
+@intrinsic(_define_bits)
+def bits(x: float) -> np.uint64:
+    """The 64 bits of a number."""
+    return np.float64(x).view(np.uint64)
+
+
+def _define_from_bits(typing_context: Any, word: Any) -> Any:
+    from numba import types
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.bitcast(arguments[0], context.get_value_type(types.float64))
+
+    return types.float64(types.uint64), generate
+
+
+@intrinsic(_define_from_bits)
+def from_bits(word: np.uint64) -> float:
+    """The number with these 64 bits."""
+    return float(np.uint64(word).view(np.float64))
+
+
 @inlined
 def _exponential(x: float) -> tuple[float, float]:
     """2^n and exp(r) - 1 with x = n ln(2) + r and |r| <= ln(2) / 2; |n| must not exceed 1022."""
@@ -197,3 +227,46 @@ def log(x: float) -> float:
 def clip(value: float, limit: float) -> float:
     """The value, kept within -limit to limit; NaN stays NaN."""
     return limit if value > limit else -limit if value < -limit else value
+
+
+# Of a double: the bits of 1.0, those of its fraction, how many these are, and the bits of 2^52. Unsigned: numba makes a
+# float of the sum of a signed and an unsigned integer.
+_ONE_BITS, _FRACTION, _FRACTION_SIZE = np.uint64(1023 << 52), np.uint64(2**52 - 1), np.uint64(52)
+_WHOLE_BITS, _HALF_WORD, _LOW, _UNUSED = np.uint64(1075 << 52), np.uint64(32), np.uint64(2**32 - 1), np.uint64(20)
+# Of SplitMix64.
+_SHIFT_0, _SHIFT_1, _SHIFT_2 = np.uint64(30), np.uint64(27), np.uint64(31)
+_FACTOR_0, _FACTOR_1 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+
+
+@inlined
+def scramble(word: np.uint64) -> np.uint64:
+    """A word of which every bit depends on every bit of the given one: SplitMix64's mixing function."""
+    word = (word ^ (word >> _SHIFT_0)) * _FACTOR_0
+    word = (word ^ (word >> _SHIFT_1)) * _FACTOR_1
+    return word ^ (word >> _SHIFT_2)
+
+
+@inlined
+def uniforms(word: np.uint64) -> tuple[float, float]:
+    """Two numbers in [1, 2), multiples of 2^-32, from the halves of a random word."""
+    first, second = (word >> _HALF_WORD) << _UNUSED, (word & _LOW) << _UNUSED
+    return from_bits(first | _ONE_BITS), from_bits(second | _ONE_BITS)
+
+
+@inlined
+def normals(word: np.uint64) -> tuple[float, float]:
+    """Two standard normal numbers from a random word: the method of Box and Muller, without branches."""
+    first, second = uniforms(word)
+    # The logarithm of u in (0, 1]: exponent and, between 1 / sqrt(2) and sqrt(2), fraction, within 1e-12.
+    u = bits(2.0 - first)
+    exponent = from_bits((u >> _FRACTION_SIZE) | _WHOLE_BITS) - (2.0**52 + 1023.0)
+    fraction = from_bits((u & _FRACTION) | _ONE_BITS)
+    large = fraction > math.sqrt(2.0)
+    fraction, exponent = (0.5 * fraction, exponent + 1.0) if large else (fraction, exponent)
+    s = (fraction - 1.0) / (fraction + 1.0)
+    z = s * s
+    series = fma(z, fma(z, fma(z, fma(z, fma(z, fma(z, 1 / 13, 1 / 11), 1 / 9), 1 / 7), 1 / 5), 1 / 3), 1.0)
+    logarithm = fma(exponent, LN_2, 2.0 * s * series)
+    radius = math.sqrt(max(0.0, -2.0 * logarithm))
+    sine, cosine = sincos(TURN * (second - 1.5))
+    return radius * cosine, radius * sine

@@ -10,20 +10,23 @@ import numpy as np
 from gymnasium import spaces
 
 from capsule_gym import task
-from capsule_gym.layout import Row
+from capsule_gym.layout import ROWS, Row
 from capsule_gym.observation import observation_bounds
 from capsule_gym.parameters import RENDER_MODES, EnvConfig, check_count, written
 from capsule_gym.rendering import Renderer
 from capsule_gym.simulation import SPEED, Simulation, check_seed
 
-RESET_OPTIONS = ("M", "mu", "state", "changes")
+RESET_OPTIONS = ("M", "mu", "state", "changes", "capsule", "disturbances")
 _CODES = {float(code): np.int64(code) for code in task.Termination}
 # Looking the rows of an info up in `Row` at every step takes a tenth of it.
 _STATE, _X_DOT, _REWARD, _TERMINATION = slice(Row.theta, Row.M), Row.x_dot, Row.reward, Row.termination
 _M, _MU, _TORQUE, _LAW_TORQUE, _NORMAL_FORCE, _ENERGY, _PROGRESS, _ENERGY_COST, _FAILURE = Row[Row.M : Row.reward]
+_READING = slice(Row.read_theta, Row.true_theta)
+_CAPSULE = slice(Row.drawn_m, Row.theta_noise)
+_DISTURBANCES = slice(Row.theta_noise, Row.key)
 _FIRST = np.zeros(1, np.int64)
 # What a copy of an environment does not take over.
-_VIEWS = ("_rows", "_memory", "_observation", "_step", "_renderer")
+_VIEWS = ("_rows", "_memory", "_varied", "_observation", "_step", "_renderer")
 
 
 class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
@@ -93,7 +96,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     theta_dot, x, x_dot], "M": kg, "mu": ..})` sets what is given; `options={"changes": [{"t": s, "M": kg, "mu": ..}]}`
     lets M and mu jump during the episode. A state has |theta| < pi/2, |theta_dot| <= 1000 rad/s, |x| <= 1e6 m and
     |x_dot| <= 1000 m/s. The draws of M, mu and of the initial state come from separate random
-    streams.
+    streams. With disturbances, or a `Randomization` of further constants, `options={"disturbances": {"latency": 0.01},
+    "capsule": {"m": 0.14}}` sets what the episode would draw.
 
     ## Episode End
 
@@ -118,6 +122,11 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     and `termination` (`capsule_gym.task.Termination`: 0 while the episode goes on, 1 "pendulum", 2 "contact",
     3 "diverged").
 
+    With disturbances, or a `Randomization` of further constants, also `reading` (what the sensors have shown last of
+    theta, theta_dot, x, x_dot; x is the integral of the measured x_dot), `capsule` (the episode's constants, in the
+    order of `capsule_gym.parameters.CONSTANTS`) and `disturbances` (what it has drawn, in the order of
+    `capsule_gym.parameters.DISTURBANCES`).
+
     ## Arguments
 
     ```python
@@ -134,6 +143,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     | `residual_limit` | `torque_limit` | torque of the action 1, N m |
     | `torque_limit` | `1.5` | largest motor torque, N m |
     | `randomization` | `"paper"` | where M and mu of an episode come from: "none": the capsule's own M and mu; "paper": M in [0.45, 0.55] kg, mu in [0.009, 0.011]; "wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3]; "broad": M in [0.25, 1.2] kg, mu log-uniform in [0.002, 0.6]; "sticky": M in [0.35, 0.75] kg, mu in [0.2, 0.6]; or a `Randomization` |
+    | `disturbances` | `"none"` | what sensors, motor and floor do to an ideal plant: "none"; "real": noise, bias and drift of the sensors, 5 to 15 ms of latency, lag and friction of the motor; or a `Disturbances` |
     | `capsule` | `Capsule()` | the plant's constants |
     | `observe_parameters` | `False` | whether the observation ends with M and mu |
     | `energy_weight` | `0.1` | centimetres that a joule costs |
@@ -179,6 +189,9 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         # Of another task than speed, what `info` shows besides.
         memory = self.simulation.world[0, self.simulation.task_row :, 0]
         self._memory = None if self.simulation.task is SPEED else memory
+        # Of varied plants, what it shows besides.
+        varied = self.simulation.world[0, :ROWS, 0]
+        self._varied = varied if self.simulation.settings.history else None
         self._observation = self.simulation.observations[0]
         self._step = self.simulation.step_one
         self._renderer: Renderer | None = None
@@ -192,7 +205,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
             seed: starts the random streams anew, an integer in [0, 2**128); without one they go on, each episode with
                 its own draw.
             options: any of "M" (kg), "mu", "state" ([theta, theta_dot, x, x_dot]) and "changes" (a list of
-                `{"t": s, "M": kg, "mu": ..}` in order of time: jumps during the episode) override what would be drawn.
+                `{"t": s, "M": kg, "mu": ..}` in order of time: jumps during the episode) override what would be drawn;
+                of varied plants also "capsule" and "disturbances", each a dict.
 
         Returns:
             The observation and the info described above.
@@ -213,16 +227,13 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
             own = self.simulation.task.options
             check_options(options, (*RESET_OPTIONS, *own))
             # One environment is a batch of one.
-            names = ("M", "mu", "changes", *own)
+            names = ("M", "mu", "changes", "capsule", "disturbances", *own)
             given = {name: [options[name]] for name in names if options.get(name) is not None}
             self.simulation.reset(_FIRST, state=options.get("state"), **given)
         self._running = True
         if self.render_mode == "human":
             self.render()
-        info = describe(self._rows.copy(), _CODES[0.0])
-        if self._memory is not None:
-            add_task(info, self.simulation.task, self._memory)
-        return self._observation.copy(), info
+        return self._observation.copy(), self._info(self._rows.copy(), _CODES[0.0])
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
         """One agent step: `capsule_gym.kernels.step`, compiled with the control law.
@@ -250,10 +261,16 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         self._running = ended == 0.0
         if self.render_mode == "human":
             self.render()
-        info = describe(rows, _CODES[ended])
+        info = self._info(rows, _CODES[ended])
+        return self._observation.copy(), rows.item(_REWARD), not self._running, False, info
+
+    def _info(self, rows: np.ndarray, termination: np.int64) -> dict[str, Any]:
+        info = describe(rows, termination)
         if self._memory is not None:
             add_task(info, self.simulation.task, self._memory)
-        return self._observation.copy(), rows.item(_REWARD), not self._running, False, info
+        if self._varied is not None:
+            add_variation(info, self._varied.copy())
+        return info
 
     def episode_metrics(self, horizon: int | None = None) -> dict[str, float]:
         """The metrics of the episode so far; `capsule_gym.task.Metrics` and the task's module say what each means.
@@ -336,6 +353,17 @@ def add_task(info: dict[str, Any], own: task.Task, memory: np.ndarray) -> None:
     info[own.term] = info.pop("reward_progress")
     for name, place in own.places:
         info[name] = memory[place]
+
+
+def add_variation(info: dict[str, Any], rows: np.ndarray) -> None:
+    """Adds to an info what varied plants and disturbances have drawn, and what the sensors show.
+
+    Args:
+        info: from `describe`; changed.
+        rows: those of `Row`, of one environment, shape (n,), or of a batch, shape (n, num_envs).
+    """
+    info["reading"] = rows[_READING].T
+    info["capsule"], info["disturbances"] = rows[_CAPSULE].T, rows[_DISTURBANCES].T
 
 
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym import dynamics, task
+from capsule_gym import disturbances, dynamics, task
 from capsule_gym.compilation import compile_entry, inlined, intrinsic, jitable, rebound
 from capsule_gym.elementary import clip
 from capsule_gym.layout import (
@@ -26,6 +26,7 @@ from capsule_gym.layout import (
     CONSTANTS,
     ENDING,
     HALTED,
+    HISTORY_ROWS,
     LANES,
     LAW,
     MEMORY,
@@ -38,7 +39,7 @@ from capsule_gym.layout import (
 )
 from capsule_gym.objects import Entry
 from capsule_gym.observation import write_observation
-from capsule_gym.parameters import Plant
+from capsule_gym.parameters import VARIED, Plant
 from capsule_gym.tasks import speed
 
 # `task` itself imports nothing of the compiler's.
@@ -78,7 +79,8 @@ def begin_step(block: np.ndarray, n: int, plant: Plant, begin: bool) -> int:
         active = block[AT.active + j] != 0.0
         block[AT.halt + j] = UNDER_WAY if active else HALTED
         block[AT.action + j] = clip(block[AT.action + j], 1.0)
-        block[AT.mass_ratio + j] = plant.m / (block[AT.M + j] + plant.m)
+        p = plant_of(block, j, plant)
+        block[AT.mass_ratio + j] = p.m / (p.M + p.m)
         block[AT.before_x + j] = block[AT.x + j]
         block[AT.energy + j] = 0.0 if active else block[AT.energy + j]
         # The minimum over the step; at the start of an episode the weight, which `resets.renew` has written.
@@ -96,6 +98,8 @@ def apply_torque(block: np.ndarray, n: int, plant: Plant, settings: StepSettings
         going = block[AT.halt + j] == UNDER_WAY
         residual = settings.residual_limit * block[AT.action + j]
         torque = clip(block[AT.law_torque + j] + residual, settings.torque_limit)
+        if plant.extended == VARIED:
+            torque = disturbances.drive(block, j, torque, going)
         torque = torque if going else block[AT.torque + j]
         x_dot = block[AT.x_dot + j]
         block[AT.torque + j] = torque
@@ -306,9 +310,9 @@ def call_advance(
 
 
 @inlined
-def start_task(block: np.ndarray, n: int) -> None:
-    """Gives the task's memory its first values in the environments whose episodes begin."""
-    at = block.size - TASK_ROWS * LANES
+def start_task(block: np.ndarray, n: int, end: int) -> None:
+    """Gives the task's memory, which ends there, its first values in the environments whose episodes begin."""
+    at = end - TASK_ROWS * LANES
     for j in range(n):
         memory = TaskMemory(*load(block, at + j, LANES, TASK_ROWS))
         begun = begin_task(block[AT.x + j], memory)
@@ -316,15 +320,16 @@ def start_task(block: np.ndarray, n: int) -> None:
 
 
 @inlined
-def finish_step(block: np.ndarray, n: int, plant: Plant, settings: StepSettings) -> None:
-    """Ends an agent step: rewards, the task's memory and the sums of the episode."""
+def finish_step(block: np.ndarray, n: int, plant: Plant, settings: StepSettings, end: int) -> None:
+    """Ends an agent step: rewards, the task's memory, which ends there, and the sums of the episode."""
     dt = settings.law_steps * settings.physics_steps * settings.physics_dt
-    at = block.size - TASK_ROWS * LANES
+    at = end - TASK_ROWS * LANES
     for j in range(n):
+        p = plant_of(block, j, plant)
         active = block[AT.active + j] != 0.0
         share = 1.0 if active else 0.0
-        mass = block[AT.M + j] + plant.m
-        weight = mass * plant.g
+        mass = p.M + p.m
+        weight = mass * p.g
         moved = block[AT.x + j] - block[AT.before_x + j]
         energy = block[AT.energy + j]
         memory = TaskMemory(*load(block, at + j, LANES, TASK_ROWS))
@@ -338,7 +343,7 @@ def finish_step(block: np.ndarray, n: int, plant: Plant, settings: StepSettings)
         block[AT.reward_termination + j] = penalty if active else block[AT.reward_termination + j]
         block[AT.steps + j] += share
         block[AT.episode_energy + j] += share * energy
-        gravity = math.sqrt(plant.g * plant.g + plant.downhill * plant.downhill) if plant.extended != 0.0 else plant.g
+        gravity = math.sqrt(p.g * p.g + p.downhill * p.downhill) if plant.extended != 0.0 else p.g
         block[AT.weight_distance + j] += share * (mass * gravity) * moved
         smallest = min(block[AT.smallest_normal_ratio + j], block[AT.normal_force + j] / weight)
         block[AT.smallest_normal_ratio + j] = smallest if active else block[AT.smallest_normal_ratio + j]
@@ -346,17 +351,28 @@ def finish_step(block: np.ndarray, n: int, plant: Plant, settings: StepSettings)
 
 @inlined
 def observe(
-    block: np.ndarray, n: int, begin: bool, settings: StepSettings, cycle: int, observations: np.ndarray
+    block: np.ndarray,
+    n: int,
+    begin: bool,
+    plant: Plant,
+    settings: StepSettings,
+    cycle: int,
+    end: int,
+    observations: np.ndarray,
 ) -> None:
-    """Writes the observations of a block's environments that take part."""
-    # The present line of the reference and the task's memory are the last parts of a block.
-    at = block.size - TASK_ROWS * LANES
+    """Writes the observations of a block's environments that take part; the task's memory ends there."""
+    # The present line of the reference stands before it.
+    at = end - TASK_ROWS * LANES
     reference = at - settings.reference_size * LANES
     for j in range(n):
         if block[AT.active + j] != 0.0:
+            state = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x_dot + j]
+            if plant.extended == VARIED and settings.agent_reads:
+                state = disturbances.reading(block, j)
             write_observation(
                 observations[j],
-                (block[AT.theta + j], block[AT.theta_dot + j], block[AT.x_dot + j]),
+                state,
+                settings.stick_threshold,
                 0.0 if begin else block[AT.action + j],
                 (
                     block[reference + j],
@@ -395,12 +411,16 @@ def step(
     """
     h = settings.physics_dt
     cycle = (fixed.size - CONSTANTS) // settings.reference_size
+    # Of the task's memory.
+    end = block.size - HISTORY_ROWS * settings.history * LANES
+    if begin and plant.extended == VARIED:
+        disturbances.begin(block, n, settings)
     # The action is clipped to [-1, 1].
     if begin_step(block, n, plant, begin) == 0 and begin:
         return
     if begin:
-        start_task(block, n)
-    for _ in range(1 if begin else settings.law_steps):
+        start_task(block, n, end)
+    for tick in range(1 if begin else settings.law_steps):
         if not begin:
             # u = clip(law torque + residual_limit action), constant until the law is called again.
             sticking = apply_torque(block, n, plant, settings)
@@ -414,19 +434,24 @@ def step(
                     if block[AT.eventful + j] != 0.0:
                         # Stick, slip, and the end of the episode (`task.termination`).
                         sticking += step_with_events(block, j, plant, h, (substep + 1) * h)
+        if plant.extended == VARIED:
+            # The sensors show a state of the past, with errors, to the law and to the agent.
+            disturbances.measure(block, n, settings, begin, tick + 1 == settings.law_steps)
         # `evaluate_law`: the torque until the next call.
         call_law(block, n, fixed, cycle, settings.torque_limit, 0.0 if begin else 1.0)
+        if plant.extended == VARIED:
+            disturbances.restore_state(block, n, settings)
     if not begin:
         # The reward (`Task.reward`) and the sums of the episode.
-        finish_step(block, n, plant, settings)
-    observe(block, n, begin, settings, cycle, observations)
+        finish_step(block, n, plant, settings, end)
+    observe(block, n, begin, plant, settings, cycle, end, observations)
 
 
 def advance(world: np.ndarray, first: int, last: int, begin: bool, fixed: np.ndarray, observations: np.ndarray) -> int:
     """`step` of the environments first..last-1 that `Row.active` names; the others stand still.
 
     Args:
-        world: shape (blocks, (ROWS + memory cells + columns of the reference + TASK_ROWS) LANES), float64; changed.
+        world: shape (blocks, rows LANES), float64, with the rows of `simulation.count_rows`; changed.
         first: first environment, a multiple of LANES.
         last: one past the last environment.
         begin: begin an episode instead of taking a step: the law is called for its first torque.
@@ -465,7 +490,8 @@ def build_advance(pivot_torque_on_contact: float, extended: float, own: task.Tas
 
     Args:
         pivot_torque_on_contact: 1.0 for the paper's normal force, 0.0 for Newton's.
-        extended: 1.0 for plants with more than Coulomb's friction on a level floor, as `Plant` has it.
+        extended: as `Plant` has it: 1.0 for plants with more than Coulomb's friction on a level floor, 2.0 for plants
+            that differ in more than M and mu, and for disturbances.
         own: the task.
     """
     bindings: dict[str, Any] = {"PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact, "EXTENDED": extended}

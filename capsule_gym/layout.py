@@ -1,7 +1,8 @@
 """The memory layout of the compiled step, and how compiled code reads and writes it.
 
 The environments lie in one float64 array `world` of shape (blocks, rows, LANES): one row per quantity of `Row`, then
-the memory of the control law and its row of the reference. Within a block every loop runs over the environments, and
+the memory of the control law, its row of the reference, the task's memory, and the history of states that late sensors
+show (`capsule_gym.disturbances`). Within a block every loop runs over the environments, and
 the compiler takes several at once. One environment is a block with one lane in use; threads share a batch by blocks.
 The arithmetic is the same everywhere, and so are the results, bit for bit.
 """
@@ -14,7 +15,7 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 
 from capsule_gym.compilation import inlined, intrinsic, jitable
-from capsule_gym.parameters import Plant
+from capsule_gym.parameters import VARIED, Plant
 
 # Environments that one loop takes through a step together. Their rows lie side by side at offsets that the compiler
 # knows, and one block stays in the first-level cache.
@@ -77,6 +78,78 @@ class Quantities(NamedTuple):
     least_normal_force: int
     halt: int
     elapsed: int
+    # Only where plants are varied, down to the end. The fields of `Plant` from m on.
+    m: int
+    l: int
+    g: int
+    k: int
+    c: int
+    static_ratio: int
+    backward_ratio: int
+    downhill: int
+    viscous: int
+    stribeck_excess: int
+    stribeck_rate: int
+    total_motor_friction: int
+    push_force: int
+    # What the episode has drawn: `CONSTANTS`,
+    drawn_m: int
+    drawn_l: int
+    drawn_g: int
+    drawn_k: int
+    drawn_c: int
+    drawn_static_ratio: int
+    drawn_backward_ratio: int
+    drawn_viscous: int
+    drawn_stribeck_speed: int
+    drawn_slope: int
+    drawn_motor_friction: int
+    # `DISTURBANCES`,
+    theta_noise: int
+    theta_dot_noise: int
+    x_dot_noise: int
+    theta_bias: int
+    theta_dot_bias: int
+    x_dot_bias: int
+    theta_drift: int
+    theta_dot_drift: int
+    x_dot_drift: int
+    drift_time: int
+    theta_resolution: int
+    theta_dot_resolution: int
+    x_dot_resolution: int
+    latency: int
+    lag: int
+    motor_friction: int
+    torque_resolution: int
+    push: int
+    # and the key of its noise.
+    key: int
+    # What follows from them: the latency in periods, and what a period leaves of the drift and lets the motor follow.
+    delay: int
+    drift_share: int
+    motor_share: int
+    # Entry of the history that was written last, in the first lane; readings so far.
+    cursor: int
+    readings: int
+    # The motor's torque, N m; the drift of each sensor.
+    motor: int
+    drift_of_theta: int
+    drift_of_theta_dot: int
+    drift_of_x_dot: int
+    # The state that the next reading shows; the last reading, with the integral of its x_dot.
+    late_theta: int
+    late_theta_dot: int
+    late_x_dot: int
+    read_theta: int
+    read_theta_dot: int
+    read_x: int
+    read_x_dot: int
+    # The state itself, while the law is called with the reading in its place.
+    true_theta: int
+    true_theta_dot: int
+    true_x: int
+    true_x_dot: int
 
 
 # Each quantity's row of a block, and where that begins in the block's memory. numba takes plain integers in a tuple for
@@ -84,7 +157,9 @@ class Quantities(NamedTuple):
 Row = Quantities(*range(len(Quantities._fields)))
 AT = Quantities(*(LANES * row for row in Row))
 ROWS = len(Row)
-# Where the law's memory begins; its line of the reference follows.
+# Rows of a state in the history.
+HISTORY_ROWS = 3
+# Where the law's memory begins; its line of the reference follows, and the task's memory.
 MEMORY = ROWS * LANES
 # The values of `Row.halt`: under way; stopped in the present substep, with one call of the law left; and halted.
 UNDER_WAY, ENDING, HALTED = 0.0, 1.0, 2.0
@@ -104,6 +179,15 @@ class StepSettings(NamedTuple):
     with_parameters: bool
     # Columns of the controller's table.
     reference_size: int
+    # Of disturbances: states that are remembered, who sees the sensors, which of them there are, and the measured
+    # velocity up to which the observation says that the platform sticks.
+    history: int = 0
+    law_reads: bool = False
+    agent_reads: bool = False
+    with_theta: bool = True
+    with_theta_dot: bool = True
+    with_x_dot: bool = True
+    stick_threshold: float = 0.0
 
 
 def pack(plant: Plant, settings: StepSettings, reference: np.ndarray, law: int = 0) -> np.ndarray:
@@ -222,7 +306,14 @@ def unpack(fixed: np.ndarray, pivot_torque_on_contact: float, extended: float) -
     return plant, record(fixed, SETTINGS, StepSettings)
 
 
+# Constants of a plant from m on.
+PLANT_ROWS = len(Plant._fields) - 5
+
+
 @inlined
 def plant_of(block: np.ndarray, j: int, plant: Plant) -> Plant:
     """The plant of one environment."""
+    if plant.extended == VARIED:
+        own = load(block, AT.m + j, LANES, PLANT_ROWS)
+        return Plant(block[AT.M + j], block[AT.mu + j], block[AT.mass_ratio + j], *plant[3:5], *own)
     return Plant(block[AT.M + j], block[AT.mu + j], block[AT.mass_ratio + j], *plant[3:])

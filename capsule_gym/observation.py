@@ -71,6 +71,7 @@ def observation_bounds(
 def write_observation(
     out: np.ndarray,  # shape (entries,), float32, written in the order of `observation_names`
     state: tuple[float, float, float],  # theta (rad), theta_dot (rad/s), x_dot (m/s)
+    stick_threshold: float,  # |x_dot| up to which the platform is said to stick, m/s
     last_action: float,  # in [-1, 1]
     reference: tuple[float, float, float],  # theta_d (rad), theta_d_dot (rad/s), phase of the cycle in [0, 1)
     law_torque: float,  # that the law returns at this instant, clipped to the torque limit, N m
@@ -83,7 +84,7 @@ def write_observation(
     out[0] = clip(theta, THETA_LIMIT)
     out[1] = clip(theta_dot, THETA_DOT_BOUND)
     out[2] = clip(x_dot, X_DOT_BOUND)
-    out[3] = 1.0 if x_dot == 0.0 else 0.0
+    out[3] = 1.0 if abs(x_dot) <= stick_threshold else 0.0
     out[4] = last_action
     next_entry = 5
     if with_reference:

@@ -11,9 +11,10 @@ import importlib
 import math
 import re
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -54,14 +55,20 @@ class Plant(NamedTuple):
     c: float
     static_ratio: float
     backward_ratio: float
-    # Read only where `extended` is 1.0: g sin(slope), the viscous coefficient of the floor, static_ratio - 1 and the
-    # inverse of the speed of the Stribeck curve (both 0.0 without one), and the motor's friction.
+    # Read only where `extended` is not 0.0: g sin(slope), the viscous coefficient of the floor, static_ratio - 1 and
+    # the inverse of the speed of the Stribeck curve (both 0.0 without one), and the motor's friction.
     downhill: float
     viscous: float
     stribeck_excess: float
     stribeck_rate: float
     motor_friction: float
+    # A force that pushes the platform forwards, N.
+    push: float
 
+
+# `Plant.extended` where the floor may slope, and its friction and the motor's may depend on the speed, and where the
+# constants from m on differ between the environments as well.
+EXTENDED, VARIED = 1.0, 2.0
 
 # Subclasses of Python's and numpy's integers that are none.
 NO_NUMBERS = (bool, np.timedelta64)
@@ -278,11 +285,12 @@ class Capsule:
         derived = {
             "mass_ratio": float(capsule.m / (capsule.M + capsule.m)),
             "pivot_torque_on_contact": float(capsule.normal_force == "paper"),
-            "extended": float(any((self.viscous, self.stribeck_speed, self.slope, self.motor_friction))),
+            "extended": EXTENDED * any((self.viscous, self.stribeck_speed, self.slope, self.motor_friction)),
             "g": float(self.g * math.cos(self.slope)),
             "downhill": float(self.g * math.sin(self.slope)),
             "stribeck_excess": self.static_ratio - 1.0 if self.stribeck_speed else 0.0,
             "stribeck_rate": 1.0 / self.stribeck_speed if self.stribeck_speed else 0.0,
+            "push": 0.0,
         }
         own = {name: float(getattr(capsule, name)) for name in Plant._fields if name not in derived}
         return Plant(**own, **derived)
@@ -295,12 +303,16 @@ NOMINAL = Capsule()
 def _check_range(name: str, value: Any, *, positive: bool) -> tuple[float, float]:
     """Validates one range (low, high) of a Randomization."""
     accepted = f"a pair (low, high) of finite numbers with {'0 <' if positive else '0 <='} low <= high"
+    return _check_pair(name, value, accepted, partial(check_number, low=0.0, open_low=positive))
+
+
+def _check_pair(name: str, value: Any, accepted: str, check: Callable[..., float]) -> tuple[float, float]:
+    """Validates a pair (low, high) whose numbers the check accepts."""
     try:
         low, high = value
     except (TypeError, ValueError):
         raise TypeError(f"{name} must be {accepted}, got {written(value)}") from None
-    low = check_number(f"{name}[0]", low, accepted, 0.0, open_low=positive)
-    high = check_number(f"{name}[1]", high, accepted, 0.0, open_low=positive)
+    low, high = check(f"{name}[0]", low, accepted), check(f"{name}[1]", high, accepted)
     if low > high:
         raise ValueError(f"{name} must be {accepted}, got {written(value)}")
     return low, high
@@ -308,20 +320,36 @@ def _check_range(name: str, value: Any, *, positive: bool) -> tuple[float, float
 
 # What the package's own exponential can take.
 LARGEST_RATIO = 1e300
+# The constants that a `Randomization` draws besides M and mu, in the order of their draws.
+CONSTANTS = (
+    *("m", "l", "g", "k", "c", "static_ratio", "backward_ratio"),
+    *("viscous", "stribeck_speed", "slope", "motor_friction"),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Randomization:
-    """The ranges that the platform mass and the friction coefficient of every episode are drawn from.
+    """The ranges that the plant of every episode is drawn from, uniformly. None keeps the capsule's own.
 
     Attributes:
-        M: lowest and highest mass of the platform, kg; drawn uniformly. None keeps the capsule's own.
-        mu: lowest and highest friction coefficient. None keeps the capsule's own.
+        M: lowest and highest mass of the platform, kg.
+        mu: lowest and highest friction coefficient.
         log_mu: draw log(mu) uniformly instead of mu, for ranges over several decades.
+        m: mass of the ball, kg; this and the next as in `Capsule`.
+        l: distance from the pivot to the ball, m.
+        g: gravitational acceleration, m/s^2.
+        k: stiffness of the torsional spring, N m/rad.
+        c: viscous coefficient of the pivot, N m s/rad.
+        static_ratio: static over kinetic friction coefficient.
+        backward_ratio: friction coefficient backwards over forwards.
+        viscous: viscous friction of the floor, N s/m.
+        stribeck_speed: speed of the Stribeck curve, m/s.
+        slope: of the floor, rad.
+        motor_friction: Coulomb friction of the motor, N m.
 
     Raises:
         TypeError: if a range is no pair of numbers.
-        ValueError: if a range is not finite, not positive or not ordered.
+        ValueError: if a range is not finite, not ordered, or holds what no `Capsule` has.
 
     Examples:
         >>> heavy = Randomization(M=(0.8, 1.0), mu=(0.01, 0.1), log_mu=True)
@@ -332,6 +360,17 @@ class Randomization:
     M: tuple[float, float] | None = None
     mu: tuple[float, float] | None = None
     log_mu: bool = False
+    m: tuple[float, float] | None = None
+    l: tuple[float, float] | None = None
+    g: tuple[float, float] | None = None
+    k: tuple[float, float] | None = None
+    c: tuple[float, float] | None = None
+    static_ratio: tuple[float, float] | None = None
+    backward_ratio: tuple[float, float] | None = None
+    viscous: tuple[float, float] | None = None
+    stribeck_speed: tuple[float, float] | None = None
+    slope: tuple[float, float] | None = None
+    motor_friction: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.log_mu, bool):
@@ -346,6 +385,15 @@ class Randomization:
                     f"got {self.mu!r}"
                 )
             object.__setattr__(self, "mu", (low, high))
+        for name in self.drawn:
+            accepted = "a pair (low, high) of finite numbers with low <= high"
+            pair = _check_pair(f"Randomization.{name}", getattr(self, name), accepted, check_number)
+            object.__setattr__(self, name, pair)
+
+    @property
+    def drawn(self) -> list[str]:
+        """The names out of `CONSTANTS` that have a range."""
+        return [name for name in CONSTANTS if getattr(self, name) is not None]
 
     @classmethod
     def named(cls, name: str | Randomization) -> Randomization:
@@ -363,27 +411,48 @@ class Randomization:
             raise error(f"randomization must be {accepted}, got {written(name)}")
         return RANDOMIZATIONS[name]
 
+    def corners(self, capsule: Capsule) -> Iterator[Capsule]:
+        """The capsules at the ends of all ranges but those of M and mu, with the lightest platform and most friction.
+
+        Both are the worst case of Painleve's condition and of the integrator's stability, and every other constant is
+        at one end of its range.
+
+        Raises:
+            ValueError: if one would be invalid.
+        """
+        M, mu = (self.M or (capsule.M,))[0], (self.mu or (capsule.mu,))[-1]
+        for values in product(*(getattr(self, name) for name in self.drawn)):
+            try:
+                yield replace(capsule, M=M, mu=mu, **dict(zip(self.drawn, values, strict=True)))
+            except ValueError as error:
+                raise ValueError(f"{self!r}: {error}") from None
+
     def check(self, capsule: Capsule) -> None:
         """Refuses ranges in which some plant would be invalid, before any episode meets it.
 
         Raises:
-            ValueError: if the lightest platform with the largest friction admits Painleve's paradox, or a value is too
-                large or too small for a `Capsule`.
+            ValueError: if a plant at the ends of the ranges admits Painleve's paradox, or a value is too large or too
+                small for a `Capsule`.
         """
-        # Both the lightest platform and the roughest floor are the worst case of the condition, so one corner decides.
         try:
-            capsule.check_plant(self.M[0] if self.M else capsule.M, self.mu[1] if self.mu else capsule.mu)
             capsule.check_plant(self.M[1] if self.M else capsule.M, self.mu[0] if self.mu else capsule.mu)
         except ValueError as error:
             raise ValueError(f"Randomization(M={self.M}, mu={self.mu}): {error}") from None
+        for _ in self.corners(capsule):
+            pass
+
+    def __repr__(self) -> str:
+        given = {each.name: getattr(self, each.name) for each in fields(self)}
+        return f"Randomization({', '.join(f'{name}={value!r}' for name, value in given.items() if value)})"
 
     def __str__(self) -> str:
-        if self.M is None and self.mu is None:
+        if self.M is None and self.mu is None and not self.drawn:
             return "the capsule's own M and mu"
         M = f"M in [{self.M[0]:g}, {self.M[1]:g}] kg" if self.M else "the capsule's own M"
         scale = "log-uniform " if self.log_mu else ""
         mu = f"mu {scale}in [{self.mu[0]:g}, {self.mu[1]:g}]" if self.mu else "the capsule's own mu"
-        return f"{M}, {mu}"
+        ranges = ((name, *getattr(self, name)) for name in self.drawn)
+        return ", ".join([M, mu, *(f"{name} in [{low:g}, {high:g}]" for name, low, high in ranges)])
 
 
 RANDOMIZATIONS = {
@@ -393,6 +462,124 @@ RANDOMIZATIONS = {
     "broad": Randomization(M=(0.25, 1.2), mu=(0.002, 0.6), log_mu=True),
     "sticky": Randomization(M=(0.35, 0.75), mu=(0.2, 0.6)),
 }
+
+# Largest sizes of disturbances (SI units), and the longest latency, s, whose states each environment remembers.
+LARGEST_DISTURBANCE, LONGEST_LATENCY = 1e3, 0.5
+# The sensors; the position has none.
+SENSORS = ("theta", "theta_dot", "x_dot")
+
+Draws = float | tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Disturbances:
+    """What sensors, motor and floor do to an ideal plant: the law inside the step and the agent see the sensors, late.
+
+    A pair (low, high) of numbers is a range that every episode draws from uniformly. Sensors are read at every call of
+    the law, without a law at every step of the agent. They have no position: the law's x is the integral of the
+    measured x_dot. The observation's `stick` is 1 where the measured |x_dot| is at most `stick_threshold`.
+
+    Attributes:
+        theta_noise: standard deviation of the white noise of a sensor, rad; of each reading by itself.
+        theta_dot_noise: rad/s.
+        x_dot_noise: m/s.
+        theta_bias: constant error of a sensor, rad.
+        theta_dot_bias: rad/s.
+        x_dot_bias: m/s.
+        theta_drift: standard deviation of a slow error of a sensor, rad: a Gauss-Markov process.
+        theta_dot_drift: rad/s.
+        x_dot_drift: m/s.
+        drift_time: its time constant, s.
+        theta_resolution: what a sensor's reading is rounded to a multiple of, rad; 0 does not round.
+        theta_dot_resolution: rad/s.
+        x_dot_resolution: m/s.
+        latency: from the state to the reading that shows it, s; rounded to whole periods of the law, without a law to
+            steps of the integrator.
+        lag: time constant with which the motor's torque follows the commanded one, s.
+        motor_friction: Coulomb friction of the motor, N m, added to `Capsule.motor_friction`.
+        torque_resolution: what the commanded torque is rounded to a multiple of, N m; 0 does not round.
+        push: largest force on the platform, N: in every second a force drawn uniformly from -push to push acts for
+            0.1 s, which begin at a random time.
+        unmeasured: names out of "theta", "theta_dot" and "x_dot": of these the readings are 0.
+        controls: who sees the sensors: "both", or only the "law" or the "agent", while the other one sees the state.
+        stick_threshold: m/s.
+
+    Raises:
+        TypeError: if a field is of the wrong type.
+        ValueError: if a field is out of range.
+
+    Examples:
+        >>> Disturbances(latency=(0.005, 0.015), x_dot_noise=0.01).latency
+        (0.005, 0.015)
+    """
+
+    theta_noise: Draws = 0.0
+    theta_dot_noise: Draws = 0.0
+    x_dot_noise: Draws = 0.0
+    theta_bias: Draws = 0.0
+    theta_dot_bias: Draws = 0.0
+    x_dot_bias: Draws = 0.0
+    theta_drift: Draws = 0.0
+    theta_dot_drift: Draws = 0.0
+    x_dot_drift: Draws = 0.0
+    drift_time: Draws = 0.05
+    theta_resolution: Draws = 0.0
+    theta_dot_resolution: Draws = 0.0
+    x_dot_resolution: Draws = 0.0
+    latency: Draws = 0.0
+    lag: Draws = 0.0
+    motor_friction: Draws = 0.0
+    torque_resolution: Draws = 0.0
+    push: Draws = 0.0
+    unmeasured: tuple[str, ...] = ()
+    controls: Literal["both", "law", "agent"] = "both"
+    stick_threshold: float = 0.01
+
+    def __post_init__(self) -> None:
+        for name in DISTURBANCES:
+            low, high = self.limits(name)
+            accepted = f"a number from {low:g} to {high:g}, or a pair (low, high) of such numbers with low <= high"
+            check = partial(check_number, low=low, high=high)
+            value, whose = getattr(self, name), f"Disturbances.{name}"
+            pair = isinstance(value, (tuple, list))
+            value = _check_pair(whose, value, accepted, check) if pair else check(whose, value, accepted)
+            object.__setattr__(self, name, value)
+        names = self.unmeasured
+        if not isinstance(names, (tuple, list)) or not all(isinstance(name, str) and name in SENSORS for name in names):
+            raise ValueError(f"Disturbances.unmeasured must be a tuple of names out of {SENSORS}, got {written(names)}")
+        object.__setattr__(self, "unmeasured", tuple(names))
+        if not isinstance(self.controls, str) or self.controls not in ("both", "law", "agent"):
+            raise ValueError(f"Disturbances.controls must be 'both', 'law' or 'agent', got {written(self.controls)}")
+        accepted = f"a number of m/s from 0 to {LARGEST_DISTURBANCE:g}"
+        number = check_number("Disturbances.stick_threshold", self.stick_threshold, accepted, 0.0, LARGEST_DISTURBANCE)
+        object.__setattr__(self, "stick_threshold", number)
+
+    @staticmethod
+    def limits(name: str) -> tuple[float, float]:
+        """The smallest and the largest value that a field out of `DISTURBANCES` may have."""
+        if name.endswith("_bias"):
+            return -LARGEST_DISTURBANCE, LARGEST_DISTURBANCE
+        lowest = SHORTEST_STEP if name == "drift_time" else 0.0
+        return lowest, LONGEST_LATENCY if name == "latency" else LARGEST_DISTURBANCE
+
+    @classmethod
+    def named(cls, name: str | Disturbances) -> Disturbances | None:
+        """The disturbances of that name, for "none" None; a Disturbances is returned as it is.
+
+        Raises:
+            ValueError: if the name is not known.
+            TypeError: if `name` is neither a string nor a Disturbances.
+        """
+        if isinstance(name, cls):
+            return name
+        if not isinstance(name, str) or name not in ("none", "real"):
+            error = ValueError if isinstance(name, str) else TypeError
+            raise error(f"disturbances must be 'none', 'real' or a Disturbances, got {written(name)}")
+        return REAL if name == "real" else None
+
+
+DISTURBANCES = tuple(each.name for each in fields(Disturbances))[:-3]
+"""What an episode draws: the fields of `Disturbances` that are numbers or ranges."""
 
 DIRECT_PHYSICS_DT = 2e-3
 # Between the calls of a control law inside the step, s, unless its `Controller` says otherwise.
@@ -406,6 +593,21 @@ ENERGY_WEIGHTS = SMALLEST, LARGEST_COST
 ENERGY_WEIGHT_TEXT = f"a number of cm/J from {SMALLEST:g} to {LARGEST_COST:g}"
 # s. Steps of more digits than these would not divide each other, whatever they are.
 SHORTEST_STEP, LONGEST_STEP = 1e-9, 1e6
+REAL = Disturbances(
+    theta_noise=0.01,
+    theta_dot_noise=0.1,
+    x_dot_noise=0.01,
+    theta_bias=(-0.02, 0.02),
+    theta_dot_bias=(-0.1, 0.1),
+    x_dot_bias=(-0.02, 0.02),
+    theta_drift=0.02,
+    theta_dot_drift=0.1,
+    x_dot_drift=0.02,
+    latency=(0.005, 0.015),
+    lag=0.005,
+    motor_friction=0.05,
+)
+"""What `disturbances="real"` is: cheap sensors, and the latency of a bus or a camera."""
 RENDER_MODES = ("human", "rgb_array")
 
 Check = Callable[[str, Any], Any]
@@ -443,6 +645,11 @@ def find_task(value: Any) -> Task:
 
 def _is_task(name: str, value: Any) -> str | Task:
     find_task(value)
+    return value
+
+
+def _is_disturbances(name: str, value: Any) -> str | Disturbances:
+    Disturbances.named(value)
     return value
 
 
@@ -509,6 +716,12 @@ class EnvConfig:
     )
     randomization: str | Randomization = _option(
         "paper", f"where M and mu of an episode come from: {_RANGES}; or a `Randomization`", _is_randomization
+    )
+    disturbances: str | Disturbances = _option(
+        "none",
+        'what sensors, motor and floor do to an ideal plant: "none"; "real": noise, bias and drift of the sensors, 5 '
+        "to 15 ms of latency, lag and friction of the motor; or a `Disturbances`",
+        _is_disturbances,
     )
     capsule: Capsule | None = _option(None, "the plant's constants", _or_none(_instance("a Capsule or None", Capsule)))
     observe_parameters: bool = _option(

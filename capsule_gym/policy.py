@@ -42,6 +42,7 @@ from capsule_gym.parameters import (
     ENERGY_WEIGHT_TEXT,
     ENERGY_WEIGHTS,
     Capsule,
+    Disturbances,
     EnvConfig,
     Randomization,
     check_integer,
@@ -385,7 +386,7 @@ def _read(name: str, path: Path) -> Policy:
             accepted = "text" if key in TEXTS else "JSON"
             raise ValueError(f"{key} must be {accepted} in its metadata, got {metadata.get(key)!r:.50}") from None
     env_kwargs = values["env_kwargs"]
-    for key, kind in (("capsule", Capsule), ("randomization", Randomization)):
+    for key, kind in (("capsule", Capsule), ("randomization", Randomization), ("disturbances", Disturbances)):
         if isinstance(env_kwargs, dict) and isinstance(env_kwargs.get(key), dict):
             env_kwargs[key] = kind(**env_kwargs[key])
     values["observes_energy_weight"] = values.pop("told_energy_weight")

@@ -22,6 +22,7 @@ class Stream(IntEnum):
     initial_state = 1
     disturbances = 2
     task = 3
+    variation = 4
 
 
 WORD = 2**64
@@ -57,7 +58,6 @@ _HALF, _LOW, _ZERO, _ONE = np.uint64(32), np.uint64(2**32 - 1), np.uint64(0), np
 # Of a word the upper 53 bits make a float in [0, 1).
 _SHIFT, _UNIT = np.uint64(11), 2.0**-53
 PARAMETERS, INITIAL_STATE = np.uint64(Stream.parameters), np.uint64(Stream.initial_state)
-TASK = np.uint64(Stream.task)
 # Numbers that `draw_four` draws at once.
 _WORDS = 4
 
@@ -157,28 +157,40 @@ def draw(
         starts[Row.M, n], starts[Row.mu, n] = plant_at(ranges, share_M, share_mu)
 
 
-def task_ranges(draws: Sequence[Draw]) -> np.ndarray:
-    """Of each draw of a task its lowest value, the range above that, and 1.0 where its sign is drawn; shape (n, 3)."""
-    return np.array([(draw.low, draw.high - draw.low, draw.signed) for draw in draws], np.float64).reshape(-1, 3)
+def draw_table(first: int, stream: Stream, draws: Sequence[Draw]) -> np.ndarray:
+    """What `draw_rows` reads: a line for each number that an episode draws.
+
+    Args:
+        first: row of the world that the first number goes to; the others follow.
+        stream: that the numbers come from, in their order.
+        draws: how.
+
+    Returns:
+        Float64 of shape (n, 6): the row, the stream, the number's place in it, its lowest value, the range above that,
+        and 1.0 where its sign is drawn.
+    """
+    lines = [(first + n, stream, n, draw.low, draw.high - draw.low, draw.signed) for n, draw in enumerate(draws)]
+    return np.array(lines, np.float64).reshape(-1, 6)
 
 
 @jitable
-def draw_task(ranges: np.ndarray, rows: np.ndarray, keys: np.ndarray, episodes: np.ndarray, values: np.ndarray) -> None:
-    """Draws what the task has drawn for the next episodes of some environments; arguments as of `draw`.
+def draw_rows(table: np.ndarray, rows: np.ndarray, keys: np.ndarray, episodes: np.ndarray, values: np.ndarray) -> None:
+    """Draws what else is drawn for the next episodes of some environments; arguments as of `draw`.
 
     Args:
-        ranges: from `task_ranges`.
+        table: from `draw_table`.
         rows: indices of the environments.
         keys: of every environment.
         episodes: of every environment.
-        values: shape (draws, n); written.
+        values: shape (lines of the table, n); written.
     """
     for n in range(rows.size):
         i = rows[n]
-        for k in range(len(ranges)):
-            counter = np.uint64(1 + k // _WORDS)
-            share = draw_four(keys[i, 0], keys[i, 1], TASK, np.uint64(episodes[i]), counter)[k % _WORDS]
-            low, growth, signed = ranges[k, 0], ranges[k, 1], ranges[k, 2] != 0.0
+        for k in range(len(table)):
+            stream, place = np.uint64(table[k, 1]), int(table[k, 2])
+            counter = np.uint64(1 + place // _WORDS)
+            share = draw_four(keys[i, 0], keys[i, 1], stream, np.uint64(episodes[i]), counter)[place % _WORDS]
+            low, growth, signed = table[k, 3], table[k, 4], table[k, 5] != 0.0
             # Where the sign is drawn, the two halves of [0, 1) are those of either sign.
             twice = 2.0 * share - 1.0
             values[k, n] = math.copysign(low + growth * abs(twice), twice) if signed else low + growth * share
@@ -209,7 +221,9 @@ def renew(
         world[b, AT.active : AT.active + LANES] = 0.0
     for n in range(rows.size):
         block, j = world[rows[n] // LANES], rows[n] % LANES
-        block[j::LANES] = 0.0
+        # What is varied begins with `disturbances.begin`.
+        block[j : AT.m : LANES] = 0.0
+        block[MEMORY + j :: LANES] = 0.0
         for row in range(len(starts)):
             block[row * LANES + j] = starts[row, n]
         for cell in range(memory.size):
@@ -231,7 +245,7 @@ def compiled() -> tuple[Callable[..., int], Callable[..., int]]:
     return cached_entry(draw, drawing).call, cached_entry(renew, renewing).call
 
 
-def compiled_task() -> Callable[..., int]:
-    """`draw_task` as compiled code."""
+def compiled_rows() -> Callable[..., int]:
+    """`draw_rows` as compiled code."""
     indices, table = "int64[::1]", "float64[:, ::1]"
-    return cached_entry(draw_task, f"void({table}, {indices}, uint64[:, ::1], {indices}, {table})").call
+    return cached_entry(draw_rows, f"void({table}, {indices}, uint64[:, ::1], {indices}, {table})").call

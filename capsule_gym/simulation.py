@@ -19,11 +19,15 @@ from capsule_gym.controller import Controller, find_controller
 from capsule_gym.layout import LANES, Row
 from capsule_gym.observation import observation_names, parameter_bounds
 from capsule_gym.parameters import (
+    CONSTANTS,
     DIRECT_PHYSICS_DT,
+    DISTURBANCES,
     LAW_PHYSICS_DT,
     MOST_SUBSTEPS,
     NOMINAL,
+    VARIED,
     Capsule,
+    Disturbances,
     EnvConfig,
     Randomization,
     check_count,
@@ -35,6 +39,9 @@ from capsule_gym.parameters import (
 
 Result = TypeVar("Result")
 
+# Whole numbers up to this are floating-point numbers: the keys of an episode's noise.
+LARGEST_KEY = 2.0**53
+
 DEFAULTS = EnvConfig()
 SPEED = find_task(DEFAULTS.task)
 
@@ -43,7 +50,7 @@ NO_CONTROLLER = Controller("none", kernels.no_law, kernels.NO_REFERENCE)
 # The half of the disc of this radius that lies to the left of the imaginary axis is in the region of stability of the
 # classical Runge-Kutta method (Hairer and Wanner, Solving Ordinary Differential Equations II, Sect. IV.2).
 STABLE = 2.6
-# Environments in a batch: some 7 GB.
+# Environments in a batch: some 15 GB.
 MOST_ENVS = 2**24
 
 # The arrays of a simulation's episodes, which a copy takes over; what is compiled it binds itself.
@@ -125,28 +132,54 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> layout.S
     physics_dt = options.physics_dt
     if physics_dt is None:
         physics_dt = LAW_PHYSICS_DT if controller else DIRECT_PHYSICS_DT
-    law_dt = controller.dt if controller else options.control_dt
+    disturbed = Disturbances.named(options.disturbances)
+    # A latency, and a motor's lag, need more instants than an agent's steps have.
+    law_dt = controller.dt if controller else physics_dt if is_varied(options) else options.control_dt
     if options.control_dt / physics_dt > MOST_SUBSTEPS:
         raise ValueError(
             f"control_dt must be at most {MOST_SUBSTEPS} times physics_dt={physics_dt!r} s, "
             f"got {options.control_dt!r} s"
         )
-    return layout.StepSettings(
+    settings = layout.StepSettings(
         torque_limit=torque_limit,
         residual_limit=torque_limit if residual_limit is None else residual_limit,
         physics_dt=physics_dt,
         physics_steps=divide("the law's step" if controller else "control_dt", law_dt, "physics_dt", physics_dt),
-        law_steps=divide("control_dt", options.control_dt, "the controller's dt", law_dt),
+        law_steps=divide(
+            "control_dt", options.control_dt, "the controller's dt" if controller else "physics_dt", law_dt
+        ),
         energy_weight=options.energy_weight,
         termination_penalty=options.termination_penalty,
         with_reference=controller is not None,
         with_parameters=options.observe_parameters,
         reference_size=(controller or NO_CONTROLLER).reference.shape[1],
     )
+    if disturbed is None:
+        return settings._replace(history=int(is_varied(options)))
+    return settings._replace(
+        history=round(_ends(disturbed.latency)[1] / law_dt) + 1,
+        law_reads=controller is not None and disturbed.controls != "agent",
+        agent_reads=disturbed.controls != "law",
+        stick_threshold=0.0 if disturbed.controls == "law" else disturbed.stick_threshold,
+        with_theta="theta" not in disturbed.unmeasured,
+        with_theta_dot="theta_dot" not in disturbed.unmeasured,
+        with_x_dot="x_dot" not in disturbed.unmeasured,
+    )
+
+
+def _ends(value: float | tuple[float, float]) -> tuple[float, float]:
+    """A range, or the one that holds a number alone."""
+    return value if isinstance(value, tuple) else (value, value)
+
+
+def is_varied(options: EnvConfig) -> bool:
+    """Whether the plants of an environment differ in more than M and mu, or are disturbed."""
+    drawn = Randomization.named(options.randomization).drawn
+    return bool(drawn) or Disturbances.named(options.disturbances) is not None
 
 
 def count_rows(controller: Controller | None, own: task.Task = SPEED) -> int:
-    """The rows of `Simulation.world`: `Row`, the law's memory, its line of the reference, and the task's memory."""
+    """The rows of `Simulation.world` down to the task's memory: `Row`, the law's memory, its line of the reference."""
     acting = controller or NO_CONTROLLER
     return layout.ROWS + len(acting.memory) + acting.reference.shape[1] + own.rows
 
@@ -155,7 +188,7 @@ def episode_metrics(world: np.ndarray, horizon: float | None, own: task.Task = S
     """The metrics of episodes.
 
     Args:
-        world: shape (rows, n), one column per episode, the rows those of `Simulation.world`.
+        world: shape (rows, n), one column per episode, the rows those of `Simulation.world` down to the task's memory.
         horizon: length of a whole episode, s; None takes the time that has passed.
         own: the task.
 
@@ -205,8 +238,8 @@ class Simulation:
         task: what the agent is to do.
         settings: the options as the kernel reads them.
         world: shape (blocks, rows, LANES): environment i is lane i % LANES of block i // LANES; the rows are those of
-            `Row`, the law's memory, its line of the reference and the task's memory. `row` and `columns` read it by
-            environments.
+            `Row`, the law's memory, its line of the reference, the task's memory and, of varied plants, the history of
+            `disturbances`. `row` and `columns` read it by environments.
         observations: shape (num_envs, entries), float32, of the present state.
         fixed: what the kernel reads besides, from `layout.pack`.
 
@@ -231,14 +264,23 @@ class Simulation:
                 f"which is for the task {find_task(self.controller.task).name!r}"
             )
         self.settings = make_settings(options, self.controller)
+        disturbed = Disturbances.named(options.disturbances) or Disturbances()
         # The lightest platform on the roughest floor is the stiffest plant.
-        ranges = self.randomization
-        lightest, roughest = (ranges.M or (self.capsule.M,))[0], (ranges.mu or (self.capsule.mu,))[-1]
-        check_step(self.capsule, lightest, roughest, self.settings)
+        for corner in self.randomization.corners(self.capsule):
+            stiffest = replace(corner, motor_friction=corner.motor_friction + _ends(disturbed.motor_friction)[1])
+            check_step(stiffest, corner.M, corner.mu, self.settings)
         blocks = -(-self.num_envs // LANES)
-        rows = count_rows(self.controller, self.task)
-        # The first row of the task's memory.
-        self.task_row = rows - self.task.rows
+        # One past the last row of the task's memory, and the first one.
+        self.task_end = count_rows(self.controller, self.task)
+        self.task_row = self.task_end - self.task.rows
+        rows = self.task_end + layout.HISTORY_ROWS * self.settings.history
+        tables = [resets.draw_table(self.task_end - len(self.task.draws), resets.Stream.task, self.task.draws)]
+        if is_varied(options):
+            own = [getattr(self.randomization, name) or getattr(self.capsule, name) for name in CONSTANTS]
+            ranges = [*own, *(getattr(disturbed, name) for name in DISTURBANCES), (0.0, LARGEST_KEY)]
+            draws = [task.Draw(*_ends(each)) for each in ranges]
+            tables.append(resets.draw_table(Row.drawn_m, resets.Stream.variation, draws))
+        self.draw_table = np.concatenate(tables)
         names = observation_names(self.settings.with_reference, self.settings.with_parameters, self.task.entries)
         try:
             self.world = np.zeros((blocks, rows, LANES))
@@ -269,10 +311,12 @@ class Simulation:
         return {name: getattr(self, name) for name in names}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        controller, own = state["options"].controller, find_task(state["options"].task)
-        if count_rows(find_controller(controller), own) != state["world"].shape[1]:
+        options = state["options"]
+        controller, own = find_controller(options.controller), find_task(options.task)
+        history = make_settings(options, controller).history
+        if count_rows(controller, own) + layout.HISTORY_ROWS * history != state["world"].shape[1]:
             raise ValueError(
-                f"controller={controller!r} must be as it was when the simulation was pickled, with as "
+                f"controller={options.controller!r} must be as it was when the simulation was pickled, with as "
                 f"much memory and as many columns of the reference"
             )
         Simulation.__init__(self, state["num_envs"], state["options"])
@@ -296,6 +340,8 @@ class Simulation:
         acting = self.controller or NO_CONTROLLER
         self.reference, self.memory = acting.reference, acting.memory
         plant = self.capsule.plant()
+        if is_varied(self.options):
+            plant = plant._replace(extended=VARIED)
         self._kernel = kernels.build_advance(plant.pivot_torque_on_contact, plant.extended, self.task)
         name = f"the control law {self.controller.name!r}" if self.controller else ""
         # Kept, since the step calls it by its address.
@@ -313,8 +359,7 @@ class Simulation:
         ranges = resets.plant_ranges(self.randomization, self.capsule)
         self._draw = partial(draw, ranges, self.options.initial_noise)
         self._renew = partial(renew, blocks, np.array(self.memory), plant.m, plant.g)
-        self.task_ranges = resets.task_ranges(self.task.draws)
-        self._draws = len(self.task_ranges) > 0
+        self._drawn_rows = self.draw_table[:, 0].astype(np.int64)
 
     def row(self, row: int) -> np.ndarray:
         """A copy of one quantity of every environment, shape (num_envs,)."""
@@ -348,6 +393,8 @@ class Simulation:
         mu: Sequence[float] | None = None,
         state: np.ndarray | None = None,
         changes: Sequence[Sequence[dict[str, float]]] | None = None,
+        capsule: Sequence[dict[str, float]] | None = None,
+        disturbances: Sequence[dict[str, float]] | None = None,
         **task_options: Sequence[Any],
     ) -> None:
         """Begins a new episode in some environments. What is not given is drawn.
@@ -359,6 +406,8 @@ class Simulation:
             state: shape (n, 4): theta, theta_dot, x, x_dot.
             changes: per environment the jumps of M and mu during the episode, in order of time: `{"t": s, "M": kg,
                 "mu": ..}`.
+            capsule: per environment, constants of the plant by the names in `parameters.CONSTANTS`.
+            disturbances: per environment, what its episode has of `parameters.DISTURBANCES`.
             **task_options: per environment, what the task would draw, by the names of `Task.options`.
 
         Raises:
@@ -375,22 +424,24 @@ class Simulation:
         except IndexError:
             accepted = f"rows must be indices of environments, from 0 to {self.num_envs - 1}"
             raise IndexError(f"{accepted}, got {written(rows.tolist())}") from None
-        if M is not None or mu is not None:
+        drawn = self._draw_rows(rows, task_options, capsule, disturbances) if len(self.draw_table) else None
+        if drawn is None and (capsule or disturbances):
+            self._refuse_variation("capsule" if capsule else "disturbances")
+        if M is not None or mu is not None or capsule:
             masses = starts[Row.M].tolist() if M is None else M
             frictions = starts[Row.mu].tolist() if mu is None else mu
-            for plant in zip(masses, frictions, strict=True):
-                self._check_plant(*plant)
+            for n, plant in enumerate(zip(masses, frictions, strict=True)):
+                self._check_plant(*plant, None if drawn is None else self._capsule_of(drawn[:, n]))
             starts[Row.M], starts[Row.mu] = masses, frictions
         if state is not None:
             starts[: Row.M] = self._check_state(state, len(rows)).T
-        drawn = self._draw_task(rows, task_options) if self._draws else None
 
         # Nothing above has touched the environments: a refused reset leaves them as they were.
         if self._changes or schedules:
             self._plan(rows, schedules)
         self._renew(rows, starts, self._episodes)
         if drawn is not None:
-            self.world[rows // LANES, -len(drawn) :, rows % LANES] = drawn.T
+            self.world[rows[:, None] // LANES, self._drawn_rows, rows[:, None] % LANES] = drawn.T
         self._everyone = False
         self._run(begin=True)
 
@@ -478,7 +529,7 @@ class Simulation:
             One float64 array of shape (n,) for each field of `task.Metrics`, and for each metric of the task.
         """
         seconds = horizon * self.options.control_dt if horizon else None
-        return episode_metrics(self.columns(rows), seconds, self.task)
+        return episode_metrics(self.columns(rows)[: self.task_end], seconds, self.task)
 
     def close(self) -> None:
         """Ends the threads."""
@@ -486,22 +537,61 @@ class Simulation:
             self._pool.shutdown()
         self._pool = None
 
-    def _draw_task(self, rows: np.ndarray, given: dict[str, Sequence[Any]]) -> np.ndarray:
-        """What the episodes of some environments are given, or else draw, for the task; shape (draws, n)."""
-        drawn = np.empty((len(self.task_ranges), len(rows)))
-        resets.compiled_task()(self.task_ranges, rows, self._keys, self._episodes, drawn)
+    def _draw_rows(
+        self,
+        rows: np.ndarray,
+        task_options: dict[str, Sequence[Any]],
+        capsule: Sequence[Any] | None,
+        disturbances: Sequence[Any] | None,
+    ) -> np.ndarray:
+        """What the episodes of some environments are given, or else draw; shape (lines of `draw_table`, n)."""
+        drawn = np.empty((len(self.draw_table), len(rows)))
+        resets.compiled_rows()(self.draw_table, rows, self._keys, self._episodes, drawn)
         first = 0
         for name, option in self.task.options.items():
             last = first + len(option.draws)
-            for n, value in enumerate(given.get(name, ())):
+            for n, value in enumerate(task_options.get(name, ())):
                 drawn[first:last, n] = option.parse(f"options[{name!r}]", value)
             first = last
+        for name, given, names in (("capsule", capsule, CONSTANTS), ("disturbances", disturbances, DISTURBANCES)):
+            if given and first == len(drawn):
+                self._refuse_variation(name)
+            for n, values in enumerate(given or ()):
+                accepted = f"a dict with keys out of {names}"
+                if not isinstance(values, dict):
+                    raise TypeError(f"options[{name!r}] must be {accepted}, got {written(values)}")
+                if set(values) - set(names):
+                    raise ValueError(f"options[{name!r}] must be {accepted}, got {written(values)}")
+                for key, value in values.items():
+                    line, whose = first + names.index(key), f"options[{name!r}][{key!r}]"
+                    if name == "disturbances":
+                        low, high = Disturbances.limits(key)
+                        if key == "latency":
+                            high = (self.settings.history - 1) * self.settings.physics_steps * self.settings.physics_dt
+                        value = check_number(whose, value, f"a number from {low:g} to {high:g}", low, high)
+                    drawn[line, n] = value if name == "disturbances" else check_number(whose, value, "a finite number")
+            first += len(names)
         return drawn
 
-    def _check_plant(self, M: float, mu: float) -> None:
+    def _refuse_variation(self, name: str) -> None:
+        raise ValueError(
+            f"options[{name!r}] needs an environment with disturbances, of which 'none' is none, or with a "
+            f"Randomization of other constants than M and mu"
+        )
+
+    def _capsule_of(self, drawn: np.ndarray) -> Capsule:
+        """The capsule of an episode that has drawn this column of `_draw_rows`."""
+        first = len(self.task.draws)
+        if first == len(drawn):
+            return self.capsule
+        constants = drawn[first : first + len(CONSTANTS)].tolist()
+        return replace(self.capsule, **dict(zip(CONSTANTS, constants, strict=True)))
+
+    def _check_plant(self, M: float, mu: float, capsule: Capsule | None = None) -> None:
         """Refuses M and mu that are invalid, too stiff for the step, or outside the observation that shows them."""
-        self.capsule.check_plant(M, mu)
-        check_step(self.capsule, float(M), float(mu), self.settings)
+        capsule = capsule or self.capsule
+        capsule.check_plant(M, mu)
+        check_step(capsule, float(M), float(mu), self.settings)
         if self.settings.with_parameters:
             for name, value, largest in zip(("M", "mu"), (M, mu), self._largest, strict=True):
                 accepted = f"at most {largest:g} where observe_parameters shows it (a wider randomization shows more)"

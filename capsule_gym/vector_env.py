@@ -15,6 +15,7 @@ from gymnasium.vector.utils import batch_space
 from capsule_gym.env import (
     RESET_OPTIONS,
     add_task,
+    add_variation,
     as_actions,
     check_options,
     describe,
@@ -137,6 +138,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             mu=self._per_row("mu", options.get("mu"), rows),
             state=self._states(options.get("state"), rows),
             changes=self._per_row("changes", options.get("changes"), rows),
+            capsule=self._per_row("capsule", options.get("capsule"), rows),
+            disturbances=self._per_row("disturbances", options.get("disturbances"), rows),
             **{name: self._per_row(name, options[name], rows) or [] for name in own if options.get(name) is not None},
         )
         self._ended[rows] = False
@@ -221,7 +224,9 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         info, simulation = describe(rows, rows[Row.termination].astype(np.int64)), self.simulation
         info["state"] = info["state"].T
         if simulation.task is not SPEED:
-            add_task(info, simulation.task, simulation.rows(simulation.task_row, simulation.world.shape[1]))
+            add_task(info, simulation.task, simulation.rows(simulation.task_row, simulation.task_end))
+        if simulation.settings.history:
+            add_variation(info, simulation.rows(0, Row.true_theta))
         return info
 
     def _begin_next(self, info: dict[str, Any], ended: np.ndarray) -> None:

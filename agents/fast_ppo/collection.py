@@ -63,7 +63,7 @@ def collect(
     start_noise: float,
     keys: np.ndarray,
     episodes: np.ndarray,  # changed
-    task_ranges: np.ndarray,  # as `resets.draw_task` takes it
+    draw_table: np.ndarray,  # as `resets.draw_rows` takes it
     law_memory: np.ndarray,  # memory of the law at the start of an episode
     network: np.ndarray,  # from `network.pack`
     memory: np.ndarray,  # of the filter, as `network.write_inputs` documents; changed
@@ -82,7 +82,7 @@ def collect(
     cut: np.ndarray,  # written: step and environment of the truncated episodes, shape (rows, 2)
     cut_inputs: np.ndarray,  # written: their last inputs, shape (rows, columns)
     lanes: np.ndarray,  # from `network.make_workspace`; written
-    ended: np.ndarray,  # written: return, length and rows of `world` of ended episodes, (rows, 2 + rows of `world`)
+    ended: np.ndarray,  # written: of ended episodes return, length and rows of `world` down to the task's memory
 ) -> tuple[int, int, int]:
     """Steps environments as often as there is noise for; an episode that ends is followed by the next one.
 
@@ -94,7 +94,7 @@ def collect(
     # Only fields of the plant that do not depend on the law are read here.
     plant, settings = layout.unpack(fixed, 0.0, 0.0)
     row, starts = np.empty(1, np.int64), np.empty((layout.Row.torque, 1))
-    task_draws = np.empty((len(task_ranges), 1))
+    drawn_rows = np.empty((len(draw_table), 1))
     cuts = endings = 0
     for b in range(len(world)):
         block, first = world[b], b * LANES
@@ -148,10 +148,10 @@ def collect(
                 share, _ = draw_two(keys[i, 0], keys[i, 1], DISTURBANCES, np.uint64(episodes[i]))
                 log_weights[i] = least + share * (most - least)
                 resets.draw(lines, start_noise, row, keys, episodes, starts)
-                resets.draw_task(task_ranges, row, keys, episodes, task_draws)
+                resets.draw_rows(draw_table, row, keys, episodes, drawn_rows)
                 resets.renew(world[b : b + 1], law_memory, plant.m, plant.g, row - first, starts, episodes[first:])
-                for k in range(len(task_draws)):
-                    block[block.size - (len(task_draws) - k) * LANES + j] = task_draws[k, 0]
+                for k in range(len(draw_table)):
+                    block[int(draw_table[k, 0]) * LANES + j] = drawn_rows[k, 0]
                 # This is step 0 of the new episode; the others have `active` set to 0 by `renew`.
                 broken = kernels.call_advance(advance, world, first, first + n, True, fixed, observations)
                 if broken >= 0:
@@ -272,13 +272,13 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         actions, rewards, ends = (np.empty((steps, count), np.float32) for _ in range(3))
         # Memory that no episode needs is never touched.
         cut, cut_inputs = np.empty((steps * count, 2), np.int64), np.empty((steps * count, self.columns), np.float32)
-        ended = np.empty((steps * count, 2 + simulation.world.shape[1]))
+        ended = np.empty((steps * count, 2 + simulation.task_end))
         lines, law_memory = plant_ranges(simulation.randomization, simulation.capsule), np.array(simulation.memory)
         # The groups of `_compiled`.
         cuts, endings, broken = _compiled()(
             *(simulation._kernel.address, blocks, count, simulation.fixed, simulation.observations),
             *(self.steps, self.jump, self.least, self.most, lines, simulation.options.initial_noise),
-            *(simulation._keys, simulation._episodes, simulation.task_ranges, law_memory),
+            *(simulation._keys, simulation._episodes, simulation.draw_table, law_memory),
             *(network, self.memory, self.log_weights, self.inputs, self.fresh, deviation, noise, chances),
             *(self._returns, self._lengths, seen, actions, rewards, ends, cut, cut_inputs),
             *(make_workspace(network), ended),
