@@ -14,12 +14,21 @@ from pathlib import Path
 from typing import Any
 
 from capsule_gym.files import canonical_hash
-from capsule_gym.parameters import NOMINAL, Capsule, check_integer, check_number, nearest, written
+from capsule_gym.parameters import (
+    CONSTANTS,
+    NOMINAL,
+    Capsule,
+    Disturbances,
+    check_integer,
+    check_number,
+    nearest,
+    written,
+)
 from capsule_gym.task import HORIZON, LARGEST_STATE, START_THETA, TASKS, THETA_LIMIT
 
 SET_NAMES = ("nominal", "paper", "wide", "extrapolation", "drift")
 # Of the speed task with another capsule than the paper's.
-FURTHER_SET_NAMES = ("sticky",)
+FURTHER_SET_NAMES = ("sticky", "real", "real-wide")
 # Of the other tasks.
 TASK_SET_NAMES = ("goal", "goal-paper", "velocity")
 # The options of an episode of a set; they override those of a policy's training.
@@ -40,6 +49,7 @@ class PlantSpec:
             then on.
         theta: the angle that the episode starts from, at rest, rad.
         goal: displacement of the goal in the task `goal`, m; None where the seed draws it.
+        capsule: constants out of `capsule_gym.parameters.CONSTANTS` that are this plant's own; None for none.
     """
 
     M: float
@@ -48,17 +58,20 @@ class PlantSpec:
     changes: tuple[dict[str, float], ...] = ()
     theta: float = START_THETA
     goal: float | None = None
+    capsule: dict[str, float] | None = None
 
     def reset_options(self) -> dict[str, Any]:
         """The options of `reset` that begin this episode."""
-        own = {} if self.goal is None else {"goal": self.goal}
+        own: dict[str, Any] = {} if self.goal is None else {"goal": self.goal}
+        own |= {} if self.capsule is None else {"capsule": self.capsule}
         state = [self.theta, 0.0, 0.0, 0.0]
         return {"M": self.M, "mu": self.mu, "state": state, "changes": list(self.changes), **own}
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""
-        start = {} if self.theta == START_THETA else {"theta": self.theta}
+        start: dict[str, Any] = {} if self.theta == START_THETA else {"theta": self.theta}
         start |= {} if self.goal is None else {"goal": self.goal}
+        start |= {} if self.capsule is None else {"capsule": self.capsule}
         return {"M": self.M, "mu": self.mu, "seed": self.seed, **start, "changes": list(self.changes)}
 
 
@@ -74,12 +87,21 @@ class EvaluationSet:
         plants: the episodes, at least one.
         task: name of the task.
         capsule: the constants that its plants share; None takes the task's.
+        disturbances: of its episodes, as the environment takes them; what one draws follows from its seed.
     """
 
     name: str
     plants: tuple[PlantSpec, ...]
     task: str = "speed"
     capsule: Capsule | None = None
+    disturbances: str | Disturbances = "none"
+
+    @property
+    def env_kwargs(self) -> dict[str, Any]:
+        """The arguments that the environments of its episodes have in common, but for the task and the capsule."""
+        varied = any(plant.capsule for plant in self.plants)
+        ideal = Disturbances(stick_threshold=0.0) if varied else "none"
+        return {**EPISODE_SETTINGS, "disturbances": ideal if self.disturbances == "none" else self.disturbances}
 
     @cached_property
     def hash(self) -> str:
@@ -99,11 +121,14 @@ class EvaluationSet:
 
     @property
     def _options(self) -> dict[str, Any]:
-        """The fields that older sets, and their hashes, do not hold: the task other than speed, and the capsule."""
+        """The fields that older sets, and their hashes, do not hold: another task than speed, capsule, disturbances."""
         found: dict[str, Any] = {} if self.task == "speed" else {"task": self.task}
         if self.capsule is not None:
             nominal = asdict(NOMINAL)
             found["capsule"] = {name: value for name, value in asdict(self.capsule).items() if value != nominal[name]}
+        if self.disturbances != "none":
+            given = self.disturbances
+            found["disturbances"] = asdict(given) if isinstance(given, Disturbances) else given
         return found
 
 
@@ -122,7 +147,9 @@ def _fields(where: str, value: Any, required: Sequence[str], optional: Sequence[
 
 
 def _parse_plant(where: str, value: Any, task: str) -> PlantSpec:
-    entry = _fields(where, value, ("M", "mu", "seed"), ("theta", "changes", *(("goal",) if task == "goal" else ())))
+    entry = _fields(
+        where, value, ("M", "mu", "seed"), ("theta", "changes", "capsule", *(("goal",) if task == "goal" else ()))
+    )
     accepted = f"an angle in rad within {THETA_LIMIT:.4g} of 0"
     largest = math.nextafter(THETA_LIMIT, 0.0)
     theta = check_number(f"{where}.theta", entry.get("theta", START_THETA), accepted, -largest, largest)
@@ -139,7 +166,14 @@ def _parse_plant(where: str, value: Any, task: str) -> PlantSpec:
     goal, farthest = entry.get("goal"), LARGEST_STATE[2]
     if goal is not None:
         goal = check_number(f"{where}.goal", goal, f"a number of m within {farthest:g} of 0", -farthest, farthest)
-    return PlantSpec(entry["M"], entry["mu"], seed, tuple(changes), theta, goal)
+    capsule = entry.get("capsule")
+    if capsule is not None:
+        capsule = dict(_fields(f"{where}.capsule", capsule, (), CONSTANTS))
+        try:
+            Capsule(M=entry["M"], mu=entry["mu"], **capsule)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{where}.capsule: {error}") from None
+    return PlantSpec(entry["M"], entry["mu"], seed, tuple(changes), theta, goal, capsule)
 
 
 def parse_set(content: Any) -> EvaluationSet:
@@ -148,14 +182,15 @@ def parse_set(content: Any) -> EvaluationSet:
     Args:
         content: `{"name": .., "plants": [{"M": .., "mu": .., "seed": .., "theta": .., "changes": [{"t": .., "M": ..,
             "mu": ..}]}]}` with M in kg, theta in rad and t in s; `theta` and `changes` may be left out. A set may have
-            a "task" and a "capsule" (`{"static_ratio": 1.3}`; what is left out is the paper's), and the plants of the
-            task "goal" a "goal" in m, all or none.
+            a "task", a "capsule" (`{"static_ratio": 1.3}`; what is left out is the paper's) and "disturbances" ("real"
+            or `{"latency": [0.005, 0.015]}`), its plants a "capsule" of their own, and those of the task "goal" a
+            "goal" in m; each of these all plants or none.
 
     Raises:
         TypeError: if a number is of the wrong type.
         ValueError: if anything else is malformed; the message names the field, its value and what is accepted.
     """
-    entry = _fields("set", content, ("name", "plants"), ("task", "capsule"))
+    entry = _fields("set", content, ("name", "plants"), ("task", "capsule", "disturbances"))
     task = entry.get("task", "speed")
     if not isinstance(task, str) or task not in TASKS:
         raise ValueError(f"set.task must be one of {sorted(TASKS)}, got {written(task)}")
@@ -166,13 +201,20 @@ def parse_set(content: Any) -> EvaluationSet:
     if capsule is not None:
         constants = [each.name for each in fields(Capsule)]
         capsule = Capsule(**_fields("set.capsule", capsule, (), constants))
+    disturbances = entry.get("disturbances", "none")
+    if isinstance(disturbances, dict):
+        names = [each.name for each in fields(Disturbances)]
+        disturbances = Disturbances(**_fields("set.disturbances", disturbances, (), names))
+    Disturbances.named(disturbances)
     plants = entry["plants"]
     if not isinstance(plants, list) or not plants:
         raise ValueError(f"set.plants must be a list of at least one plant, got {plants!r}")
     parsed = tuple(_parse_plant(f"set.plants[{i}]", plant, task) for i, plant in enumerate(plants))
     if len({plant.goal is None for plant in parsed}) > 1:
         raise ValueError("set.plants must have a goal each, or none must have one")
-    return EvaluationSet(name, parsed, task, capsule)
+    if len({tuple(plant.capsule or ()) for plant in parsed}) > 1:
+        raise ValueError("set.plants must each have a capsule with the same constants, or none must have one")
+    return EvaluationSet(name, parsed, task, capsule, disturbances)
 
 
 def load_set(name_or_path: str | Path) -> EvaluationSet:

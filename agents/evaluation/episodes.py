@@ -18,14 +18,14 @@ from agents.evaluation.policies import Candidate, Policy, find_candidate, wrap_p
 from agents.evaluation.statistics import estimate
 from baselines.policies import ScriptedPolicy
 from capsule_gym import __version__
-from capsule_gym.evaluation_sets import EPISODE_SETTINGS, EvaluationSet, load_set
+from capsule_gym.evaluation_sets import EvaluationSet, load_set
 from capsule_gym.parameters import NOMINAL, find_task
 from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
 
 Episode = dict[str, Any]
 
 # The fields of an episode that are no metrics.
-LABELS = ("M", "mu", "seed", "theta", "goal", "changes", "training_seed")
+LABELS = ("M", "mu", "seed", "theta", "goal", "changes", "capsule", "training_seed")
 NOISE_SEED = 1_000_000_007
 PACKAGES = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
 
@@ -123,7 +123,7 @@ def evaluate(
     policy = wrap_policy(policy, env_kwargs=env_kwargs)
     task = check_task(Candidate(policy.name, (policy,), ""), chosen)
     capsule = chosen.capsule or find_task(task).defaults.get("capsule")
-    settings: dict[str, Any] = {**policy.env_kwargs, "task": task, "capsule": capsule, **EPISODE_SETTINGS}
+    settings: dict[str, Any] = {**policy.env_kwargs, "task": task, "capsule": capsule, **chosen.env_kwargs}
     seconds = find_task(task).episode_steps * CONTROL_DT if horizon is None else horizon
     metrics = _run(policy, settings, chosen, round(seconds / settings.get("control_dt", CONTROL_DT)), action_noise)
     limited = settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT
@@ -170,7 +170,7 @@ def as_episodes(
     # The tables of optima cover the speed task, one start, their grids, and no changes of the plant.
     plants, grid = evaluation_set.plants, find_grid(evaluation_set.capsule or NOMINAL)
     covered = grid and all(p.theta == START_THETA and not p.changes and (p.M, p.mu) in grid for p in plants)
-    shared &= evaluation_set.task == "speed"
+    shared &= evaluation_set.task == "speed" and evaluation_set.env_kwargs["disturbances"] == "none"
     label = {} if training_seed is None else {"training_seed": training_seed}
     episodes = []
     for i, plant in enumerate(plants):

@@ -10,6 +10,8 @@
 | `extrapolation` | 100 | outside `wide` in M, in mu or in both |
 | `drift` | 100 | drawn three times as in `wide` |
 | `sticky` | 1000 | M and mu as in `randomization="sticky"`, spread evenly; static friction 1.3 times the kinetic |
+| `real` | 1000 | M and mu as in `paper`, m, l, k and c within 10 %, all spread evenly; `disturbances="real"` |
+| `real-wide` | 1000 | the same with M and mu as in `wide` |
 | `goal` | 1000 | of the task `goal`: M and mu as the task draws them, and the goal |
 | `goal-paper` | 1000 | of the task `goal` on the paper's floor: M and mu as in `paper`, static friction as kinetic |
 | `velocity` | 1000 | of the task `velocity`: M and mu as the task draws them; commands from the plant's seed |
@@ -26,8 +28,9 @@ roughest floor is far from Painleve's paradox ((M + m) / m = 2.81, the bound is 
 half (5.5 to 11 s), the second from that of its second half (22 to 27.5 s), so that no plant rules for less than 5.5 s.
 Times are multiples of the agent's step.
 
-`sticky` has floors on which the platform sticks for much of the time. Its plants follow a low-discrepancy sequence
-(Roberts's R2, the multiples of the plastic number's powers modulo 1): the first few cover the ranges as all do.
+`sticky` has floors on which the platform sticks for much of the time. Its plants, and those of `real` and `real-wide`,
+follow a low-discrepancy sequence (Roberts's: multiples modulo 1 of the powers of 1 / phi, where phi^(d + 1) = phi + 1
+for d numbers): the first few cover the ranges as all do. The disturbances are drawn from the plants' seeds.
 
 Numbers are rounded (M to 0.1 g, mu to five digits). Every set has a random seed of its own; the plants' own seeds are
 0, 1, ..
@@ -58,7 +61,7 @@ from capsule_gym.evaluation_sets import (
     PlantSpec,
 )
 from capsule_gym.files import write_atomically
-from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, Capsule, Randomization, find_task
+from capsule_gym.parameters import CONSTANTS, NOMINAL, RANDOMIZATIONS, Capsule, Disturbances, Randomization, find_task
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
 
 PROG = "python -m agents.evaluation.sets"
@@ -66,8 +69,6 @@ SETS_FOLDER = Path(__file__).with_name("frozen")
 EPISODES = 100
 # Of the other tasks and on sticky floors, where failures are rare.
 MANY_EPISODES = 1000
-# The real root of x^3 = x + 1.
-PLASTIC = 1.32471795724474602596
 # Half the width of the angles that `nominal` starts from, rad.
 STARTS = 0.1
 
@@ -128,7 +129,7 @@ def draw_set(name: str) -> EvaluationSet:
     if name in TASK_SET_NAMES:
         return _draw_task_set(name)
     if name in FURTHER_SET_NAMES:
-        return _spread_set(name, STICKY_GRID.capsule)
+        return _spread_set(name)
     rng = np.random.default_rng(SEEDS[name])
     return EvaluationSet(name, tuple(_sample_plant(name, rng, seed) for seed in range(EPISODES)))
 
@@ -149,15 +150,26 @@ def _draw_task_set(name: str) -> EvaluationSet:
     return EvaluationSet(name, tuple(plants), task_name, NOMINAL if floor else None)
 
 
-def _spread_set(name: str, capsule: Capsule) -> EvaluationSet:
+def _spread_set(name: str) -> EvaluationSet:
     """A set whose plants are spread evenly over the randomisation of its name."""
     from capsule_gym.resets import plant_at, plant_ranges
 
-    ranges, plants = plant_ranges(Randomization.named(name), capsule), []
+    capsule, disturbances = (STICKY_GRID.capsule, "none") if name == "sticky" else (None, "real")
+    randomization = Randomization.named(name)
+    ranges, plants = plant_ranges(randomization, capsule or NOMINAL), []
+    count = 2 + len(randomization.drawn)
+    phi = 2.0
+    for _ in range(100):
+        phi = (1.0 + phi) ** (1.0 / (count + 1))
     for seed in range(MANY_EPISODES):
-        M, mu = plant_at(ranges, (0.5 + seed / PLASTIC) % 1.0, (0.5 + seed / (PLASTIC * PLASTIC)) % 1.0)
-        plants.append(PlantSpec(round(M, 4), float(f"{mu:.5g}"), seed))
-    return EvaluationSet(name, tuple(plants), capsule=capsule)
+        shares = [(0.5 + seed / phi ** (n + 1)) % 1.0 for n in range(count)]
+        M, mu = plant_at(ranges, *shares[:2])
+        own = {}
+        for constant, share in zip(randomization.drawn, shares[2:], strict=True):
+            low, high = getattr(randomization, constant)
+            own[constant] = float(f"{low + (high - low) * share:.5g}")
+        plants.append(PlantSpec(round(M, 4), float(f"{mu:.5g}"), seed, capsule=own or None))
+    return EvaluationSet(name, tuple(plants), capsule=capsule, disturbances=disturbances)
 
 
 def validation_set(
@@ -167,6 +179,7 @@ def validation_set(
     count: int,
     capsule: Capsule | None = None,
     task: str = "speed",
+    disturbances: str | Disturbances = "none",
 ) -> EvaluationSet:
     """A set of plants that are drawn as the environment draws those of its episodes, for choices and studies.
 
@@ -177,13 +190,20 @@ def validation_set(
         count: how many.
         capsule: of the environment.
         task: of the environment; what its episodes draw besides follows from their seeds.
+        disturbances: of the environment.
     """
     from capsule_gym.resets import Stream, draw_plant, random_stream
 
-    drawn = Randomization.named(randomization)
-    seeds = range(first_seed, first_seed + count)
-    plants = [PlantSpec(*draw_plant(drawn, NOMINAL, random_stream(seed, 0, Stream.parameters)), seed) for seed in seeds]
-    return EvaluationSet(name, tuple(plants), task, capsule)
+    drawn, plants = Randomization.named(randomization), []
+    for seed in range(first_seed, first_seed + count):
+        M, mu = draw_plant(drawn, NOMINAL, random_stream(seed, 0, Stream.parameters))
+        shares = random_stream(seed, 0, Stream.variation).random(len(CONSTANTS)).tolist()
+        own = {}
+        for constant in drawn.drawn:
+            low, high = getattr(drawn, constant)
+            own[constant] = low + (high - low) * shares[CONSTANTS.index(constant)]
+        plants.append(PlantSpec(M, mu, seed, capsule=own or None))
+    return EvaluationSet(name, tuple(plants), task, capsule, disturbances)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from capsule_gym import kernels, layout, resets
 from capsule_gym.compilation import inlined
 from capsule_gym.compiler import compile_allocating
 from capsule_gym.elementary import exp
-from capsule_gym.layout import AT, LANES, record
+from capsule_gym.layout import AT, LANES, Row, record
 from capsule_gym.network import LAW_TORQUE, Header, forward, make_header, make_workspace, to_action, write_inputs
 from capsule_gym.observation import CELLS
 from capsule_gym.resets import Stream, draw_two, plant_at, plant_ranges
@@ -23,6 +23,13 @@ from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.simulation import episode_metrics
 
 DISTURBANCES = np.uint64(Stream.disturbances)
+# What a privileged critic observes besides M and log(mu) where plants are varied.
+PRIVILEGED = (
+    *(Row.theta, Row.theta_dot, Row.x_dot, Row.motor, Row.latency),
+    *(Row.theta_bias, Row.theta_dot_bias, Row.x_dot_bias),
+    *(Row.drift_of_theta, Row.drift_of_theta_dot, Row.drift_of_x_dot),
+    *(Row.m, Row.l, Row.k, Row.c),
+)
 
 
 @inlined
@@ -47,6 +54,9 @@ def observe(
         if columns < inputs.shape[1]:
             inputs[i, columns] = block[AT.M + i % LANES]
             inputs[i, columns + 1] = math.log(block[AT.mu + i % LANES])
+            if columns + 2 < inputs.shape[1]:
+                for k in range(len(PRIVILEGED)):
+                    inputs[i, columns + 2 + k] = block[PRIVILEGED[k] * LANES + i % LANES]
 
 
 def collect(
@@ -93,7 +103,7 @@ def collect(
     weighted = header.observes_energy_weight
     # Only fields of the plant that do not depend on the law are read here.
     plant, settings = layout.unpack(fixed, 0.0, 0.0)
-    row, starts = np.empty(1, np.int64), np.empty((layout.Row.torque, 1))
+    row, starts = np.empty(1, np.int64), np.empty((Row.torque, 1))
     drawn_rows = np.empty((len(draw_table), 1))
     cuts = endings = 0
     for b in range(len(world)):
@@ -228,7 +238,8 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
             observes_energy_weight=config.energy_weights is not None,
             outputs_torque=config.output == "torque",
         )
-        self.columns = self.header.inputs + 2 * config.privileged_critic
+        privileged = 2 + len(PRIVILEGED) * (simulation.settings.history > 0)
+        self.columns = self.header.inputs + privileged * config.privileged_critic
         if self.columns > self.header.observed:
             self.observation_space = spaces.Box(-np.inf, np.inf, (self.columns,), np.float32)
         self.memory = np.zeros(self.num_envs * CELLS if config.identifies else 0)
@@ -246,7 +257,7 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         self.over[:] = 1.0
         simulation = self.batch.simulation
         # Staggered in time, so that a rollout holds every part of an episode.
-        simulation.write(layout.Row.steps, np.arange(self.num_envs) * self.steps // self.num_envs)
+        simulation.write(Row.steps, np.arange(self.num_envs) * self.steps // self.num_envs)
         return np.pad(observations, ((0, 0), (0, self.columns - observations.shape[1])))
 
     def step_wait(self) -> VecEnvStepReturn:

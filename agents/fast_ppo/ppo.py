@@ -89,7 +89,8 @@ class FastPPO(PPO):
         - `least_log_std`: floor of the standard deviation of the actions; below it its gradient is 0.
         - `tanh_mean`: tanh brings the mean of the action to [-1, 1].
         - `critic_steps`: in the first steps only the critic learns (the advantages are 0).
-        - `privileged_critic`: the critic observes M and log(mu) in addition to the policy's inputs.
+        - `privileged_critic`: the critic observes M and log(mu) in addition to the policy's inputs, and of disturbed
+          environments the state, the motor's torque, the latency, the errors of the sensors and m, l, k and c.
         - `output="torque"`: the network's output is the total torque; the action is what the law does not apply of it.
         - `identifies`: online estimates of M and mu are inputs of the policy.
         - `energy_weights`: every episode draws an energy weight, whose logarithm is an input of the policy.

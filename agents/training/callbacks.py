@@ -97,7 +97,8 @@ def validation_plants(config: Config) -> EvaluationSet:
     first = SELECTION_SEED + config.seed * config.evaluation_episodes
     options = EnvConfig(**config.env_kwargs())
     name, count = f"validation plants from {config.randomization}", config.evaluation_episodes
-    return validation_set(options.randomization, name, first, count, options.capsule, config.env_task)
+    own = options.capsule, config.env_task, options.disturbances
+    return validation_set(options.randomization, name, first, count, *own)
 
 
 class TrainingCallback(BaseCallback):

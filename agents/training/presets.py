@@ -91,10 +91,11 @@ class Config:
         2.0 * EnvConfig.torque_limit
     )
     torque_limit: Annotated[float, _option("torque_limit")] = EnvConfig.torque_limit
-    randomization: Literal["default", "none", "paper", "wide", "broad", "sticky"] = "paper"
+    randomization: Literal["default", "none", "paper", "wide", "broad", "sticky", "real", "real-wide"] = "paper"
     """Where M and mu of an episode come from; "default": the environment's own ranges."""
     static_ratio: float | None = None
     """Static over kinetic friction coefficient of the floor; None for the environment's default."""
+    disturbances: Annotated[Literal["none", "real"], _option("disturbances")] = "none"
     observe_parameters: Annotated[bool, _option("observe_parameters")] = EnvConfig.observe_parameters
     energy_weight: Annotated[float, _option("energy_weight")] = EnvConfig.energy_weight
     termination_penalty: Annotated[float, _option("termination_penalty")] = 30.0
@@ -125,6 +126,8 @@ class Config:
             kwargs["task"] = self.env_task
         if self.randomization == "default":
             del kwargs["randomization"]
+        if self.disturbances == "none":
+            del kwargs["disturbances"]
         if self.static_ratio is not None:
             kwargs["capsule"] = Capsule(static_ratio=self.static_ratio)
         return kwargs | {"controller": None, "residual_limit": self.torque_limit} if self.task == "direct" else kwargs
@@ -200,7 +203,7 @@ class PPOConfig(OnPolicyConfig):
     identifies: bool = False
     """Whether the policy observes online estimates of M and mu."""
     privileged_critic: bool = False
-    """Whether the critic observes M and mu."""
+    """Whether the critic observes M and mu, and of disturbed environments the state and the errors of the sensors."""
     energy_weights: tuple[float, float] | None = None
     """Range of energy weights (cm/J); every episode of training draws one, which the policy observes."""
     output: Literal["action", "torque"] = "action"
@@ -394,6 +397,22 @@ ON_GAIT = PPOConfig(
     episode_seconds=10.0,
     evaluate_every=100_000,
 )
+# Under disturbances: the policy sees noise, its critic all.
+ON_PREDICTION = dataclasses.replace(
+    ON_GAIT,
+    controller="baselines:gait_predictive",
+    disturbances="real",
+    randomization="real-wide",
+    residual_limit=1.0,
+    privileged_critic=True,
+    total_steps=6_000_000,
+    n_steps=128,
+    batch_size=4096,
+    learning_rate=1e-3,
+    termination_penalty=100.0,
+    evaluate_every=500_000,
+    evaluation_episodes=512,
+)
 # With a high energy weight a policy soon learns to stand still: a floor keeps its exploration up.
 FRUGAL = PPOConfig(
     task="direct",
@@ -428,6 +447,8 @@ ROWS: dict[str, Config] = {
         termination_penalty=50.0,
         evaluate_every=1_000_000,
     ),
+    "residual-real": dataclasses.replace(ON_PREDICTION, randomization="real"),
+    "residual-real-wide": ON_PREDICTION,
     "efficient": dataclasses.replace(FRUGAL, total_steps=4_000_000, energy_weight=3.5),
     "pareto": dataclasses.replace(FRUGAL, total_steps=10_000_000, energy_weight=1.0, energy_weights=(0.1, 20.0)),
 }
