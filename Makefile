@@ -72,8 +72,8 @@ leaderboard: $(STAMP)  ## Evaluate all policies, and rewrite the leaderboard and
 	$(BIN)/python -m agents.leaderboard
 	$(BIN)/python -m agents.analysis statistics residual_limit
 
-leaderboard-check: $(STAMP)  ## Fail where the leaderboard or its analysis is stale
-	$(BIN)/python -m agents.leaderboard --check
+leaderboard-check: $(STAMP)  ## Fail where the leaderboard or its analysis is stale (PLANTS=50 evaluates so many of a set)
+	$(BIN)/python -m agents.leaderboard --check $(if $(PLANTS),--plants $(PLANTS))
 	$(BIN)/python -m agents.analysis statistics residual_limit --check
 
 reproduce: ROWS ?= direct-ppo direct-ppo-wide residual-ppo residual-on-gait residual-on-gait-wide robust efficient pareto

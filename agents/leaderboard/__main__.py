@@ -16,7 +16,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -26,7 +26,7 @@ from tyro.conf import arg
 from agents.evaluation.policies import Candidate, all_candidates
 from agents.leaderboard.page import COMMAND, build, files, training_commands
 from agents.leaderboard.rows import RESULTS, Row, evaluate, load_rows, save_row, static_header
-from capsule_gym.command_line import Positional, parse, refuse
+from capsule_gym.command_line import Count, Positional, parse, refuse
 from capsule_gym.evaluation_sets import SET_NAMES, TASK_SET_NAMES, EvaluationSet, load_set
 from capsule_gym.files import write_atomically
 from capsule_gym.parameters import nearest
@@ -52,6 +52,8 @@ class Args:
     """Write nothing; fail if the leaderboard is stale."""
     from_results: bool = False
     """Evaluate nothing: write, or check, what the results give."""
+    plants: Count | None = None
+    """With --check, evaluate so many plants of every set again, the first ones; all by default."""
     jobs: int = os.cpu_count() or 1
     """Processes."""
 
@@ -70,11 +72,11 @@ def _stale_headers(
             yield f"{row.name}: the table in agents/checkpoints/README.md has no command that trains it"
 
 
-def _stale_episodes(recorded: Row, found: Row) -> Iterator[str]:
-    """Compares every number of every episode, bit for bit; names the first that differs of every metric."""
+def _stale_episodes(recorded: Row, found: Row, plants: int | None) -> Iterator[str]:
+    """Compares every number of every episode found, bit for bit; names the first that differs of every metric."""
     seeds = recorded.header["training_seeds"]
-    for set_name, values in recorded.scores.items():
-        now = found.scores[set_name]
+    for set_name, scores in recorded.scores.items():
+        values, now = scores[:, :, :plants], found.scores[set_name]
         if values.shape != now.shape or recorded.header["metrics"] != found.header["metrics"]:
             yield f"{recorded.name} on {set_name}: holds arrays of {values.shape}, now of {now.shape}"
             continue
@@ -95,6 +97,7 @@ def check(
     sets: Sequence[EvaluationSet],
     *,
     evaluated: Sequence[Candidate],
+    plants: int | None = None,
     jobs: int = 1,
     horizon: float | None = None,
 ) -> list[str]:
@@ -105,6 +108,7 @@ def check(
         candidates: the rows that should be there.
         sets: of all tasks; a row should be evaluated on those of its own.
         evaluated: the rows to evaluate again.
+        plants: of every set on which they are, the first ones; None takes all. No plant's episode depends on others.
         jobs: number of processes.
         horizon: length of an episode in s; None takes that of the task.
     """
@@ -128,8 +132,9 @@ def check(
     if stale:
         return [*stale, *(["the numbers were not evaluated again"] if evaluated else [])]
     recorded = {row.name: row for row in rows}
+    sets = [replace(each, plants=each.plants[:plants]) for each in sets]
     found = evaluate(evaluated, sets, jobs=jobs, horizon=horizon, disturbed=False)
-    return [line for row in found for line in _stale_episodes(recorded[row.name], row)]
+    return [line for row in found for line in _stale_episodes(recorded[row.name], row, plants)]
 
 
 def main(arguments: Sequence[str] | None = None, *, root: Path = ROOT) -> int:
@@ -138,6 +143,8 @@ def main(arguments: Sequence[str] | None = None, *, root: Path = ROOT) -> int:
     try:
         if args.jobs < 1:
             raise ValueError(f"--jobs must be an integer >= 1, got {args.jobs}")
+        if args.plants is not None and (args.plants < 1 or not args.check):
+            raise ValueError(f"--plants must be an integer >= 1 and stand with --check, got {args.plants}")
         if args.names and args.from_results:
             raise ValueError(f"--from-results must stand without names, got {' '.join(args.names)}")
         candidates = [candidate for task in TASKS for candidate in all_candidates(task)]
@@ -150,7 +157,7 @@ def main(arguments: Sequence[str] | None = None, *, root: Path = ROOT) -> int:
     chosen = [] if args.from_results else [each for each in candidates if each.name in (args.names or names)]
     sets = [load_set(name) for name in SET_NAMES + TASK_SET_NAMES]
     if args.check:
-        stale = check(root, candidates, sets, evaluated=chosen, jobs=args.jobs)
+        stale = check(root, candidates, sets, evaluated=chosen, plants=args.plants, jobs=args.jobs)
         if stale:
             print("The leaderboard is stale:", *stale, sep="\n- ")
             print(f"Run `{COMMAND}` and commit what it writes.")

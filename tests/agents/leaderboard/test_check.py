@@ -3,11 +3,11 @@ from dataclasses import replace
 
 import pytest
 
-from agents.evaluation import episodes, policies
+from agents.evaluation import policies
 from agents.leaderboard import __main__ as leaderboard
 from agents.leaderboard.page import END, START
 from agents.leaderboard.rows import RESULTS
-from capsule_gym import Capsule
+from capsule_gym import Capsule, evaluation_sets
 from tests.agents.fakes import write_run
 from tests.agents.leaderboard.world import checked, edit_row, make_set, table
 
@@ -61,8 +61,19 @@ def test_check_compares_the_last_bit_of_every_episode(written, name):
     assert checked(written, evaluated=[policies.find_candidate("bold")]) == []
 
 
+def test_check_evaluates_the_first_plants_of_every_set_alone(written):
+    def nudge(row):
+        row.scores["paper"][0, -1, 1] *= 1.0 + 2.0**-51
+
+    edit_row(written, "learnt", nudge)
+    chosen = [policies.find_candidate("learnt")]
+    assert checked(written, evaluated=chosen, plants=1) == []
+    (stale,) = checked(written, evaluated=chosen, plants=2)
+    assert stale.endswith("training seed 1, episode 1; 1 of 4 differ)")
+
+
 def test_check_finds_another_plant(written, monkeypatch):
-    monkeypatch.setitem(episodes.EPISODE_SETTINGS, "capsule", Capsule(l=0.3 * 1.02))
+    monkeypatch.setitem(evaluation_sets.EPISODE_SETTINGS, "capsule", Capsule(l=0.3 * 1.02))
     stale = checked(written)
     for name in ("adaptive", "bold", "learnt"):
         assert any(line.startswith(f"{name} on paper: mean_speed is") for line in stale)
@@ -124,6 +135,8 @@ def test_finished_rows_survive_an_interruption(main, world, monkeypatch, capsys)
     ("words", "message"),
     [
         (["--jobs", "0"], "--jobs"),
+        (["--check", "--plants", "0"], "--plants"),
+        (["--plants", "5"], "--plants"),
         (["--jobs", "two"], "--jobs"),
         (["lernt"], "names must be out of adaptive, bold, wild, twitch, learnt, stay, got lernt"),
         (["bold", "--from-results"], "--from-results must stand without names, got bold"),

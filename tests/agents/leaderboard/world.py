@@ -32,9 +32,10 @@ def write_files(root, rows):
         (root / name).write_text(text)
 
 
-def checked(root, sets=SETS, evaluated=None):
+def checked(root, sets=SETS, evaluated=None, plants=None):
     candidates = all_candidates()
-    return check(root, candidates, sets, evaluated=candidates if evaluated is None else evaluated, horizon=HORIZON)
+    chosen = candidates if evaluated is None else evaluated
+    return check(root, candidates, sets, evaluated=chosen, plants=plants, horizon=HORIZON)
 
 
 def read(root):
