@@ -19,8 +19,29 @@ def draw_gaits() -> Any:
     """The figure, to be drawn within `baselines.drawing.style`."""
     figure = new_figure(3.9)
     speeds, front = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
-    _draw_speeds(speeds)
-    _draw_front(front)
+    table = known_gaits().fastest()
+    for M, colour in zip(GRID.M, COLOURS, strict=True):
+        gaits = [table[M, mu] for mu in GRID.mu]
+        speeds.plot(GRID.mu, [gait.mean_speed for gait in gaits], color=colour, label=f"M = {M:g} kg")
+        for gait in gaits:
+            speeds.plot(gait.mu, gait.mean_speed, color=colour, marker=MARKS[gait.family], markersize=4.5)
+    speeds.set(xscale="log", xlabel="friction coefficient μ", ylabel="mean speed over 33 s (cm/s)")
+    speeds.set_title(f"Best-known gaits, |u| ≤ {TORQUE_LIMIT:g} N m")
+    speeds.set_ylim(bottom=0.0)
+    speeds.set_xticks(GRID.mu, [f"{mu:g}" for mu in GRID.mu])
+    speeds.set_xticks([], minor=True)
+    gaits = pareto_front()
+    front.plot([gait.cost_of_transport for gait in gaits], [gait.mean_speed for gait in gaits], color=MUTED, lw=0.8)
+    for name in FAMILIES:
+        own = [gait for gait in gaits if gait.family == name]
+        x, y = [gait.cost_of_transport for gait in own], [gait.mean_speed for gait in own]
+        # Without a gait of its own the family still stands in the legend: the marks serve both panels.
+        front.plot(x, y, color=INK, label=name, marker=MARKS[name], markersize=4.5, linestyle="none")
+    front.set(xlabel="cost of transport", ylabel="mean speed over 33 s (cm/s)")
+    front.set_title(f"Speed against cost, M = {NOMINAL.M:g} kg, μ = {NOMINAL.mu:g}")
+    front.set_xlim(left=0.0)
+    front.set_ylim(bottom=0.0)
+    front.legend(loc="lower right", handlelength=1.2)
     handles, labels = speeds.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=len(labels), columnspacing=1.4, handlelength=2.0)
     add_note(
@@ -30,34 +51,3 @@ def draw_gaits() -> Any:
         "times and feedback; phase-space, a polynomial of the state without a clock.",
     )
     return figure
-
-
-def _draw_speeds(axes: Any) -> None:
-    """Best-known speed over mu, one colour for each M, the mark for the family."""
-    table = known_gaits().fastest()
-    for M, colour in zip(GRID.M, COLOURS, strict=True):
-        gaits = [table[M, mu] for mu in GRID.mu]
-        axes.plot(GRID.mu, [gait.mean_speed for gait in gaits], color=colour, label=f"M = {M:g} kg")
-        for gait in gaits:
-            axes.plot(gait.mu, gait.mean_speed, color=colour, marker=MARKS[gait.family], markersize=4.5)
-    axes.set(xscale="log", xlabel="friction coefficient μ", ylabel="mean speed over 33 s (cm/s)")
-    axes.set_title(f"Best-known gaits, |u| ≤ {TORQUE_LIMIT:g} N m")
-    axes.set_ylim(bottom=0.0)
-    axes.set_xticks(GRID.mu, [f"{mu:g}" for mu in GRID.mu])
-    axes.set_xticks([], minor=True)
-
-
-def _draw_front(axes: Any) -> None:
-    """Speed against cost of transport at the nominal plant."""
-    gaits = pareto_front()
-    axes.plot([gait.cost_of_transport for gait in gaits], [gait.mean_speed for gait in gaits], color=MUTED, lw=0.8)
-    for name in FAMILIES:
-        own = [gait for gait in gaits if gait.family == name]
-        x, y = [gait.cost_of_transport for gait in own], [gait.mean_speed for gait in own]
-        # Without a gait of its own the family still stands in the legend: the marks serve both panels.
-        axes.plot(x, y, color=INK, label=name, marker=MARKS[name], markersize=4.5, linestyle="none")
-    axes.set(xlabel="cost of transport", ylabel="mean speed over 33 s (cm/s)")
-    axes.set_title(f"Speed against cost, M = {NOMINAL.M:g} kg, μ = {NOMINAL.mu:g}")
-    axes.set_xlim(left=0.0)
-    axes.set_ylim(bottom=0.0)
-    axes.legend(loc="lower right", handlelength=1.2)

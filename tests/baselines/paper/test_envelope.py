@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from baselines.envelope import upper_envelope
+from baselines.paper.proofs import upper_envelope
 from capsule_gym import Capsule, dynamics
 
 QUARTER = math.pi / 2.0
