@@ -79,6 +79,13 @@ def test_a_student_of_the_optimum_acts_as_it_was_taught(name):
         assert [bias.size for _, bias in policy.layers] == [HIDDEN, HIDDEN, 1]
 
 
+def test_direct_torque_may_be_less_than_the_motors():
+    config = PRESETS["direct", "ppo"]
+    limits = {3.0: 1.5, 1.2: 1.2}
+    for given, used in limits.items():
+        assert dataclasses.replace(config, residual_limit=given).env_kwargs()["residual_limit"] == used
+
+
 def test_rows_that_are_presets_are_the_same_instances():
     assert ROWS["residual-ppo"] is PRESETS["residual", "ppo"]
     assert ROWS["direct-ppo"] is PRESETS["direct", "ppo"]
