@@ -70,11 +70,11 @@ web: $(STAMP)  ## Build the environment for browsers and node into site/live/ al
 
 leaderboard: $(STAMP)  ## Evaluate all policies, and rewrite the leaderboard and its analysis
 	$(BIN)/python -m agents.leaderboard
-	$(BIN)/python -m agents.analysis statistics residual_limit
+	$(BIN)/python -m agents.analysis statistics residual_limit goal
 
 leaderboard-check: $(STAMP)  ## Fail where the leaderboard or its analysis is stale (PLANTS=50 evaluates so many of a set)
 	$(BIN)/python -m agents.leaderboard --check $(if $(PLANTS),--plants $(PLANTS))
-	$(BIN)/python -m agents.analysis statistics residual_limit --check
+	$(BIN)/python -m agents.analysis statistics residual_limit goal --check
 
 reproduce: ROWS ?= direct-ppo direct-ppo-wide residual-ppo residual-on-gait residual-on-gait-wide robust efficient pareto
 reproduce: SEED ?= 100

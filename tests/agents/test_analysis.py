@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from agents.analysis import __main__ as analysis
-from agents.analysis import limit_cycle, pareto, recording
+from agents.analysis import goal, limit_cycle, pareto, recording
 from agents.analysis.data import fronts, gather, read_learning
 from agents.analysis.limit_cycle import find_cycle, median_run
 from agents.analysis.recording import Recording, record
@@ -18,6 +18,7 @@ from agents.evaluation.episodes import evaluate
 from agents.evaluation.policies import Candidate, find_candidate
 from agents.leaderboard.rows import COLUMNS, Row
 from baselines import drawing
+from capsule_gym import Capsule, dynamics
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
 from tests.agents.fakes import Sine, make_policy
 from tests.agents.leaderboard.world import make_set
@@ -230,3 +231,45 @@ def test_the_seed_with_the_median_speed_is_shown(monkeypatch):
     policies = tuple(make_policy(seed) for seed in speeds)
     assert median_run(Candidate("learnt", policies, "")).name == "learnt (seed 7)"
     assert median_run(Candidate("learnt", policies[:1], "")).name == "learnt"
+
+
+def test_friction_bounds_what_moves_the_centre_of_mass():
+    rng = np.random.default_rng(5)
+    for _ in range(2000):
+        p = Capsule(M=rng.uniform(0.4, 0.6), mu=rng.uniform(0.0, 0.5), static_ratio=1.3).plant()
+        theta, theta_dot, u = rng.uniform(-1.5, 1.5), rng.uniform(-12.0, 12.0), rng.uniform(-1.5, 1.5)
+        slip = dynamics.contact_phase(theta, theta_dot, rng.choice([-0.1, 0.0, 0.1]), u, p)
+        theta_ddot, x_ddot, normal = dynamics.accelerations(theta, theta_dot, 0.1 * slip, slip, u, p)
+        sin, cos, s = np.sin(theta), np.cos(theta), p.m * p.l / (p.M + p.m)
+        along = x_ddot - s * (cos * theta_ddot - sin * theta_dot**2)
+        up = -s * (sin * theta_ddot + cos * theta_dot**2)
+        assert normal == 0.0 or abs(along) <= p.mu * p.static_ratio * (p.g + up) + 1e-9
+
+
+def test_the_least_time_to_a_goal_is_that_of_a_mass_without_a_ball():
+    # It accelerates by a = mu g and brakes to the velocity a / 2, which friction could take from it within the second.
+    plant, capsule = PlantSpec(0.5, 0.01, 0, goal=-0.302), Capsule(m=1e-9)
+    a = 0.01 * capsule.g
+    fastest = np.sqrt(0.3 * a + 0.5 * (0.5 * a) ** 2)
+    assert goal.least_time(plant, capsule) == pytest.approx((2.0 * fastest - 0.5 * a) / a + 1.0, abs=1e-3)
+
+
+def test_no_episode_is_faster_than_the_least_time_to_its_goal():
+    rng = np.random.default_rng(6)
+    for capsule, mus, ratio in ((Capsule(static_ratio=1.3), (0.05, 0.5), 4.0), (Capsule(), (0.009, 0.011), 1.5)):
+        drawn = [(rng.uniform(0.45, 0.55), rng.uniform(*mus), sign * rng.uniform(0.05, 0.5)) for sign in [-1, 1] * 50]
+        plants = tuple(PlantSpec(M, mu, n, goal=d) for n, (M, mu, d) in enumerate(drawn))
+        episodes = evaluate(goal.POLICY, EvaluationSet("own", plants, "goal", capsule))
+        times = np.array([episode["goal_time"] for episode in episodes])
+        bounds = np.array([goal.least_time(plant, capsule) for plant in plants])
+        assert (times >= bounds).all() and np.median(times / bounds) < ratio
+
+
+def test_the_figure_of_the_goal(tmp_path, monkeypatch):
+    monkeypatch.setattr(drawing, "DPI", 50)
+    sets = {name: EvaluationSet(name, (plant,), "goal", Capsule()) for name, plant in goal.PLANTS.items()}
+    monkeypatch.setattr(goal, "load_set", sets.__getitem__)
+    document = goal.document()
+    assert [row[1] for row in cells(document.sections["bound"])[2:]] == ["100.0 %"] * 2
+    (write,) = document.figures.values()
+    assert write(tmp_path / "goal")[0].stat().st_size > 5000

@@ -1,0 +1,128 @@
+"""The task `goal`: a lower bound on the time that any controller needs, next to the script's, and one episode of it.
+
+Only friction changes the horizontal momentum of capsule and ball. With X and Y the position and the height of their
+centre of mass, Newton's law on the vertical gives the normal force, and so
+
+    |X''| <= f (g + Y''), f = mu static_ratio,
+
+however the motor moves the ball. In U = X - f Y and V = X + f Y this reads U'' <= f g and V'' >= -f g. The ball is at
+most l from the pivot, so that X is within s = m l / (M + m) of the platform's position, and Y within s of 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from agents.analysis.data import Document
+from agents.analysis.figures import write_with
+from agents.analysis.recording import Recording, record
+from agents.evaluation.episodes import evaluate, scores
+from baselines.drawing import BLUE, MUTED, VERMILION, add_note, new_figure
+from baselines.policies import TASK_SCRIPTED
+from baselines.tables import markdown_table
+from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec, load_set
+from capsule_gym.parameters import Capsule, find_task
+from capsule_gym.task import TORQUE_LIMIT
+from capsule_gym.tasks.goal import HOLD, TOLERANCE
+
+POLICY = "goal-pulses"
+# Of the episodes in the figure: on the floor in the middle of the task's, and on the paper's.
+PLANTS = {"goal": PlantSpec(0.5, 0.16, seed=0, goal=0.3), "goal-paper": PlantSpec(0.5, 0.01, seed=0, goal=0.3)}
+SHOWN = 4.0
+# Times before the rest at which the bound is taken, s; every one is valid, the best counts.
+TIMES = np.linspace(0.0, 15.0, 1501)
+
+
+def document() -> Document:
+    """The table and the figure."""
+    figures = {"figures/goal": write_with(draw, PLANTS)}
+    return Document({"bound": table([load_set(name) for name in PLANTS])}, figures)
+
+
+def capsule_of(evaluation_set: EvaluationSet) -> Capsule:
+    """The constants that the plants of a set share."""
+    capsule: Capsule = evaluation_set.capsule or find_task(evaluation_set.task).defaults["capsule"]
+    return capsule
+
+
+def least_time(plant: PlantSpec, capsule: Capsule) -> float:
+    """A lower bound on the time to the goal in s, the rest of 1 s included, on a level floor with Coulomb friction.
+
+    Until the platform rests, at T, U has come from where it begins, at rest, to where it is with the ball behind. For
+    every t <= T it is also at most U(0) + f g (T - t)^2 / 2 at the time T - t, and there V is at least
+    V(T) - w t - f g t^2 / 2. While the platform then rests for 1 s, V stays within the reach of the ball, so that its
+    velocity w at T is at most the distance that it has left plus f g / 2.
+
+    Args:
+        plant: with a goal.
+        capsule: the constants that are not the plant's.
+    """
+    f = plant.mu * capsule.static_ratio * max(1.0, capsule.backward_ratio)
+    g, s = capsule.g, capsule.m * capsule.l / (plant.M + capsule.m)
+    assert plant.goal is not None
+    side = 1.0 if plant.goal > 0.0 else -1.0
+    nearest = abs(plant.goal) - TOLERANCE
+    start = -s * np.sin(side * plant.theta) - f * s * np.cos(plant.theta)
+    farthest = s * np.hypot(1.0, f)
+    to_rest = np.sqrt(2.0 * max(0.0, nearest - farthest - start) / (f * g))
+    left = nearest - s - 2.0 * f * s - start - ((s + farthest) / HOLD + 0.5 * f * g * HOLD) * TIMES
+    left -= 0.5 * f * g * TIMES * TIMES
+    stopped = (TIMES + np.sqrt(2.0 * np.maximum(0.0, left) / (f * g)))[left >= 0.0]
+    return float(max(to_rest, stopped.max(initial=0.0)) + HOLD)
+
+
+def table(sets: Sequence[EvaluationSet]) -> str:
+    """The script's time to the goal and the bound, medians over the sets, as Markdown."""
+    rows = [["set", "goals reached", "time to the goal (s)", "lower bound (s)", "time over bound"]]
+    for each in sets:
+        episodes = evaluate(POLICY, each)
+        times, success = (scores(episodes, name)[0] for name in ("goal_time", "success"))
+        bounds = np.array([least_time(plant, capsule_of(each)) for plant in each.plants])
+        medians = (f"{np.median(values):.2f}" for values in (times, bounds, times / bounds))
+        rows.append([f"`{each.name}`", f"{100.0 * success.mean():.1f} %", *medians])
+    return markdown_table(rows)
+
+
+def record_goal(evaluation_set: EvaluationSet, plant: PlantSpec) -> Recording:
+    """The script's episode on a plant of the set's floor."""
+    policy = TASK_SCRIPTED[POLICY]
+    settings = {**policy.env_kwargs, "capsule": capsule_of(evaluation_set)}
+    return record(replace(policy, env_kwargs=settings), plant, seconds=SHOWN)
+
+
+def draw(plants: Mapping[str, PlantSpec]) -> Any:
+    """Position, velocity, angle and torque over time, a column per episode.
+
+    Args:
+        plants: with goals, by the set that the floor is from.
+    """
+    figure = new_figure(5.4)
+    grid = figure.subplots(4, len(plants), sharex=True, sharey="row", squeeze=False)
+    for column, (name, plant) in enumerate(plants.items()):
+        recording = record_goal(load_set(name), plant)
+        assert plant.goal is not None
+        position, velocity, angle, torque = grid[:, column]
+        position.set_title(f"M = {plant.M:g} kg, μ = {plant.mu:g}, goal at {100.0 * plant.goal:g} cm")
+        position.axhspan(*(100.0 * (plant.goal + side * TOLERANCE) for side in (-1.0, 1.0)), color=VERMILION, alpha=0.5)
+        position.plot(recording.t, 100.0 * recording.x, color=BLUE)
+        velocity.plot(recording.t, 100.0 * recording.x_dot, color=BLUE)
+        angle.plot(recording.t, np.degrees(recording.theta), color=BLUE)
+        torque.step(recording.t, recording.torque, color=BLUE, linewidth=0.8, where="pre")
+        rests = (recording.x_dot == 0.0) & (np.abs(recording.x - plant.goal) <= TOLERANCE)
+        came = recording.t[np.flatnonzero(~rests)[-1]]
+        for axes in grid[:, column]:
+            axes.axvspan(came, came + HOLD, color=VERMILION, alpha=0.12, linewidth=0.0)
+        for limit in (-TORQUE_LIMIT, TORQUE_LIMIT):
+            torque.axhline(limit, color=MUTED, linewidth=0.6)
+        torque.set(xlabel="time (s)", xlim=(0.0, SHOWN))
+    for axes, label in zip(grid[:, 0], ("x (cm)", "x' (cm/s)", "θ (deg)", "u (N m)"), strict=True):
+        axes.set_ylabel(label)
+    add_note(
+        figure,
+        "Orange line: within 2 mm of the goal. Orange band: the platform rests there for 1 s, and the goal is reached.",
+    )
+    return figure
