@@ -34,6 +34,8 @@ RUN, RETURN, PULSE, BRAKE = 0.0, 1.0, 2.0, 3.0
 FAR = 0.05
 # How much earlier the run ends: this share of the way that the platform would slide, x'^2 / (2 mu g).
 SLIDE = 0.15
+# On the roughest floors the run may end in an equilibrium: below this rate of the pendulum, rad/s.
+STALL = 1e-3
 # Share of the friction that the pendulum uses where the platform is to stick, and its least and largest acceleration;
 # the acceleration of a return before a run, where the platform may move, rad/s^2.
 GRIP, LEAST_GRIP, LARGEST_GRIP, FAST = 0.9, 0.5, 80.0, 40.0
@@ -90,7 +92,8 @@ def pulse_law(
         timer += LAW_DT
         if phase == RUN:
             slide = SLIDE * x_dot * x_dot / (2.0 * mu * g) if x_dot * side > 0.0 else 0.0
-            if error * side < stop + slide:
+            stalls = rests and abs(theta_dot) < STALL and side * theta > 0.0
+            if stalls or error * side < stop + slide:
                 phase, timer, rate = BRAKE, 0.0, 0.0
         elif phase == BRAKE and rests and abs(theta_dot) < 2.0 and timer > 0.005:
             if rate > 0.0:
