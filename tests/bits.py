@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -29,7 +29,7 @@ from gymnasium.vector import AutoresetMode
 import baselines
 import capsule_gym
 from baselines.policies import SCRIPTED
-from capsule_gym import Capsule, policy_names
+from capsule_gym import Capsule, Disturbances, policy_names
 from capsule_gym.command_line import parse
 from capsule_gym.files import write_atomically
 from capsule_gym.task import CONTROL_DT, HORIZON
@@ -126,6 +126,14 @@ def subjects() -> Iterator[Subject]:
     yield Subject("plant anisotropic", {**wide, "capsule": capsule, "initial_noise": 0.1}, random_actions(0.15))
     rough = Capsule(static_ratio=1.3, stribeck_speed=0.1, viscous=0.2, slope=-0.02, motor_friction=0.1)
     yield Subject("plant beyond Coulomb", {**wide, "capsule": rough, "initial_noise": 0.1}, random_actions(0.15))
+    real = Disturbances.named("real")
+    assert real is not None
+    shaken = replace(real, push=(0.0, 0.5), theta_resolution=0.001, torque_resolution=0.01)
+    varied = {"randomization": "real-wide", "disturbances": shaken}
+    yield Subject("plant disturbed", varied, random_actions(0.15))
+    yield Subject(
+        "law gait_predictive disturbed", {**varied, "controller": "baselines:gait_predictive"}, random_actions(0.05)
+    )
     for name in baselines.__all__:
         yield Subject(f"law {name}", {"controller": f"baselines:{name}"}, random_actions(0.05))
     # Its bits differ from those of the law without a filter where the platform is light.
