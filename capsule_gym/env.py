@@ -79,6 +79,9 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     Where M and mu are observed, `reset(options=..)` refuses larger ones than these: a `Randomization` with wider ranges
     makes room for them.
 
+    With `stack_size=n` the same entries of the n - 1 steps before follow, the newest first; an episode begins with n times
+    the first.
+
     The position x is not observed: the task does not depend on it. `info["state"]` holds it.
 
     ## Rewards
@@ -146,6 +149,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     | `disturbances` | `"none"` | what sensors, motor and floor do to an ideal plant: "none"; "real": noise, bias and drift of the sensors, 5 to 15 ms of latency, lag and friction of the motor; or a `Disturbances` |
     | `capsule` | `Capsule()` | the plant's constants |
     | `observe_parameters` | `False` | whether the observation ends with M and mu |
+    | `stack_size` | `1` | observations that an observation holds: the present one and those of the steps before |
     | `energy_weight` | `0.1` | centimetres that a joule costs |
     | `termination_penalty` | `10` | centimetres that a failure costs |
     | `initial_noise` | `0` | half width of the uniform noise on the initial angle, rad |
@@ -370,7 +374,9 @@ def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:
     """The action and the observation space of one environment."""
     settings, plants = simulation.settings, (simulation.capsule, simulation.randomization)
     switches = settings.with_reference, settings.with_parameters
-    low, high = observation_bounds(*switches, *plants, settings.torque_limit, simulation.task.entries)
+    low, high = observation_bounds(
+        *switches, *plants, settings.torque_limit, simulation.task.entries, settings.stack_size
+    )
     return spaces.Box(-1.0, 1.0, (1,), np.float32), spaces.Box(low, high, dtype=np.float32)
 
 

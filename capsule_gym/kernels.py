@@ -364,8 +364,12 @@ def observe(
     # The present line of the reference stands before it.
     at = end - TASK_ROWS * LANES
     reference = at - settings.reference_size * LANES
+    entries = observations.shape[1] // settings.stack_size
     for j in range(n):
         if block[AT.active + j] != 0.0:
+            # The observations before move on; those before an episode are its first.
+            for entry in range(observations.shape[1] - 1, entries - 1, -1):
+                observations[j, entry] = observations[j, entry - entries]
             state = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x_dot + j]
             if plant.extended == VARIED and settings.agent_reads:
                 state = disturbances.reading(block, j)
@@ -385,7 +389,10 @@ def observe(
                 settings.with_parameters,
             )
             memory = TaskMemory(*load(block, at + j, LANES, TASK_ROWS))
-            observe_task(observations[j, observations.shape[1] - TASK_ENTRIES :], block[AT.x + j], memory)
+            observe_task(observations[j, entries - TASK_ENTRIES :], block[AT.x + j], memory)
+            if begin:
+                for entry in range(entries, observations.shape[1]):
+                    observations[j, entry] = observations[j, entry - entries]
 
 
 @inlined

@@ -179,6 +179,7 @@ class StepSettings(NamedTuple):
     with_parameters: bool
     # Columns of the controller's table.
     reference_size: int
+    stack_size: int = 1
     # Of disturbances: states that are remembered, who sees the sensors, which of them there are, and the measured
     # velocity up to which the observation says that the platform sticks.
     history: int = 0

@@ -80,7 +80,7 @@ def make_header(options: EnvConfig, *, identifies: bool, observes_energy_weight:
     """
     capsule = options.capsule or Capsule()
     own = find_task(options.task).entries
-    entries = observation_names(options.controller is not None, options.observe_parameters, own)
+    entries = observation_names(options.controller is not None, options.observe_parameters, own, options.stack_size)
     return Header(
         **network,
         inputs=len(input_names(entries, identifies, observes_energy_weight)),

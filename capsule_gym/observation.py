@@ -21,11 +21,14 @@ M_BOUND = 4.0
 MU_BOUND = 1.0
 
 
-def observation_names(with_reference: bool, with_parameters: bool, task_entries: Iterable[str] = ()) -> tuple[str, ...]:
-    """The entries of the observation, in order."""
+def observation_names(
+    with_reference: bool, with_parameters: bool, task_entries: Iterable[str] = (), stack_size: int = 1
+) -> tuple[str, ...]:
+    """The entries of the observation, in order; those of n steps ago end with their number."""
     reference = ("theta_d", "theta_d_dot", "sin_phase", "cos_phase", "law_torque") if with_reference else ()
     parameters = ("M", "mu") if with_parameters else ()
-    return ("theta", "theta_dot", "x_dot", "stick", "last_action", *reference, *parameters, *task_entries)
+    names = ("theta", "theta_dot", "x_dot", "stick", "last_action", *reference, *parameters, *task_entries)
+    return names + tuple(f"{name} {n}" for n in range(1, stack_size) for name in names)
 
 
 def parameter_bounds(capsule: Capsule, randomization: Randomization) -> tuple[float, float]:
@@ -44,6 +47,7 @@ def observation_bounds(
     randomization: Randomization,  # where M and mu of an episode come from
     torque_limit: float,  # N m
     task_entries: dict[str, tuple[float, float]],  # bounds of the task's entries
+    stack_size: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest observation, float32."""
     largest_M, largest_mu = parameter_bounds(capsule, randomization)
@@ -64,7 +68,7 @@ def observation_bounds(
     }
     names = observation_names(with_reference, with_parameters, task_entries)
     low, high = np.array([bounds[name] for name in names], np.float32).T
-    return low.copy(), high.copy()
+    return np.tile(low, stack_size), np.tile(high, stack_size)
 
 
 @inlined

@@ -615,6 +615,7 @@ REAL = Disturbances(
 )
 """What `disturbances="real"` is: cheap sensors, and the latency of a bus or a camera."""
 RENDER_MODES = ("human", "rgb_array")
+LARGEST_STACK = 100
 
 Check = Callable[[str, Any], Any]
 
@@ -732,6 +733,11 @@ class EnvConfig:
     capsule: Capsule | None = _option(None, "the plant's constants", _or_none(_instance("a Capsule or None", Capsule)))
     observe_parameters: bool = _option(
         False, "whether the observation ends with M and mu", _instance("True or False", bool, np.bool_)
+    )
+    stack_size: int = _option(
+        1,
+        "observations that an observation holds: the present one and those of the steps before",
+        partial(check_count, most=LARGEST_STACK),
     )
     energy_weight: float = _option(
         task.ENERGY_WEIGHT, "centimetres that a joule costs", _number(0.0, LARGEST_COST, "cm/J")

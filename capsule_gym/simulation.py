@@ -153,6 +153,7 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> layout.S
         with_reference=controller is not None,
         with_parameters=options.observe_parameters,
         reference_size=(controller or NO_CONTROLLER).reference.shape[1],
+        stack_size=options.stack_size,
     )
     if disturbed is None:
         return settings._replace(history=int(is_varied(options)))
@@ -281,7 +282,8 @@ class Simulation:
             draws = [task.Draw(*_ends(each)) for each in ranges]
             tables.append(resets.draw_table(Row.drawn_m, resets.Stream.variation, draws))
         self.draw_table = np.concatenate(tables)
-        names = observation_names(self.settings.with_reference, self.settings.with_parameters, self.task.entries)
+        switches = self.settings.with_reference, self.settings.with_parameters
+        names = observation_names(*switches, self.task.entries, options.stack_size)
         try:
             self.world = np.zeros((blocks, rows, LANES))
             self.observations = np.zeros((self.num_envs, len(names)), np.float32)

@@ -97,6 +97,7 @@ class Config:
     """Static over kinetic friction coefficient of the floor; None for the environment's default."""
     disturbances: Annotated[Literal["none", "real"], _option("disturbances")] = "none"
     observe_parameters: Annotated[bool, _option("observe_parameters")] = EnvConfig.observe_parameters
+    stack_size: Annotated[Count, _option("stack_size")] = 1
     energy_weight: Annotated[float, _option("energy_weight")] = EnvConfig.energy_weight
     termination_penalty: Annotated[float, _option("termination_penalty")] = 30.0
     learning_rate: float = 1e-3
@@ -126,8 +127,10 @@ class Config:
             kwargs["task"] = self.env_task
         if self.randomization == "default":
             del kwargs["randomization"]
-        if self.disturbances == "none":
-            del kwargs["disturbances"]
+        # Policies of before these options do not name them.
+        for name in ("disturbances", "stack_size"):
+            if kwargs[name] == getattr(EnvConfig, name):
+                del kwargs[name]
         if self.static_ratio is not None:
             kwargs["capsule"] = Capsule(static_ratio=self.static_ratio)
         if self.task == "direct":
@@ -451,7 +454,7 @@ ROWS: dict[str, Config] = {
         evaluate_every=1_000_000,
     ),
     "residual-real": dataclasses.replace(ON_PREDICTION, randomization="real"),
-    "residual-real-wide": ON_PREDICTION,
+    "residual-real-wide": dataclasses.replace(ON_PREDICTION, residual_limit=1.5),
     "efficient": dataclasses.replace(FRUGAL, total_steps=4_000_000, energy_weight=3.5),
     "pareto": dataclasses.replace(FRUGAL, total_steps=10_000_000, energy_weight=1.0, energy_weights=(0.1, 20.0)),
 }

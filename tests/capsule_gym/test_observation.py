@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from capsule_gym import Capsule, CapsuleEnv, observation
+from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, observation
 from capsule_gym.network import compiled_act_batch, make_workspace
 from capsule_gym.observation import (
     CELLS,
@@ -136,3 +136,28 @@ def test_compiled_and_in_python_it_is_the_same_bits(n):
         assert given[:, :5].tobytes() == observations.tobytes()
         assert given[:, 5:].tobytes() == np.array([estimates(own) for own in by_hand], np.float32).tobytes()
     assert np.ptp(given[:, 5]) > 0.0 or n == 1
+
+
+@pytest.mark.parametrize("options", [{"controller": "baselines:gait"}, {"task": "goal", "observe_parameters": True}])
+def test_a_stack_holds_the_observations_of_the_steps_before(options):
+    count, size = 3, 4
+    plain, stacked = (CapsuleVectorEnv(count, max_episode_steps=30, **options, stack_size=n) for n in (1, size))
+    low, high = plain.single_observation_space.low, plain.single_observation_space.high
+    np.testing.assert_array_equal(stacked.single_observation_space.low, np.tile(low, size))
+    np.testing.assert_array_equal(stacked.single_observation_space.high, np.tile(high, size))
+    seen = [plain.reset(seed=1)[0]]
+    found = stacked.reset(seed=1)[0]
+    first = np.zeros(count, int)
+    rng = np.random.default_rng(0)
+    begins = 0
+    for step in range(1, 100):
+        for i in range(count):
+            expected = [seen[max(first[i], step - 1 - n)][i] for n in range(size)]
+            np.testing.assert_array_equal(found[i], np.concatenate(expected))
+        actions = np.repeat(rng.uniform(-1.0, 1.0, (1, 1)), count, axis=0).astype(np.float32)
+        ended = plain._ended.copy()
+        seen.append(plain.step(actions)[0])
+        found = stacked.step(actions)[0]
+        first[ended] = step
+        begins += ended.sum()
+    assert begins > 0
