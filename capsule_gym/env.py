@@ -145,7 +145,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     | `controller` | `None` | control law inside the step: an import string "module:attribute", a `Controller`, or a function that returns one |
     | `residual_limit` | `torque_limit` | torque of the action 1, N m |
     | `torque_limit` | `1.5` | largest motor torque, N m |
-    | `randomization` | `"paper"` | where M and mu of an episode come from: "none": the capsule's own M and mu; "paper": M in [0.45, 0.55] kg, mu in [0.009, 0.011]; "wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3]; "broad": M in [0.25, 1.2] kg, mu log-uniform in [0.002, 0.6]; "sticky": M in [0.35, 0.75] kg, mu in [0.2, 0.6]; or a `Randomization` |
+    | `randomization` | `"paper"` | where M and mu of an episode come from: "none": the capsule's own M and mu; "paper": M in [0.45, 0.55] kg, mu in [0.009, 0.011]; "wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3]; "broad": M in [0.25, 1.2] kg, mu log-uniform in [0.002, 0.6]; "sticky": M in [0.35, 0.75] kg, mu in [0.2, 0.6]; "real": M in [0.45, 0.55] kg, mu in [0.009, 0.011], m in [0.1242, 0.1518], l in [0.27, 0.33], k in [0.324, 0.396], c in [0.08307, 0.10153]; "real-wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3], m in [0.1242, 0.1518], l in [0.27, 0.33], k in [0.324, 0.396], c in [0.08307, 0.10153]; or a `Randomization` |
     | `disturbances` | `"none"` | what sensors, motor and floor do to an ideal plant: "none"; "real": noise, bias and drift of the sensors, 5 to 15 ms of latency, lag and friction of the motor; or a `Disturbances` |
     | `capsule` | `Capsule()` | the plant's constants |
     | `observe_parameters` | `False` | whether the observation ends with M and mu |
