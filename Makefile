@@ -76,7 +76,7 @@ leaderboard-check: $(STAMP)  ## Fail where the leaderboard or its analysis is st
 	$(BIN)/python -m agents.leaderboard --check $(if $(PLANTS),--plants $(PLANTS))
 	$(BIN)/python -m agents.analysis statistics residual_limit goal --check
 
-reproduce: ROWS ?= direct-ppo direct-ppo-wide residual-ppo residual-on-gait residual-on-gait-wide robust efficient pareto
+reproduce: ROWS ?= direct-ppo direct-ppo-wide residual-ppo residual-on-gait residual-on-gait-wide residual-identifying efficient pareto
 reproduce: SEED ?= 100
 reproduce: $(STAMP)  ## Train one run of each row anew and compare it with the published ones (ten minutes)
 	$(BIN)/python -m agents.study $(ROWS) --seeds $(SEED) --runs runs/reproduce

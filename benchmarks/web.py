@@ -30,7 +30,7 @@ from web.episodes import env_kwargs, is_trained
 
 COMMAND = "python -m benchmarks.web"
 # Nothing in the step, a law, a network, and both with a filter.
-CONTROLLERS = ("zero", "adaptive", "direct-ppo", "robust")
+CONTROLLERS = ("zero", "adaptive", "direct-ppo", "residual-identifying")
 # Runs an episode for every line of its input; prints its seconds.
 SCRIPT = """
 import { createInterface } from "node:readline";

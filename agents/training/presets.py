@@ -437,7 +437,7 @@ ROWS: dict[str, Config] = {
     "direct-sac": SACConfig(**OFF_POLICY, task="direct", controller=None),
     "residual-on-gait": ON_GAIT,
     "residual-on-gait-wide": dataclasses.replace(ON_GAIT, randomization="wide"),
-    "robust": dataclasses.replace(
+    "residual-identifying": dataclasses.replace(
         ON_GAIT,
         controller="baselines:gait_identifying",
         randomization="wide",

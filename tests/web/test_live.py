@@ -69,7 +69,7 @@ def node(site: Path) -> Node:
     return run
 
 
-@pytest.mark.parametrize("name", ["robust", "held torques on adaptive, 2"])
+@pytest.mark.parametrize("name", ["residual-identifying", "held torques on adaptive, 2"])
 def test_committed_episodes_are_pythons(name: str) -> None:
     committed = next(episode for episode in COMMITTED if episode["name"] == name)
     assert episodes.compute(committed) == (committed["steps"], committed["sha256"])
@@ -144,7 +144,7 @@ def test_a_policy_takes_another_energy_weight(node: Node) -> None:
 
 def test_a_restored_episode_goes_on_as_it_did(node: Node) -> None:
     code = """
-        const episode = await live.drive("robust", { changes: [{ t: 3, M: 0.4, mu: 0.1 }] });
+        const episode = await live.drive("residual-identifying", { changes: [{ t: 3, M: 0.4, mu: 0.1 }] });
         const run = (steps) => { for (let n = 0; n < steps; n++) episode.tick(); return bytes(episode.world); };
         run(100);
         const snapshot = episode.snapshot();
@@ -187,7 +187,11 @@ def test_types_declare_what_there_is(node: Node) -> None:
 
 BAD = [
     ('await live.load("sliding")', "RangeError", "task must be one of direct, adaptive,.*, got sliding"),
-    ('await live.drive("robust", { energyWeight: 1 })', "RangeError", "energyWeight must be left out: robust"),
+    (
+        'await live.drive("residual-identifying", { energyWeight: 1 })',
+        "RangeError",
+        "energyWeight must be left out: residual-identifying",
+    ),
     ('await live.drive("optimum-oracle")', "RangeError", "set and plant must be given: what optimum-oracle does"),
     ('await live.drive("epc", { set: "paper", plant: 100 })', "RangeError", "plant must be .* 0 to 99, got 100"),
     ('await live.drive("random", { seed: 0.5 })', "TypeError", "seed must be a whole number from 0 to 99, got 0.5"),

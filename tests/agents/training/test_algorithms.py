@@ -197,7 +197,7 @@ def test_an_agent_with_an_lstm_is_evaluated_with_its_memory(tmp_path):
 
 def test_stock_trains_with_sb3s_classes_and_names_the_options_that_it_loses(tmp_path, capsys):
     own = {name: getattr(small("direct", "ppo"), name) for name in ("num_envs", "batch_size", "hidden", "n_steps")}
-    config = dataclasses.replace(ROWS["robust"], **own, controller="baselines:adaptive", stock=True)
+    config = dataclasses.replace(ROWS["residual-identifying"], **own, controller="baselines:adaptive", stock=True)
     config = dataclasses.replace(usable(config), total_steps=512, evaluate_every=256, evaluation_episodes=2)
     message = capsys.readouterr().err
     for name in ("least-log-std -3.2", "jump-rate 0.1", "identifies True", "privileged-critic True", "critic-steps"):
