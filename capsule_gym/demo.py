@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -15,7 +15,7 @@ from gymnasium.error import DependencyNotInstalled
 from tyro.conf import arg
 
 from capsule_gym.command_line import Count, Positional, check_output, parse, refuse
-from capsule_gym.evaluation_sets import EPISODE_SETTINGS, SET_NAMES, PlantSpec, load_set
+from capsule_gym.evaluation_sets import EPISODE_SETTINGS, FURTHER_SET_NAMES, SET_NAMES, PlantSpec, load_set
 from capsule_gym.parameters import check_number, nearest
 from capsule_gym.policy import load_policy, policy_names, pretrained
 from capsule_gym.rendering import FRAME_SECONDS, Renderer, write_gif
@@ -60,6 +60,7 @@ class Episode:
     Args:
         policy: with the attributes `name`, `env_kwargs` and `start` of `capsule_gym.Policy`.
         plant: M, mu and the start.
+        settings: arguments of the environment that are the set's; None for those of an ideal plant of the paper.
 
     Attributes:
         policy: what acts.
@@ -67,12 +68,13 @@ class Episode:
         end: why the episode is over; None while it is not.
     """
 
-    def __init__(self, policy: Any, plant: PlantSpec) -> None:
+    def __init__(self, policy: Any, plant: PlantSpec, settings: Mapping[str, Any] | None = None) -> None:
         # With it comes numba, which takes most of a second to import; `--help` and errors need none of it.
         from capsule_gym.env import CapsuleEnv
 
         self.policy = policy
-        self.env = CapsuleEnv(**{**policy.env_kwargs, **EPISODE_SETTINGS})
+        own = {"capsule": None, "disturbances": "none"} if settings is None else settings
+        self.env = CapsuleEnv(**{**policy.env_kwargs, **EPISODE_SETTINGS, **own})
         self._dt = self.env.simulation.options.control_dt
         self.begin(plant)
 
@@ -125,13 +127,20 @@ class Episode:
 class PlantArgs:
     """The plant."""
 
-    set: Annotated[str, arg(metavar="NAME_OR_PATH", help=f"Plants: {', '.join(SET_NAMES)}, or a file.")] = "paper"
+    set: Annotated[
+        str, arg(metavar="NAME_OR_PATH", help=f"One of {', '.join(SET_NAMES + FURTHER_SET_NAMES)}, or a file.")
+    ] = "paper"
     seed: Count = 0
     """Which of the set's plants, by its seed."""
     M: float | None = None
     """Mass of the platform in kg, instead of the set's."""
     mu: float | None = None
     """Friction coefficient, instead of the set's."""
+
+    def settings(self) -> dict[str, Any]:
+        """What the episodes of the set have in common, as `Episode` takes it."""
+        chosen = load_set(self.set)
+        return {**chosen.env_kwargs, "capsule": chosen.capsule}
 
     def plants(self) -> tuple[PlantSpec, ...]:
         """The plants of the set, the chosen one first; with M or mu given, all have these and none jumps."""
@@ -210,8 +219,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parse(Args, PROG, arguments)
     with errors_in_one_line(PROG):
         plant = args.plants()[0]
-        episode = Episode(find_policy(args.policy), plant)
-        rival = None if args.rival is None else Episode(find_policy(args.rival), plant)
+        episode = Episode(find_policy(args.policy), plant, args.settings())
+        rival = None if args.rival is None else Episode(find_policy(args.rival), plant, args.settings())
         renderer = episode.renderer("rgb_array" if args.output else "human", episode.policy.name)
         pictures = draw_episode(renderer, args.seconds, episode, rival)
         if args.output is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -31,6 +31,7 @@ class Game:
         plants: what N goes through, the first one first.
         rival: the policy of the ghost.
         speed: simulated seconds per second.
+        settings: what the episodes have in common, as `Episode` takes it.
 
     Attributes:
         action: of the player, in [-1, 1].
@@ -41,9 +42,11 @@ class Game:
     name = "you"
     env_kwargs: dict[str, Any] = {}  # noqa: RUF012
 
-    def __init__(self, plants: Sequence[PlantSpec], rival: Any, speed: float = 1.0) -> None:
+    def __init__(
+        self, plants: Sequence[PlantSpec], rival: Any, speed: float = 1.0, settings: Mapping[str, Any] | None = None
+    ) -> None:
         self.plants, self.speed, self.action = plants, speed, 0.0
-        self.episode, self.rival = Episode(self, plants[0]), Episode(rival, plants[0])
+        self.episode, self.rival = Episode(self, plants[0], settings), Episode(rival, plants[0], settings)
         self._number, self._time = 0, 0.0
         self._held: list[str] = []
 
@@ -113,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, PROG, arguments)
     with errors_in_one_line(PROG):
-        game = Game(args.plants(), find_policy(args.rival), args.speed)
+        game = Game(args.plants(), find_policy(args.rival), args.speed, args.settings())
         title = f"you and {game.rival.policy.name}"
         with closing(game.episode.renderer("human", title, game.on_key)) as renderer:
             while not renderer.closed:

@@ -50,8 +50,9 @@ def is_trained(name: str) -> bool:
 
 
 def controller_names() -> list[str]:
-    """The policies that run in the browser; of a trained one the run with the lowest seed."""
-    return [*SCRIPTED, *policy_names()]
+    """The policies that run in the browser: the paper's capsule in the speed task. Of a trained one the first run."""
+    trained = {name: capsule_gym.load_policy(name).env_kwargs for name in policy_names()}
+    return [*SCRIPTED, *(name for name, kwargs in trained.items() if not {"task", "capsule"} & set(kwargs))]
 
 
 def env_kwargs(name: str) -> dict[str, Any]:

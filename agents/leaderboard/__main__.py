@@ -33,6 +33,7 @@ from capsule_gym.parameters import nearest
 from capsule_gym.task import TASKS
 
 ROOT = Path(__file__).resolve().parents[2]
+SETS = (*SET_NAMES, "sticky", *TASK_SET_NAMES)
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,7 @@ def main(arguments: Sequence[str] | None = None, *, root: Path = ROOT) -> int:
     except ValueError as error:
         refuse(COMMAND, str(error))
     chosen = [] if args.from_results else [each for each in candidates if each.name in (args.names or names)]
-    sets = [load_set(name) for name in SET_NAMES + TASK_SET_NAMES]
+    sets = [load_set(name) for name in SETS]
     if args.check:
         stale = check(root, candidates, sets, evaluated=chosen, plants=args.plants, jobs=args.jobs)
         if stale:

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from capsule_gym import demo
+from capsule_gym import Capsule, demo
 from capsule_gym.demo import NAMES, Episode, find_policy
 from capsule_gym.evaluation_sets import load_set
 from capsule_gym.task import HORIZON, Termination
@@ -46,6 +46,17 @@ def test_an_episode_is_the_environments_and_stands_still_at_its_end():
     assert episode.ghost() == ("direct-ppo", last["theta"], last["x"])
     episode.begin(PLANT)
     assert (episode.end, episode.time, episode.state()["x"]) == (None, 0.0, 0.0)
+
+
+def test_the_set_decides_which_capsule_is_shown(monkeypatch, tmp_path):
+    shown = []
+    own = SimpleNamespace(name="own", env_kwargs={"capsule": Capsule(l=0.4)}, start=find_policy("zero").start)
+    monkeypatch.setattr(demo, "find_policy", lambda name: own)
+    monkeypatch.setattr(demo, "draw_episode", lambda renderer, seconds, episode, rival: shown.append(episode) or [])
+    monkeypatch.setattr(demo, "write_gif", lambda pictures, path: None)
+    for name in ("paper", "sticky"):
+        demo.main(["own", "--set", name, "-o", str(tmp_path / "out.gif")])
+    assert [episode.env.simulation.capsule for episode in shown] == [Capsule(), Capsule(static_ratio=1.3)]
 
 
 def test_a_policys_own_control_interval_keeps_the_time():

@@ -82,8 +82,7 @@ def test_check_finds_another_plant(written, monkeypatch):
 @pytest.fixture
 def main(world, monkeypatch):
     """The command on a small set of two tasks each."""
-    monkeypatch.setattr(leaderboard, "SET_NAMES", ("paper",))
-    monkeypatch.setattr(leaderboard, "TASK_SET_NAMES", ("goal",))
+    monkeypatch.setattr(leaderboard, "SETS", ("paper", "goal"))
     of_task = {"paper": "speed", "goal": "goal"}
     monkeypatch.setattr(leaderboard, "load_set", lambda name: replace(make_set(name, (0.5, 0.2)), task=of_task[name]))
     evaluate = leaderboard.evaluate

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.evaluation.policies import checkpoint_names, find_candidate
-from agents.leaderboard.page import END, HEAD_ROWS, START, build, files, head, render, training_commands
+from agents.leaderboard.page import END, HEAD_SETS, START, build, files, head, render, training_commands
 from agents.leaderboard.rows import RESULTS, evaluate, load_rows
 from capsule_gym.evaluation_sets import SET_NAMES, load_set
 from tests.agents.leaderboard.world import SETS, checked, read, row_of, table
@@ -21,7 +21,7 @@ def test_the_committed_pages_are_those_of_the_committed_board():
 
 def test_the_committed_board_is_that_of_the_committed_results():
     names = ("efficient", "random")
-    board = build(load_rows(ROOT / RESULTS, names), [load_set(name) for name in SET_NAMES])
+    board = build(load_rows(ROOT / RESULTS, names), [load_set(name) for name in (*SET_NAMES, "sticky")])
     recorded = read(ROOT)
     assert board["sets"] == recorded["sets"]
     assert board["rows"] == [row for row in recorded["rows"] if row["policy"] in names]
@@ -49,10 +49,21 @@ def test_pages_of_other_boards(written):
     lines = {row[0]: row for row in table(render(board), "## On every set")}
     assert lines["bold"][-1].replace("\N{NO-BREAK SPACE}", " ").endswith(" (< 1 %)")
     # Without the paper's controller there is no ratio to it.
-    rows = [copy.deepcopy(row_of(board, "bold")) | {"policy": f"better-{i:02}"} for i in range(HEAD_ROWS + 1)]
+    count = HEAD_SETS["paper"]
+    rows = [copy.deepcopy(board["rows"][0]) | {"policy": f"better-{i:02}"} for i in range(count + 1)]
     assert {row[2] for row in table(head({**board, "rows": rows}))[2:]} == {"-"}
     names = [row[0] for row in table(head({**board, "rows": [*rows, *board["rows"]]}))[2:]]
-    assert names == [f"better-{i:02}" for i in range(HEAD_ROWS)] + ["adaptive"]
+    assert names == [f"better-{i:02}" for i in range(count)] + ["adaptive"]
+    # The fastest on another set are there, too, with their speed on it.
+    fast = copy.deepcopy(row_of(board, "wild")) | {"policy": "elsewhere"}
+    speed = {"iqm": 99.0, "low": 98.0, "high": 99.5}
+    fast["results"]["sticky"] = fast["results"]["paper"] | {"mean_speed": speed, "failures": 0}
+    for row in (sets := {**board, "sets": {**board["sets"], "sticky": ""}, "rows": [*rows, *board["rows"], fast]})[
+        "rows"
+    ]:
+        row["results"].setdefault("sticky", row["results"]["paper"])
+    header, _, *lines = table(head(sets))
+    assert [line[header.index("sticky (cm/s)")] for line in lines if line[0] == "elsewhere"] == ["99.00"]
 
 
 def test_a_readme_without_a_marker_raises_an_error(written):
