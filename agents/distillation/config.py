@@ -30,6 +30,7 @@ class Student:
         batch_size: states in a gradient step.
         learning_rate: step size of Adam; it falls to 0 at the end.
         evaluation_episodes: of an evaluation.
+        failure_cost: cm/s that the share of failed episodes costs where the best policy is chosen.
     """
 
     randomization: str
@@ -47,6 +48,7 @@ class Student:
     batch_size: int = 512
     learning_rate: float = 4e-3
     evaluation_episodes: int = 128
+    failure_cost: float = 30.0
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
@@ -72,12 +74,13 @@ STUDENTS = {
         "sticky",
         grid=STICKY_GRID,
         identifies=True,
-        margin=0.6,
+        margin=0.8,
         max_regret=30.0,
         num_envs=320,
         steps=250,
         rounds=10,
         final_updates=24_000,
-        evaluation_episodes=512,
+        evaluation_episodes=1024,
+        failure_cost=1000.0,
     ),
 }
