@@ -378,8 +378,9 @@ ENV_PRESETS: dict[Environment, PPOConfig] = {
     "CapsuleVelocity-v0": dataclasses.replace(
         ON_GRIP,
         env="CapsuleVelocity-v0",
+        total_steps=8_000_000,
         residual_limit=1.2,
-        gamma=0.985,
+        gamma=0.99,
         n_steps=128,
         batch_size=4096,
         episode_seconds=20.0,
@@ -457,6 +458,8 @@ ROWS: dict[str, Config] = {
     "residual-real-wide": dataclasses.replace(ON_PREDICTION, residual_limit=1.5),
     "efficient": dataclasses.replace(FRUGAL, total_steps=4_000_000, energy_weight=3.5),
     "pareto": dataclasses.replace(FRUGAL, total_steps=10_000_000, energy_weight=1.0, energy_weights=(0.1, 20.0)),
+    "goal": ENV_PRESETS["CapsuleGoal-v0"],
+    "velocity": ENV_PRESETS["CapsuleVelocity-v0"],
 }
 
 
