@@ -209,7 +209,8 @@ def draw_episode(renderer: Renderer, seconds: float, episode: Episode, rival: Ep
         episode.advance(n * FRAME_SECONDS)
         if rival is not None:
             rival.advance(episode.time)
-        yield renderer.draw(**episode.state(), ghost=rival.ghost() if rival else None)
+        ghost = {"ghost": rival.ghost()} if rival else {}
+        yield renderer.draw(**{**episode.state(), **ghost})
         if episode.end is not None or renderer.closed:
             return
 

@@ -25,6 +25,8 @@ _READING = slice(Row.read_theta, Row.true_theta)
 _CAPSULE = slice(Row.drawn_m, Row.theta_noise)
 _DISTURBANCES = slice(Row.theta_noise, Row.key)
 _FIRST = np.zeros(1, np.int64)
+# Of what a task shows, the places on the floor, m: pictures mark them.
+_PLACES = ("goal", "target")
 # What a copy of an environment does not take over.
 _VIEWS = ("_rows", "_memory", "_varied", "_observation", "_step", "_renderer")
 
@@ -404,4 +406,11 @@ def shown_state(simulation: Simulation, i: int) -> dict[str, Any]:
     """The arguments of `Renderer.draw` for environment i."""
     row = simulation.columns(np.array([i]))[:, 0]
     names = ("theta", "x", "x_dot", "torque", "M", "mu")
-    return {**{name: float(row[getattr(Row, name)]) for name in names}, "time": float(row[Row.duration])}
+    found: dict[str, Any] = {
+        **{name: float(row[getattr(Row, name)]) for name in names},
+        "time": float(row[Row.duration]),
+    }
+    for name, place in simulation.task.places:
+        if name in _PLACES:
+            found["ghost"] = name, 0.0, float(row[simulation.task_row + place])
+    return found

@@ -29,6 +29,7 @@ Points = NDArray[np.float64] | Sequence[tuple[float, float]]
 SCALE = 2
 # Between the frames of a moving picture: 25 a second, which a GIF can keep exactly.
 FRAME_SECONDS = 0.04
+FRAMES_OF_PALETTE = 8
 WIDTH, HEIGHT = 960, 450
 
 # Layout in pixels of the finished frame.
@@ -333,11 +334,13 @@ def write_gif(frames: Iterable[np.ndarray], path: Path, frame_seconds: float = F
         pictures.append(Image.fromarray(frame).resize((width, height), Image.Resampling.LANCZOS))
     if not pictures:
         raise ValueError("frames must hold at least one picture, got none: the episode ended before the first")
-    # One palette for all frames: colours do not flicker, and only what moves is stored anew.
+    # One palette for all frames: colours do not flicker, and only what moves is stored anew. A single frame might lack
+    # the colour of stick or that of slip.
     # By coverage, not by frequency: the few pixels of a legend keep their colour too. Then means (kmeans): the middle
     # of a range of colours would give a background, most of the picture, a tint.
-    middle = pictures[len(pictures) // 2]
-    palette = middle.quantize(128, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
+    shown = pictures[:: -(-len(pictures) // FRAMES_OF_PALETTE)]
+    together = Image.fromarray(np.concatenate([np.asarray(picture) for picture in shown]))
+    palette = together.quantize(128, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
     pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     options: dict[str, Any] = {"duration": round(1000 * frame_seconds), "loop": 0, "optimize": True}
     with replacing(path) as temporary:

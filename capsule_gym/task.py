@@ -106,7 +106,8 @@ class Task:
         begin: begin(x, memory) -> memory at the start of an episode; before, what is not drawn is 0.
         entries: names of the entries that end the observation, with the bounds that they are clipped to.
         observe: observe(out, x, memory) writes those entries into an array.
-        shown: fields of the memory that `info` shows under their names.
+        shown: fields of the memory that `info` shows under their names; `render` marks the place of a "goal" or a
+            "target" (m).
         options: by name, what an episode draws.
         metrics: metrics(memory, whole) -> its metrics by name, beside those of `Metrics`: of a memory of arrays, one
             entry per episode, and the length in s that a failed episode should have had.

@@ -26,6 +26,11 @@ POLICIES = (
     *("adaptive", "epc", "feedback-linearising", "gait-guarded"),
     *("residual-ppo", "residual-on-gait", "direct-ppo", "efficient"),
 )
+# Those of the other tasks: the plant, and the part of its episode, s.
+TASK_POLICIES = {
+    "goal-pulses": (PlantSpec(0.5, 0.16, seed=0, goal=0.3), 0.0, 4.6),
+    "velocity-pulses": (PlantSpec(0.5, 0.16, seed=21), 2.5, 7.0),
+}
 COMPARED = ("adaptive", "efficient", "residual-on-gait")
 # The part of an episode that they show and the time between pictures, s: the paper's controller slips once in it.
 BEGIN, SECONDS, GALLERY_FRAME_SECONDS = 12.0, 3.4, 0.08
@@ -170,7 +175,8 @@ def draw_comparison(recordings: Sequence[Recording], path: Path, plant: PlantSpe
 
 def document() -> Document:
     """The files of the gallery."""
-    media: dict[str, Any] = {f"media/{name}.gif": partial(animate, name) for name in POLICIES}
+    shown = {**{name: (NOMINAL_PLANT, BEGIN, SECONDS) for name in POLICIES}, **TASK_POLICIES}
+    media: dict[str, Any] = {f"media/{name}.gif": partial(animate, name, *part) for name, part in shown.items()}
 
     def compare(path: Path) -> None:
         draw_comparison([record(find_candidate(name).policies[0], name=name) for name in COMPARED], path)
@@ -178,8 +184,8 @@ def document() -> Document:
     return Document(figures={**media, "figures/gallery.png": compare})
 
 
-def animate(name: str, path: Path) -> None:
+def animate(name: str, plant: PlantSpec, begin: float, seconds: float, path: Path) -> None:
     """Writes the animation of a policy as a GIF; of a trained one the first seed."""
-    policy, end = find_candidate(name).policies[0], BEGIN + SECONDS
-    recording = record(policy, seconds=end, frames_from=BEGIN, frame_seconds=GALLERY_FRAME_SECONDS, name=name)
-    write_gif(recording.frames, path, GALLERY_FRAME_SECONDS, 480)
+    policy, every = find_candidate(name).policies[0], GALLERY_FRAME_SECONDS
+    recording = record(policy, plant, seconds=begin + seconds, frames_from=begin, frame_seconds=every, name=name)
+    write_gif(recording.frames, path, every, 480)

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from agents.analysis import __main__ as analysis
-from agents.analysis import goal, limit_cycle, pareto, recording
+from agents.analysis import goal, limit_cycle, pareto, recording, sensitivity
 from agents.analysis.data import fronts, gather, read_learning
 from agents.analysis.limit_cycle import find_cycle, median_run
 from agents.analysis.recording import Recording, record
@@ -20,6 +20,7 @@ from agents.leaderboard.rows import COLUMNS, Row
 from baselines import drawing
 from capsule_gym import Capsule, dynamics
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
+from capsule_gym.parameters import REAL, Disturbances
 from tests.agents.fakes import Sine, make_policy
 from tests.agents.leaderboard.world import make_set
 
@@ -127,9 +128,25 @@ def test_a_large_energy_weight_gives_slow_and_cheap_motion():
     assert [line[3] for line in cells(pareto.table([at, beyond]))[2:]] == ["2.00", "-"]
 
 
+def test_sensitivity_shows_speed_and_failures_under_disturbances_of_each_size(monkeypatch):
+    monkeypatch.setattr(sensitivity, "EPISODES", 2)
+    conditions = sensitivity.conditions()
+    assert conditions['all of "real"', 1.0] == REAL
+    doubled = conditions['all of "real"', 2.0]
+    assert (doubled.latency, doubled.lag, doubled.drift_time) == ((0.01, 0.03), 0.01, REAL.drift_time)
+    assert conditions["latency", 0.5] == Disturbances(latency=0.005)
+    results = sensitivity.run([Candidate("wild", (Sine(1.5, period=10.0, name="wild"),), "")], horizon=1.0)
+    document = sensitivity.compose({**results, "still": dict.fromkeys(conditions, (0.0, 0))})
+    head, _, wild, still = cells(document.sections["size_1"])
+    assert head == ["policy", "none", *sensitivity.DISTURBED, "no x_dot"]
+    assert wild[1].endswith(" (2)") and still[1:] == ["0.00"] * (len(head) - 1)
+    assert len(sensitivity.draw(results).axes) == len(head)
+
+
 def test_the_gallery_is_drawn(tmp_path, monkeypatch):
     monkeypatch.setattr(evaluation_policies, "SCRIPTED", {name: Sine(0.3, name="sine") for name in ("one", "two")})
-    changes = {"POLICIES": ("one", "two"), "COMPARED": ("one", "two"), "BEGIN": 0.1, "SECONDS": 0.4}
+    changes = {"POLICIES": ("one",), "TASK_POLICIES": {"two": (PLANT, 0.1, 0.4)}, "BEGIN": 0.1, "SECONDS": 0.4}
+    changes["COMPARED"] = ("one", "two")
     for name, value in changes.items():
         monkeypatch.setattr(recording, name, value)
     assert analysis.main(["gallery", "--output", str(tmp_path)]) == 0

@@ -17,6 +17,7 @@ from stable_baselines3.common.env_checker import check_env as check_sb3
 
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Controller
 from capsule_gym.compilation import inlined
+from capsule_gym.env import shown_state
 from capsule_gym.parameters import EnvConfig, find_task
 from capsule_gym.resets import Stream, random_stream
 from capsule_gym.sb3 import CapsuleSB3VecEnv
@@ -321,6 +322,15 @@ def test_the_goal_is_reached_after_a_second_of_rest_within_2_mm():
     env.reset(options={"state": [1.5, 5.0, 0.0, 0.0]})
     assert env.step(np.zeros(1, np.float32))[2]
     assert env.episode_metrics()["goal_time"] == 15.0
+
+
+@pytest.mark.parametrize(("name", "place"), [("goal", "goal"), ("velocity", "target")])
+def test_pictures_mark_the_goal_and_the_target(name, place):
+    env = CapsuleEnv(task=name)
+    env.reset(seed=3)
+    info = env.step(np.ones(1, np.float32))[4]
+    assert shown_state(env.simulation, 0)["ghost"] == (place, 0.0, info[place])
+    assert "ghost" not in shown_state(CapsuleEnv().simulation, 0)
 
 
 def test_modes_of_the_batch():

@@ -1,0 +1,138 @@
+"""Sensitivity to disturbances: every row of the speed task under each disturbance alone, in four sizes."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from agents.analysis.data import SPEED, Document
+from agents.analysis.figures import write_with
+from agents.evaluation.episodes import TABLE_METRICS, evaluate, failures, scores
+from agents.evaluation.policies import Candidate, all_candidates
+from agents.evaluation.sets import validation_set
+from agents.evaluation.statistics import interquartile_mean
+from baselines.drawing import INK, VERMILION, add_note, new_figure
+from baselines.tables import markdown_table
+from capsule_gym.parameters import DISTURBANCES, REAL, SENSORS, Disturbances
+
+# In multiples of the sizes below.
+SIZES = (0.5, 1.0, 2.0, 4.0)
+# Of the episodes, whose plants are those of randomization="paper".
+EPISODES, FIRST_SEED = 50, 23_000_000
+# They do nothing, and fail without any disturbance.
+LEFT_OUT = ("zero", "random")
+
+
+def _sized_as_real(*names: str) -> dict[str, Any]:
+    return {name: getattr(REAL, name) for name in names}
+
+
+_WHITE = _sized_as_real(*(f"{name}_noise" for name in SENSORS))
+# Each disturbance at the size 1, by its name in tables: that of "real" (of its latency the mean), where that has it.
+DISTURBED: dict[str, dict[str, Any]] = {
+    "white noise": _WHITE,
+    "bias": _sized_as_real(*(f"{name}_bias" for name in SENSORS)),
+    "drift": _sized_as_real(*(f"{name}_drift" for name in SENSORS)),
+    "resolution": {
+        **{name.replace("noise", "resolution"): size for name, size in _WHITE.items()},
+        "torque_resolution": 0.05,
+    },
+    "latency": {"latency": float(np.mean(REAL.latency))},
+    "motor lag": _sized_as_real("lag"),
+    "motor friction": _sized_as_real("motor_friction"),
+    "pushes": {"push": 0.5},
+    'all of "real"': _sized_as_real(*(name for name in DISTURBANCES if name != "drift_time")),
+}
+NONE, UNMEASURED = "none", "no x_dot"
+# The interquartile mean of the speed (cm/s) and the number of failures, by disturbance and size.
+Cells = Mapping[tuple[str, float], tuple[float, int]]
+
+
+def conditions() -> dict[tuple[str, float], str | Disturbances]:
+    """The disturbances by their name and size; those without a size have the size 1."""
+    found: dict[tuple[str, float], str | Disturbances] = {(NONE, 1.0): "none"}
+    for name, given in DISTURBED.items():
+        for size in SIZES:
+            scaled: dict[str, Any] = {
+                each: tuple(size * end for end in value) if isinstance(value, tuple) else size * value
+                for each, value in given.items()
+            }
+            found[name, size] = Disturbances(**scaled)
+    return {**found, (UNMEASURED, 1.0): Disturbances(unmeasured=("x_dot",))}
+
+
+def run(candidates: Sequence[Candidate], horizon: float | None = None) -> dict[str, Cells]:
+    """Evaluates policies under all conditions; of a trained one the first seed.
+
+    Args:
+        candidates: of the speed task.
+        horizon: length of an episode in s; None takes the task's.
+
+    Returns:
+        The results by the policy's name, the fastest without disturbances first.
+    """
+    plants, found = validation_set("paper", "sensitivity", FIRST_SEED, EPISODES), {}
+    for candidate in tqdm(candidates, "evaluating", file=sys.stderr, disable=None):
+        cells = {}
+        for condition, disturbances in conditions().items():
+            episodes = evaluate(candidate.policies[0], replace(plants, disturbances=disturbances), horizon=horizon)
+            cells[condition] = float(interquartile_mean(scores(episodes, SPEED)[0])), failures(episodes)
+        found[candidate.name] = cells
+    return dict(sorted(found.items(), key=lambda row: -row[1][NONE, 1.0][0]))
+
+
+def document() -> Document:
+    """The tables and the figure of all rows."""
+    return compose(run([each for each in all_candidates() if each.name not in LEFT_OUT]))
+
+
+def compose(results: Mapping[str, Cells]) -> Document:
+    """The document of these results."""
+    fields = {name: ", ".join(f"`{each}={size}`" for each, size in given.items()) for name, given in DISTURBED.items()}
+    sizes = markdown_table([["disturbance", "at the size 1"], *([name, text] for name, text in fields.items())])
+    tables = {"sizes": sizes, **{f"size_{size:g}": table(results, size) for size in SIZES}}
+    return Document(tables, {"figures/sensitivity": write_with(draw, results)})
+
+
+def table(results: Mapping[str, Cells], size: float) -> str:
+    """Speed (cm/s), and failures in brackets, under every disturbance of one size."""
+    lines = [["policy", *(columns := [name for name, each in conditions() if each == size or name == NONE])]]
+    for policy, cells in results.items():
+        line = [policy]
+        for name in columns:
+            speed, failed = cells[name, 1.0 if name == NONE else size]
+            line.append(TABLE_METRICS[SPEED].format(speed) + (f" ({failed})" if failed else ""))
+        lines.append(line)
+    return markdown_table(lines)
+
+
+def draw(results: Mapping[str, Cells]) -> Any:
+    """Every policy under every disturbance: its speed as a shade, its failures as a dot."""
+    names = list(dict.fromkeys(name for name, _ in conditions()))
+    widths = [len([1 for name, _ in conditions() if name == each]) for each in names]
+    figure = new_figure(1.5 + 0.155 * len(results))
+    places = figure.subplots(1, len(names), sharey=True, width_ratios=widths)
+    for name, axes in zip(names, places, strict=True):
+        sizes = [size for each, size in conditions() if each == name]
+        values = np.array([[cells[name, size] for size in sizes] for cells in results.values()])
+        image = axes.imshow(values[..., 0], cmap="Blues", vmin=0.0, vmax=20.0, aspect="auto", interpolation="nearest")
+        rows, columns = values[..., 1].nonzero()
+        areas = 16.0 * values[rows, columns, 1] / EPISODES
+        axes.scatter(columns, rows, s=1.0 + areas, color=VERMILION, linewidth=0.0)
+        axes.set_xticks(range(len(sizes)), [f"{size:g}".lstrip("0") for size in sizes] if len(sizes) > 1 else [""])
+        axes.set_title(name, rotation=50.0, ha="left", fontsize=7.0)
+        axes.tick_params(length=0.0, labelsize=7.0)
+        axes.grid(visible=False)
+    places[0].set_yticks(range(len(results)), list(results), parse_math=False, color=INK)
+    figure.colorbar(image, ax=places, shrink=0.6, aspect=30.0, pad=0.01, label="mean speed (cm/s)")
+    add_note(
+        figure,
+        f"Horizontal: multiples of the size in the table. Dots: failures, the largest where all {EPISODES} episodes "
+        "failed. Plants of the paper's ranges, 33 s from rest.",
+    )
+    return figure
