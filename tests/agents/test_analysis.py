@@ -137,7 +137,7 @@ def test_sensitivity_shows_speed_and_failures_under_disturbances_of_each_size(mo
     assert conditions["latency", 0.5] == Disturbances(latency=0.005)
     results = sensitivity.run([Candidate("wild", (Sine(1.5, period=10.0, name="wild"),), "")], horizon=1.0)
     document = sensitivity.compose({**results, "still": dict.fromkeys(conditions, (0.0, 0))})
-    head, _, wild, still = cells(document.sections["size_1"])
+    head, _, wild, still = cells(document.sections["percent_100"])
     assert head == ["policy", "none", *sensitivity.DISTURBED, "no x_dot"]
     assert wild[1].endswith(" (2)") and still[1:] == ["0.00"] * (len(head) - 1)
     assert len(sensitivity.draw(results).axes) == len(head)
