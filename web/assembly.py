@@ -85,7 +85,7 @@ def optimise(entries: Sequence[Entry]) -> Any:
 
 
 def assemble(module: Any, names: Sequence[str]) -> bytes:
-    """The WebAssembly module that exports these functions, and imports nothing but its memory and its stack's pointer.
+    """The WebAssembly module that exports these functions. It imports memory, the stack pointer, and what is undefined.
 
     Raises:
         RuntimeError: if the functions need data.

@@ -3,14 +3,16 @@ export interface Driver {
   name: string;
   description: string;
   kind: "law" | "gait" | "policy" | "recording" | "none";
-  /** Which law lies inside the step; one of `tasks`. */
+  /** One of `tasks`. */
   task: string;
+  /** Which law lies inside the step; one of `controllers`. */
+  controller: string;
   /** Seed of a policy's training run. */
   seed?: number;
   /** Energy weights that a policy can be told, cm/J. */
   energyWeight?: [number, number];
-  /** Whether what it does is recorded, on the plants of the frozen sets alone. */
-  recorded?: boolean;
+  /** Where what it does is recorded: the frozen sets on whose plants alone it drives. */
+  recorded?: string[];
   /** How many seeds it takes, where it draws random torques. */
   seeds?: number;
   /** Length of a step, s. */
@@ -38,9 +40,27 @@ export interface State {
   x_dot: number;
 }
 
-/** How an episode begins; what is left out is nominal. */
+/** Fields of `capsule_gym.Disturbances`; a pair is a range that each episode draws from. What is left out is ideal. */
+export interface Disturbances {
+  controls?: "both" | "law" | "agent";
+  unmeasured?: ("theta" | "theta_dot" | "x_dot")[];
+  /** m/s. */
+  stick_threshold?: number;
+  [name: string]: number | [number, number] | string | string[] | undefined;
+}
+
+/** How an episode begins; what is left out is drawn, or nominal. */
 export interface Start extends Partial<Plant>, Partial<State> {
   changes?: Change[];
+  /** A whole number, which what is drawn follows from. */
+  seed?: number;
+  /** Of a disturbed plant: its other constants by the names in `constants.limits`, and what its episode would draw. */
+  capsule?: Record<string, number>;
+  disturbances?: Record<string, number>;
+  /** Of the task "goal": its displacement from the start, m. */
+  goal?: number;
+  /** Of the task "velocity": in s and m/s. */
+  commands?: { t: number; v: number }[];
 }
 
 /** A plant of a frozen set, with its start and its jumps. */
@@ -48,25 +68,38 @@ export interface Frozen {
   set: string;
   /** From 0. */
   plant: number;
+  /** In place of its jumps. */
+  changes?: Change[];
 }
 
 /** What a driver is told besides. */
 export interface Told {
   /** cm/J. */
   energyWeight?: number;
-  /** Where it draws random torques; that of a frozen plant is its number. */
+  /** Where something is drawn; that of a frozen plant is its own. */
   seed?: number;
+  /** Not with a set, which says them. */
+  disturbances?: "none" | "real" | Disturbances;
 }
 
 /** A plant of a frozen set. */
 export interface FrozenPlant extends Plant {
+  seed: number;
   theta?: number;
   changes?: Change[];
+  goal?: number;
+  capsule?: Record<string, number>;
 }
 
-/** Every quantity of the last step and of the episode, in SI units, under the names of `quantities`. */
+/**
+ * Every quantity of the last step and of the episode, in SI units, under the names of `quantities`, and what the task
+ * shows. Of a disturbed plant what the sensors show, and what the episode has drawn.
+ */
 export type Info = {
-  [quantity: string]: number | string;
+  [quantity: string]: number | string | Record<string, number> | undefined;
+  reading?: Record<string, number>;
+  capsule?: Record<string, number>;
+  disturbances?: Record<string, number>;
   termination: "none" | "pendulum" | "contact" | "diverged";
 };
 
@@ -94,6 +127,12 @@ export interface Metrics {
   duration: number;
   /** 1 where the episode has failed, else 0. */
   failed: number;
+  /** Of the task "goal": 1 where it was reached, and when, s. */
+  success?: number;
+  goal_time?: number;
+  /** Of the task "velocity": in percent of the commands, and the share of those that were not settled. */
+  velocity_error?: number;
+  unsettled?: number;
 }
 
 export interface StepResult {
@@ -111,22 +150,27 @@ export interface Snapshot {
 }
 
 export const drivers: readonly Driver[];
+export const controllers: readonly string[];
 export const tasks: readonly string[];
 export const quantities: readonly string[];
-export const sets: Readonly<Record<string, { hash: string; plants: FrozenPlant[] }>>;
+export const sets: Readonly<Record<string, { hash: string; task: string; plants: FrozenPlant[] }>>;
 export const constants: {
   control_dt: number;
   steps: number;
+  /** Length of an episode, s, by tasks. */
+  horizons: Record<string, number>;
   torque_limit: number;
   theta_limit: number;
   m: number;
   l: number;
   g: number;
-  nominal: Plant;
+  nominal: Plant & Record<string, number>;
   /** Where environments draw M and mu from. */
   ranges: Record<string, { M: [number, number]; mu: [number, number] }>;
-  /** What `reset` and `setPlant` accept. */
-  limits: { M: [number, number]; mu: [number, number] };
+  /** What `reset` and `setPlant` accept of M and mu, and `reset` of a disturbed plant's other constants. */
+  limits: { M: [number, number]; mu: [number, number] } & Record<string, [number, number]>;
+  /** What `disturbances: "real"` is. */
+  real: Disturbances;
   start: State;
   largest_state: State;
 };
@@ -134,13 +178,16 @@ export const constants: {
 /** One capsule with a law inside its step, or with none. */
 export class Capsule {
   private constructor();
+  readonly task: string;
+  /** Whether an episode draws anything, and so may have a seed. */
+  readonly draws: boolean;
   readonly controlDt: number;
   readonly horizon: number;
   readonly state: State;
   readonly observation: Float32Array;
   readonly info: Info;
   readonly metrics: Metrics;
-  /** In the order of `quantities`, then the law's memory and its line of the reference. */
+  /** In the order of `quantities`, then the law's memory, its line of the reference, the task's memory, the history. */
   readonly world: Float64Array;
   reset(start?: Start): { observation: Float32Array; info: Info };
   step(action: number): StepResult;
@@ -158,7 +205,10 @@ export class Episode extends Capsule {
   tick(): StepResult;
 }
 
-export function load(task: string): Promise<Capsule>;
+export function load(
+  controller: string,
+  options?: { task?: string; disturbances?: "none" | "real" | Disturbances } | { set: string },
+): Promise<Capsule>;
 export function drive(driver: string, options?: (Start | Frozen) & Told): Promise<Episode>;
 /** A policy of one's own: the JSON of what `web.data.describe_policy` says of it in Python. */
 export interface OwnDriver {
@@ -166,11 +216,20 @@ export interface OwnDriver {
   name: string;
   description: string;
   kind: "policy";
-  /** One of `tasks`. */
+  /** One of `tasks`, and of `controllers`. */
   task: string;
+  controller: string;
   seed?: number;
-  /** The step's settings, of the package's own layout; control_dt in s. */
-  settings: { fixed: number[]; entries: number; control_dt: number; steps: number };
+  /** The step's settings, plain and disturbed, of the package's own layout; control_dt in s. */
+  settings: {
+    fixed: number[];
+    varied: number[];
+    capsule: number[];
+    disturbances: "none" | "real" | Disturbances;
+    entries: number;
+    control_dt: number;
+    steps: number;
+  };
   /** The packed network, of the package's own layout. */
   network: number[];
   /** The most units of a layer. */

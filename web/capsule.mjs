@@ -25,7 +25,9 @@ async function unpack(text) {
 }
 
 const [HEADER, CONTENT] = await unpack(ARCHIVE);
-const { layout: LAYOUT, tasks: TASKS, drivers: DRIVERS } = HEADER;
+const { layout: LAYOUT, tasks: TASKS, controllers: CONTROLLERS, drivers: DRIVERS, variation: VARIATION } = HEADER;
+const { constants: CONSTANTS, disturbances: DISTURBANCES } = VARIATION;
+const SENSORS = ["theta", "theta_dot", "x_dot"];
 const { lanes: LANES, quantities: QUANTITIES } = LAYOUT;
 const ROW = Object.fromEntries(QUANTITIES.map((name, row) => [name, row]));
 const STATE = Object.keys(HEADER.constants.start);
@@ -36,7 +38,7 @@ const MODULES = new Map();
 /** What a page shows of a driver. */
 function describe({ settings, network, units, gaits, recordings, seeds, ...shown }) {
   const own = { controlDt: settings.control_dt, steps: settings.steps };
-  return { ...shown, ...own, ...(recordings && { recorded: true }), ...(seeds && { seeds: seeds.count }) };
+  return { ...shown, ...own, ...(recordings && { recorded: Object.keys(recordings) }), ...(seeds && { seeds: seeds.count }) };
 }
 
 /** Every driver, with what a page shows of it. */
@@ -45,9 +47,13 @@ export const drivers = DRIVERS.map(describe);
 export const sets = HEADER.sets;
 /** Numbers of the task and of the plant, in SI units. */
 export const constants = HEADER.constants;
-/** Names of the tasks that `load` takes. */
+/** Names of the controllers that `load` takes, and of its tasks. */
+export const controllers = Object.keys(CONTROLLERS);
 export const tasks = Object.keys(TASKS);
-/** Names of the rows of `world`, in their order; behind them lie the law's memory and its line of the reference. */
+/**
+ * Names of the rows of `world`, in their order; behind them lie the law's memory, its line of the reference, the task's
+ * memory, and the history of a disturbed plant.
+ */
 export const quantities = QUANTITIES;
 
 /** A float64 array out of the archive, where its bytes lie by columns and significance. */
@@ -86,7 +92,8 @@ async function place(sizes, names) {
   };
   const call = {};
   for (const name of names) {
-    Object.assign(call, (await WebAssembly.instantiate(await compiled(name), { env })).exports);
+    // The step imports the law, which stands before it.
+    Object.assign(call, (await WebAssembly.instantiate(await compiled(name), { env: { ...env, ...call } })).exports);
   }
   const views = Object.entries(sizes).map(([name, [Kind, length]]) => [
     name,
@@ -118,6 +125,87 @@ function checkCount(name, value, count) {
   if (!Number.isInteger(value)) throw new TypeError(`${name} must be ${accepted}, got ${String(value)}`);
   if (value < 0 || value >= count) throw new RangeError(`${name} must be ${accepted}, got ${value}`);
   return value;
+}
+
+/** An object, or says what is accepted. */
+function checkFields(name, value, names) {
+  const accepted = `an object with fields out of ${names.join(", ")}`;
+  if (typeof value !== "object" || value === null) throw new TypeError(`${name} must be ${accepted}, got ${value}`);
+  const stranger = Object.keys(value).find((key) => !names.includes(key));
+  if (stranger !== undefined) throw new RangeError(`${name} must be ${accepted}, got ${stranger}`);
+  return value;
+}
+
+/** Disturbances as `capsule_gym.Disturbances` has them, by name or by fields; null for none. */
+function checkDisturbances(given) {
+  if (given === "none") return null;
+  if (given === "real") return constants.real;
+  if (typeof given === "string") throw new RangeError(`disturbances must be none, real or an object, got ${given}`);
+  checkFields("disturbances", given, Object.keys(VARIATION.ideal));
+  const found = { ...VARIATION.ideal, ...given };
+  for (const name of DISTURBANCES) {
+    const ends = [found[name]].flat().map((end) => checkNumber(`disturbances.${name}`, end, ...VARIATION.limits[name]));
+    if (ends.length > 2 || ends[0] > ends.at(-1)) {
+      throw new RangeError(`disturbances.${name} must be a number or [low, high], got ${found[name]}`);
+    }
+  }
+  if (!["both", "law", "agent"].includes(found.controls)) {
+    throw new RangeError(`disturbances.controls must be both, law or agent, got ${found.controls}`);
+  }
+  if (!Array.isArray(found.unmeasured) || !found.unmeasured.every((name) => SENSORS.includes(name))) {
+    throw new RangeError(`disturbances.unmeasured must be an array out of ${SENSORS.join(", ")}, got ${found.unmeasured}`);
+  }
+  checkNumber("disturbances.stick_threshold", found.stick_threshold, 0, 1e3);
+  return found;
+}
+
+/** The nearest whole number, of two the even one. */
+function rounded(value) {
+  return value + 1.5 * 2 ** 52 - 1.5 * 2 ** 52;
+}
+
+/** Time between two calls of the law, or without one of the integrator, s. */
+function periodOf(fixed) {
+  return fixed[LAYOUT.settings.physics_steps] * fixed[LAYOUT.settings.physics_dt];
+}
+
+/** What the step is given of the plant and of the settings: of an ideal plant, or of a disturbed one. */
+function packFixed(settings, capsule, disturbed) {
+  const fixed = Float64Array.from(disturbed ? settings.varied : settings.fixed);
+  CONSTANTS.forEach((name, n) => { if (name in LAYOUT.plant) fixed[LAYOUT.plant[name]] = capsule[n]; });
+  if (!disturbed) return fixed;
+  const { controls, unmeasured, latency, stick_threshold } = disturbed;
+  const at = LAYOUT.settings;
+  fixed[at.history] = rounded([latency].flat().at(-1) / periodOf(fixed)) + 1;
+  fixed[at.law_reads] = fixed[at.with_reference] && controls !== "agent";
+  fixed[at.agent_reads] = controls !== "law";
+  fixed[at.stick_threshold] = controls === "law" ? 0 : stick_threshold;
+  for (const name of SENSORS) fixed[at[`with_${name}`]] = !unmeasured.includes(name);
+  return fixed;
+}
+
+/** What `resets.draw_rows` reads: what the task draws into its memory, which begins there, and what a varied plant does. */
+function drawTable(task, first, capsule, disturbed) {
+  const table = TASKS[task].table.map(([row, ...line]) => [row + first, ...line]);
+  if (!disturbed) return table;
+  const ranges = [...capsule, ...DISTURBANCES.map((name) => disturbed[name])].map((range) => [range].flat());
+  return table.concat(VARIATION.table.map((line, n) => {
+    const [low, high = low] = ranges[n] ?? [];
+    return n < ranges.length ? [...line.slice(0, 3), low, high - low, 0] : line;
+  }));
+}
+
+/** The commands of an episode as its memory has them: their velocities, and how long each lasts. */
+function packCommands(commands, count) {
+  if (!Array.isArray(commands) || commands.length < 1 || commands.length > count) {
+    throw new RangeError(`commands must be an array of 1 to ${count} of {t, v}, got ${String(commands)}`);
+  }
+  const v = commands.map((command, n) => checkNumber(`commands[${n}].v`, command.v, -0.2, 0.2));
+  const t = commands.map((command, n) => checkNumber(`commands[${n}].t`, command.t, 0, n ? Infinity : 0));
+  if (t.some((time, n) => n > 0 && time <= t[n - 1])) throw new RangeError("commands must be in the order of their t");
+  const lasts = t.map((time, n) => (t[n + 1] ?? Infinity) - time);
+  const rest = count - v.length;
+  return [...v, ...Array(rest).fill(v.at(-1)), ...lasts, ...Array(rest).fill(Infinity)];
 }
 
 /** A plant's M and mu, checked. */
@@ -163,19 +251,30 @@ class Draws {
 export class Capsule {
   #place;
   #settings;
-  #task;
+  #kind;
   #changes = [];
   #due = 0;
 
   /** For `load` and `drive`. */
-  constructor(placed, task, settings) {
+  constructor(placed, kind, settings) {
     this.#place = placed;
-    this.#task = task;
+    this.#kind = kind;
     this.#settings = settings;
     const { view } = placed;
-    view.fixed.set(settings.fixed);
-    view.fixed.set(task.reference, settings.fixed.length);
-    view.memory.set(task.memory);
+    view.fixed.set(kind.fixed);
+    view.fixed.set(kind.reference, kind.fixed.length);
+    view.memory.set(kind.memory);
+    view.table.set(kind.table.flat());
+  }
+
+  /** Whether an episode draws anything, and so may have a seed. */
+  get draws() {
+    return this.#kind.table.length > 0;
+  }
+
+  /** Name of the task. */
+  get task() {
+    return this.#kind.task;
   }
 
   /** Length of a step, s. */
@@ -188,26 +287,51 @@ export class Capsule {
     return this.#settings.steps;
   }
 
-  /** Begins an episode; what is not given is nominal, and at rest at the angle that episodes start from. */
-  reset({ M = constants.nominal.M, mu = constants.nominal.mu, changes = [], ...state } = {}) {
+  /**
+   * Begins an episode. What is drawn follows from the seed, or without one from the last one and the episodes since;
+   * what else is not given is nominal, and at rest at the angle that episodes start from.
+   */
+  reset({ M = constants.nominal.M, mu = constants.nominal.mu, changes = [], seed, ...others } = {}) {
+    const { task, table, disturbed, fixed } = this.#kind;
     const plant = checkPlant("", { M, mu });
     const schedule = checkChanges(changes);
-    const start = { ...constants.start, ...state };
+    const [start, given] = [{ ...constants.start }, {}];
+    const { options } = TASKS[task];
+    for (const [name, value] of Object.entries(others)) {
+      if (STATE.includes(name)) start[name] = value;
+      else if (options.includes(name) || (disturbed && ["capsule", "disturbances"].includes(name))) given[name] = value;
+      else {
+        const more = disturbed ? ["capsule", "disturbances"] : [];
+        const names = ["M", "mu", "changes", "seed", ...STATE, ...options, ...more];
+        throw new RangeError(`reset takes ${names.join(", ")}, got ${name}`);
+      }
+    }
     for (const [name, value] of Object.entries(start)) {
-      if (!STATE.includes(name)) throw new RangeError(`reset takes M, mu, changes, ${STATE.join(", ")}, got ${name}`);
       const largest = constants.largest_state[name];
       checkNumber(name, value, -largest, largest);
     }
     if (Math.abs(start.theta) === constants.theta_limit) {
       throw new RangeError(`theta must be a number within +-${constants.theta_limit}, got ${start.theta}`);
     }
+    if (seed !== undefined) {
+      if (!table.length) throw new RangeError("seed must be left out: nothing is drawn");
+      checkCount("seed", seed, 2 ** 53);
+    }
+    const overrides = this.#overrides(given);
     const { address, call, view } = this.#place;
+    if (seed !== undefined) {
+      view.key.set([BigInt(seed), 0n]);
+      view.episodes[0] = 0n;
+    }
+    if (table.length) call.draw(address.table, table.length, address.rows, address.key, address.episodes, address.drawn);
     view.starts.set([...STATE.map((name) => start[name]), plant.M, plant.mu]);
     [this.#changes, this.#due] = [schedule, 0];
+    const [m, g] = ["m", "g"].map((name) => fixed[LAYOUT.plant[name]]);
     call.renew(
-      ...[address.world, view.world.length, address.memory, view.memory.length, constants.m, constants.g],
+      ...[address.world, view.world.length, address.memory, view.memory.length, m, g],
       ...[address.starts, address.rows, address.episodes],
     );
+    table.forEach(([row], n) => (view.world[LANES * row] = overrides.get(row) ?? view.drawn[n]));
     this.#advance(true);
     return { observation: this.observation, info: this.info };
   }
@@ -244,12 +368,23 @@ export class Capsule {
 
   /** The present observation, as Python shows it. */
   get observation() {
-    return this.#place.view.observations.slice(0, this.#settings.entries);
+    return this.#place.view.observations.slice();
   }
 
-  /** Every quantity of the last step and of the episode by name, in SI units, and why the episode has ended. */
+  /**
+   * Every quantity of the last step and of the episode by name, in SI units, what the task shows, and why the episode
+   * has ended; of a disturbed plant what the sensors show, and what the episode has drawn.
+   */
   get info() {
     const shown = Object.fromEntries(SHOWN.map((name) => [name, this.#get(ROW[name])]));
+    const { task, disturbed } = this.#kind;
+    for (const name of TASKS[task].shown) shown[name] = this.#remembered(name);
+    if (disturbed) {
+      const read = (names, prefix) => Object.fromEntries(names.map((name) => [name, this.#get(ROW[prefix + name])]));
+      shown.reading = read(STATE, "read_");
+      shown.capsule = read(CONSTANTS, "drawn_");
+      shown.disturbances = read(DISTURBANCES, "");
+    }
     return { ...shown, termination: LAYOUT.terminations[shown.termination] };
   }
 
@@ -274,34 +409,85 @@ export class Capsule {
       energy: is.episode_energy,
       duration: is.duration,
       failed: failed ? 1 : 0,
+      ...this.#taskMetrics(failed ? this.horizon * this.controlDt : elapsed),
     };
+  }
+
+  /** The task's own, over an episode of that length in s. */
+  #taskMetrics(whole) {
+    if (this.task === "goal") {
+      const reached = this.#remembered("reached");
+      return { success: reached > 0 ? 1 : 0, goal_time: reached > 0 ? reached : whole };
+    }
+    if (this.task !== "velocity") return {};
+    const is = Object.fromEntries(TASKS.velocity.memory.map((name) => [name, this.#remembered(name)]));
+    const duration = is.measured_from > 0 ? is.since - is.measured_from : 0;
+    // A command counts that was measured for a second.
+    const counts = duration >= 1 - 1e-9 ? 1 : 0;
+    const moved = is.target - is.error - is.measured_x;
+    const missed = is.missed + counts * Math.abs(moved - is.command * duration);
+    const commanded = is.commanded + counts * Math.abs(is.command) * duration;
+    const [measured, unsettled] = [is.measured + counts, is.unsettled + counts * (1 - is.settled)];
+    const error = 100 * (commanded > 0 ? missed / commanded : 1);
+    return { velocity_error: error, unsettled: measured > 0 ? unsettled / measured : 1 };
   }
 
   /** A copy of all that the step remembers, in the order of `quantities`: what bits are compared of. */
   get world() {
-    return Float64Array.from({ length: this.#task.rows }, (_, row) => this.#get(row));
+    return Float64Array.from({ length: this.#kind.rows }, (_, row) => this.#get(row));
   }
 
   /** The whole state, for `restore`. */
   snapshot() {
     const [changes, due] = [this.#changes, this.#due];
-    return { world: this.world, observation: this.observation, changes, due, cells: this.#place.view.cells.slice() };
+    const { cells, episodes } = this.#place.view;
+    const drawn = [episodes[0], ...this.#place.view.key];
+    return { world: this.world, observation: this.observation, changes, due, cells: cells.slice(), drawn };
   }
 
   /** Goes back to where a snapshot of this capsule was taken. */
-  restore({ world, observation, changes, due, cells }) {
+  restore({ world, observation, changes, due, cells, drawn: [episodes, ...key] }) {
     const { view } = this.#place;
-    if (world.length !== this.#task.rows || cells.length !== view.cells.length) {
-      throw new RangeError("snapshot must be one of a capsule with the same law and the same kind of driver");
+    if (world.length !== this.#kind.rows || cells.length !== view.cells.length) {
+      throw new RangeError("snapshot must be one of a capsule of the same kind");
     }
     world.forEach((value, row) => (view.world[LANES * row] = value));
     view.observations.set(observation);
     view.cells.set(cells);
+    view.episodes[0] = episodes;
+    view.key.set(key);
     [this.#changes, this.#due] = [changes, due];
   }
 
   #get(row) {
     return this.#place.view.world[LANES * row];
+  }
+
+  /** A number of the task's memory. */
+  #remembered(name) {
+    return this.#get(this.#kind.memoryRow + TASKS[this.task].memory.indexOf(name));
+  }
+
+  /** By rows of the world, what a reset is given of what would be drawn. */
+  #overrides({ capsule = {}, disturbances = {}, goal, commands }) {
+    const { fixed, memoryRow, task } = this.#kind;
+    const { memory, table } = TASKS[task];
+    const found = new Map();
+    checkFields("capsule", capsule, CONSTANTS);
+    for (const [name, value] of Object.entries(capsule)) {
+      found.set(ROW[`drawn_${name}`], checkNumber(`capsule.${name}`, value, ...constants.limits[name]));
+    }
+    checkFields("disturbances", disturbances, DISTURBANCES);
+    for (const [name, value] of Object.entries(disturbances)) {
+      const [low, high] = VARIATION.limits[name];
+      const longest = name === "latency" ? (fixed[LAYOUT.settings.history] - 1) * periodOf(fixed) : high;
+      found.set(ROW[name], checkNumber(`disturbances.${name}`, value, low, longest));
+    }
+    const drawn = [];
+    if (goal !== undefined) drawn.push(checkNumber("goal", goal, -1e6, 1e6));
+    if (commands !== undefined) drawn.push(...packCommands(commands, table.length / 2));
+    drawn.forEach((value, n) => found.set(memoryRow + memory.length - table.length + n, value));
+    return found;
   }
 
   #setPlant({ M, mu }) {
@@ -312,7 +498,9 @@ export class Capsule {
   #advance(begin) {
     const { address, call, view } = this.#place;
     const { world, fixed, observations } = address;
-    const broken = call.advance(world, view.world.length, begin ? 1 : 0, fixed, view.fixed.length, observations);
+    const { entries } = this.#settings;
+    const given = [world, view.world.length, begin ? 1 : 0, fixed, view.fixed.length, observations, entries];
+    const broken = call.advance(...given);
     if (broken >= 0) throw new Error("the control law returned a torque that is not finite");
   }
 }
@@ -321,14 +509,16 @@ export class Capsule {
 export class Episode extends Capsule {
   #driver;
   #place;
+  #set;
   #recording = null;
   #draws = null;
   #action = 0;
 
   /** For `drive`. */
-  constructor(placed, task, driver) {
-    super(placed, task, driver.settings);
+  constructor(placed, kind, driver) {
+    super(placed, kind, driver.settings);
     this.#place = placed;
+    this.#set = kind.set;
     this.#driver = driver;
   }
 
@@ -347,18 +537,25 @@ export class Episode extends Capsule {
     const { name, recordings, seeds } = this.#driver;
     let start = options;
     if (set !== undefined || plant !== undefined) {
-      if (Object.keys(options).length > 0) throw new RangeError("set and plant must stand without M, mu and a start");
-      if (!Object.hasOwn(sets, set)) throw new RangeError(`set must be one of ${Object.keys(sets).join(", ")}, got ${set}`);
-      start = sets[set].plants[checkCount("plant", plant, sets[set].plants.length)];
+      const { changes, ...others } = options;
+      if (Object.keys(others).length > 0) throw new RangeError("set and plant must stand without M, mu and a start");
+      const known = Object.keys(recordings ?? sets);
+      if (!known.includes(set)) throw new RangeError(`set must be one of ${known.join(", ")}, got ${set}`);
+      if (kindOf(sets[set]) !== this.#set) {
+        throw new RangeError(`set must be one with the disturbances that drive() was given, got ${set}`);
+      }
+      start = { ...sets[set].plants[checkCount("plant", plant, sets[set].plants.length)], ...(changes && { changes }) };
     } else if (recordings) {
       throw new RangeError(`set and plant must be given: what ${name} does is recorded on the frozen plants alone`);
     }
-    if (seed !== undefined && !seeds) throw new RangeError(`seed must be left out: ${name} draws nothing`);
-    const draws = seeds && drawsOf(seeds, checkCount("seed", seed ?? plant ?? 0, seeds.count));
+    const { seed: own = 0, ...first } = start;
+    const chosen = seed ?? own;
+    if (seed !== undefined && !seeds && !this.draws) throw new RangeError(`seed must be left out: ${name} draws nothing`);
+    const draws = seeds && drawsOf(seeds, checkCount("seed", chosen, seeds.count));
     this.#place.view.cells.fill(0);
     this.#recording = recordings ? recordingOf(recordings[set], plant) : null;
     [this.#action, this.#draws] = [0, draws];
-    return super.reset(start);
+    return super.reset({ ...first, ...(this.draws && (seed !== undefined || set) ? { seed: chosen } : {}) });
   }
 
   /** `step`, whose action the driver chooses. */
@@ -428,53 +625,93 @@ function recordingOf({ at, steps }, plant) {
   return CONTENT.subarray(begin, begin + steps[plant]);
 }
 
-/** Places, and the arrays that a task and a driver need. */
-async function prepare(name, driver) {
-  const task = { ...TASKS[name], reference: readArray(TASKS[name].table) };
+/** What the environments of a set have in common, as text. */
+function kindOf({ task, capsule, disturbances }) {
+  return JSON.stringify([task, capsule, disturbances]);
+}
+
+/** Places, and the arrays that a controller, a task and a driver need. */
+async function prepare(controller, task, settings, given, driver) {
+  const { rows, table, memory } = CONTROLLERS[controller];
+  const disturbed = checkDisturbances(given.disturbances ?? settings.disturbances);
+  const step = disturbed ? `${task}-varied` : task;
+  if (!(step in HEADER.modules)) throw new RangeError(`disturbances must be none in the task ${task}`);
+  const capsule = given.capsule ?? settings.capsule;
+  const fixed = packFixed(settings, capsule, disturbed);
+  const end = rows + TASKS[task].memory.length;
+  const kind = {
+    task, disturbed, fixed, memory, reference: readArray(table), memoryRow: rows,
+    rows: end + LAYOUT.history_rows * fixed[LAYOUT.settings.history], table: drawTable(task, rows, capsule, disturbed),
+  };
   const network = networkOf(driver);
   const gaits = driver?.gaits ? readArray(driver.gaits.table) : new Float64Array(0);
-  const { fixed } = (driver ?? task).settings;
   const sizes = {
-    world: [Float64Array, task.rows * LANES],
-    fixed: [Float64Array, fixed.length + task.reference.length],
-    observations: [Float32Array, LAYOUT.entries],
-    memory: [Float64Array, task.memory.length],
+    world: [Float64Array, kind.rows * LANES],
+    fixed: [Float64Array, fixed.length + kind.reference.length],
+    observations: [Float32Array, settings.entries],
+    memory: [Float64Array, memory.length],
     starts: [Float64Array, LAYOUT.starts],
     rows: [BigInt64Array, 1],
     episodes: [BigInt64Array, 1],
+    key: [BigUint64Array, 2],
+    table: [Float64Array, 6 * kind.table.length],
+    drawn: [Float64Array, kind.table.length],
     network: [Float64Array, network.length],
     gaits: [Float64Array, gaits.length],
     cells: [Float64Array, network.length ? LAYOUT.cells : 0],
-    inputs: [Float32Array, LAYOUT.entries + LAYOUT.cells],
+    inputs: [Float32Array, settings.entries + LAYOUT.cells],
     scratch: [Float64Array, network.length ? 2 * driver.units * LANES : 0],
   };
-  const placed = await place(sizes, [name, "common"]);
+  const placed = await place(sizes, [controller, step, "common"]);
   placed.view.network.set(network);
   placed.view.gaits.set(gaits);
-  return [placed, task];
+  return [placed, kind];
 }
 
-/** A capsule with one of `tasks` in its step, at the beginning of a nominal episode. */
-export async function load(name) {
-  if (!Object.hasOwn(TASKS, name)) throw new RangeError(`task must be one of ${tasks.join(", ")}, got ${name}`);
-  const [placed, task] = await prepare(name, null);
-  const capsule = new Capsule(placed, task, task.settings);
+/**
+ * A capsule with one of `controllers` in its step, at the beginning of a nominal episode.
+ *
+ * @param controller "direct" or a law.
+ * @param options `task`, and `disturbances`: "none", "real" or fields of `capsule_gym.Disturbances`; or the name of a
+ *   set, `set`, for what its environments have in common.
+ */
+export async function load(controller, options = {}) {
+  if (!Object.hasOwn(CONTROLLERS, controller)) {
+    throw new RangeError(`controller must be one of ${controllers.join(", ")}, got ${controller}`);
+  }
+  const { set, task, ...given } = { ...checkFields("options", options, ["set", "task", "disturbances"]) };
+  if (set !== undefined && !Object.hasOwn(sets, set)) {
+    throw new RangeError(`set must be one of ${Object.keys(sets).join(", ")}, got ${set}`);
+  }
+  const { settings } = CONTROLLERS[controller];
+  const chosen = task ?? sets[set]?.task ?? Object.keys(settings)[0];
+  if (!Object.hasOwn(settings, chosen)) {
+    throw new RangeError(`task must be one of ${Object.keys(settings).join(", ")} with ${controller}, got ${chosen}`);
+  }
+  const [placed, kind] = await prepare(controller, chosen, settings[chosen], sets[set] ?? given, null);
+  const capsule = new Capsule(placed, kind, settings[chosen]);
   capsule.reset();
   return capsule;
 }
 
 /**
- * An episode of one of `drivers`, at its beginning; the options are those of `reset`, and the energy weight. In their
- * place stand the name of a frozen set and the number of a plant in it.
+ * An episode of one of `drivers`, at its beginning; the options are those of `reset`, the energy weight, and the
+ * disturbances that episodes draw, as of `load`. In place of the former stand the name of a frozen set and the number of
+ * a plant in it, and what that set's environments have.
  */
-export async function drive(name, { energyWeight, ...options } = {}) {
+export async function drive(name, { energyWeight, disturbances, ...options } = {}) {
   const driver = find("driver", name, DRIVERS);
-  const [placed, task] = await prepare(driver.task, driver);
-  const episode = new Episode(placed, task, driver);
+  const { task, controller, settings } = driver;
+  const found = sets[options.set];
+  if (found && disturbances !== undefined) throw new RangeError("disturbances must be left out: the set says them");
+  if (found && found.task !== task) throw new RangeError(`set must be one of the task ${task}, got ${options.set}`);
+  const given = found ?? { task, disturbances: disturbances ?? settings.disturbances };
+  const [placed, kind] = await prepare(controller, task, settings, given, driver);
+  const episode = new Episode(placed, { ...kind, set: kindOf(given) }, driver);
   if (energyWeight !== undefined) {
-    if (!driver.energyWeight) throw new RangeError(`energyWeight must be left out: ${name} is told none`);
+    if (!driver.energyWeight) throw new RangeError(`energyWeight must be left out: ${name} observes none`);
     checkNumber("energyWeight", energyWeight, ...driver.energyWeight);
-    placed.view.fixed[LAYOUT.energy_weight] = energyWeight;
+    placed.view.fixed[LAYOUT.settings.energy_weight] = energyWeight;
     placed.view.network[LAYOUT.log_energy_weight] = placed.call.log(energyWeight);
   }
   episode.reset(options);
@@ -483,13 +720,17 @@ export async function drive(name, { energyWeight, ...options } = {}) {
 
 /** Makes a policy from elsewhere one of `drivers`: what `web.data.describe_policy` says of it in Python. */
 export function addDriver(driver) {
-  const { name, task, settings, network, units } = driver;
+  const { name, task, controller, settings, network, units } = driver;
   if (typeof name !== "string") throw new TypeError(`name must be a string, got ${String(name)}`);
   if (DRIVERS.some((other) => other.name === name)) throw new RangeError(`name must be a new one, got ${name}`);
-  if (!Object.hasOwn(TASKS, task)) throw new RangeError(`task must be one of ${tasks.join(", ")}, got ${task}`);
-  const [size, given] = [TASKS[task].settings.fixed.length, settings?.fixed?.length];
-  if (given !== size) throw new RangeError(`settings.fixed must be ${size} numbers, got ${given}`);
-  checkNumber("settings.entries", settings.entries, 1, LAYOUT.entries);
+  const known = CONTROLLERS[controller]?.settings;
+  if (!known) throw new RangeError(`controller must be one of ${controllers.join(", ")}, got ${controller}`);
+  if (!Object.hasOwn(known, task)) throw new RangeError(`task must be one of ${Object.keys(known).join(", ")}, got ${task}`);
+  for (const kind of ["fixed", "varied"]) {
+    const [size, given] = [known[task].fixed.length, settings?.[kind]?.length];
+    if (given !== size) throw new RangeError(`settings.${kind} must be ${size} numbers, got ${given}`);
+  }
+  checkNumber("settings.entries", settings.entries, 1, LAYOUT.most_entries);
   checkNumber("settings.control_dt", settings.control_dt, Number.MIN_VALUE, Number.MAX_VALUE);
   checkNumber("settings.steps", settings.steps, 1, Number.MAX_SAFE_INTEGER);
   if (!Array.isArray(network)) throw new TypeError(`network must be an array of numbers, got ${String(network)}`);

@@ -11,6 +11,8 @@ import base64
 import json
 import zlib
 from collections.abc import Callable
+from dataclasses import asdict, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,33 +20,63 @@ import numpy as np
 from agents.training.presets import ROWS, PPOConfig
 from baselines.dynamic_programming.policy import TORQUES
 from baselines.gaits.archive import GaitMap, encode_gaits, known_gaits, tolerant_nominal
-from baselines.policies import SCRIPTED
-from capsule_gym import Policy, load_policy, task
-from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, load_set
-from capsule_gym.layout import LANES, SETTINGS, Row, StepSettings, pack
+from capsule_gym import Policy, load_policy, resets, task
+from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, TASK_SET_NAMES, EvaluationSet, load_set
+from capsule_gym.layout import HISTORY_ROWS, LANES, SETTINGS, Row, StepSettings, pack
 from capsule_gym.network import HEADER, Header
 from capsule_gym.observation import CELLS, M_BOUND, MU_BOUND, observation_names
-from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, EnvConfig
-from capsule_gym.simulation import NO_CONTROLLER, check_step, count_rows, make_settings
+from capsule_gym.parameters import (
+    CONSTANTS,
+    DISTURBANCES,
+    LARGEST_STACK,
+    NOMINAL,
+    RANDOMIZATIONS,
+    REAL,
+    Capsule,
+    Disturbances,
+    EnvConfig,
+    Plant,
+    Randomization,
+    find_task,
+)
+from capsule_gym.simulation import LARGEST_KEY, NO_CONTROLLER, check_step, count_rows, make_settings
 from web.episodes import (
     FILE,
     OVER,
     RECORDED,
+    SCRIPTED_POLICIES,
     controller_names,
     env_kwargs,
     is_trained,
     known_recordings,
 )
-from web.modules import COMMON, DIRECT, ENTRIES, STARTS, TASKS, build, find_law
+from web.modules import COMMON, DIRECT, ENTRIES, LAWS, STARTS, STEPS, build, find_law
 
-# The smallest mass of the platform with which friction up to the largest is accepted, kg.
-LIGHTEST = 0.2
+# The smallest mass of the platform with which friction up to the largest is accepted, kg, and the motor's largest
+# friction, N m, the capsule's as that of disturbances.
+LIGHTEST, LARGEST_MOTOR_FRICTION = 0.2, 0.2
+# What is accepted of the other constants.
+RANGES = Randomization(
+    M=(LIGHTEST, M_BOUND * NOMINAL.M),
+    mu=(0.0, MU_BOUND),
+    m=(0.1, 0.18),
+    l=(0.25, 0.35),
+    g=(1.0, 15.0),
+    k=(0.2, 0.6),
+    c=(0.05, 0.15),
+    static_ratio=(1.0, 1.5),
+    backward_ratio=(0.5, 1.5),
+    viscous=(0.0, 2.0),
+    stribeck_speed=(0.02, 1.0),
+    slope=(-0.2, 0.2),
+    motor_friction=(0.0, LARGEST_MOTOR_FRICTION),
+)
 GAITS: dict[str, Callable[[], GaitMap]] = {
     "gait-nominal": lambda: GaitMap((NOMINAL.M,), (NOMINAL.mu,), (tolerant_nominal(),), ((0,),)),
     "gait-oracle": lambda: known_gaits().oracle,
 }
 RANDOM = "random"
-# As many as a frozen set has plants, whose seeds are 0, 1, ..
+# Of each frozen set as many plants, whose seeds are 0, 1, ..
 SEEDS = 100
 
 
@@ -81,14 +113,19 @@ class Archive:
 
 def pack_data() -> str:
     """All that the JavaScript is given."""
-    archive, modules = Archive(), build([COMMON, *TASKS])
+    archive, modules = Archive(), build([COMMON, *STEPS, *LAWS])
     return archive.pack(
         {
             "modules": {name: archive.add(content) for name, content in modules.items()},
             "layout": layout(),
-            "tasks": {name: describe_task(name, archive) for name in TASKS},
+            "tasks": {name: describe_task(name) for name in task.TASKS},
+            "variation": variation(),
+            "controllers": {name: describe_controller(name, archive) for name in LAWS},
             "drivers": [describe_driver(name, archive) for name in controller_names()],
-            "sets": {each.name: describe_set(each) for each in map(load_set, SET_NAMES)},
+            "sets": {
+                each.name: describe_set(each)
+                for each in map(load_set, (*SET_NAMES, *FURTHER_SET_NAMES, *TASK_SET_NAMES))
+            },
             "constants": constants(),
             "episodes": json.loads(FILE.read_text(encoding="utf-8")),
         }
@@ -101,29 +138,58 @@ def layout() -> dict[str, Any]:
         "lanes": LANES,
         "quantities": Row._fields,
         "starts": STARTS,
-        "entries": ENTRIES,
+        "most_entries": ENTRIES * LARGEST_STACK,
         "cells": CELLS,
-        "energy_weight": SETTINGS + StepSettings._fields.index("energy_weight"),
+        "history_rows": HISTORY_ROWS,
+        "plant": {name: place for place, name in enumerate(Plant._fields)},
+        "settings": {name: SETTINGS + place for place, name in enumerate(StepSettings._fields)},
         "log_energy_weight": Header._fields.index("log_energy_weight"),
         "torques": TORQUES.tolist(),
         "terminations": [termination.name for termination in task.Termination],
     }
 
 
-def describe_task(name: str, archive: Archive) -> dict[str, Any]:
-    """A law, and the table that it follows."""
+def describe_task(name: str) -> dict[str, Any]:
+    """What an environment has of its task: rows of its memory, what `info` shows of them, and what is drawn there."""
+    own = find_task(name)
+    return {
+        "memory": own.memory._fields,
+        "term": own.term,
+        "shown": own.shown,
+        "options": list(own.options),
+        "table": resets.draw_table(own.rows - len(own.draws), resets.Stream.task, own.draws).tolist(),
+    }
+
+
+def variation() -> dict[str, Any]:
+    """What a varied plant draws, and what is accepted of it."""
+    draws = [task.Draw(0.0, 0.0)] * (len(CONSTANTS) + len(DISTURBANCES)) + [task.Draw(0.0, LARGEST_KEY)]
+    limits = {name: Disturbances.limits(name) for name in DISTURBANCES}
+    return {
+        "constants": CONSTANTS,
+        "disturbances": DISTURBANCES,
+        "table": resets.draw_table(Row.drawn_m, resets.Stream.variation, draws).tolist(),
+        "limits": {**limits, "motor_friction": (0.0, LARGEST_MOTOR_FRICTION)},
+        "ideal": asdict(Disturbances()),
+    }
+
+
+def describe_controller(name: str, archive: Archive) -> dict[str, Any]:
+    """A law, the table that it follows, and the settings of the step by the tasks that it acts in."""
     law = find_law(name)
     acting = law or NO_CONTROLLER
+    tasks = [acting.task] if acting.task else list(task.TASKS)
+    controller = f"baselines:{name}" if law else None
     return {
         "rows": count_rows(law),
         "memory": acting.memory,
         "table": archive.add_array(acting.reference),
-        "settings": describe_settings(EnvConfig(controller=f"baselines:{name}" if law else None)),
+        "settings": {each: describe_settings(EnvConfig(controller=controller, task=each)) for each in tasks},
     }
 
 
-def task_of(options: EnvConfig) -> str:
-    """Which of `TASKS` an environment has.
+def controller_of(options: EnvConfig) -> str:
+    """Which of `LAWS` an environment has.
 
     Raises:
         ValueError: if its law is none of `baselines`.
@@ -131,28 +197,42 @@ def task_of(options: EnvConfig) -> str:
     if options.controller is None:
         return DIRECT
     place, _, name = str(options.controller).partition(":")
-    if place != "baselines" or name not in TASKS:
+    if place != "baselines" or name not in LAWS:
         raise ValueError(f"controller must be None or a law of baselines, as in baselines:adaptive, got {place}:{name}")
     return name
 
 
+@cache
+def _corners(capsule: Capsule) -> list[Capsule]:
+    """The stiffest plants that the page accepts, with the motor's friction of the disturbances."""
+    return list(replace(RANGES, motor_friction=(0.0, 2.0 * LARGEST_MOTOR_FRICTION)).corners(capsule))
+
+
 def describe_settings(options: EnvConfig) -> dict[str, Any]:
-    """The arguments of the compiled step for an environment, and the length of its episodes.
+    """The arguments of the compiled step for an environment, plain and varied, and the length of its episodes.
 
     Raises:
-        ValueError: if it is not an environment of the paper's capsule, or its law is none of `baselines`.
+        ValueError: if its capsule has what only a varied one has, or its law is none of `baselines`.
     """
-    if options.capsule not in (None, NOMINAL):
-        raise ValueError(f"options must be of the nominal capsule, got {options}")
-    law = find_law(task_of(options))
-    settings = make_settings(options, law)
-    # For all M and mu that the page accepts.
-    check_step(NOMINAL, LIGHTEST, MU_BOUND, settings)
+    capsule, own, law = options.capsule or NOMINAL, find_task(options.task), find_law(controller_of(options))
+    plant = capsule.plant()
+    if plant.extended or plant.pivot_torque_on_contact:
+        raise ValueError(f"options must be of a level floor with Coulomb's friction and Newton's force, got {options}")
+    fixed = {}
+    for name, disturbed in (("fixed", "none"), ("varied", Disturbances())):
+        settings = make_settings(replace(options, randomization="none", disturbances=disturbed), law)
+        # For all plants that the page accepts.
+        for corner in _corners(capsule):
+            check_step(corner, corner.M, corner.mu, settings)
+        fixed[name] = pack(plant, settings, np.zeros((0, 0))).tolist()
+    given = options.disturbances
     return {
-        "fixed": pack(NOMINAL.plant(), settings, np.zeros((0, 0))).tolist(),
-        "entries": len(observation_names(law is not None, options.observe_parameters)),
+        **fixed,
+        "capsule": [getattr(capsule, name) for name in CONSTANTS],
+        "disturbances": asdict(given) if isinstance(given, Disturbances) else given,
+        "entries": len(observation_names(law is not None, options.observe_parameters, own.entries, options.stack_size)),
         "control_dt": options.control_dt,
-        "steps": round(task.HORIZON / options.control_dt),
+        "steps": round(own.episode_steps * task.CONTROL_DT / options.control_dt),
     }
 
 
@@ -170,7 +250,8 @@ def describe_policy(name: str, policy: Policy) -> dict[str, Any]:
     network = policy._network
     return {
         "name": name,
-        "task": task_of(options),
+        "task": find_task(options.task).name,
+        "controller": controller_of(options),
         "settings": describe_settings(options),
         "kind": "policy",
         "description": policy.description,
@@ -190,9 +271,10 @@ def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
     options = EnvConfig(**env_kwargs(name))
     described = {
         "name": name,
-        "task": task_of(options),
+        "task": find_task(options.task).name,
+        "controller": controller_of(options),
         "settings": describe_settings(options),
-        "description": SCRIPTED[name].description,
+        "description": SCRIPTED_POLICIES[name].description,
     }
     if name in GAITS:
         found = GAITS[name]()
@@ -213,28 +295,30 @@ def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
 
 
 def describe_set(found: EvaluationSet) -> dict[str, Any]:
-    """A frozen set: its hash, and its plants without what is as it always is."""
-    plants = [
-        {key: value for key, value in plant.to_dict().items() if key != "seed" and value != []}
-        for plant in found.plants
-    ]
-    return {"hash": found.hash, "plants": plants}
+    """A frozen set: its hash, what its environments have in common, and its first plants."""
+    plants = [{key: value for key, value in plant.to_dict().items() if value != []} for plant in found.plants[:SEEDS]]
+    given = found.env_kwargs["disturbances"]
+    common = {"task": found.task, "disturbances": asdict(given) if isinstance(given, Disturbances) else given}
+    if found.capsule is not None:
+        common["capsule"] = [getattr(found.capsule, name) for name in CONSTANTS]
+    return {"hash": found.hash, **common, "plants": plants}
 
 
 def constants() -> dict[str, Any]:
     """The numbers of the task and of the plant, in SI units."""
-    NOMINAL.check_plant(LIGHTEST, MU_BOUND)
     return {
         "control_dt": task.CONTROL_DT,
         "steps": task.EPISODE_STEPS,
+        "horizons": {name: steps * task.CONTROL_DT for name, (_, steps) in task.TASKS.items()},
         "torque_limit": task.TORQUE_LIMIT,
         "theta_limit": task.THETA_LIMIT,
         "m": NOMINAL.m,
         "l": NOMINAL.l,
         "g": NOMINAL.g,
-        "nominal": {"M": NOMINAL.M, "mu": NOMINAL.mu},
+        "nominal": {name: getattr(NOMINAL, name) for name in ("M", "mu", *CONSTANTS)},
         "ranges": {name: {"M": each.M, "mu": each.mu} for name, each in RANDOMIZATIONS.items() if each.M and each.mu},
-        "limits": {"M": [LIGHTEST, M_BOUND * NOMINAL.M], "mu": [0.0, MU_BOUND]},
+        "limits": {name: getattr(RANGES, name) for name in ("M", "mu", *CONSTANTS)},
+        "real": asdict(REAL),
         "start": {"theta": task.START_THETA, "theta_dot": 0.0, "x": 0.0, "x_dot": 0.0},
         "largest_state": dict(zip(Row._fields, task.LARGEST_STATE, strict=False)),
     }

@@ -1,8 +1,9 @@
 """Whole episodes that the module replays: `python -m web.episodes` compares Python's with the committed ones.
 
-Every driver has one, on a plant of the frozen set `drift`, whose M and mu jump twice; random torques that each hold for
-a while have two each, without a law and with one. A hash is over the bytes of all steps: each quantity of the
-environment, the law's memory and its line of the reference, float64, and then the observation, float32.
+Every driver has one, on a plant of the frozen set `drift`, whose M and mu jump twice, or of its task's set. Three are
+on disturbed plants, of the set `real`. Random torques that each hold for a while have two each, without a law and with
+one. A hash is over the bytes of all steps: each quantity of the environment, the law's memory, its line of the
+reference, the task's memory and the history, float64, and then the observation, float32.
 
 The tables of the optimum's policies are many times the module's size; their torques are few bytes. So the module has
 these instead: for every frozen plant the place in `TORQUES` of each action, which it acts out in its own step.
@@ -23,15 +24,16 @@ from typing import Any
 import numpy as np
 
 import capsule_gym
-from baselines.policies import SCRIPTED, Act
+from baselines.policies import SCRIPTED, TASK_SCRIPTED, Act
 from capsule_gym.command_line import parse
 from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, PlantSpec, load_set
 from capsule_gym.files import write_atomically
 from capsule_gym.policy import policy_names
-from capsule_gym.task import CONTROL_DT, EPISODE_STEPS, HORIZON
+from capsule_gym.task import CONTROL_DT, EPISODE_STEPS, TASKS
 
 # Run in the browser by their recorded actions, on the frozen plants alone.
 RECORDED = ("optimum-nominal", "optimum-oracle")
+SCRIPTED_POLICIES = {**SCRIPTED, **TASK_SCRIPTED}
 FILE = Path(__file__).with_name("episodes.json")
 RECORDINGS = Path(__file__).with_name("recordings.npz")
 # In a recording, behind the last action of an episode.
@@ -40,6 +42,7 @@ OVER = 255
 ACTIONS, HOLD = 97, 5
 # The scale of random actions, by the driver that they are added to.
 SCALES = {"zero": 0.15, "adaptive": 0.05, "gait-identifying": 0.05}
+DISTURBED = ("zero", "gait-predictive", "adaptive-predictive")
 
 Episode = dict[str, Any]
 
@@ -50,36 +53,46 @@ def is_trained(name: str) -> bool:
 
 
 def controller_names() -> list[str]:
-    """The policies that run in the browser: the paper's capsule in the speed task. Of a trained one the first run."""
-    trained = {name: capsule_gym.load_policy(name).env_kwargs for name in policy_names()}
-    return [*SCRIPTED, *(name for name, kwargs in trained.items() if not {"task", "capsule"} & set(kwargs))]
+    """The policies that run in the browser; of a trained one the run with the lowest seed."""
+    # Those of other tasks last, where they shift no plants.
+    return [*SCRIPTED_POLICIES, *sorted(policy_names(), key=lambda name: "task" in env_kwargs(name))]
 
 
 def env_kwargs(name: str) -> dict[str, Any]:
     """The arguments of the environment that a driver acts in."""
-    return capsule_gym.load_policy(name).env_kwargs if is_trained(name) else SCRIPTED[name].env_kwargs
+    return capsule_gym.load_policy(name).env_kwargs if is_trained(name) else SCRIPTED_POLICIES[name].env_kwargs
 
 
 def episodes() -> Iterator[Episode]:
     """What has a hash: which driver on which plant, and the random actions where there are any."""
+
+    def held(seed: int, scale: float) -> Episode:
+        actions = np.random.default_rng(seed).uniform(-scale, scale, ACTIONS).round(4).tolist()
+        return {"actions": actions, "hold": HOLD}
+
     for n, name in enumerate(controller_names()):
-        yield {"name": name, "driver": name, "set": "drift", "plant": n}
+        task = env_kwargs(name).get("task", "speed")
+        yield {"name": name, "driver": name, "set": "drift" if task == "speed" else task, "plant": n}
     for n, (name, scale) in enumerate(SCALES.items()):
         for i in (2 * n, 2 * n + 1):
-            actions = np.random.default_rng(i).uniform(-scale, scale, ACTIONS).round(4).tolist()
-            held = {"actions": actions, "hold": HOLD}
-            yield {"name": f"held torques on {name}, {i % 2 + 1}", "driver": name, "set": "wide", "plant": i, **held}
+            words = f"held torques on {name}, {i % 2 + 1}"
+            yield {"name": words, "driver": name, "set": "wide", "plant": i, **held(i, scale)}
+    for n, name in enumerate(DISTURBED):
+        torques = held(n, SCALES[name]) if name in SCALES else {}
+        yield {"name": f"{name}, disturbed", "driver": name, "set": "real", "plant": n, **torques}
 
 
 def compute(episode: Episode) -> tuple[int, str]:
     """How many steps an episode takes, and its hash, by Python's environment."""
-    name, plant = episode["driver"], load_set(episode["set"]).plants[episode["plant"]]
-    kwargs = env_kwargs(name)
+    name, found = episode["driver"], load_set(episode["set"])
+    plant, kwargs = found.plants[episode["plant"]], {**env_kwargs(name), **found.env_kwargs}
+    kwargs |= {"capsule": found.capsule} if found.capsule else {}
     env = capsule_gym.CapsuleEnv(**kwargs)
-    observation, _ = env.reset(options=plant.reset_options())
-    act = (capsule_gym.load_policy(name) if is_trained(name) else SCRIPTED[name]).start([plant.seed])
+    observation, _ = env.reset(seed=plant.seed, options=plant.reset_options())
+    act = (capsule_gym.load_policy(name) if is_trained(name) else SCRIPTED_POLICIES[name]).start([plant.seed])
     digest, terminated, step = hashlib.sha256(), False, 0
-    while not terminated and step < round(HORIZON / kwargs.get("control_dt", CONTROL_DT)):
+    horizon = TASKS[found.task][1] * CONTROL_DT
+    while not terminated and step < round(horizon / kwargs.get("control_dt", CONTROL_DT)):
         if "actions" in episode:
             action = np.array([episode["actions"][step // episode["hold"] % len(episode["actions"])]], np.float32)
         else:

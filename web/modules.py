@@ -1,6 +1,6 @@
 """The functions of the package that go into WebAssembly: `build` returns their modules.
 
-One module for each control law holds the agent step, compiled once, and that law; one more holds what they share, the
+A module holds the agent step of a task, another one a control law, which the step imports, and one what all share, the
 networks of trained policies and the beginning of an episode. All work in one memory that the page supplies: arrays are
 pointers.
 """
@@ -30,6 +30,7 @@ from numba.np.arrayobj import get_cfarray_intrinsic
 
 import baselines
 from baselines.gaits import families
+from baselines.laws import TASK_LAWS
 from capsule_gym import kernels, layout, resets
 from capsule_gym.compilation import fingerprint, inlined, intrinsic, jitable, rebound
 from capsule_gym.controller import Controller, find_controller
@@ -38,18 +39,21 @@ from capsule_gym.files import write_atomically
 from capsule_gym.layout import LANES
 from capsule_gym.network import act_lanes
 from capsule_gym.observation import CELLS, observation_names
-from capsule_gym.parameters import NOMINAL
+from capsule_gym.parameters import NOMINAL, VARIED, find_task
 from capsule_gym.simulation import NO_CONTROLLER
+from capsule_gym.task import TASKS
 from web import assembly
 from web.assembly import Entry, assemble, optimise
 from web.fused import fused
 
-# The task without a law; the other names are those of laws.
+# No law; the other names are those of laws.
 DIRECT = "direct"
-TASKS = (DIRECT, *baselines.__all__)
-# The module that all tasks need besides their own, which has the task's name.
+LAWS = (DIRECT, *baselines.__all__, *TASK_LAWS)
+# The steps with their tasks and with `Plant.extended`: disturbed, and with further constants, the speed task alone.
+STEPS = {**{task: (task, 0.0) for task in TASKS}, "speed-varied": ("speed", VARIED)}
+# The module that all need besides those of their step and their law.
 COMMON = "common"
-# The name under which a law is linked to the step.
+# The name under which the step imports a law.
 LAW = "evaluate_law"
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -57,16 +61,17 @@ ROOT = Path(__file__).resolve().parents[1]
 CACHE = ROOT / "build" / "web"
 
 # The most entries that an observation can have. Of a single one only the first row is read, wherever the next begins.
-ENTRIES = len(observation_names(True, True))
+ENTRIES = max(len(observation_names(True, True, find_task(task).entries)) for task in TASKS)
 STARTS = layout.Row.torque
 NUMBERS, FLOATS, INTEGERS = types.CPointer(types.float64), types.CPointer(types.float32), types.CPointer(types.int64)
+WORDS = types.CPointer(types.uint64)
 
 array = get_cfarray_intrinsic("C", None)
 
 
 @lru_cache
 def find_law(name: str) -> Controller | None:
-    """The law of one of `TASKS`; None for `DIRECT`."""
+    """One of `LAWS`; None for `DIRECT`."""
     return None if name == DIRECT else find_controller(f"baselines:{name}")
 
 
@@ -87,30 +92,31 @@ def _define_call_linked_law(
 
 @intrinsic(_define_call_linked_law)
 def call_linked_law(block: Any, n: int, fixed: Any, cycle: int, torque_limit: float, tick: float) -> None:
-    """`kernels.call_law` for a law that is linked to the step under the name LAW."""
+    """`kernels.call_law` for a law that the step imports under the name LAW."""
 
 
-def step_entry() -> Entry:
-    """`advance`, which takes an environment a step further or begins its episode; its law is linked to it."""
-    step = inlined(rebound(kernels.step, {"call_law": call_linked_law}))
+def step_entry(task: str, extended: float) -> Entry:
+    """`advance`, which takes an environment a step further or begins its episode; it imports its law."""
+    step = inlined(rebound(kernels.step_of(find_task(task)), {"call_law": call_linked_law}))
     plant = NOMINAL.plant()
-    bindings = {"step": step, "PIVOT_TORQUE_ON_CONTACT": plant.pivot_torque_on_contact, "EXTENDED": plant.extended}
+    bindings = {"step": step, "PIVOT_TORQUE_ON_CONTACT": plant.pivot_torque_on_contact, "EXTENDED": extended}
     compiled = jitable(rebound(kernels.advance, bindings))
     to_int = types.int32
 
-    def advance(world, size, begin, fixed, fixed_size, observations):  # type: ignore[no-untyped-def]
-        blocks, shown = array(world, (1, size)), array(observations, (1, ENTRIES))
+    def advance(world, size, begin, fixed, fixed_size, observations, entries):  # type: ignore[no-untyped-def]
+        blocks, shown = array(world, (1, size)), array(observations, (1, entries))
         return to_int(compiled(blocks, 0, 1, begin != 0, array(fixed, (fixed_size,)), shown))
 
     count = types.int32
-    return Entry("advance", advance, count, (NUMBERS, count, count, NUMBERS, count, FLOATS))
+    return Entry("advance", advance, count, (NUMBERS, count, count, NUMBERS, count, FLOATS, count))
 
 
 def law_entry(law: Controller | None) -> Entry:
     """What `call_linked_law` calls."""
     controller = law or NO_CONTROLLER
     columns = controller.reference.shape[1]
-    sizes = {"MEMORY_SIZE": len(controller.memory), "REFERENCE_SIZE": columns, "ROW_SIZE": columns}
+    row = columns + (find_task(controller.task).rows if controller.task else 0)
+    sizes = {"MEMORY_SIZE": len(controller.memory), "REFERENCE_SIZE": columns, "ROW_SIZE": row}
     compiled = jitable(rebound(kernels.evaluate_law, {"law": inlined(controller.law), **sizes}))
     to_int = types.int32
 
@@ -123,15 +129,21 @@ def law_entry(law: Controller | None) -> Entry:
 
 
 def common_entries() -> list[Entry]:
-    """What the module without a law exports.
+    """What the module that all share exports.
 
-    `renew` gives an environment the first values of an episode, `act` is one action of a policy, `log` the logarithm of
-    the energy weight that it is told, and `gait` one action of a gait with a clock.
+    `renew` gives an environment the first values of an episode, `draw` draws what else it begins with, `act` is one
+    action of a policy, `log` the logarithm of the energy weight that it observes, and `gait` one action of a gait with
+    a clock.
     """
 
     def renew(world, size, memory, memory_size, m, g, starts, rows, episodes):  # type: ignore[no-untyped-def]
         blocks, cells, start = array(world, (1, size)), array(memory, (memory_size,)), array(starts, (STARTS, 1))
         resets.renew(blocks, cells, m, g, array(rows, (1,)), start, array(episodes, (1,)))
+        return types.int32(0)
+
+    def draw(table, lines, rows, key, episodes, values):  # type: ignore[no-untyped-def]
+        drawn = array(table, (lines, 6)), array(rows, (1,)), array(key, (1, 2)), array(episodes, (1,))
+        resets.draw_rows(drawn[0], drawn[1], drawn[2], drawn[3], array(values, (lines, 1)))
         return types.int32(0)
 
     def act(network, size, observations, memory, inputs, lanes, units):  # type: ignore[no-untyped-def]
@@ -148,17 +160,25 @@ def common_entries() -> list[Entry]:
     starting = (NUMBERS, count, NUMBERS, count, number, number, NUMBERS, INTEGERS, INTEGERS)
     return [
         Entry("renew", renew, count, starting),
+        Entry("draw", draw, count, (NUMBERS, count, INTEGERS, WORDS, INTEGERS, NUMBERS)),
         Entry("act", act, number, (NUMBERS, count, FLOATS, NUMBERS, FLOATS, NUMBERS, count)),
         Entry("gait", gait, number, (NUMBERS, count, count, number, FLOATS)),
         Entry("log", log, number, (number,)),
     ]
 
 
+def entries_of(name: str) -> list[Entry]:
+    """What the module of that name exports."""
+    if name == COMMON:
+        return common_entries()
+    return [step_entry(*STEPS[name]) if name in STEPS else law_entry(find_law(name))]
+
+
 def build(names: Sequence[str], cache: Path | None = CACHE) -> dict[str, bytes]:
     """The modules of these names.
 
     Args:
-        names: `COMMON`, or of `TASKS`.
+        names: `COMMON`, or of `STEPS` or `LAWS`.
         cache: a folder of modules that were built before; None builds all.
 
     Raises:
@@ -182,7 +202,7 @@ def build(names: Sequence[str], cache: Path | None = CACHE) -> dict[str, bytes]:
 
 def _digest(name: str) -> str:
     """A hash of all that a module is made of, and made with."""
-    entries = common_entries() if name == COMMON else [step_entry(), law_entry(find_law(name))]
+    entries = entries_of(name)
     parts: list[Any] = [platform.python_version(), numba.__version__, llvmlite.__version__]
     parts += [Path(assembly.__file__).read_bytes(), fingerprint(fused)]
     parts += [(entry.name, entry.arguments, fingerprint(entry.function)) for entry in entries]
@@ -197,15 +217,10 @@ def main() -> int:
     folder, *names = sys.argv[1:]
     # numba asks for the address of all that is called.
     llvm.add_symbol(LAW, ctypes.cast(ctypes.pythonapi.Py_IsInitialized, ctypes.c_void_p).value)
-    step = None if names == [COMMON] else optimise([step_entry()])
     for name in names:
-        if step is None or name == COMMON:
-            module = optimise(common_entries())
-        else:
-            module = step.clone()
-            module.link_in(optimise([law_entry(find_law(name))]))
-        exports = [entry.name for entry in common_entries()] if name == COMMON else ["advance"]
-        write_atomically(Path(folder) / f"{_digest(name)}.wasm", assemble(module, exports))
+        entries = entries_of(name)
+        module = assemble(optimise(entries), [entry.name for entry in entries])
+        write_atomically(Path(folder) / f"{_digest(name)}.wasm", module)
         print(f"  {name}", file=sys.stderr, flush=True)
     return 0
 

@@ -19,7 +19,7 @@ from urllib.parse import parse_qs
 import numpy as np
 import pytest
 
-from capsule_gym import CapsuleEnv, load_policy
+from capsule_gym import CapsuleEnv, Disturbances, load_policy
 from web import build, data, episodes
 
 Node = Callable[..., Any]
@@ -69,7 +69,7 @@ def node(site: Path) -> Node:
     return run
 
 
-@pytest.mark.parametrize("name", ["residual-identifying", "held torques on adaptive, 2"])
+@pytest.mark.parametrize("name", ["residual-identifying", "gait-predictive, disturbed"])
 def test_committed_episodes_are_pythons(name: str) -> None:
     committed = next(episode for episode in COMMITTED if episode["name"] == name)
     assert episodes.compute(committed) == (committed["steps"], committed["sha256"])
@@ -78,6 +78,7 @@ def test_committed_episodes_are_pythons(name: str) -> None:
 def test_a_single_bit_fails_the_check(node: Node, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     committed = {key: value for key, value in COMMITTED[0].items() if key not in ("set", "plant")}
     plant = data.describe_set(data.load_set(COMMITTED[0]["set"]))["plants"][COMMITTED[0]["plant"]]
+    del plant["seed"]
     altered = [{**committed, **plant, "mu": float(np.nextafter(plant["mu"], 1.0))}]
     monkeypatch.setattr(data, "FILE", tmp_path / "episodes.json")
     data.FILE.write_text(json.dumps(altered), encoding="utf-8")
@@ -179,6 +180,60 @@ def test_an_episode_ends_as_pythons(node: Node) -> None:
     assert node(code) == [steps, reward, False, ended, message, metrics["mean_speed"]]
 
 
+DISTURBED = {"latency": [0.002, 0.011], "theta_noise": 0.01, "x_dot_bias": [-0.02, 0.02], "lag": 0.004, "push": 2.0}
+
+
+def test_disturbances_are_drawn_and_set_as_in_python(node: Node) -> None:
+    given = {**DISTURBED, "theta_dot_resolution": 0.01, "unmeasured": ["theta_dot"], "controls": "agent"}
+    ranges = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+    env = CapsuleEnv(controller="baselines:adaptive", disturbances=Disturbances(**ranges))
+    plant = {"M": 0.5, "mu": 0.01}
+    fixed = {**plant, "capsule": {"slope": 0.02, "m": 0.14}, "disturbances": {"latency": 0.007}}
+    worlds, drawn = [], []
+    # The second episode follows from the seed as well.
+    for seed, options in ((2**40 + 5, plant), (None, fixed)):
+        _, info = env.reset(seed=seed, options=options)
+        drawn.append(float(info["disturbances"][13]))
+        for n in range(80):
+            env.step(np.array([0.02 * (n % 7 - 3)], np.float32))
+        worlds.append(env.simulation.world[0, :, 0].tobytes().hex())
+    env.close()
+    code = f"""
+        const capsule = await live.load("adaptive", {{ disturbances: {json.dumps(given)} }});
+        const [worlds, drawn] = [[], []];
+        for (const options of [{json.dumps({**plant, "seed": 2**40 + 5})}, {json.dumps(fixed)}]) {{
+          drawn.push(capsule.reset(options).info.disturbances.latency);
+          for (let n = 0; n < 80; n++) capsule.step(Math.fround(0.02 * (n % 7 - 3)));
+          worlds.push(bytes(capsule.world));
+        }}
+        show([worlds, drawn, capsule.info.capsule.slope, Object.keys(capsule.info.reading)]);
+    """
+    assert node(code) == [worlds, drawn, 0.02, ["theta", "theta_dot", "x", "x_dot"]]
+    assert 0.002 <= drawn[0] <= 0.011 and drawn[1] == 0.007
+
+
+@pytest.mark.parametrize(
+    ("task", "options"),
+    [("goal", {"goal": -0.07}), ("velocity", {"commands": [{"t": 0.0, "v": 0.05}, {"t": 4.0, "v": -0.08}]})],
+)
+def test_tasks_have_pythons_observations_and_metrics(node: Node, task: str, options: dict[str, Any]) -> None:
+    env = CapsuleEnv(task=task, controller=f"baselines:{task}_pulses")
+    observation, info = env.reset(seed=3, options={"M": 0.5, "mu": 0.2, **options})
+    for _ in range(300):
+        observation, _, _, _, info = env.step(np.zeros(1, np.float32))
+    metrics = env.episode_metrics()
+    env.close()
+    code = f"""
+        const episode = await live.drive("{task}-pulses", {json.dumps({"M": 0.5, "mu": 0.2, **options})});
+        for (let n = 0; n < 300; n++) episode.tick();
+        show([episode.task, bytes(episode.observation), episode.info.error, episode.metrics]);
+    """
+    found = node(code)
+    assert found[:3] == [task, observation.tobytes().hex(), float(info["error"])]
+    own = {name: value for name, value in metrics.items() if np.isfinite(value)}
+    assert {name: found[3][name] for name in own} == own and len(own) >= 14
+
+
 def test_types_declare_what_there_is(node: Node) -> None:
     types = (ROOT / "web/capsule.d.mts").read_text(encoding="utf-8")
     declared = re.findall(r"^export (?:class|function|const) (\w+)", types, re.MULTILINE)
@@ -186,7 +241,23 @@ def test_types_declare_what_there_is(node: Node) -> None:
 
 
 BAD = [
-    ('await live.load("sliding")', "RangeError", "task must be one of direct, adaptive,.*, got sliding"),
+    ('await live.load("sliding")', "RangeError", "controller must be one of direct, adaptive,.*, got sliding"),
+    ('await live.load("goal_pulses", { task: "speed" })', "RangeError", "task must be one of goal with .*, got speed"),
+    ('await live.load("direct", { disturbances: "some" })', "RangeError", "none, real or an object, got some"),
+    (
+        'await live.load("direct", { disturbances: { lag: [2, 1] } })',
+        "RangeError",
+        "disturbances.lag must be .* got 2,1",
+    ),
+    ('await live.drive("zero", { disturbances: { gain: 1 } })', "RangeError", "disturbances must be .* got gain"),
+    ('await live.drive("goal-pulses", { disturbances: "real" })', "RangeError", "must be none in the task goal"),
+    (
+        'await live.drive("zero", { set: "goal", plant: 0 })',
+        "RangeError",
+        "set must be one of the task speed, got goal",
+    ),
+    ("capsule.reset({ seed: 1 })", "RangeError", "seed must be left out: nothing is drawn"),
+    ("capsule.reset({ disturbances: {} })", "RangeError", "reset takes .*, got disturbances"),
     (
         'await live.drive("residual-identifying", { energyWeight: 1 })',
         "RangeError",
@@ -431,6 +502,44 @@ def test_a_hand_that_failed_stands_still_until_space_begins_again(open_page: Ope
     assert playing(page)
 
 
+def test_disturbances_act_on_who_drives(open_page: Open) -> None:
+    page = open_page("#driver=gait-guarded&M=0.5&mu=0.01&t=2")
+    shows(page, "figure-time", "2.00")
+    ideal = measures(page)
+    page.select_option("#disturbances", "real")
+    page.wait_for_function("location.hash.includes('disturbances=real')")
+    page.fill("#scrub", "2")
+    shows(page, "figure-time", "2.00")
+    assert measures(page) != ideal
+    page.focus("#latency")
+    page.keyboard.press("ArrowRight")
+    page.wait_for_function("location.hash.includes('latency=0.001&noise=0')")
+    page.focus("#slope")
+    page.keyboard.press("End")
+    page.wait_for_function("location.hash.includes('slope=3')")
+    page.select_option("#driver", "optimum-nominal")
+    page.wait_for_function("document.getElementById('slope').disabled && document.getElementById('set').value")
+    assert "slope" not in link(page) and page.locator("#trouble").is_hidden()
+
+
+def test_every_task_has_drivers_measures_and_sets_of_its_own(open_page: Open) -> None:
+    page = open_page(PAUSED)
+    for task, driver, end, row in (
+        ("goal", "goal-pulses", "15.00", "Goal reached"),
+        ("velocity", "velocity-pulses", "20.00", "Velocity error"),
+        ("speed", "residual-ppo", "33.00", ""),
+    ):
+        page.select_option("#task", task)
+        page.wait_for_function("name => document.getElementById('driver').value === name", arg=driver)
+        page.click("#play") if playing(page) else None
+        page.focus("#scrub")
+        page.keyboard.press("End")
+        shows(page, "figure-time", end)
+        rows = page.locator("#rows tr:visible").all_inner_texts()
+        assert rows[0].startswith(row or "Mean speed") and len(rows) == (8 if row else 7)
+        assert page.locator("#trouble").is_hidden(), page.locator("#trouble").text_content()
+
+
 def test_plant_jumps_while_it_runs(open_page: Open) -> None:
     page = open_page(LAW)
     reaches(page, 0.5)
@@ -453,9 +562,17 @@ SCENES = [
     "#driver=adaptive&M=0.45&mu=0.02&jumps=1:0.5:0.01,2.5:0.6:0.1&t=3",
     "#driver=yourself&rival=epc&M=0.5&mu=0.01&t=0.8&hand=10uK20z9u",
     "#driver=optimum-nominal&rival=random&set=paper&plant=9&t=2",
+    "#driver=gait-predictive&rival=gait-guarded&M=0.5&mu=0.01&seed=3&disturbances=real&t=0.5",
+    "#driver=gait-predictive&M=0.5&mu=0.01&latency=0.005&noise=0.5&motor=0.05&slope=-2&t=0.5",
+    "#driver=gait-predictive&set=real&plant=7&t=0.5",
+    "#driver=goal-pulses&set=goal&plant=3&t=1",
+    "#driver=yourself&task=velocity&rival=velocity-pulses&M=0.5&mu=0.2&seed=4&t=0.4&hand=10uK9u",
 ]
 WRONG = [
     ("#driver=nobody", 'driver must be one of .* got "nobody"'),
+    ("#driver=goal-pulses&rival=epc", 'rival must be one of .* got "epc"'),
+    ("#driver=epc&disturbances=all", 'disturbances must be real, got "all"'),
+    ("#driver=epc&latency=1", 'latency must be a number from 0 to 0.03, got "1"'),
     ("#driver=epc&set=moon", 'set must be one of .* got "moon"'),
     ("#driver=epc&M=heavy", 'M must be a number from .* got "heavy"'),
     ("#driver=epc&jumps=1:2", 'jumps must be t:M:mu.* got "1:2"'),

@@ -1,12 +1,12 @@
 // One driver on one plant: an episode, everything that was recorded of it, and the way back to any step.
 
-import { constants, drive, load } from "capsule.mjs";
-import { YOURSELF, driverNamed, titleOf } from "scene.js";
+import { constants, drive, load, sets } from "capsule.mjs";
+import { YOURSELF, disturbancesOf, driverNamed, startOf, titleOf } from "scene.js";
 
 // As `Simulation` compares an episode's time with that of a jump.
 const TIME_TOLERANCE = 1e-9;
 const SNAPSHOT_SECONDS = 1;
-const CHANNELS = ["theta", "theta_dot", "x", "x_dot", "torque", "normal", "speed", "transport", "action"];
+const CHANNELS = ["theta", "theta_dot", "x", "x_dot", "torque", "normal", "speed", "transport", "action", "target"];
 
 /** The reader: the direct task, and an action that the page changes between two steps. */
 class Hand {
@@ -22,20 +22,21 @@ class Hand {
     this.action = this.replay[this.capsule.info.steps] ?? this.live;
     return this.capsule.step(this.action);
   }
-
 }
 
-async function start(name, { set, plant, M, mu, theta, hand }, weight) {
-  const first = theta === undefined ? { M, mu } : { M, mu, theta };
+/** Opens a driver's episode; the lane applies the jumps. */
+async function start(name, scene, weight) {
+  const { set, plant, task, hand } = scene;
+  const common = set ? { set } : { disturbances: disturbancesOf(scene) };
   if (name === YOURSELF) {
-    const capsule = await load("direct");
-    capsule.reset(first);
+    const capsule = await load("direct", set ? common : { task, ...common });
+    const { seed, ...first } = set ? sets[set].plants[plant] : startOf(scene);
+    capsule.reset({ ...first, ...(capsule.draws && { seed }), changes: [] });
     return { capsule, driver: new Hand(capsule, hand) };
   }
-  const { recorded, seeds } = driverNamed(name);
   const told = weight === null ? {} : { energyWeight: weight };
-  const drawn = seeds && set ? { seed: plant } : {};
-  const episode = await drive(name, recorded ? { set, plant } : { ...first, ...told, ...drawn });
+  const first = set ? { plant, changes: [] } : startOf(scene);
+  const episode = await drive(name, { ...common, ...first, ...told });
   return { capsule: episode, driver: episode };
 }
 
@@ -130,7 +131,8 @@ export class Lane {
     const later = share > 0.5 ? k + 1 : k;
     return {
       step: k, theta: between("theta", "theta_dot"), x: between("x", "x_dot"), theta_dot: trace.theta_dot[later],
-      x_dot: trace.x_dot[later], torque: trace.torque[share > 1e-9 ? k + 1 : k], metrics: this.metrics[k],
+      x_dot: trace.x_dot[later], torque: trace.torque[share > 1e-9 ? k + 1 : k], target: trace.target[later],
+      metrics: this.metrics[k],
     };
   }
 
@@ -138,7 +140,7 @@ export class Lane {
     const { state, info, metrics } = this.capsule;
     const values = {
       ...state, torque: info.torque, normal: info.normal_force, speed: metrics.mean_speed,
-      transport: metrics.cost_of_transport, action: this.driver.action,
+      transport: metrics.cost_of_transport, action: this.driver.action, target: info.goal ?? info.target ?? NaN,
     };
     for (const name of CHANNELS) {
       const value = values[name];

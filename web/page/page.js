@@ -5,8 +5,9 @@ import { CURVES, PhasePortrait, TimeChart } from "charts.js";
 import { Lane } from "lane.js";
 import { clamp, written } from "numbers.js";
 import { Player } from "player.js";
-import { END, ONLY_FROZEN, YOURSELF, driverNamed, firstScene, handAction, hasOwnJumps } from "scene.js";
-import { hasRecorded, keepFrozen, limits, readScene, takePlant, titleOf, writeScene } from "scene.js";
+import { DISTURBED, END, ONLY_FROZEN, SEEDS, YOURSELF, disturbancesOf, driverNamed, firstScene } from "scene.js";
+import { handAction, hasOwnJumps, hasRecorded, keepFrozen, limits, readScene, takePlant, titleOf } from "scene.js";
+import { useTask, writeScene } from "scene.js";
 import { Contact, Stage } from "stage.js";
 
 const DT = constants.control_dt;
@@ -22,8 +23,10 @@ const BEST_KEY = "capsule_gym.best";
 // Pixels that a finger drags for the whole torque.
 const DRAG = 140;
 
-/** The measures of an episode: what the module calls them, and how they are written. */
+/** The measures of an episode: their names, units, and how they are written; nothing where the task has none. */
 const MEASURES = [
+  ["Goal reached", "s", ({ success, goal_time }) => success === 1 ? written(goal_time, 2) : success === 0 ? "not yet" : ""],
+  ["Velocity error", "%", ({ velocity_error: error }) => (error === undefined ? "" : written(error, 1))],
   ["Mean speed", "cm/s", (metrics) => written(metrics.mean_speed, 2)],
   ["Cost of transport", "1", (metrics) => written(metrics.cost_of_transport, 2)],
   ["Distance", "cm", (metrics) => written(100 * metrics.distance, 1)],
@@ -252,7 +255,6 @@ function bindPlayback() {
   element("step").addEventListener("click", () => nudge(1));
   element("back").addEventListener("click", () => nudge(-1));
   const scrub = element("scrub");
-  scrub.max = END;
   scrub.step = DT;
   scrub.addEventListener("input", () => seek(Number(scrub.value)));
   scrub.addEventListener("change", link);
@@ -292,12 +294,13 @@ function option(value, text) {
   return new Option(text, value);
 }
 
+/** What there is to choose in the scene's task. */
 function fillChoices() {
-  element("driver").append(option(YOURSELF, "Yourself"));
-  element("rival").append(option("", "nobody"));
+  element("driver").replaceChildren(option(YOURSELF, "Yourself"));
+  element("rival").replaceChildren(option("", "nobody"));
   for (const select of [element("driver"), element("rival")]) {
     for (const [kind, label] of Object.entries(KINDS)) {
-      const rows = drivers.filter((driver) => driver.kind === kind);
+      const rows = drivers.filter((driver) => driver.kind === kind && driver.task === scene.task);
       if (rows.length === 0) continue;
       const group = document.createElement("optgroup");
       group.label = label;
@@ -305,18 +308,34 @@ function fillChoices() {
       select.append(group);
     }
   }
-  element("set").append(option("", "own values"), ...Object.keys(sets).map((name) => option(name, name)));
+  const known = Object.keys(sets).filter((name) => sets[name].task === scene.task);
+  element("set").replaceChildren(option("", "own values"), ...known.map((name) => option(name, name)));
+  element("scrub").max = END;
+  for (const row of element("rows").rows) row.hidden = row.dataset.task !== undefined && row.dataset.task !== scene.task;
+}
+
+function setRanges() {
   // Friction spans two powers of ten: its slider is even in the logarithm.
   for (const [name, map] of [["M", Number], ["mu", Math.log10]]) {
     [element(name).min, element(name).max] = limits[name].map(map);
     [element(`${name}-number`).min, element(`${name}-number`).max] = limits[name];
   }
+  for (const [name, bounds] of Object.entries(DISTURBED)) [element(name).min, element(name).max] = bounds;
 }
 
 function bindChoices() {
   const choose = (id, key, after) => element(id).addEventListener("change", () => {
     scene[key] = element(id).value;
     after();
+  });
+  choose("task", "task", () => {
+    useTask(scene.task);
+    const first = firstScene();
+    const own = scene.task === first.task ? first.driver : drivers.find(({ task }) => task === scene.task).name;
+    const set = Object.keys(sets).find((name) => sets[name].task === scene.task);
+    Object.assign(scene, { driver: own, rival: "", weight: null, rivalWeight: null, hand: [] });
+    takePlant(scene, set, 0);
+    open({ play: !reduced.matches });
   });
   choose("driver", "driver", () => {
     Object.assign(scene, { weight: null, hand: [] });
@@ -381,6 +400,25 @@ function bindPlant() {
     slider.addEventListener("change", () => set(back(Number(slider.value))));
     field.addEventListener("change", () => set(field.value === "" ? NaN : Number(field.value)));
   }
+  element("seed").addEventListener("change", () => {
+    scene.seed = clamp(Math.trunc(Number(element("seed").value)) || 0, 0, SEEDS - 1);
+    scene.hand = [];
+    open();
+  });
+  const disturb = (changed) => {
+    Object.assign(scene, { set: "", theta: undefined, hand: [] }, changed);
+    open();
+  };
+  element("disturbances").addEventListener("change", () => {
+    const own = element("disturbances").value === "own" ? { latency: 0.01, noise: 1 } : { latency: 0, noise: 0 };
+    disturb({ disturbances: element("disturbances").value, ...own });
+  });
+  for (const name of Object.keys(DISTURBED)) {
+    const value = () => Number(element(name).value);
+    element(name).addEventListener("input", () => show(`${name}-value`, disturbanceText(name, value())));
+    const own = name === "latency" || name === "noise" ? { disturbances: "own" } : {};
+    element(name).addEventListener("change", () => disturb({ [name]: value(), ...own }));
+  }
   element("jump").addEventListener("click", () => {
     const range = constants.ranges.wide ?? Object.fromEntries(Object.entries(limits));
     const [M, mu] = ["M", "mu"].map((name) => drawn(...range[name], name === "mu"));
@@ -393,6 +431,12 @@ function bindPlant() {
     else scene.jumps = [];
     open({ time });
   });
+}
+
+function disturbanceText(name, value) {
+  const shown = { latency: [1000 * value, 0, "ms"], noise: [value, 1, "× real"], motor: [value, 2, "N m"] };
+  const [number, digits, unit] = shown[name] ?? [value, 1, "°"];
+  return `${written(number, digits)} ${unit}`;
 }
 
 /** A number between two, evenly or evenly in the logarithm, with four digits. */
@@ -469,6 +513,8 @@ function complain(text) {
 
 /** Everything that says what the scene is; not what happens in it. */
 function showScene() {
+  fillChoices();
+  element("task").value = scene.task;
   element("driver").value = scene.driver;
   element("rival").value = scene.rival;
   element("view").value = scene.view;
@@ -506,6 +552,27 @@ function showWeight(id, driver, weight) {
   show(`${id}-value`, `${price} cm/J`);
 }
 
+function showDisturbances(recorded) {
+  const common = sets[scene.set]?.disturbances ?? "none";
+  const varied = scene.task === "speed" && !recorded;
+  const ofSet = typeof common === "string" ? common : "none";
+  element("disturbed").hidden = scene.task !== "speed";
+  element("disturbances").value = scene.set ? ofSet : scene.disturbances;
+  element("disturbances").disabled = !varied;
+  for (const name of Object.keys(DISTURBED)) {
+    element(name).value = scene[name];
+    element(name).disabled = !varied;
+    element(name).setAttribute("aria-valuetext", disturbanceText(name, scene[name]));
+    const said = name === "latency" || name === "noise" ? element("disturbances").value === "real" : false;
+    show(`${name}-value`, said ? "real" : disturbanceText(name, scene[name]));
+  }
+  const real = "Real: noise, bias and drift, 5 to 15 ms of latency, a motor with lag and friction.";
+  show("disturbed-text", recorded ? `${ONLY_FROZEN}.` : real);
+  element("seed").value = scene.seed;
+  const drawn = scene.task !== "speed" || disturbancesOf(scene) !== "none";
+  element("seed-row").hidden = scene.set !== "" || !drawn;
+}
+
 function showPlant() {
   element("set").value = scene.set;
   element("plant").value = scene.plant;
@@ -523,6 +590,7 @@ function showPlant() {
   const recorded = hasRecorded(scene);
   for (const id of ["M", "M-number", "mu", "mu-number", "jump"]) element(id).disabled = recorded;
   element("set").options[0].disabled = recorded;
+  showDisturbances(recorded);
 }
 
 function makeCharts() {
@@ -562,6 +630,8 @@ function makeRows() {
     row.append(head);
     row.insertCell();
     row.insertCell();
+    const task = { "Goal reached": "goal", "Velocity error": "velocity" }[name];
+    if (task) row.dataset.task = task;
   }
 }
 
@@ -680,8 +750,8 @@ async function readLink() {
   await open({ time: scene.t ?? 0, play: scene.t === null && scene.driver !== YOURSELF && !reduced.matches });
 }
 
-fillChoices();
 makeRows();
+setRanges();
 bindPlayback();
 bindHands();
 bindChoices();

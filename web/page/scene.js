@@ -8,8 +8,34 @@ export const YOURSELF = "yourself";
 /** Every torque of a hand is one of these many steps, from -1 to 1, so that a link can hold it exactly. */
 export const HAND_STEPS = 41;
 export const SPEEDS = { least: 0.1, most: 20 };
-/** The steps of an episode at which nothing has happened yet, and at which it ends; s. */
-export const END = constants.steps * constants.control_dt;
+/** When an episode of the scene's task ends, s. */
+export let END = constants.horizons.speed;
+/** The sliders of disturbances: lowest and highest value, of latency in s, noise in shares of the real one's. */
+export const DISTURBED = { latency: [0, 0.03], noise: [0, 2], motor: [0, 0.2], slope: [-3, 3] };
+/** As many draws have numbers. */
+export const SEEDS = 100;
+const IDEAL = { disturbances: "none", latency: 0, noise: 0, motor: 0, slope: 0 };
+
+/** Says which task the page shows. */
+export function useTask(task) {
+  END = constants.horizons[task];
+}
+
+/** What `drive` and `load` are given of a scene's disturbances. */
+export function disturbancesOf({ disturbances, latency, noise, motor, slope }) {
+  if (disturbances === "real") return "real";
+  if (disturbances === "none") return motor || slope ? { stick_threshold: 0 } : "none";
+  const errors = Object.entries(constants.real).filter(([name]) => /_(noise|bias|drift)$/.test(name));
+  const scaled = errors.map(([name, size]) => [name, [size].flat().map((end) => noise * end)]);
+  return { latency, ...Object.fromEntries(scaled.map(([name, [low, high = low]]) => [name, [low, high]])) };
+}
+
+/** What an episode of it begins with. */
+export function startOf({ task, M, mu, theta, seed, motor, slope, ...scene }) {
+  const drawn = task !== "speed" || disturbancesOf({ motor, slope, ...scene }) !== "none";
+  const tilted = motor || slope ? { capsule: { motor_friction: motor, slope: (slope * Math.PI) / 180 } } : {};
+  return { M, mu, ...(theta !== undefined && { theta }), ...(drawn && { seed }), ...tilted };
+}
 
 /** Why some drivers leave no choice of M and mu. */
 export const ONLY_FROZEN = "What the optimum does is recorded on the plants of the sets";
@@ -42,8 +68,9 @@ export function hasRecorded({ driver, rival }) {
 
 /** Gives a scene with someone recorded a plant of a frozen set as it is, if it has another; answers whether it had. */
 export function keepFrozen(scene) {
-  if (!hasRecorded(scene) || (scene.set && !hasOwnJumps(scene))) return false;
-  takePlant(scene, scene.set || Object.keys(sets)[0], scene.plant);
+  const known = [scene.driver, scene.rival].map((name) => driverNamed(name)?.recorded).find(Boolean);
+  if (!known || (known.includes(scene.set) && !hasOwnJumps(scene))) return false;
+  takePlant(scene, known.includes(scene.set) ? scene.set : known[0], scene.plant);
   return true;
 }
 
@@ -51,16 +78,17 @@ export function keepFrozen(scene) {
 export function firstScene() {
   const known = (name) => (driverNamed(name) ? name : drivers[0].name);
   return {
-    driver: known("residual-ppo"), rival: known("adaptive"), weight: null, rivalWeight: null, view: "ghost",
+    task: "speed", driver: known("residual-ppo"), rival: known("adaptive"), weight: null, rivalWeight: null, view: "ghost",
     set: "", plant: 0, M: constants.nominal.M, mu: constants.nominal.mu, theta: undefined, jumps: [],
-    speed: 1, t: null, hand: [],
+    seed: 0, ...IDEAL, speed: 1, t: null, hand: [],
   };
 }
 
 /** Puts a plant of a frozen set, with its start and its jumps, into a scene. */
 export function takePlant(scene, set, index) {
   const { M, mu, theta, changes = [] } = sets[set].plants[index];
-  Object.assign(scene, { set, plant: index, M, mu, theta, jumps: changes.map(({ t, M, mu }) => ({ t, M, mu })) });
+  const jumps = changes.map(({ t, M, mu }) => ({ t, M, mu }));
+  Object.assign(scene, { set, plant: index, M, mu, theta, jumps, ...IDEAL });
 }
 
 /**
@@ -95,6 +123,7 @@ export function readScene(hash) {
 export function writeScene(scene) {
   const first = firstScene();
   const parts = new URLSearchParams({ driver: scene.driver });
+  if (scene.driver === YOURSELF && scene.task !== first.task) parts.set("task", scene.task);
   if (scene.rival) parts.set("rival", scene.rival);
   if (scene.weight !== null) parts.set("weight", shortened(scene.weight));
   if (scene.rivalWeight !== null) parts.set("rival-weight", shortened(scene.rivalWeight));
@@ -105,6 +134,12 @@ export function writeScene(scene) {
   } else {
     parts.set("M", shortened(scene.M));
     parts.set("mu", shortened(scene.mu));
+  }
+  if (!scene.set && scene.seed) parts.set("seed", scene.seed);
+  if (scene.disturbances === "real") parts.set("disturbances", "real");
+  const own = scene.disturbances === "own" ? ["latency", "noise"] : [];
+  for (const name of [...own, "motor", "slope"]) {
+    if (own.includes(name) || scene[name]) parts.set(name, shortened(scene[name]));
   }
   if (hasOwnJumps(scene)) parts.set("jumps", writeJumps(scene.jumps));
   if (scene.speed !== first.speed) parts.set("speed", shortened(scene.speed));
@@ -128,18 +163,46 @@ function readDrivers(given, scene, complaints) {
   for (const [part, weight] of [["driver", "weight"], ["rival", "rivalWeight"]]) {
     const name = given.get(part);
     if (name === null || name === "") continue;
-    const accepted = drivers.map((driver) => driver.name).concat(part === "driver" ? YOURSELF : []);
-    if (accepted.includes(name)) scene[part] = name;
-    else complaints.push(`${part} must be one of ${accepted.join(", ")}, got "${name}"`);
+    const chosen = drivers.filter(({ task }) => part === "driver" || task === scene.task);
+    const accepted = chosen.map((driver) => driver.name).concat(part === "driver" ? YOURSELF : []);
+    if (accepted.includes(name)) {
+      scene[part] = name;
+      if (part === "driver") scene.task = driverNamed(name)?.task ?? readTask(given, complaints);
+    } else complaints.push(`${part} must be one of ${accepted.join(", ")}, got "${name}"`);
     const bounds = driverNamed(scene[part])?.energyWeight;
     if (bounds) scene[weight] = readNumber(given, part === "driver" ? "weight" : "rival-weight", ...bounds, complaints);
   }
+  useTask(scene.task);
+}
+
+function readTask(given, complaints) {
+  const task = given.get("task") ?? "speed";
+  if (Object.hasOwn(constants.horizons, task)) return task;
+  complaints.push(`task must be one of ${Object.keys(constants.horizons).join(", ")}, got "${task}"`);
+  return "speed";
+}
+
+/** What is drawn, and by which disturbances. */
+function readDisturbances(given, scene, complaints) {
+  scene.seed = Math.trunc(readNumber(given, "seed", 0, SEEDS - 1, complaints) ?? 0);
+  if (scene.task !== "speed") return;
+  const disturbances = given.get("disturbances");
+  if (disturbances === "real") scene.disturbances = "real";
+  else if (disturbances !== null) complaints.push(`disturbances must be real, got "${disturbances}"`);
+  for (const [name, bounds] of Object.entries(DISTURBED)) {
+    const value = readNumber(given, name, ...bounds, complaints);
+    if (value === null) continue;
+    scene[name] = value;
+    if (name === "latency" || name === "noise") scene.disturbances = "own";
+  }
+  if (scene.disturbances !== "none" || scene.motor || scene.slope) scene.set = "";
 }
 
 function readPlant(given, scene, complaints) {
   const set = given.get("set");
-  if (set !== null && !Object.hasOwn(sets, set)) {
-    complaints.push(`set must be one of ${Object.keys(sets).join(", ")}, got "${set}"`);
+  const known = Object.keys(sets).filter((name) => sets[name].task === scene.task);
+  if (set !== null && !known.includes(set)) {
+    complaints.push(`set must be one of ${known.join(", ")}, got "${set}"`);
   } else if (set !== null) {
     const last = sets[set].plants.length - 1;
     takePlant(scene, set, Math.trunc(readNumber(given, "plant", 0, last, complaints) ?? 0));
@@ -151,8 +214,9 @@ function readPlant(given, scene, complaints) {
     scene[name] = value;
   }
   if (given.has("jumps")) scene.jumps = readJumps(given.get("jumps"), complaints);
-  if (keepFrozen(scene) && ["M", "mu", "jumps"].some((name) => given.has(name))) {
-    complaints.push(`${ONLY_FROZEN}, and M, mu and jumps of one's own are left out`);
+  readDisturbances(given, scene, complaints);
+  if (keepFrozen(scene) && ["M", "mu", "jumps", "disturbances", ...Object.keys(DISTURBED)].some((name) => given.has(name))) {
+    complaints.push(`${ONLY_FROZEN}, and what else the link says of the plant is left out`);
   }
 }
 

@@ -78,6 +78,7 @@ export class Stage {
     context.scale(scale, scale);
     drawFloor(context, view.x, half, scale, height / scale);
     drawBody(context, view.contact);
+    if (Number.isFinite(view.target)) drawTarget(context, (view.target - view.x) * PER_METRE, half);
     const lead = ghost ? ghost.view.x - view.x : 0;
     if (ghost) drawGhost(context, ghost.view, lead * PER_METRE, half, scale);
     drawSpeed(context, view.x_dot);
@@ -161,6 +162,12 @@ function drawFloor(context, x, half, scale, height) {
   }
   context.fillStyle = tick;
   context.fillRect(-half, -1, 2 * half, 2);
+}
+
+/** What the middle of the platform is to reach, on the ruler; at the edge where it is out of the picture. */
+function drawTarget(context, offset, half) {
+  const at = clamp(offset, 10 - half, half - 10);
+  polygon(context, [[at, 4], [at - 11, 26], [at + 11, 26]], colour("accent"));
 }
 
 /** The shell, the platform and the gauge's scale; the contact beneath. */
