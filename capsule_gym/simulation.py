@@ -22,6 +22,7 @@ from capsule_gym.parameters import (
     CONSTANTS,
     DIRECT_PHYSICS_DT,
     DISTURBANCES,
+    LARGEST,
     LAW_PHYSICS_DT,
     MOST_SUBSTEPS,
     NOMINAL,
@@ -565,15 +566,20 @@ class Simulation:
                 if set(values) - set(names):
                     raise ValueError(f"options[{name!r}] must be {accepted}, got {written(values)}")
                 for key, value in values.items():
-                    line, whose = first + names.index(key), f"options[{name!r}][{key!r}]"
-                    if name == "disturbances":
-                        low, high = Disturbances.limits(key)
-                        if key == "latency":
-                            high = (self.settings.history - 1) * self.settings.physics_steps * self.settings.physics_dt
-                        value = check_number(whose, value, f"a number from {low:g} to {high:g}", low, high)
-                    drawn[line, n] = value if name == "disturbances" else check_number(whose, value, "a finite number")
+                    low, high = self._limits(key) if name == "disturbances" else (-LARGEST, LARGEST)
+                    in_words = f"a number from {low:g} to {high:g}"
+                    number = check_number(f"options[{name!r}][{key!r}]", value, in_words, low, high)
+                    drawn[first + names.index(key), n] = number
             first += len(names)
         return drawn
+
+    def _limits(self, name: str) -> tuple[float, float]:
+        """The smallest and the largest value of a disturbance that an episode may be given."""
+        low, high = Disturbances.limits(name)
+        if name == "latency":
+            # As far as the history reaches.
+            high = (self.settings.history - 1) * self.settings.physics_steps * self.settings.physics_dt
+        return low, high
 
     def _refuse_variation(self, name: str) -> None:
         raise ValueError(
