@@ -455,7 +455,7 @@ ROWS: dict[str, Config] = {
         evaluate_every=1_000_000,
     ),
     "residual-real": dataclasses.replace(ON_PREDICTION, randomization="real"),
-    "residual-real-wide": dataclasses.replace(ON_PREDICTION, residual_limit=1.5, termination_penalty=400.0),
+    "residual-real-wide": dataclasses.replace(ON_PREDICTION, termination_penalty=400.0),
     "efficient": dataclasses.replace(FRUGAL, total_steps=4_000_000, energy_weight=3.5),
     "pareto": dataclasses.replace(FRUGAL, total_steps=10_000_000, energy_weight=1.0, energy_weights=(0.1, 20.0)),
     "goal": ENV_PRESETS["CapsuleGoal-v0"],
