@@ -248,15 +248,16 @@ def settings_at(array: np.ndarray, start: int) -> StepSettings:
 
 
 @pytest.mark.parametrize(
-    ("function", "last"), [(three_from, 7), (two_to, 10), (settings_at, 12 - len(StepSettings._fields))]
+    ("function", "last"), [(three_from, 7), (two_to, 10), (settings_at, 30 - len(StepSettings._fields))]
 )
 def test_numbas_boundscheck_reaches_what_is_read_and_written_by_offset(function, last, monkeypatch):
     set_variable(monkeypatch, "NUMBA_BOUNDSCHECK", 1)
     compiled = numba.njit(function, **OPTIONS)
-    compiled(np.zeros(12), last)
+    size = 30 if function is settings_at else 12
+    compiled(np.zeros(size), last)
     for start in (last + 1, -1):
         with pytest.raises(IndexError):
-            compiled(np.zeros(12), start)
+            compiled(np.zeros(size), start)
 
 
 def entry_of(array: np.ndarray, n: int) -> int:

@@ -25,8 +25,8 @@ def test_the_command_line_of_a_training_run_takes_its_words_and_defaults_from_th
     # A run's task is whether there is a law under the action.
     shared = [name for name in DOCS if name in fields and name != "task"]
     assert set(shared) > {"torque_limit", "residual_limit", "observe_parameters", "energy_weight"}
-    # Undisturbed environments are not asked for.
-    assert set(PPOConfig().env_kwargs()) == set(shared) - {"disturbances"}
+    # What policies of before these options do not name.
+    assert set(PPOConfig().env_kwargs()) == set(shared) - {"disturbances", "stack_size"}
     for name in ("torque_limit", "observe_parameters", "energy_weight"):
         assert fields[name].default == getattr(EnvConfig, name)
     for name in ("torque_limit", "residual_limit", "observe_parameters", "energy_weight", "termination_penalty"):
