@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from agents.evaluation.criteria import CRITERIA
 from baselines.archive import GRID, STICKY_GRID, PlantGrid
 from baselines.dynamic_programming import MIN_NORMAL_FORCE
 from capsule_gym.parameters import NOMINAL
@@ -48,7 +49,7 @@ class Student:
     batch_size: int = 512
     learning_rate: float = 4e-3
     evaluation_episodes: int = 128
-    failure_cost: float = 30.0
+    failure_cost: float = -CRITERIA["speed"].weights["failed"]
 
     @property
     def env_kwargs(self) -> dict[str, Any]:

@@ -23,7 +23,6 @@ from tqdm import tqdm
 
 from agents.distillation.config import STUDENTS, Student
 from agents.distillation.dataset import Dataset, collect
-from agents.evaluation.criteria import CRITERIA
 from agents.evaluation.episodes import evaluate, scores
 from agents.evaluation.sets import validation_set
 from agents.training.algorithms import FastTanh
@@ -203,7 +202,7 @@ def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop) -> 
         episodes = evaluate(policy, plants)
         speed, failed = (float(scores(episodes, metric).mean()) for metric in ("mean_speed", "failed"))
         bar.set_postfix_str(f"{speed:.2f} cm/s, {100.0 * failed:.0f} % failed")
-        found = (CRITERIA["speed"].score({"mean_speed": speed, "failed": failed}), speed, failed)
+        found = (speed - student.failure_cost * failed, speed, failed)
         if found > best:
             best = found
             policy.save(folder / POLICY)

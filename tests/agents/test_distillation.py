@@ -1,4 +1,5 @@
 import dataclasses
+import json
 import os
 import signal
 
@@ -113,6 +114,16 @@ def test_the_same_seed_gives_the_same_policy_and_finished_runs_are_skipped(tmp_p
     assert command.main(["--seeds", "0", "1", "--runs", str(tmp_path / "a")]) == 0
     assert files[0].stat().st_mtime_ns == before
     assert (tmp_path / "a" / NAME / "seed-1" / "policy.safetensors").read_bytes() != files[0].read_bytes()
+
+
+def test_the_failure_cost_decides_which_policy_is_kept(tmp_path, monkeypatch):
+    evaluations = [{"mean_speed": 5.0, "failed": 0.1}, *[{"mean_speed": 6.0, "failed": 0.3}] * 3]
+    for cost, kept in (4.0, 6.0), (6.0, 5.0):
+        remaining = iter(evaluations)
+        monkeypatch.setattr(dagger, "evaluate", lambda policy, plants, found=remaining: [next(found)])
+        monkeypatch.setitem(STUDENTS, NAME, dataclasses.replace(STUDENTS[NAME], **TINY, rounds=2, failure_cost=cost))
+        assert command.main(["--seeds", "0", "--runs", str(tmp_path / str(cost))]) == 0
+        assert json.loads((tmp_path / str(cost) / NAME / "seed-0" / dagger.FINISHED).read_text())["mean_speed"] == kept
 
 
 @pytest.mark.usefixtures("tiny")
