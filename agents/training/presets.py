@@ -379,12 +379,14 @@ ENV_PRESETS: dict[Environment, PPOConfig] = {
         ON_GRIP,
         env="CapsuleVelocity-v0",
         total_steps=8_000_000,
-        residual_limit=1.2,
+        num_envs=128,
+        residual_limit=1.25,
+        final_learning_rate=2e-5,
         gamma=0.99,
         n_steps=128,
-        batch_size=4096,
         episode_seconds=20.0,
         termination_penalty=10.0,
+        evaluation_episodes=512,
     ),
 }
 
