@@ -361,15 +361,17 @@ ON_GRIP = PPOConfig(
     randomization="default",
     energy_weight=0.0,
     termination_penalty=3.0,
+    total_steps=8_000_000,
     num_envs=256,
-    evaluation_episodes=256,
+    final_learning_rate=2e-5,
+    gamma=0.99,
+    evaluation_episodes=512,
 )
 ENV_PRESETS: dict[Environment, PPOConfig] = {
     # An episode of training is hardly longer than the way to the goal; how it brakes depends on the floor.
     "CapsuleGoal-v0": dataclasses.replace(
         ON_GRIP,
         env="CapsuleGoal-v0",
-        gamma=0.98,
         n_steps=64,
         episode_seconds=5.0,
         identifies=True,
@@ -378,15 +380,11 @@ ENV_PRESETS: dict[Environment, PPOConfig] = {
     "CapsuleVelocity-v0": dataclasses.replace(
         ON_GRIP,
         env="CapsuleVelocity-v0",
-        total_steps=8_000_000,
         num_envs=128,
         residual_limit=1.25,
-        final_learning_rate=2e-5,
-        gamma=0.99,
         n_steps=128,
         episode_seconds=20.0,
         termination_penalty=10.0,
-        evaluation_episodes=512,
     ),
 }
 
