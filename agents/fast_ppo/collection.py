@@ -119,7 +119,7 @@ def collect(
             for j in range(n):
                 for k in range(inputs.shape[1]):
                     seen[t, first + j, k] = inputs[first + j, k]
-            outputs = forward(network, inputs, first, n, lanes)
+            outputs = lanes[forward(network, inputs, first, n, lanes)]
             for j in range(n):
                 i = first + j
                 drawn = np.float32(outputs[j] + deviation * noise[t, i])
