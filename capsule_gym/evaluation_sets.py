@@ -21,6 +21,7 @@ from capsule_gym.parameters import (
     Disturbances,
     check_integer,
     check_number,
+    find_task,
     nearest,
     written,
 )
@@ -98,10 +99,12 @@ class EvaluationSet:
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
-        """The arguments that the environments of its episodes have in common, but for the task and the capsule."""
-        varied = any(plant.capsule for plant in self.plants)
-        ideal = Disturbances(stick_threshold=0.0) if varied else "none"
-        return {**EPISODE_SETTINGS, "disturbances": ideal if self.disturbances == "none" else self.disturbances}
+        """The arguments that the environments of its episodes have in common."""
+        capsule = self.capsule or find_task(self.task).defaults.get("capsule")
+        disturbances = self.disturbances
+        if disturbances == "none" and any(plant.capsule for plant in self.plants):
+            disturbances = Disturbances(stick_threshold=0.0)
+        return {**EPISODE_SETTINGS, "task": self.task, "capsule": capsule, "disturbances": disturbances}
 
     @cached_property
     def hash(self) -> str:
