@@ -33,7 +33,7 @@ FURTHER_SET_NAMES = ("sticky", "real", "real-wide")
 # Of the other tasks.
 TASK_SET_NAMES = ("goal", "goal-paper", "velocity")
 # The options of an episode of a set; they override those of a policy's training.
-EPISODE_SETTINGS: dict[str, Any] = {"randomization": "none", "initial_noise": 0.0}
+EPISODE_SETTINGS: dict[str, Any] = {"randomization": "none", "initial_noise": 0.0, "initial_range": None}
 # A wheel carries their files in the package; in a checkout they lie with the evaluation.
 FOLDERS = (Path(__file__).with_name("frozen"), Path(__file__).parents[1] / "agents" / "evaluation" / "frozen")
 
@@ -104,7 +104,7 @@ class EvaluationSet:
         disturbances = self.disturbances
         if disturbances == "none" and any(plant.capsule for plant in self.plants):
             disturbances = Disturbances(stick_threshold=0.0)
-        return {**EPISODE_SETTINGS, "task": self.task, "capsule": capsule, "disturbances": disturbances}
+        return {"task": self.task, "capsule": capsule, **EPISODE_SETTINGS, "disturbances": disturbances}
 
     @cached_property
     def hash(self) -> str:

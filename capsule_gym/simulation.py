@@ -240,6 +240,7 @@ class Simulation:
             `disturbances`. `row` and `columns` read it by environments.
         observations: shape (num_envs, entries), float32, of the present state.
         fixed: what the kernel reads besides, from `layout.pack`.
+        start: what the episodes' starts are drawn from, as `resets.draw` takes it.
 
     Raises:
         TypeError: if an option is of the wrong type.
@@ -262,6 +263,10 @@ class Simulation:
                 f"which is for the task {find_task(self.controller.task).name!r}"
             )
         self.settings = make_settings(options, self.controller)
+        if options.initial_range and options.initial_noise > 0.0:
+            raise ValueError(f"initial_noise must be 0 where initial_range is given, got {options.initial_noise}")
+        at_rest = task.START_THETA, options.initial_noise, 0.0
+        self.start = np.array((0.0, *options.initial_range) if options.initial_range else at_rest)
         disturbed = Disturbances.named(options.disturbances) or Disturbances()
         # The lightest platform on the roughest floor is the stiffest plant.
         for corner in self.randomization.corners(self.capsule):
@@ -356,7 +361,7 @@ class Simulation:
         self._advance_one = partial(compiled, blocks, 0, 1, False, fixed, observations)
         draw, renew = resets.compiled()
         ranges = resets.plant_ranges(self.randomization, self.capsule)
-        self._draw = partial(draw, ranges, self.options.initial_noise)
+        self._draw = partial(draw, ranges, self.start)
         self._renew = partial(renew, blocks, np.array(self.memory), plant.m, plant.g)
         self._drawn_rows = self.draw_table[:, 0].astype(np.int64)
 

@@ -118,7 +118,7 @@ def make_env(config: Config, seed: int) -> VecNormalize:
         ValueError: if one is out of range.
     """
     kwargs = config.env_kwargs()
-    steps = max(1, round(getattr(config, "episode_seconds", config.horizon) / kwargs.get("control_dt", CONTROL_DT)))
+    steps = max(1, round((config.episode_seconds or config.horizon) / kwargs.get("control_dt", CONTROL_DT)))
     venv: VecEnv
     if config.wrapper:
         venv = DummyVecEnv([lambda: wrapped_env(config.wrapper, kwargs, steps)] * config.num_envs)
