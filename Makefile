@@ -72,7 +72,7 @@ leaderboard: $(STAMP)  ## Evaluate all policies, and rewrite the leaderboard and
 	$(BIN)/python -m agents.leaderboard
 	$(BIN)/python -m agents.analysis statistics residual_limit goal
 
-leaderboard-check: $(STAMP)  ## Fail where the leaderboard or its analysis is stale (PLANTS=50 evaluates so many of a set)
+leaderboard-check: $(STAMP)  ## Fail where the leaderboard or its analysis is stale (PLANTS=25 evaluates so many of a set)
 	$(BIN)/python -m agents.leaderboard --check $(if $(PLANTS),--plants $(PLANTS))
 	$(BIN)/python -m agents.analysis statistics residual_limit goal --check
 

@@ -24,8 +24,8 @@ from scipy.optimize import brentq, minimize_scalar
 from capsule_gym import dynamics
 from capsule_gym.parameters import Plant
 
-RTOL = 1e-12
-ATOL = 1e-13
+RTOL = 2e-13
+ATOL = 1e-15
 SAMPLES = 9
 
 

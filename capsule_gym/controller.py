@@ -33,8 +33,9 @@ class Controller:
     with the state in SI units, `memory` a tuple of floats (its length fixed by the field below), `reference` the
     present row of the reference table as a tuple, and the torque in N m; the environment clips it to the torque
     limit. It is called once per `dt` with the state at that instant, and the torque is held until the next call.
-    Gains belong into the law's closure, where the compiler sees them as constants. Compiled code does not check
-    indices: a law that reads beyond the end of an array reads foreign memory, unless NUMBA_BOUNDSCHECK=1 is set.
+    Gains belong into the law's closure, where the compiler sees them as constants; arrays there can be read, but the
+    law makes none, nor lists. Compiled code does not check indices: a law that reads beyond the end of an array reads
+    foreign memory, unless NUMBA_BOUNDSCHECK=1 is set.
 
     Attributes:
         name: for messages and tables.

@@ -139,8 +139,7 @@ class PlantArgs:
 
     def settings(self) -> dict[str, Any]:
         """What the episodes of the set have in common, as `Episode` takes it."""
-        chosen = load_set(self.set)
-        return {**chosen.env_kwargs, "capsule": chosen.capsule}
+        return load_set(self.set).env_kwargs
 
     def plants(self) -> tuple[PlantSpec, ...]:
         """The plants of the set, the chosen one first; with M or mu given, all have these and none jumps."""

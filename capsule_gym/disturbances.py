@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from capsule_gym.compilation import inlined
-from capsule_gym.elementary import ROUNDING, bits, exp, normals, scramble, sincos, uniforms
+from capsule_gym.elementary import ROUNDING, bits, decay, normals, scramble, sincos, uniforms
 from capsule_gym.layout import AT, HALTED, HISTORY_ROWS, LANES, StepSettings, load, store
 
 # The same 52 lowest bits as the whole number that is added has.
@@ -22,7 +22,6 @@ WHOLE = 2.0**52
 _GOLDEN, _WORDS, _PUSHES = np.uint64(0x9E3779B97F4A7C15), np.uint64(8), np.uint64(0x5851F42D4C957F2D)
 # How long a push acts in every second, s, and what the duration's rounding may lack.
 PUSH_TIME, ROUNDING_OF_TIME = 0.1, 1e-9
-LARGEST_EXPONENT = 700.0
 
 
 @inlined
@@ -67,8 +66,8 @@ def begin(block: np.ndarray, n: int, settings: StepSettings) -> None:
         block[AT.normal_force + j] = (block[AT.M + j] + m) * g * cos
         lag = block[AT.lag + j]
         block[AT.delay + j] = (block[AT.latency + j] / period + ROUNDING) - ROUNDING
-        block[AT.drift_share + j] = exp(-min(pause / block[AT.drift_time + j], LARGEST_EXPONENT))
-        block[AT.motor_share + j] = 1.0 - exp(-min(period / lag, LARGEST_EXPONENT)) if lag > 0.0 else 1.0
+        block[AT.drift_share + j] = decay(pause / block[AT.drift_time + j])
+        block[AT.motor_share + j] = 1.0 - decay(period / lag) if lag > 0.0 else 1.0
         # A drift that has gone on for ever.
         key = block[AT.key + j]
         first, second = normals(word_of(key, 0.0, np.uint64(6)))

@@ -198,6 +198,12 @@ def exp(x: float) -> float:
 
 
 @inlined
+def decay(x: float) -> float:
+    """e^-x for any x >= 0; beyond 700, where `exp` ends, it stays at 1e-304."""
+    return exp(-min(x, 700.0))
+
+
+@inlined
 def tanh(x: float) -> float:
     """The hyperbolic tangent, within 4.3e-16 of the exact value relative to it."""
     size = abs(x)

@@ -97,12 +97,13 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
     ## Starting State
 
-    theta = -pi/3 (plus uniform noise of half width `initial_noise`), at rest, x = 0. `reset(options={"state": [theta,
-    theta_dot, x, x_dot], "M": kg, "mu": ..})` sets what is given; `options={"changes": [{"t": s, "M": kg, "mu": ..}]}`
-    lets M and mu jump during the episode. A state has |theta| < pi/2, |theta_dot| <= 1000 rad/s, |x| <= 1e6 m and
-    |x_dot| <= 1000 m/s. The draws of M, mu and of the initial state come from separate random
-    streams. With disturbances, or a `Randomization` of further constants, `options={"disturbances": {"latency": 0.01},
-    "capsule": {"m": 0.14}}` sets what the episode would draw.
+    theta = -pi/3 (plus uniform noise of half width `initial_noise`), at rest, x = 0; with `initial_range`, theta and
+    theta_dot are drawn, so that training also meets what a policy that has settled for a poor gait never visits.
+    `reset(options={"state": [theta, theta_dot, x, x_dot], "M": kg, "mu": ..})` sets what is given; `options={"changes":
+    [{"t": s, "M": kg, "mu": ..}]}` lets M and mu jump during the episode. A state has |theta| < pi/2, |theta_dot| <=
+    1000 rad/s, |x| <= 1e6 m and |x_dot| <= 1000 m/s. The draws of M, mu and of the initial state come from separate
+    random streams. With disturbances, or a `Randomization` of further constants, `options={"disturbances": {"latency":
+    0.01}, "capsule": {"m": 0.14}}` sets what the episode would draw.
 
     ## Episode End
 
@@ -155,6 +156,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     | `energy_weight` | `0.1` | centimetres that a joule costs |
     | `termination_penalty` | `10` | centimetres that a failure costs |
     | `initial_noise` | `0` | half width of the uniform noise on the initial angle, rad |
+    | `initial_range` | `None` | half widths, in rad and rad/s, of the uniform distributions around 0 that theta and theta_dot start from; None starts at rest at -pi/3 |
     | `control_dt` | `0.02` | agent step, s |
     | `physics_dt` | 2 ms, with a controller 1 ms | step of the fourth-order integrator, s; at most a million in an agent step |
     | `render_mode` | `None` | "human" or, also of a batch, "rgb_array" |

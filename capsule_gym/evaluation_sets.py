@@ -21,6 +21,7 @@ from capsule_gym.parameters import (
     Disturbances,
     check_integer,
     check_number,
+    find_task,
     nearest,
     written,
 )
@@ -32,7 +33,7 @@ FURTHER_SET_NAMES = ("sticky", "real", "real-wide")
 # Of the other tasks.
 TASK_SET_NAMES = ("goal", "goal-paper", "velocity")
 # The options of an episode of a set; they override those of a policy's training.
-EPISODE_SETTINGS: dict[str, Any] = {"randomization": "none", "initial_noise": 0.0}
+EPISODE_SETTINGS: dict[str, Any] = {"randomization": "none", "initial_noise": 0.0, "initial_range": None}
 # A wheel carries their files in the package; in a checkout they lie with the evaluation.
 FOLDERS = (Path(__file__).with_name("frozen"), Path(__file__).parents[1] / "agents" / "evaluation" / "frozen")
 
@@ -98,10 +99,12 @@ class EvaluationSet:
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
-        """The arguments that the environments of its episodes have in common, but for the task and the capsule."""
-        varied = any(plant.capsule for plant in self.plants)
-        ideal = Disturbances(stick_threshold=0.0) if varied else "none"
-        return {**EPISODE_SETTINGS, "disturbances": ideal if self.disturbances == "none" else self.disturbances}
+        """The arguments that the environments of its episodes have in common."""
+        capsule = self.capsule or find_task(self.task).defaults.get("capsule")
+        disturbances = self.disturbances
+        if disturbances == "none" and any(plant.capsule for plant in self.plants):
+            disturbances = Disturbances(stick_threshold=0.0)
+        return {"task": self.task, "capsule": capsule, **EPISODE_SETTINGS, "disturbances": disturbances}
 
     @cached_property
     def hash(self) -> str:

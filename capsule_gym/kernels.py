@@ -528,6 +528,6 @@ def build(
         return compile_entry(evaluate_law, LAW_SIGNATURE, name, bindings)
     except TypeError as error:
         raise TypeError(
-            f"{name} must be a function that numba compiles, of numbers and tuples of numbers, and return "
-            f"(torque, memory) with {memory_size} cells of memory; {error}"
+            f"{name} must be a function that numba compiles, of numbers and tuples of numbers, without making arrays "
+            f"or lists, and return (torque, memory) with {memory_size} cells of memory; {error}"
         ) from error

@@ -201,8 +201,8 @@ def activate(sums: np.ndarray, units: int, n: int, relu: bool) -> None:
 
 
 @jitable
-def forward(network: np.ndarray, inputs: np.ndarray, first: int, n: int, lanes: np.ndarray) -> np.ndarray:
-    """The outputs of n <= LANES environments from `first` on: float64, a part of `lanes`, from `make_workspace`."""
+def forward(network: np.ndarray, inputs: np.ndarray, first: int, n: int, lanes: np.ndarray) -> int:
+    """The row of `lanes`, from `make_workspace`, with the outputs of n <= LANES environments from `first` on."""
     header = record(network, 0, Header)
     layers = header.layers
     values, sums = lanes[0], lanes[1]
@@ -218,7 +218,7 @@ def forward(network: np.ndarray, inputs: np.ndarray, first: int, n: int, lanes: 
         at = end
     if header.tanh_squashing:
         activate(values, 1, n, False)
-    return values[:n]
+    return layers % 2
 
 
 @jitable
@@ -270,21 +270,21 @@ def act_lanes(
     memory: np.ndarray,
     inputs: np.ndarray,
     lanes: np.ndarray,
-) -> np.ndarray:
-    """The actions in [-1, 1] of n <= LANES environments from `first` on, a part of `lanes`: float64.
+) -> int:
+    """The row of `lanes` with the actions in [-1, 1] of n <= LANES environments from `first` on.
 
     The arrays are those of `act_batch`; `lanes` is from `make_workspace`.
     """
     header = record(network, 0, Header)
     if header.identifies or header.observes_energy_weight:
         write_inputs(network, observations, first, n, memory, inputs)
-        outputs = forward(network, inputs, first, n, lanes)
+        row = forward(network, inputs, first, n, lanes)
     else:
-        outputs = forward(network, observations, first, n, lanes)
+        row = forward(network, observations, first, n, lanes)
     for j in range(n):
         law_torque = observations[first + j, LAW_TORQUE] if header.has_law else 0.0
-        outputs[j] = to_action(header, outputs[j], law_torque)
-    return outputs
+        lanes[row, j] = to_action(header, lanes[row, j], law_torque)
+    return row
 
 
 def act_batch(
@@ -298,7 +298,7 @@ def act_batch(
     """The actions of any number of environments."""
     for first in range(0, len(observations), LANES):
         n = min(LANES, len(observations) - first)
-        found = act_lanes(network, observations, first, n, memory, inputs, lanes)
+        found = lanes[act_lanes(network, observations, first, n, memory, inputs, lanes)]
         for j in range(n):
             actions[first + j, 0] = found[j]
 
@@ -339,7 +339,7 @@ def run_episodes(
                 active = block[AT.termination + j] == 0.0
                 block[AT.active + j] = 1.0 if active else 0.0
                 going += active
-            actions = act_lanes(network, observations, start, n, memory, inputs, lanes)
+            actions = lanes[act_lanes(network, observations, start, n, memory, inputs, lanes)]
             for j in range(n):
                 # As coarse as an action that is handed to the environment.
                 block[AT.action + j] = np.float32(actions[j])

@@ -676,6 +676,16 @@ def _instance(accepted: str, *kinds: type) -> Check:
     return check
 
 
+def _is_range(name: str, value: Any) -> tuple[float, float]:
+    """Half widths of the starts in theta and theta_dot; a policy's file knows lists only."""
+    largest, fastest = math.nextafter(task.THETA_LIMIT, 0.0), task.LARGEST_STATE[1]
+    accepted = f"None or (theta < pi/2 in rad, theta_dot <= {fastest:g} in rad/s), both >= 0"
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise TypeError(f"{name} must be {accepted}, got {written(value)}")
+    theta, theta_dot = value
+    return check_number(name, theta, accepted, 0.0, largest), check_number(name, theta_dot, accepted, 0.0, fastest)
+
+
 def _is_render_mode(name: str, value: Any) -> str:
     # Of an array, `in` has no answer.
     if not isinstance(value, str) or value not in RENDER_MODES:
@@ -747,6 +757,12 @@ class EnvConfig:
     )
     initial_noise: float = _option(
         0.0, "half width of the uniform noise on the initial angle, rad", _number(0.0, 0.5, "rad")
+    )
+    initial_range: tuple[float, float] | None = _option(
+        None,
+        "half widths, in rad and rad/s, of the uniform distributions around 0 that theta and theta_dot start from; "
+        "None starts at rest at -pi/3",
+        _or_none(_is_range),
     )
     control_dt: float = _option(task.CONTROL_DT, "agent step, s", _IS_STEP)
     physics_dt: float | None = _option(

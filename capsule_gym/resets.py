@@ -12,7 +12,7 @@ from capsule_gym.compilation import cached_entry, inlined, jitable
 from capsule_gym.elementary import exp, log
 from capsule_gym.layout import AT, LANES, MEMORY, Row
 from capsule_gym.parameters import Capsule, Randomization
-from capsule_gym.task import START_THETA, Draw
+from capsule_gym.task import Draw
 
 
 class Stream(IntEnum):
@@ -128,13 +128,13 @@ def draw_plant(randomization: Randomization, capsule: Capsule, rng: np.random.Ge
 
 @jitable
 def draw(
-    ranges: np.ndarray, noise: float, rows: np.ndarray, keys: np.ndarray, episodes: np.ndarray, starts: np.ndarray
+    ranges: np.ndarray, start: np.ndarray, rows: np.ndarray, keys: np.ndarray, episodes: np.ndarray, starts: np.ndarray
 ) -> None:
     """Draws how the next episodes of some environments start.
 
     Args:
         ranges: from `plant_ranges`.
-        noise: half width of the noise on the initial angle, rad.
+        start: middle (rad) and half width of the distribution of theta, and half width of that of theta_dot (rad/s).
         rows: indices of the environments, int64, shape (n,).
         keys: of every environment, uint64, shape (num_envs, 2).
         episodes: of every environment, how many have begun since it was given its seed.
@@ -148,12 +148,13 @@ def draw(
         if i < 0 or i >= len(keys):
             raise IndexError
         share_M, share_mu = draw_two(keys[i, 0], keys[i, 1], PARAMETERS, np.uint64(episodes[i]))
-        theta = START_THETA
-        if noise > 0.0:
-            share, _ = draw_two(keys[i, 0], keys[i, 1], INITIAL_STATE, np.uint64(episodes[i]))
-            theta += noise * (2.0 * share - 1.0)
-        starts[Row.theta, n] = theta
-        starts[Row.theta_dot, n] = starts[Row.x, n] = starts[Row.x_dot, n] = 0.0
+        theta, theta_dot = start[0], 0.0
+        if start[1] > 0.0 or start[2] > 0.0:
+            share, share_dot = draw_two(keys[i, 0], keys[i, 1], INITIAL_STATE, np.uint64(episodes[i]))
+            theta += start[1] * (2.0 * share - 1.0)
+            theta_dot += start[2] * (2.0 * share_dot - 1.0)
+        starts[Row.theta, n], starts[Row.theta_dot, n] = theta, theta_dot
+        starts[Row.x, n] = starts[Row.x_dot, n] = 0.0
         starts[Row.M, n], starts[Row.mu, n] = plant_at(ranges, share_M, share_mu)
 
 
@@ -240,7 +241,7 @@ def renew(
 def compiled() -> tuple[Callable[..., int], Callable[..., int]]:
     """`draw` and `renew` as compiled code."""
     indices, table = "int64[::1]", "float64[:, ::1]"
-    drawing = f"void(float64[::1], float64, {indices}, uint64[:, ::1], {indices}, {table})"
+    drawing = f"void(float64[::1], float64[::1], {indices}, uint64[:, ::1], {indices}, {table})"
     renewing = f"void({table}, float64[::1], float64, float64, {indices}, {table}, {indices})"
     return cached_entry(draw, drawing).call, cached_entry(renew, renewing).call
 

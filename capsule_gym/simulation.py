@@ -134,8 +134,10 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> layout.S
     if physics_dt is None:
         physics_dt = LAW_PHYSICS_DT if controller else DIRECT_PHYSICS_DT
     disturbed = Disturbances.named(options.disturbances)
+    # The plants differ in more than M and mu, or are disturbed.
+    varied = disturbed is not None or bool(Randomization.named(options.randomization).drawn)
     # A latency, and a motor's lag, need more instants than an agent's steps have.
-    law_dt = controller.dt if controller else physics_dt if is_varied(options) else options.control_dt
+    law_dt = controller.dt if controller else physics_dt if varied else options.control_dt
     if options.control_dt / physics_dt > MOST_SUBSTEPS:
         raise ValueError(
             f"control_dt must be at most {MOST_SUBSTEPS} times physics_dt={physics_dt!r} s, "
@@ -157,7 +159,7 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> layout.S
         stack_size=options.stack_size,
     )
     if disturbed is None:
-        return settings._replace(history=int(is_varied(options)))
+        return settings._replace(history=int(varied))
     return settings._replace(
         history=round(_ends(disturbed.latency)[1] / law_dt) + 1,
         law_reads=controller is not None and disturbed.controls != "agent",
@@ -172,12 +174,6 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> layout.S
 def _ends(value: float | tuple[float, float]) -> tuple[float, float]:
     """A range, or the one that holds a number alone."""
     return value if isinstance(value, tuple) else (value, value)
-
-
-def is_varied(options: EnvConfig) -> bool:
-    """Whether the plants of an environment differ in more than M and mu, or are disturbed."""
-    drawn = Randomization.named(options.randomization).drawn
-    return bool(drawn) or Disturbances.named(options.disturbances) is not None
 
 
 def count_rows(controller: Controller | None, own: task.Task = SPEED) -> int:
@@ -244,6 +240,7 @@ class Simulation:
             `disturbances`. `row` and `columns` read it by environments.
         observations: shape (num_envs, entries), float32, of the present state.
         fixed: what the kernel reads besides, from `layout.pack`.
+        start: what the episodes' starts are drawn from, as `resets.draw` takes it.
 
     Raises:
         TypeError: if an option is of the wrong type.
@@ -266,6 +263,10 @@ class Simulation:
                 f"which is for the task {find_task(self.controller.task).name!r}"
             )
         self.settings = make_settings(options, self.controller)
+        if options.initial_range and options.initial_noise > 0.0:
+            raise ValueError(f"initial_noise must be 0 where initial_range is given, got {options.initial_noise}")
+        at_rest = task.START_THETA, options.initial_noise, 0.0
+        self.start = np.array((0.0, *options.initial_range) if options.initial_range else at_rest)
         disturbed = Disturbances.named(options.disturbances) or Disturbances()
         # The lightest platform on the roughest floor is the stiffest plant.
         for corner in self.randomization.corners(self.capsule):
@@ -277,7 +278,7 @@ class Simulation:
         self.task_row = self.task_end - self.task.rows
         rows = self.task_end + layout.HISTORY_ROWS * self.settings.history
         tables = [resets.draw_table(self.task_end - len(self.task.draws), resets.Stream.task, self.task.draws)]
-        if is_varied(options):
+        if self.settings.history:
             own = [getattr(self.randomization, name) or getattr(self.capsule, name) for name in CONSTANTS]
             ranges = [*own, *(getattr(disturbed, name) for name in DISTURBANCES), (0.0, LARGEST_KEY)]
             draws = [task.Draw(*_ends(each)) for each in ranges]
@@ -343,7 +344,7 @@ class Simulation:
         acting = self.controller or NO_CONTROLLER
         self.reference, self.memory = acting.reference, acting.memory
         plant = self.capsule.plant()
-        if is_varied(self.options):
+        if self.settings.history:
             plant = plant._replace(extended=VARIED)
         self._kernel = kernels.build_advance(plant.pivot_torque_on_contact, plant.extended, self.task)
         name = f"the control law {self.controller.name!r}" if self.controller else ""
@@ -360,7 +361,7 @@ class Simulation:
         self._advance_one = partial(compiled, blocks, 0, 1, False, fixed, observations)
         draw, renew = resets.compiled()
         ranges = resets.plant_ranges(self.randomization, self.capsule)
-        self._draw = partial(draw, ranges, self.options.initial_noise)
+        self._draw = partial(draw, ranges, self.start)
         self._renew = partial(renew, blocks, np.array(self.memory), plant.m, plant.g)
         self._drawn_rows = self.draw_table[:, 0].astype(np.int64)
 
@@ -418,6 +419,11 @@ class Simulation:
             ValueError: if a value is out of range, or the law returned a torque that is not finite.
             IndexError: if there is no such environment.
         """
+        if not self.settings.history and (capsule or disturbances):
+            raise ValueError(
+                f"options[{'capsule' if capsule else 'disturbances'!r}] needs an environment with disturbances, of "
+                f"which 'none' is none, or with a Randomization of other constants than M and mu"
+            )
         schedules = [self._schedule(changes[n]) for n in range(len(rows))] if changes is not None else None
         # Compiled code believes that it is given these.
         rows = np.ascontiguousarray(rows, np.int64)
@@ -428,13 +434,12 @@ class Simulation:
             accepted = f"rows must be indices of environments, from 0 to {self.num_envs - 1}"
             raise IndexError(f"{accepted}, got {written(rows.tolist())}") from None
         drawn = self._draw_rows(rows, task_options, capsule, disturbances) if len(self.draw_table) else None
-        if drawn is None and (capsule or disturbances):
-            self._refuse_variation("capsule" if capsule else "disturbances")
         if M is not None or mu is not None or capsule:
             masses = starts[Row.M].tolist() if M is None else M
             frictions = starts[Row.mu].tolist() if mu is None else mu
             for n, plant in enumerate(zip(masses, frictions, strict=True)):
-                self._check_plant(*plant, None if drawn is None else self._capsule_of(drawn[:, n]))
+                own = () if drawn is None else drawn[len(self.task.draws) :, n].tolist()
+                self._check_plant(*plant, replace(self.capsule, **dict(zip(CONSTANTS, own, strict=False))))
             starts[Row.M], starts[Row.mu] = masses, frictions
         if state is not None:
             starts[: Row.M] = self._check_state(state, len(rows)).T
@@ -557,8 +562,6 @@ class Simulation:
                 drawn[first:last, n] = option.parse(f"options[{name!r}]", value)
             first = last
         for name, given, names in (("capsule", capsule, CONSTANTS), ("disturbances", disturbances, DISTURBANCES)):
-            if given and first == len(drawn):
-                self._refuse_variation(name)
             for n, values in enumerate(given or ()):
                 accepted = f"a dict with keys out of {names}"
                 if not isinstance(values, dict):
@@ -580,20 +583,6 @@ class Simulation:
             # As far as the history reaches.
             high = (self.settings.history - 1) * self.settings.physics_steps * self.settings.physics_dt
         return low, high
-
-    def _refuse_variation(self, name: str) -> None:
-        raise ValueError(
-            f"options[{name!r}] needs an environment with disturbances, of which 'none' is none, or with a "
-            f"Randomization of other constants than M and mu"
-        )
-
-    def _capsule_of(self, drawn: np.ndarray) -> Capsule:
-        """The capsule of an episode that has drawn this column of `_draw_rows`."""
-        first = len(self.task.draws)
-        if first == len(drawn):
-            return self.capsule
-        constants = drawn[first : first + len(CONSTANTS)].tolist()
-        return replace(self.capsule, **dict(zip(CONSTANTS, constants, strict=True)))
 
     def _check_plant(self, M: float, mu: float, capsule: Capsule | None = None) -> None:
         """Refuses M and mu that are invalid, too stiff for the step, or outside the observation that shows them."""

@@ -86,7 +86,6 @@ def compute(episode: Episode) -> tuple[int, str]:
     """How many steps an episode takes, and its hash, by Python's environment."""
     name, found = episode["driver"], load_set(episode["set"])
     plant, kwargs = found.plants[episode["plant"]], {**env_kwargs(name), **found.env_kwargs}
-    kwargs |= {"capsule": found.capsule} if found.capsule else {}
     env = capsule_gym.CapsuleEnv(**kwargs)
     observation, _ = env.reset(seed=plant.seed, options=plant.reset_options())
     act = (capsule_gym.load_policy(name) if is_trained(name) else SCRIPTED_POLICIES[name]).start([plant.seed])

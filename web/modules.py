@@ -149,7 +149,7 @@ def common_entries() -> list[Entry]:
     def act(network, size, observations, memory, inputs, lanes, units):  # type: ignore[no-untyped-def]
         shown, given = array(observations, (1, ENTRIES)), array(inputs, (1, ENTRIES + CELLS))
         cells, room = array(memory, (CELLS,)), array(lanes, (2, units * LANES))
-        return act_lanes(array(network, (size,)), shown, 0, 1, cells, given, room)[0]
+        return room[act_lanes(array(network, (size,)), shown, 0, 1, cells, given, room), 0]
 
     def gait(gaits, size, n, time, observations):  # type: ignore[no-untyped-def]
         seen, number = array(observations, (3,)), types.float64

@@ -25,7 +25,7 @@ from baselines.drawing import BLUE, MUTED, VERMILION, add_note, new_figure
 from baselines.policies import TASK_SCRIPTED
 from baselines.tables import markdown_table
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec, load_set
-from capsule_gym.parameters import Capsule, find_task
+from capsule_gym.parameters import Capsule
 from capsule_gym.task import TORQUE_LIMIT
 from capsule_gym.tasks.goal import HOLD, TOLERANCE
 
@@ -41,12 +41,6 @@ def document() -> Document:
     """The table and the figure."""
     figures = {"figures/goal": write_with(draw, PLANTS)}
     return Document({"bound": table([load_set(name) for name in PLANTS])}, figures)
-
-
-def capsule_of(evaluation_set: EvaluationSet) -> Capsule:
-    """The constants that the plants of a set share."""
-    capsule: Capsule = evaluation_set.capsule or find_task(evaluation_set.task).defaults["capsule"]
-    return capsule
 
 
 def least_time(plant: PlantSpec, capsule: Capsule) -> float:
@@ -81,7 +75,7 @@ def table(sets: Sequence[EvaluationSet]) -> str:
     for each in sets:
         episodes = evaluate(POLICY, each)
         times, success = (scores(episodes, name)[0] for name in ("goal_time", "success"))
-        bounds = np.array([least_time(plant, capsule_of(each)) for plant in each.plants])
+        bounds = np.array([least_time(plant, each.env_kwargs["capsule"]) for plant in each.plants])
         medians = (f"{np.median(values):.2f}" for values in (times, bounds, times / bounds))
         rows.append([f"`{each.name}`", f"{100.0 * success.mean():.1f} %", *medians])
     return markdown_table(rows)
@@ -90,7 +84,7 @@ def table(sets: Sequence[EvaluationSet]) -> str:
 def record_goal(evaluation_set: EvaluationSet, plant: PlantSpec) -> Recording:
     """The script's episode on a plant of the set's floor."""
     policy = TASK_SCRIPTED[POLICY]
-    settings = {**policy.env_kwargs, "capsule": capsule_of(evaluation_set)}
+    settings = {**policy.env_kwargs, **evaluation_set.env_kwargs}
     return record(replace(policy, env_kwargs=settings), plant, seconds=SHOWN)
 
 

@@ -122,8 +122,7 @@ def evaluate(
         return [episode for each in policy.policies for episode in evaluate(each, chosen, **options)]
     policy = wrap_policy(policy, env_kwargs=env_kwargs)
     task = check_task(Candidate(policy.name, (policy,), ""), chosen)
-    capsule = chosen.capsule or find_task(task).defaults.get("capsule")
-    settings: dict[str, Any] = {**policy.env_kwargs, "task": task, "capsule": capsule, **chosen.env_kwargs}
+    settings: dict[str, Any] = {**policy.env_kwargs, **chosen.env_kwargs}
     seconds = find_task(task).episode_steps * CONTROL_DT if horizon is None else horizon
     metrics = _run(policy, settings, chosen, round(seconds / settings.get("control_dt", CONTROL_DT)), action_noise)
     limited = settings.get("torque_limit", TORQUE_LIMIT) == TORQUE_LIMIT

@@ -150,6 +150,12 @@ def _draw_task_set(name: str) -> EvaluationSet:
     return EvaluationSet(name, tuple(plants), task_name, NOMINAL if floor else None)
 
 
+def _constants_at(randomization: Randomization, shares: Sequence[float]) -> dict[str, float]:
+    """What a plant has of the constants that are drawn, at these shares of their ranges."""
+    ranges = {constant: getattr(randomization, constant) for constant in randomization.drawn}
+    return {n: low + (high - low) * share for (n, (low, high)), share in zip(ranges.items(), shares, strict=True)}
+
+
 def _spread_set(name: str) -> EvaluationSet:
     """A set whose plants are spread evenly over the randomisation of its name."""
     from capsule_gym.resets import plant_at, plant_ranges
@@ -164,10 +170,8 @@ def _spread_set(name: str) -> EvaluationSet:
     for seed in range(MANY_EPISODES):
         shares = [(0.5 + seed / phi ** (n + 1)) % 1.0 for n in range(count)]
         M, mu = plant_at(ranges, *shares[:2])
-        own = {}
-        for constant, share in zip(randomization.drawn, shares[2:], strict=True):
-            low, high = getattr(randomization, constant)
-            own[constant] = float(f"{low + (high - low) * share:.5g}")
+        own = _constants_at(randomization, shares[2:])
+        own = {constant: float(f"{value:.5g}") for constant, value in own.items()}
         plants.append(PlantSpec(round(M, 4), float(f"{mu:.5g}"), seed, capsule=own or None))
     return EvaluationSet(name, tuple(plants), capsule=capsule, disturbances=disturbances)
 
@@ -198,10 +202,7 @@ def validation_set(
     for seed in range(first_seed, first_seed + count):
         M, mu = draw_plant(drawn, NOMINAL, random_stream(seed, 0, Stream.parameters))
         shares = random_stream(seed, 0, Stream.variation).random(len(CONSTANTS)).tolist()
-        own = {}
-        for constant in drawn.drawn:
-            low, high = getattr(drawn, constant)
-            own[constant] = low + (high - low) * shares[CONSTANTS.index(constant)]
+        own = _constants_at(drawn, [shares[CONSTANTS.index(constant)] for constant in drawn.drawn])
         plants.append(PlantSpec(M, mu, seed, capsule=own or None))
     return EvaluationSet(name, tuple(plants), task, capsule, disturbances)
 

@@ -70,7 +70,7 @@ def collect(
     least: float,  # smallest logarithm of an energy weight (cm/J), which are drawn uniformly
     most: float,  # largest such logarithm
     lines: np.ndarray,  # `resets.draw` documents this and the next three
-    start_noise: float,
+    start: np.ndarray,
     keys: np.ndarray,
     episodes: np.ndarray,  # changed
     draw_table: np.ndarray,  # as `resets.draw_rows` takes it
@@ -119,7 +119,7 @@ def collect(
             for j in range(n):
                 for k in range(inputs.shape[1]):
                     seen[t, first + j, k] = inputs[first + j, k]
-            outputs = forward(network, inputs, first, n, lanes)
+            outputs = lanes[forward(network, inputs, first, n, lanes)]
             for j in range(n):
                 i = first + j
                 drawn = np.float32(outputs[j] + deviation * noise[t, i])
@@ -157,7 +157,7 @@ def collect(
                 row[0] = i
                 share, _ = draw_two(keys[i, 0], keys[i, 1], DISTURBANCES, np.uint64(episodes[i]))
                 log_weights[i] = least + share * (most - least)
-                resets.draw(lines, start_noise, row, keys, episodes, starts)
+                resets.draw(lines, start, row, keys, episodes, starts)
                 resets.draw_rows(draw_table, row, keys, episodes, drawn_rows)
                 resets.renew(world[b : b + 1], law_memory, plant.m, plant.g, row - first, starts, episodes[first:])
                 for k in range(len(draw_table)):
@@ -179,7 +179,7 @@ def _compiled() -> Any:
     number, numbers, rows, indices = "float64", "float64[::1]", "float64[:, ::1]", "int64[::1]"
     many, cube = "float32[:, ::1]", "float32[:, :, ::1]"
     simulation = ("int64", rows, "int64", numbers, many)
-    episodes = ("int64", number, number, number, numbers, number, "uint64[:, ::1]", indices, rows, numbers)
+    episodes = ("int64", number, number, number, numbers, numbers, "uint64[:, ::1]", indices, rows, numbers)
     policy = (numbers, numbers, numbers, many, "boolean", number, rows, "float64[:, :, ::1]")
     written = (numbers, indices, cube, many, many, many, "int64[:, ::1]", many, rows, rows)
     signature = f"({', '.join((*simulation, *episodes, *policy, *written))})"
@@ -288,7 +288,7 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         # The groups of `_compiled`.
         cuts, endings, broken = _compiled()(
             *(simulation._kernel.address, blocks, count, simulation.fixed, simulation.observations),
-            *(self.steps, self.jump, self.least, self.most, lines, simulation.options.initial_noise),
+            *(self.steps, self.jump, self.least, self.most, lines, simulation.start),
             *(simulation._keys, simulation._episodes, simulation.draw_table, law_memory),
             *(network, self.memory, self.log_weights, self.inputs, self.fresh, deviation, noise, chances),
             *(self._returns, self._lengths, seen, actions, rewards, ends, cut, cut_inputs),

@@ -118,7 +118,7 @@ def make_env(config: Config, seed: int) -> VecNormalize:
         ValueError: if one is out of range.
     """
     kwargs = config.env_kwargs()
-    steps = max(1, round(getattr(config, "episode_seconds", config.horizon) / kwargs.get("control_dt", CONTROL_DT)))
+    steps = max(1, round((config.episode_seconds or config.horizon) / kwargs.get("control_dt", CONTROL_DT)))
     venv: VecEnv
     if config.wrapper:
         venv = DummyVecEnv([lambda: wrapped_env(config.wrapper, kwargs, steps)] * config.num_envs)
@@ -248,7 +248,7 @@ class RecurrentPolicy(RecurrentActorCriticPolicy):
     """sb3-contrib's policy, whose LSTM runs over a sequence in one call also where an episode begins with it."""
 
     @staticmethod
-    def _process_sequence(  # type: ignore[override] # whose annotation says one tensor where it returns a pair
+    def _process_sequence(
         features: torch.Tensor,
         lstm_states: tuple[torch.Tensor, torch.Tensor],
         episode_starts: torch.Tensor,
@@ -330,8 +330,8 @@ def sample(actor: Actor, observations: torch.Tensor) -> tuple[torch.Tensor, torc
     """Actions of the present policy and their log probabilities, each of shape (batch, 1)."""
     latent = actor.latent_pi(observations)
     mean = actor.mu(latent)
-    # SB3 declares a layer or a parameter; it is the layer without gSDE, which `train` has made sure of.
-    log_std = actor.log_std(latent).clamp(LOG_STD_MIN, LOG_STD_MAX)  # type: ignore[operator]
+    # The layer without gSDE, which `train` has made sure of.
+    log_std = actor.log_std(latent).clamp(LOG_STD_MIN, LOG_STD_MAX)
     noise = torch.randn_like(mean)
     actions = torch.tanh(mean + log_std.exp() * noise)
     density = -0.5 * noise.square() - log_std - HALF_LOG_2_PI - torch.log(1.0 - actions.square() + EPSILON)

@@ -29,7 +29,7 @@ from capsule_gym.parameters import (
     check_number,
     nearest,
 )
-from capsule_gym.task import CONTROL_DT, HORIZON, TASKS
+from capsule_gym.task import CONTROL_DT, TASKS
 
 # The largest seed of numpy's generators, which SB3 seeds.
 LARGEST_SEED = 2**32 - 1
@@ -98,8 +98,11 @@ class Config:
     disturbances: Annotated[Literal["none", "real"], _option("disturbances")] = "none"
     observe_parameters: Annotated[bool, _option("observe_parameters")] = EnvConfig.observe_parameters
     stack_size: Annotated[Count, _option("stack_size")] = 1
+    initial_range: Annotated[tuple[float, float] | None, _option("initial_range")] = None
     energy_weight: Annotated[float, _option("energy_weight")] = EnvConfig.energy_weight
     termination_penalty: Annotated[float, _option("termination_penalty")] = 30.0
+    episode_seconds: float | None = None
+    """Length of an episode of training, s; the environment's by default."""
     learning_rate: float = 1e-3
     """Step size of Adam at the start."""
     final_learning_rate: float = 1e-4
@@ -128,7 +131,7 @@ class Config:
         if self.randomization == "default":
             del kwargs["randomization"]
         # Policies of before these options do not name them.
-        for name in ("disturbances", "stack_size"):
+        for name in ("disturbances", "stack_size", "initial_range"):
             if kwargs[name] == getattr(EnvConfig, name):
                 del kwargs[name]
         if self.static_ratio is not None:
@@ -164,7 +167,7 @@ class Config:
                 least, most = LEAST.get(name, 1), LARGEST_SEED if name == "seed" else sys.maxsize
                 accepted = f"an integer >= {least}" + (f" and <= {most}" if name == "seed" else "")
                 check_integer(name, value, accepted, least, most)
-            elif name in RANGES:
+            elif name in RANGES and value is not None:
                 accepted, low, high, open_low = RANGES[name]
                 check_number(name, value, accepted, low, high, open_low=open_low)
 
@@ -201,8 +204,6 @@ class PPOConfig(OnPolicyConfig):
     tanh_mean: bool = False
     """Whether tanh brings the mean of the action to [-1, 1]; else it is clipped."""
     control_dt: Annotated[float, _option("control_dt")] = EnvConfig.control_dt
-    episode_seconds: float = HORIZON
-    """Length of an episode of training, s."""
     jump_rate: float = 0.0
     """Rate at which M and mu are drawn anew within an episode of training, 1/s."""
     identifies: bool = False

@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from capsule_gym.compilation import inlined
-from capsule_gym.elementary import clip, exp, tanh
+from capsule_gym.elementary import clip, decay, tanh
 from capsule_gym.parameters import check_number
 from capsule_gym.task import LARGEST_STATE, TASKS, Draw, Option, Task
 from capsule_gym.tasks import DEFAULTS, ROUNDING
@@ -38,8 +38,6 @@ NEAREST, FARTHEST = 0.05, 0.5
 ERROR_BOUND = 1.0
 # How near the goal the platform has to rest, m, and for how long, s.
 TOLERANCE, HOLD = 0.002, 1.0
-# What the package's exponential can take.
-LARGEST_EXPONENT = 700.0
 
 
 class Memory(NamedTuple):
@@ -72,8 +70,8 @@ def reward(x: float, x_dot: float, moved: float, dt: float, memory: Memory) -> t
     size = abs(error)
     still = 1.0 if x_dot == 0.0 else 0.0
     inside = 1.0 if size <= TOLERANCE else 0.0
-    rate = 0.5 * exp(-min(size / 0.1, LARGEST_EXPONENT)) + 0.5 * exp(-min(size / 0.02, LARGEST_EXPONENT))
-    rate += exp(-min(size / 0.004, LARGEST_EXPONENT)) * (1.0 + still) + 2.0 * inside * still - size / 0.5
+    rate = 0.5 * decay(size / 0.1) + 0.5 * decay(size / 0.02)
+    rate += decay(size / 0.004) * (1.0 + still) + 2.0 * inside * still - size / 0.5
     # In stick for the whole step.
     held = held + dt if inside * still > 0.0 and moved == 0.0 else 0.0
     reached = time if reached == 0.0 and held >= HOLD - ROUNDING else reached

@@ -169,6 +169,7 @@ ARGUMENTS = {
     "observe_parameters": st.booleans(),
     "energy_weight": st.floats(0.0, 100.0),
     "initial_noise": st.floats(0.0, 0.5),
+    "initial_range": st.none(),
     "control_dt": st.sampled_from([0.02, 0.01, 0.1]),
     "physics_dt": st.sampled_from([1e-3, 5e-4]),
 }

@@ -192,7 +192,7 @@ def test_named_ranges():
 
 
 FIELDS = {field.name: field for field in dataclasses.fields(EnvConfig)}
-NUMBERS = [name for name, field in FIELDS.items() if "float" in field.type]
+NUMBERS = [name for name, field in FIELDS.items() if field.type in ("float", "float | None")]
 
 
 def test_the_page_of_the_environment_lists_the_options():
@@ -214,11 +214,21 @@ def test_numbers_whose_sums_would_be_infinite_are_refused(name):
         EnvConfig(**{name: 1e300})
 
 
-@pytest.mark.parametrize("name", [*NUMBERS, "observe_parameters", "capsule", "randomization", "threads"])
+@pytest.mark.parametrize(
+    "name", [*NUMBERS, "initial_range", "observe_parameters", "capsule", "randomization", "threads"]
+)
 def test_wrong_types_are_refused_by_name(name):
     for value in ([1.0], 1j, b"1"):
         with pytest.raises(TypeError, match=rf"^{name} must be "):
             EnvConfig(**{name: value})
+
+
+@pytest.mark.parametrize("value", [(math.pi / 2, 0.0), (-0.1, 0.0), (0.0, 1e4), (math.nan, 0.0)])
+def test_starts_that_no_episode_can_have_are_refused(value):
+    with pytest.raises(ValueError, match=r"^initial_range must be None or \(theta < pi/2 in rad, .*, got "):
+        EnvConfig(initial_range=value)
+    with pytest.raises(ValueError, match=r"^initial_noise must be 0 where initial_range is given, got 0\.1"):
+        Simulation(1, EnvConfig(initial_range=(0.1, 0.1), initial_noise=0.1))
 
 
 def test_what_is_none_follows_from_the_others():

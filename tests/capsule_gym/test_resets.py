@@ -16,11 +16,10 @@ SEEDS = (0, 1, 12345, 2**63, 2**64 - 1, 2**64, 2**100 + 7, 2**128 - 1, 2**128 + 
 RANDOMIZATIONS = ("none", "paper", "wide", Randomization(mu=(0.01, 0.2), log_mu=True), Randomization(M=(0.4, 0.5)))
 
 
+@pytest.mark.parametrize("start", [{"initial_noise": 0.05}, {"initial_range": (1.0, 8.0)}], ids=str)
 @pytest.mark.parametrize("randomization", RANDOMIZATIONS, ids=str)
-def test_what_is_drawn_are_the_numbers_of_numpys_philox_bit_for_bit(randomization):
-    simulation = Simulation(
-        len(SEEDS), EnvConfig(randomization=randomization, initial_noise=0.05, capsule=Capsule(M=0.6))
-    )
+def test_what_is_drawn_are_the_numbers_of_numpys_philox_bit_for_bit(randomization, start):
+    simulation = Simulation(len(SEEDS), EnvConfig(randomization=randomization, capsule=Capsule(M=0.6), **start))
     rows = np.arange(len(SEEDS))
     for i, seed in enumerate(SEEDS):
         simulation.seed(i, seed)
@@ -30,10 +29,14 @@ def test_what_is_drawn_are_the_numbers_of_numpys_philox_bit_for_bit(randomizatio
             plant = draw_plant(
                 simulation.randomization, simulation.capsule, random_stream(seed, episode, Stream.parameters)
             )
-            noise = random_stream(seed, episode, Stream.initial_state).uniform(-1.0, 1.0)
+            noise = random_stream(seed, episode, Stream.initial_state).uniform(-1.0, 1.0, 2)
             column = simulation.columns(rows)[:, i]
             assert (column[Row.M], column[Row.mu]) == plant
-            assert column[Row.theta] == START_THETA + 0.05 * noise
+            if "initial_range" in start:
+                assert (column[Row.theta], column[Row.theta_dot]) == (noise[0], 8.0 * noise[1])
+            else:
+                assert (column[Row.theta], column[Row.theta_dot]) == (START_THETA + 0.05 * noise[0], 0.0)
+            assert column[Row.largest_theta] == abs(column[Row.theta])
     # The present capsule's where nothing is drawn.
     if simulation.randomization.M is None:
         assert (simulation.row(Row.M) == 0.6).all()

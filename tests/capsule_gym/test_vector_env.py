@@ -18,7 +18,7 @@ from capsule_gym.task import ENV_ID, METRICS, Termination
 from tests.capsule_gym.fakes import picky_controller
 
 VARIANTS = [
-    {"initial_noise": 0.05, "randomization": "wide"},
+    {"initial_range": (1.0, 8.0), "randomization": "wide"},
     {"controller": "baselines:adaptive", "residual_limit": 3.0, "observe_parameters": True},
 ]
 

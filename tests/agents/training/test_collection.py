@@ -34,7 +34,7 @@ EVERYTHING = {"identifies": True, "privileged_critic": True, "energy_weights": (
 WIDE = {"randomization": "wide", "termination_penalty": 30.0}
 CASES: dict[str, dict[str, Any]] = {
     "plain": {},
-    "starts and plants differ": {**WIDE, "initial_noise": 0.3, "observe_parameters": True},
+    "starts and plants differ": {**WIDE, "initial_range": (1.0, 8.0), "observe_parameters": True},
     "everything": {**WIDE, **EVERYTHING},
     "everything on a law": {**WIDE, **EVERYTHING, **LAW, "output": "torque"},
     "a law without more": LAW,
