@@ -22,7 +22,7 @@ from capsule_gym.files import to_json, without_nonfinite
 RANKING_SET = "paper"
 # Sets whose speeds stand side by side in the head, and how many of the fastest on each it has.
 HEAD_SETS = {RANKING_SET: 11, "real": 3, "sticky": 3}
-# What is summarised of the speed task's sets of 1,000 plants: their bootstraps take long.
+# What is shown of the speed task's further sets.
 BRIEF = ("mean_speed", "stuck_fraction", "share_of_optimum")
 COMMAND = "python -m agents.leaderboard"
 # As mkdocs includes a part of a file: docs/index.md does.
@@ -96,7 +96,7 @@ def _ranked(rows: Sequence[Row], sets: Sequence[EvaluationSet], task: str) -> li
     """The rows of one task, the best on its ranking set first."""
     commands, criteria = training_commands(), CRITERIA[task]
     of_task = [metric.name for metric in TASK_METRICS]
-    shown = (*of_task, *TABLE_METRICS, SHARE_OF_OPTIMUM.name, "episodes", "failures", "resampled")
+    shown = (*of_task, *TABLE_METRICS, SHARE_OF_OPTIMUM.name, "episodes", "failures")
     content = []
     for row in rows:
         entry = {name: row.header[name] for name in ("policy", "description", "training_seeds", "revision", "files")}
