@@ -35,7 +35,7 @@ PROG = "python -m agents.evaluate"
 class Args:
     """Evaluates a policy on a frozen set, and compares it with a reference on the same episodes.
 
-    Prints interquartile means with 95 % bootstrap intervals, and the paired difference to the reference.
+    Prints interquartile means with 95 % intervals, and the paired difference to the reference.
 
     Examples:
       python -m agents.evaluate adaptive --set paper
@@ -110,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     count = f"{len(evaluation_set.plants)} episodes, {evaluation_set.hash[:12]}"
     print(f"{candidate.name} on the set {evaluation_set.name} ({count})\n")
     print(comparison_table(candidate.name, episodes, reference.name, others))
-    print(f"\nInterquartile means, of shares means, with 95 % intervals; what is resampled: {summary['resampled']}.")
+    print("\nInterquartile means, of shares means, with 95 % intervals for other training runs and other plants.")
     print(f"Differences to {reference.name} are taken episode by episode.")
     return 0
 

@@ -147,6 +147,14 @@ def check_count(name: str, value: Any, most: int = sys.maxsize) -> int:
     return check_integer(name, value, accepted, 1, most)
 
 
+def _check_name(argument: str, name: Any, kind: type, known: Iterable[str]) -> str:
+    """Returns one of the known names, or says what argument is wrong, which an instance of `kind` could be as well."""
+    if not isinstance(name, str) or name not in known:
+        error = ValueError if isinstance(name, str) else TypeError
+        raise error(f"{argument} must be a {kind.__name__} or one of {sorted(known)}, got {written(name)}")
+    return name
+
+
 def _check_size(name: str, value: Any, smallest: float) -> float:
     """Returns a constant of the plant as a float; between larger or smaller ones no force would be a number."""
     return check_number(name, value, f"a finite number from {smallest:g} to {LARGEST:g}", smallest, LARGEST)
@@ -405,11 +413,7 @@ class Randomization:
         """
         if isinstance(name, cls):
             return name
-        if not isinstance(name, str) or name not in RANDOMIZATIONS:
-            error = ValueError if isinstance(name, str) else TypeError
-            accepted = f"a Randomization or one of {sorted(RANDOMIZATIONS)}"
-            raise error(f"randomization must be {accepted}, got {written(name)}")
-        return RANDOMIZATIONS[name]
+        return RANDOMIZATIONS[_check_name("randomization", name, cls, RANDOMIZATIONS)]
 
     def corners(self, capsule: Capsule) -> Iterator[Capsule]:
         """The capsules at the ends of all ranges but those of M and mu, with the lightest platform and most friction.
@@ -578,10 +582,7 @@ class Disturbances:
         """
         if isinstance(name, cls):
             return name
-        if not isinstance(name, str) or name not in ("none", "real"):
-            error = ValueError if isinstance(name, str) else TypeError
-            raise error(f"disturbances must be 'none', 'real' or a Disturbances, got {written(name)}")
-        return REAL if name == "real" else None
+        return REAL if _check_name("disturbances", name, cls, ("none", "real")) == "real" else None
 
 
 DISTURBANCES = tuple(each.name for each in fields(Disturbances))[:-3]
@@ -642,27 +643,19 @@ def find_task(value: Any) -> Task:
     """
     if isinstance(value, Task):
         return value
-    if not isinstance(value, str) or value not in task.TASKS:
-        error = ValueError if isinstance(value, str) else TypeError
-        raise error(f"task must be a Task or one of {sorted(task.TASKS)}, got {written(value)}")
     # Which it is says what is imported, and compiled.
-    found: Task = importlib.import_module(f"capsule_gym.tasks.{value}").TASK
+    found: Task = importlib.import_module(f"capsule_gym.tasks.{_check_name('task', value, Task, task.TASKS)}").TASK
     return found
 
 
-def _is_task(name: str, value: Any) -> str | Task:
-    find_task(value)
-    return value
+def _found_by(find: Callable[[Any], Any]) -> Check:
+    """A check of what a function resolves; it is kept as it was given."""
 
+    def check(name: str, value: Any) -> Any:
+        find(value)
+        return value
 
-def _is_disturbances(name: str, value: Any) -> str | Disturbances:
-    Disturbances.named(value)
-    return value
-
-
-def _is_randomization(name: str, value: Any) -> str | Randomization:
-    Randomization.named(value)
-    return value
+    return check
 
 
 def _instance(accepted: str, *kinds: type) -> Check:
@@ -732,13 +725,15 @@ class EnvConfig:
         task.TORQUE_LIMIT, "largest motor torque, N m", _number(0.0, LARGEST_TORQUE, "N m", open_low=True)
     )
     randomization: str | Randomization = _option(
-        "paper", f"where M and mu of an episode come from: {_RANGES}; or a `Randomization`", _is_randomization
+        "paper",
+        f"where M and mu of an episode come from: {_RANGES}; or a `Randomization`",
+        _found_by(Randomization.named),
     )
     disturbances: str | Disturbances = _option(
         "none",
         'what sensors, motor and floor do to an ideal plant: "none"; "real": noise, bias and drift of the sensors, 5 '
         "to 15 ms of latency, lag and friction of the motor; or a `Disturbances`",
-        _is_disturbances,
+        _found_by(Disturbances.named),
     )
     capsule: Capsule | None = _option(None, "the plant's constants", _or_none(_instance("a Capsule or None", Capsule)))
     observe_parameters: bool = _option(
@@ -772,7 +767,9 @@ class EnvConfig:
         1, "threads that share a batch, from 64 environments each; the results do not depend on it", check_count
     )
     render_mode: str | None = _option(None, '"human" or, also of a batch, "rgb_array"', _or_none(_is_render_mode))
-    task: str | Task = _option("speed", f"what the agent is to do: {', '.join(task.TASKS)}, or a `Task`", _is_task)
+    task: str | Task = _option(
+        "speed", f"what the agent is to do: {', '.join(task.TASKS)}, or a `Task`", _found_by(find_task)
+    )
 
     def __init__(self, **options: Any) -> None:
         known = {each.name: each for each in fields(self)}

@@ -238,19 +238,16 @@ def summarise(episodes: Sequence[Episode]) -> dict[str, Any]:
 
     Returns:
         For every metric but `failed` its interquartile mean with interval, `{"iqm": .., "low": .., "high": ..}`, of
-        shares the mean, `{"mean": .., "low": .., "high": ..}`; then
-        `episodes` and `failures` as counts over all training seeds (a trimmed mean would hide a few failures),
-        `training_seeds` (empty for scripted policies) and `resampled`: "seeds", "episodes" or "nothing".
+        shares the mean, `{"mean": .., "low": .., "high": ..}`; then `episodes` and `failures` as counts over all
+        training seeds (a trimmed mean would hide a few failures), and `training_seeds`, empty for scripted policies.
     """
     names = [name for name in episodes[0] if name not in LABELS and name != "failed"]
-    estimates = {name: estimate(scores(episodes, name), mean=name in SHARES) for name in names}
     training_seeds = list(dict.fromkeys(e["training_seed"] for e in episodes if "training_seed" in e))
     return {
-        **{name: result.to_dict() for name, result in estimates.items()},
+        **{name: estimate(scores(episodes, name), mean=name in SHARES).to_dict() for name in names},
         "episodes": len(episodes),
         "failures": failures(episodes),
         "training_seeds": training_seeds,
-        "resampled": estimates[names[0]].resampled,
     }
 
 

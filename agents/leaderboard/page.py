@@ -14,6 +14,7 @@ from typing import Any
 from agents.evaluation.criteria import CRITERIA
 from agents.evaluation.episodes import LABELS, SHARE_OF_OPTIMUM, TABLE_METRICS, TASK_METRICS, TableMetric, summarise
 from agents.evaluation.policies import BASELINE, CHECKPOINTS
+from agents.evaluation.statistics import paired_difference
 from agents.leaderboard.rows import Row
 from baselines.tables import markdown_table
 from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, EvaluationSet
@@ -22,7 +23,7 @@ from capsule_gym.files import to_json, without_nonfinite
 RANKING_SET = "paper"
 # Sets whose speeds stand side by side in the head, and how many of the fastest on each it has.
 HEAD_SETS = {RANKING_SET: 11, "real": 3, "sticky": 3}
-# What is summarised of the speed task's sets of 1,000 plants: their bootstraps take long.
+# What is shown of the speed task's further sets.
 BRIEF = ("mean_speed", "stuck_fraction", "share_of_optimum")
 COMMAND = "python -m agents.leaderboard"
 # As mkdocs includes a part of a file: docs/index.md does.
@@ -31,7 +32,9 @@ START, END = "<!-- --8<-- [start:leaderboard] -->", "<!-- --8<-- [end:leaderboar
 TRAINED = re.compile(r"^\| `([\w-]+)` \|[^|]*\| `([^`]+)` \|$", re.MULTILINE)
 
 RATIO = TableMetric("ratio", f"x {BASELINE}", 2)
-SPEED, COST = TABLE_METRICS["mean_speed"], TABLE_METRICS["cost_of_transport"]
+# The fastest of the paper's method: a law and a family of profiles of its own, with other times.
+BEST_OF_PAPER = "feedback-linearising-optimal-profile"
+SPEED, COST, TORQUE = (TABLE_METRICS[name] for name in ("mean_speed", "cost_of_transport", "rms_torque"))
 # Columns of tables: the keys of their cells (`_cells`) by their headers.
 POLICY = {"policy": "policy"}
 # Narrow enough for a telephone.
@@ -39,6 +42,7 @@ RANKING = {
     "": "place",
     **POLICY,
     "cm/s [95 %]": SPEED.name,
+    "minus base": f"minus base {RANKING_SET}",
     RATIO.label: "ratio",
     "of optimum": f"share {RANKING_SET}",
     "CoT": "cost",
@@ -93,10 +97,11 @@ def build(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> dict[str, Any]:
 
 
 def _ranked(rows: Sequence[Row], sets: Sequence[EvaluationSet], task: str) -> list[dict[str, Any]]:
-    """The rows of one task, the best on its ranking set first."""
+    """The rows of one task, the best on its ranking set first; one that adds nothing to its base stands below it."""
     commands, criteria = training_commands(), CRITERIA[task]
+    ranking, metric, by_name = criteria.ranking_set, criteria.metric.name, {row.name: row for row in rows}
     of_task = [metric.name for metric in TASK_METRICS]
-    shown = (*of_task, *TABLE_METRICS, SHARE_OF_OPTIMUM.name, "episodes", "failures", "resampled")
+    shown = (*of_task, *TABLE_METRICS, SHARE_OF_OPTIMUM.name, "episodes", "failures")
     content = []
     for row in rows:
         entry = {name: row.header[name] for name in ("policy", "description", "training_seeds", "revision", "files")}
@@ -109,9 +114,20 @@ def _ranked(rows: Sequence[Row], sets: Sequence[EvaluationSet], task: str) -> li
             kept = [name for name in episodes[0] if name in (*names, *LABELS, "failed")]
             summaries[each.name] = summarise([{name: episode[name] for name in kept} for episode in episodes])
         results = {name: {key: each[key] for key in shown if key in each} for name, each in summaries.items()}
-        content.append({**entry, **_rounded({"results": results, "disturbed": row.header["disturbed"]}, 6)})
-    ranking, metric = criteria.ranking_set, criteria.metric.name
-    return sorted(content, key=lambda row: criteria.rank(row["results"][ranking][metric]["iqm"], row["policy"]))
+        numbers = {"results": results, "disturbed": row.header["disturbed"]}
+        if base := by_name.get(row.header["base"] or ""):
+            pairs = {each.name: (row.score(each.name, metric), base.score(each.name, metric)) for each in sets}
+            numbers["minus_base"] = {name: paired_difference(*pair).to_dict() for name, pair in pairs.items()}
+        content.append({**entry, **_rounded(numbers, 6)})
+    ranks = {row["policy"]: criteria.rank(row["results"][ranking][metric]["iqm"], row["policy"]) for row in content}
+
+    def place(row: Mapping[str, Any]) -> tuple[tuple[float, str], ...]:
+        own, gain = (ranks[row["policy"]],), row.get("minus_base", {}).get(ranking)
+        if gain is None or (gain["high"] < 0.0 if criteria.ascending else gain["low"] > 0.0):
+            return own
+        return max(own, (ranks[row["base"]], *own))
+
+    return sorted(content, key=place)
 
 
 def rows_of(board: Mapping[str, Any], task: str) -> list[dict[str, Any]]:
@@ -125,13 +141,20 @@ def _interval(metric: TableMetric, summary: Mapping[str, Any]) -> str:
     return metric.with_interval(summary[metric.name]).replace(", ", ",\N{NO-BREAK SPACE}")
 
 
-def _cells(row: Mapping[str, Any], place: int, baseline: float) -> dict[str, str]:
+def _difference(row: Mapping[str, Any], set_name: str) -> str:
+    """What a row has on its base on a set, with its interval."""
+    found = row.get("minus_base", {}).get(set_name)
+    return SPEED.with_interval(found, sign=True).replace(", ", ",\N{NO-BREAK SPACE}") if found else "-"
+
+
+def _cells(row: Mapping[str, Any], place: int, baseline: float, best: float) -> dict[str, str]:
     """The texts of all cells of a row, by the keys that the tables choose from.
 
     Args:
         row: of leaderboard.json.
         place: in the ranking, from 1 on.
         baseline: speed of the paper's controller on the ranking set, cm/s.
+        best: that of the fastest of the paper's method.
     """
     summary, disturbed = row["results"][RANKING_SET], row["disturbed"]
     width = SPEED.format(disturbed["high"] - disturbed["low"])
@@ -139,9 +162,11 @@ def _cells(row: Mapping[str, Any], place: int, baseline: float) -> dict[str, str
         "place": str(place),
         "policy": row["policy"],
         "ratio": RATIO.format(summary["mean_speed"]["iqm"] / baseline if baseline > 0.0 else None),
+        "torque": TORQUE.format(summary["rms_torque"]["iqm"]),
         "cost": COST.format(summary["cost_of_transport"]["iqm"]),
         "training_seeds": str(len(row["training_seeds"]) or "-"),
         "revision": f"`{row['revision']}`" if row["revision"] else "-",
+        "best ratio": RATIO.format(summary["mean_speed"]["iqm"] / best if best > 0.0 else None),
         "low": SPEED.format(disturbed["low"]),
         "high": SPEED.format(disturbed["high"]),
         "width": width if float(width) else f"< {0.5 * 10.0**-SPEED.digits:g}",
@@ -156,6 +181,7 @@ def _cells(row: Mapping[str, Any], place: int, baseline: float) -> dict[str, str
             f"share {name}": SHARE_OF_OPTIMUM.format(each.get(SHARE_OF_OPTIMUM.name, {}).get("iqm")),
             f"speed {name}": SPEED.format(each["mean_speed"]["iqm"])
             + (f" ({rounded}\N{NO-BREAK SPACE}%)" if share else ""),
+            f"minus base {name}": _difference(row, name),
             f"interval {name}": _interval(SPEED, each) + (f", {counts} failed" if share else ""),
         }
     return cells
@@ -164,7 +190,8 @@ def _cells(row: Mapping[str, Any], place: int, baseline: float) -> dict[str, str
 def _all_cells(board: Mapping[str, Any]) -> list[dict[str, str]]:
     """The texts of all cells of leaderboard.json, row by row."""
     speeds = {row["policy"]: row["results"][RANKING_SET]["mean_speed"]["iqm"] for row in board["rows"]}
-    return [_cells(row, n, speeds.get(BASELINE, 0.0)) for n, row in enumerate(board["rows"], start=1)]
+    references = [speeds.get(name, 0.0) for name in (BASELINE, BEST_OF_PAPER)]
+    return [_cells(row, n, *references) for n, row in enumerate(board["rows"], start=1)]
 
 
 def _table(rows: Sequence[Mapping[str, str]], columns: Mapping[str, str]) -> str:
@@ -192,6 +219,10 @@ def render(board: Mapping[str, Any]) -> str:
         "sets": _table(cells, {**POLICY, **{name: f"speed {name}" for name in sets}}),
         "intervals": _table(cells, {**POLICY, **{name: f"interval {name}" for name in sets}}),
         "shares": _table(cells, {**POLICY, **{name: f"share {name}" for name in shared}}),
+        "differences": _table(
+            [each for each, row in zip(cells, rows, strict=True) if "minus_base" in row],
+            {**POLICY, **{name: f"minus base {name}" for name in sets}},
+        ),
         "sensitivity": _table(cells, SENSITIVITY),
         "policies": "\n".join(policies),
         "hashes": ", ".join(f"`{name}` {value[:12]}" for name, value in hashes.items()),
@@ -218,13 +249,17 @@ def _task_tables(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def head(board: Mapping[str, Any]) -> str:
     """The leaderboard's head for the README, as a Markdown table: the fastest few on some sets, and the baseline."""
-    shown, speeds = {BASELINE}, {f"{RANKING_SET} (cm/s) [95 %]": SPEED.name}
+    shown, speeds = {BASELINE, BEST_OF_PAPER}, {f"{RANKING_SET} (cm/s) [95 %]": SPEED.name}
     for name, count in HEAD_SETS.items():
         if name in board["sets"]:
             ranked = sorted(board["rows"], key=lambda row: -row["results"][name]["mean_speed"]["iqm"])
             shown |= {row["policy"] for row in ranked[:count]}
             speeds |= {} if name == RANKING_SET else {f"{name} (cm/s)": f"speed {name}"}
-    columns = {**POLICY, **speeds, RATIO.label: "ratio", COST.label: "cost", "failures": f"failures {RANKING_SET}"}
+    columns = {
+        **{**POLICY, **speeds, "minus base": f"minus base {RANKING_SET}", RATIO.label: "ratio"},
+        **{"x the paper's best": "best ratio", COST.label: "cost", TORQUE.label: "torque"},
+        "failures": f"failures {RANKING_SET}",
+    }
     return _table([each for each in _all_cells(board) if each["policy"] in shown], columns)
 
 

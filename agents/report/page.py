@@ -242,8 +242,8 @@ def _footer(data: Data) -> str:
     versions = ", ".join(f"{name} {number}" for name, number in results.rows[0].header["versions"].items())
     hashes = ", ".join(f"{each.name} {each.hash[:12]}" for each in results.sets)
     return (
-        "<footer><p>Numbers are interquartile means with 95 % intervals: over training seeds, resampled whole, or of "
-        "a single seed over its episodes; shares are means. The mean speed of a failed episode is its distance over "
+        "<footer><p>Numbers are interquartile means with 95 % intervals, for other training runs, where there are "
+        "several, on other plants; shares are means. The mean speed of a failed episode is its distance over "
         f"the episode's whole length. Written by <code>{COMMAND}</code> with {html.escape(versions)}. "
         f"Sets: {hashes}.</p></footer>"
     )

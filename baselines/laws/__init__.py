@@ -28,6 +28,14 @@ LAWS = {
     "adaptive_as_published": Law(
         "adaptive", "adaptive-as-published", "the paper's profile (9), adaptive law (39), corrected, unregularised"
     ),
+    "adaptive_optimal_profile": Law(
+        "adaptive", "adaptive-optimal-profile", "the fastest profile (9) with 1.5 N m, adaptive law (39), regularised"
+    ),
+    "feedback_linearising_optimal_profile": Law(
+        "feedback_linearisation",
+        "feedback-linearising-optimal-profile",
+        "the fastest profile (9) with 0.54 N m and without Principle 4, feedback linearisation (35)",
+    ),
     "compliant": Law("adaptive", "compliant", "the paper's profile (9), adaptive law (39) with low gains"),
     "epc": Law("feedback_linearisation", "epc", "the EPC profile, feedback linearisation (35)"),
     "gait": Law("gait", "gait-guarded", "a gait at 1 kHz that does not observe the plant, with a guard of the contact"),

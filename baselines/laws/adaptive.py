@@ -9,7 +9,7 @@ import numpy as np
 
 from baselines.laws.adaptive_terms import MEMORY, Constants, adaptive_step, eta_of_root
 from baselines.laws.gains import COMPLIANT, PUBLISHED, REGULARISED, UNREGULARISED, Choices, Gains, check_gains
-from baselines.laws.profiles import PROPOSED, Profile
+from baselines.laws.profiles import PROPOSED, Profile, optimal
 from baselines.laws.reference import COLUMNS, reference_table
 from capsule_gym.controller import Controller, Law
 from capsule_gym.parameters import LAW_DT, NOMINAL, Capsule, Plant, check_count, check_number
@@ -158,6 +158,11 @@ def adaptive_as_published() -> Controller:
     nominal plant along theta_d, never to be corrected.
     """
     return adaptive(regularised=False, name="adaptive-as-published")
+
+
+def adaptive_optimal_profile() -> Controller:
+    """The adaptive law along the fastest profile (9) that keeps Principles 1 to 4 with 1.5 N m."""
+    return adaptive(optimal(1.5), name="adaptive-optimal-profile")
 
 
 def compliant() -> Controller:

@@ -6,15 +6,20 @@ angle and acceleration follow in closed form.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from capsule_gym.elementary import arccos, sincos, sines_and_cosines
 from capsule_gym.parameters import check_number
 from capsule_gym.task import START_THETA
+
+# What `python -m baselines.paper.optimal_profiles` has found.
+OPTIMA = Path(__file__).parents[1] / "paper" / "optimal_profiles.json"
 
 
 @dataclass(frozen=True)
@@ -154,6 +159,19 @@ def seven_phases(times: Sequence[float], V1: float, P2: float, name: str = "prop
         _ramp(d[3], P2, 0.0),
     ]
     return _closed(name, progressive, d[4:])
+
+
+def optimal(torque_limit: float, dropped: int = 0) -> Profile:
+    """The fastest profile (9) on the nominal plant, under exact tracking, that searches found.
+
+    Args:
+        torque_limit: of the search, N m: 0.54, 1 or 1.5.
+        dropped: number of the principle that the profile need not keep, 2, 3 or 4; 0 for none.
+    """
+    problem = {"torque_limit": torque_limit, "plants": "nominal", "dropped": dropped}
+    solutions = json.loads(OPTIMA.read_text(encoding="utf-8"))["solutions"]
+    found = next(each for each in solutions if each["problem"] == problem)
+    return seven_phases(found["times"], found["V1"], found["P2"], "optimal")
 
 
 def six_phases(times: Sequence[float], V1: float, P2: float, name: str = "EPC") -> Profile:

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.laws.profiles import P2, PROPOSED, V1, Profile, seven_phases
+from baselines.laws.profiles import OPTIMA, P2, PROPOSED, V1, Profile, seven_phases
 from baselines.laws.reference import platform_motion
 from baselines.paper import published
 from baselines.paper.principles import Cycle, principle_3, principle_4, sample
@@ -28,7 +28,6 @@ from capsule_gym.files import to_json, write_atomically
 from capsule_gym.parameters import NOMINAL, Plant
 
 PROG = "python -m baselines.paper.optimal_profiles"
-DATA = Path(__file__).with_name("optimal_profiles.json")
 TORQUE_LIMITS = (0.54, 1.0, 1.5)
 # Principle 4 as a demand on the return of the pendulum, which the published profile meets: (8) bounds the force from
 # phase V on, which the platform enters at 1.1 cm/s backwards, and the platform rests from phase VI on.
@@ -246,7 +245,7 @@ def exchange(solutions: Sequence[Solution]) -> list[Solution]:
     return exchanged
 
 
-def load(path: Path = DATA) -> list[Solution]:
+def load(path: Path = OPTIMA) -> list[Solution]:
     """Reads the solutions that the command has written."""
     rows = json.loads(path.read_text(encoding="utf-8"))["solutions"]
     return [Solution(**{**row, "problem": Problem(**row["problem"]), "times": tuple(row["times"])}) for row in rows]
@@ -285,7 +284,7 @@ class Args:
       python -m baselines.paper.optimal_profiles --json short.json --generations 5    a short search
     """
 
-    json: Path = DATA
+    json: Path = OPTIMA
     """File of the results."""
     seed: int = 0
     """Seed of the searches."""

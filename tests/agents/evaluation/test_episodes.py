@@ -104,8 +104,8 @@ def test_summary():
     summary = summarise(learned)
     assert summary["mean_speed"] == estimate(speeds).to_dict()
     assert (summary["failures"], summary["episodes"]) == (1, 40)
-    assert (summary["training_seeds"], summary["resampled"]) == ([0, 1], "seeds")
-    assert set(summary) == {"mean_speed", "episodes", "failures", "training_seeds", "resampled"}
+    assert summary["training_seeds"] == [0, 1]
+    assert set(summary) == {"mean_speed", "episodes", "failures", "training_seeds"}
     scripted = episodes_of(rng.normal(size=20).tolist())
     assert summarise(scripted)["training_seeds"] == []
 
