@@ -77,10 +77,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise ValueError(f"render_mode of a batch must be None or 'rgb_array', got {written(render_mode)}")
         self.autoreset_mode = _find_mode(autoreset_mode)
         self.simulation = make_simulation(num_envs, config)
-        own = self.simulation.task.episode_steps
-        self.max_episode_steps = check_count(
-            "max_episode_steps", own if max_episode_steps is None else max_episode_steps
-        )
+        steps = self.simulation.task.episode_steps if max_episode_steps is None else max_episode_steps
+        self.max_episode_steps = check_count("max_episode_steps", steps)
         self.num_envs = self.simulation.num_envs
         self.render_mode = render_mode
         self.metadata = {
