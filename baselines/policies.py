@@ -32,8 +32,7 @@ def _random_actions(seeds: Sequence[int]) -> Act:
 
 def _start(module: str, function: str, seeds: Sequence[int]) -> Act:
     """Calls a `start` of a module that is imported when it is first called: importing numba takes most of a second."""
-    act: Act = getattr(import_module(module), function)(seeds)
-    return act
+    return getattr(import_module(module), function)(seeds)
 
 
 @dataclass(frozen=True)

@@ -196,17 +196,13 @@ def guards() -> list[Guard]:
     # A native batch, with everything that it returns.
     step, _ = step_batch(ENV_ID, NUM_ENVS, ACTION_SCALE, max_episode_steps=sys.maxsize)
     whole = repeated(lambda: step(DRAWS), DRAWS * NUM_ENVS)
+    evaluated = episodes(load_policy(EVALUATED_POLICY))
     return [
         Guard("lanes against one environment at a time", 2.0, kernel_steps(held=True), single_kernel_steps()),
         Guard("adaptive law with the physics against the physics, both at 1 ms", 0.46, kernel_steps(**LAW), at_1_ms),
         Guard(f"whole step of {NUM_ENVS} environments against their kernel", 0.55, whole, direct),
         Guard(f"reset of one environment against {SINGLE_PEER}'s", 0.4, resets(ENV_ID), resets(SINGLE_PEER)),
-        Guard(
-            f"episodes of {EVALUATED_POLICY} against the kernel alone",
-            0.3,
-            episodes(load_policy(EVALUATED_POLICY)),
-            direct,
-        ),
+        Guard(f"episodes of {EVALUATED_POLICY} against the kernel alone", 0.3, evaluated, direct),
         Guard("update of PPO against Stable-Baselines3's", 1.7, updates(stock=False), updates(stock=True)),
     ]
 

@@ -15,6 +15,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
+from itertools import cycle
 from typing import Any
 
 import gymnasium as gym
@@ -103,15 +104,12 @@ def step_single(env_id: str, scale: float = 1.0, **kwargs: Any) -> Stepper:
     env = gym.make(env_id, **kwargs)
     env.action_space.seed(SEED)
     samples = [env.action_space.sample() for _ in range(256)]
-    actions = [sample if isinstance(sample, (int, np.integer)) else np.float32(scale) * sample for sample in samples]
+    actions = cycle(s if isinstance(s, (int, np.integer)) else np.float32(scale) * s for s in samples)
     env.reset(seed=SEED)
-    taken = 0
 
     def step(count: int) -> None:
-        nonlocal taken
         for _ in range(count):
-            taken += 1
-            _, _, terminated, truncated, _ = env.step(actions[taken % len(actions)])
+            _, _, terminated, truncated, _ = env.step(next(actions))
             if terminated or truncated:
                 env.reset()
 

@@ -289,14 +289,11 @@ class Policy:
         tensors = {"inputs.mean": self.mean, "inputs.variance": self.variance}
         for n, (weights, bias) in enumerate(self.layers):
             tensors |= {f"layers.{n}.weight": weights, f"layers.{n}.bias": bias}
-        values = {
-            **{"identifies": self.identifies, "told_energy_weight": self.observes_energy_weight},
-            **{"clip": float(self.clip), "epsilon": float(self.epsilon)},
-            **{"env_kwargs": self.env_kwargs, "training_seed": self.training_seed},
-        }
+        values = {**vars(self), "told_energy_weight": self.observes_energy_weight}
+        values |= {"clip": float(self.clip), "epsilon": float(self.epsilon)}
         metadata = {"format": FORMAT, "format_version": FORMAT_VERSION, **{name: getattr(self, name) for name in TEXTS}}
-        for key, value in values.items():
-            metadata[key] = json.dumps(value, default=asdict, sort_keys=True, allow_nan=False)
+        for key in VALUES:
+            metadata[key] = json.dumps(values[key], default=asdict, sort_keys=True, allow_nan=False)
         content = save(tensors)
         # The library writes metadata in a random order, which would change the file's hash.
         end = 8 + int.from_bytes(content[:8], "little")

@@ -77,10 +77,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise ValueError(f"render_mode of a batch must be None or 'rgb_array', got {written(render_mode)}")
         self.autoreset_mode = _find_mode(autoreset_mode)
         self.simulation = make_simulation(num_envs, config)
-        own = self.simulation.task.episode_steps
-        self.max_episode_steps = check_count(
-            "max_episode_steps", own if max_episode_steps is None else max_episode_steps
-        )
+        steps = self.simulation.task.episode_steps if max_episode_steps is None else max_episode_steps
+        self.max_episode_steps = check_count("max_episode_steps", steps)
         self.num_envs = self.simulation.num_envs
         self.render_mode = render_mode
         self.metadata = {
@@ -132,16 +130,9 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         mask = self._check_mask(options.get("reset_mask"))
         self._seed(seed)
         rows = np.flatnonzero(mask)
-        self.simulation.reset(
-            rows,
-            M=self._per_row("M", options.get("M"), rows),
-            mu=self._per_row("mu", options.get("mu"), rows),
-            state=self._states(options.get("state"), rows),
-            changes=self._per_row("changes", options.get("changes"), rows),
-            capsule=self._per_row("capsule", options.get("capsule"), rows),
-            disturbances=self._per_row("disturbances", options.get("disturbances"), rows),
-            **{name: self._per_row(name, options[name], rows) or [] for name in own if options.get(name) is not None},
-        )
+        names = ("M", "mu", "changes", "capsule", "disturbances", *own)
+        given = {name: self._per_row(name, options[name], rows) for name in names if options.get(name) is not None}
+        self.simulation.reset(rows, state=self._states(options.get("state"), rows), **given)
         self._ended[rows] = False
         # The mask of the first reset need not name every environment; one that has not begun has no mass.
         self._started = self._started or bool(self.simulation.row(Row.M).all())
@@ -278,10 +269,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise ValueError(f"options['reset_mask'] must be {accepted}, got {written(mask)}")
         return mask
 
-    def _per_row(self, name: str, values: Any, rows: np.ndarray) -> list[Any] | None:
+    def _per_row(self, name: str, values: Any, rows: np.ndarray) -> list[Any]:
         """One value per environment to be reset, from one for all or one for each of the batch."""
-        if values is None:
-            return None
         accepted = f"options[{name!r}] must have one entry per environment ({self.num_envs})"
         if not isinstance(values, (Sequence, np.ndarray)) or (isinstance(values, np.ndarray) and values.ndim == 0):
             if name == "changes":

@@ -73,7 +73,9 @@ def optimise(entries: Sequence[Entry]) -> Any:
     for entry in entries:
         linked.link_in(_lower(entry))
     machine = _machine()
-    module = llvm.parse_assembly(_adapted(str(linked)))
+    # The instruction becomes a call, since WebAssembly lacks it; the declaration of what is defined must go.
+    text = str(linked).replace("declare double @llvm.fma.f64(", "declare double @unused(")
+    module = llvm.parse_assembly(text.replace("@llvm.fma.f64(", "@fused("))
     module.triple, module.data_layout = TRIPLE, str(machine.target_data)
     _hide(module, [entry.name for entry in entries])
     # No vectors are made of loops.
@@ -91,7 +93,16 @@ def assemble(module: Any, names: Sequence[str]) -> bytes:
         RuntimeError: if the functions need data.
     """
     _hide(module, names)
-    return _module(_machine().emit_object(module), names)
+    built = _machine().emit_object(module)
+    # What only a linker reads goes. Without data all indices in an object are final.
+    sections = dict(pair for pair in _sections(built) if pair[0] != CUSTOM)
+    if DATA in sections:
+        raise RuntimeError("the functions must need no data")
+    functions = _functions(built)
+    listed = [_number(len(name)) + name.encode() + bytes([FUNCTION_KIND]) + _number(functions[name]) for name in names]
+    sections[EXPORT] = _number(len(listed)) + b"".join(listed)
+    parts = (bytes([number]) + _number(len(content)) + content for number, content in sorted(sections.items()))
+    return built[:PREAMBLE] + b"".join(parts)
 
 
 def _machine() -> Any:
@@ -105,12 +116,6 @@ def _hide(module: Any, names: Sequence[str]) -> None:
     for symbol in (*module.functions, *module.global_variables):
         if not symbol.is_declaration:
             symbol.linkage = "external" if symbol.name in names else "internal"
-
-
-def _adapted(text: str) -> str:
-    """Intermediate code without what WebAssembly lacks."""
-    # The instruction becomes a call; the declaration of what is defined must go.
-    return text.replace("declare double @llvm.fma.f64(", "declare double @unused(").replace("@llvm.fma.f64(", "@fused(")
 
 
 def _lower(entry: Entry) -> Any:
@@ -162,11 +167,6 @@ def _sections(content: bytes) -> Iterator[tuple[int, bytes]]:
         at = start + size
 
 
-def _section(number: int, content: bytes) -> bytes:
-    """A section as it stands in a module."""
-    return bytes([number]) + _number(len(content)) + content
-
-
 def _functions(built: bytes) -> dict[str, int]:
     """The indices of an object's functions, from its symbol table (WebAssembly/tool-conventions, Linking.md)."""
     (content,) = (
@@ -191,22 +191,3 @@ def _functions(built: bytes) -> dict[str, int]:
         if kind == FUNCTION_KIND:
             functions[name] = index
     return functions
-
-
-def _module(built: bytes, names: Sequence[str]) -> bytes:
-    """The object file as a module: with its exports, without what only a linker reads.
-
-    Args:
-        built: the object. It holds no data, so that all indices in it are final.
-        names: of the functions to export.
-
-    Raises:
-        RuntimeError: if it does hold data.
-    """
-    sections = dict(pair for pair in _sections(built) if pair[0] != CUSTOM)
-    if DATA in sections:
-        raise RuntimeError("the functions must need no data")
-    functions = _functions(built)
-    listed = [_number(len(name)) + name.encode() + bytes([FUNCTION_KIND]) + _number(functions[name]) for name in names]
-    sections[EXPORT] = _number(len(listed)) + b"".join(listed)
-    return built[:PREAMBLE] + b"".join(_section(number, sections[number]) for number in sorted(sections))

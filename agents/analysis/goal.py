@@ -19,7 +19,7 @@ import numpy as np
 
 from agents.analysis.data import Document
 from agents.analysis.figures import write_with
-from agents.analysis.recording import Recording, record
+from agents.analysis.recording import record
 from agents.evaluation.episodes import evaluate, scores
 from baselines.drawing import BLUE, MUTED, VERMILION, add_note, new_figure
 from baselines.policies import TASK_SCRIPTED
@@ -81,23 +81,17 @@ def table(sets: Sequence[EvaluationSet]) -> str:
     return markdown_table(rows)
 
 
-def record_goal(evaluation_set: EvaluationSet, plant: PlantSpec) -> Recording:
-    """The script's episode on a plant of the set's floor."""
-    policy = TASK_SCRIPTED[POLICY]
-    settings = {**policy.env_kwargs, **evaluation_set.env_kwargs}
-    return record(replace(policy, env_kwargs=settings), plant, seconds=SHOWN)
-
-
 def draw(plants: Mapping[str, PlantSpec]) -> Any:
     """Position, velocity, angle and torque over time, a column per episode.
 
     Args:
         plants: with goals, by the set that the floor is from.
     """
-    figure = new_figure(5.4)
+    figure, policy = new_figure(5.4), TASK_SCRIPTED[POLICY]
     grid = figure.subplots(4, len(plants), sharex=True, sharey="row", squeeze=False)
     for column, (name, plant) in enumerate(plants.items()):
-        recording = record_goal(load_set(name), plant)
+        settings = {**policy.env_kwargs, **load_set(name).env_kwargs}
+        recording = record(replace(policy, env_kwargs=settings), plant, seconds=SHOWN)
         assert plant.goal is not None
         position, velocity, angle, torque = grid[:, column]
         position.set_title(f"M = {plant.M:g} kg, μ = {plant.mu:g}, goal at {100.0 * plant.goal:g} cm")

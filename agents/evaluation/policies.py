@@ -72,8 +72,7 @@ def wrap_policy(policy: Any, *, name: str | None = None, env_kwargs: Mapping[str
     if hasattr(policy, "start") and hasattr(policy, "env_kwargs") and not isinstance(policy, type):
         if env_kwargs is not None:
             raise TypeError(f"env_kwargs must not be given with a policy that has its own, got {dict(env_kwargs)!r}")
-        own: Policy = policy
-        return own
+        return policy
     if isinstance(policy, type) or not (callable(policy) or hasattr(policy, "predict")):
         accepted = "an object with predict() as Stable-Baselines3's have, or a function from observations to actions"
         what = f"the class {policy.__name__}" if isinstance(policy, type) else f"a {type(policy).__name__}"

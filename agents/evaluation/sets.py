@@ -45,21 +45,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from baselines.archive import STICKY_GRID
 from capsule_gym.command_line import parse
-from capsule_gym.evaluation_sets import (
-    FURTHER_SET_NAMES,
-    NOMINAL_PLANT,
-    SET_NAMES,
-    TASK_SET_NAMES,
-    EvaluationSet,
-    PlantSpec,
-)
+from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, TASK_SET_NAMES, EvaluationSet, PlantSpec
 from capsule_gym.files import write_atomically
 from capsule_gym.parameters import CONSTANTS, NOMINAL, RANDOMIZATIONS, Capsule, Disturbances, Randomization, find_task
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
@@ -82,10 +75,6 @@ TASK_SEEDS = {"goal": 20190, "velocity": 20191, "goal-paper": 20192}
 CHANGE_WINDOWS = ((HORIZON / 6.0, HORIZON / 3.0), (HORIZON * 2.0 / 3.0, HORIZON * 5.0 / 6.0))
 
 
-def _uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    return low + (high - low) * float(rng.random())
-
-
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     # Imported here, as in other functions: it imports numba, which takes most of a second.
     from capsule_gym.elementary import exp, log
@@ -104,18 +93,18 @@ def _sample(rng: np.random.Generator, randomization: str | Randomization) -> tup
 def _sample_plant(name: str, rng: np.random.Generator, seed: int) -> PlantSpec:
     """The next episode of a frozen set."""
     if name == "nominal":
-        theta = round(START_THETA + _uniform(rng, -STARTS, STARTS), 6) if seed else START_THETA
-        return replace(NOMINAL_PLANT, seed=seed, theta=theta)
+        theta = round(START_THETA + rng.uniform(-STARTS, STARTS), 6) if seed else START_THETA
+        return PlantSpec(NOMINAL.M, NOMINAL.mu, seed, theta=theta)
     M, mu = _sample(rng, "paper" if name == "paper" else "wide")
     changes = []
     if name == "extrapolation":
         if seed % 3 != 1:
-            M = round(_uniform(rng, *(LIGHTER if rng.random() < 0.5 else HEAVIER)), 4)
+            M = round(rng.uniform(*(LIGHTER if rng.random() < 0.5 else HEAVIER)), 4)
         if seed % 3 != 0:
             mu = float(f"{_log_uniform(rng, *(SMOOTHER if rng.random() < 0.5 else ROUGHER)):.5g}")
     if name == "drift":
         for window in CHANGE_WINDOWS:
-            t = round(round(_uniform(rng, *window) / CONTROL_DT) * CONTROL_DT, 6)
+            t = round(round(rng.uniform(*window) / CONTROL_DT) * CONTROL_DT, 6)
             changes.append(dict(zip(("t", "M", "mu"), (t, *_sample(rng, "wide")), strict=True)))
     return PlantSpec(M, mu, seed, tuple(changes))
 
@@ -144,7 +133,7 @@ def _draw_task_set(name: str) -> EvaluationSet:
         goal = None
         if task_name == "goal":
             (draw,) = task.draws
-            distance = round(_uniform(rng, draw.low, draw.high), 4)
+            distance = round(rng.uniform(draw.low, draw.high), 4)
             goal = distance if rng.random() < 0.5 else -distance
         plants.append(PlantSpec(M, mu, seed, goal=goal))
     return EvaluationSet(name, tuple(plants), task_name, NOMINAL if floor else None)

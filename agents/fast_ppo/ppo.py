@@ -138,8 +138,7 @@ class FastPPO(PPO):
         deviation = float(policy.log_std.detach().clamp_min(policy.least_log_std).exp())
         noise = torch.randn(steps, self.n_envs).double().numpy()
         chances = torch.rand(steps if venv.jump > 0.0 else 0, self.n_envs, 3).double().numpy()
-        rollout: Rollout = venv.collect(acting, deviation, noise, chances)
-        return rollout
+        return venv.collect(acting, deviation, noise, chances)
 
     def _count(self, rollout: Rollout, callback: BaseCallback) -> bool:
         """Counts a rollout's steps and reports its episodes; returns whether to continue."""

@@ -51,9 +51,8 @@ class Data(NamedTuple):
     @property
     def subjects(self) -> list[Row]:
         """The rows that the report is about: all but the baseline, unless there is no other."""
-        return [row for row in self.results.rows if row.name != self.results.criteria.baseline] or list(
-            self.results.rows
-        )
+        rows, baseline = self.results.rows, self.results.criteria.baseline
+        return [row for row in rows if row.name != baseline] or list(rows)
 
 
 def collect(names: Sequence[str], *, trust_controller: bool = False, trust_pickle: bool = False) -> Data:

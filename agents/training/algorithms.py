@@ -28,16 +28,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN, Actor
 from torch import nn
 
-from agents.training.presets import (
-    Config,
-    OffPolicyConfig,
-    OnPolicyConfig,
-    PPOConfig,
-    RecurrentPPOConfig,
-    RunError,
-    TD3Config,
-    TQCConfig,
-)
+from agents.training.presets import Config, OnPolicyConfig, PPOConfig, RunError, TD3Config, TQCConfig
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.task import CONTROL_DT, TASKS
 
@@ -180,7 +171,6 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
         network["log_std_init"] = config.log_std_init
         names = ("n_steps", "n_epochs", "gae_lambda", "ent_coef")
     else:
-        assert isinstance(config, OffPolicyConfig)
         kwargs["train_freq"] = 1
         names = ("buffer_size", "learning_starts", "gradient_steps", "tau")
     kwargs |= {name: getattr(config, name) for name in names}
@@ -190,7 +180,7 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
         if fast is not None:
             policy, network["policy_inputs"] = fast.FastPolicy, venv.header.inputs
             network |= {"least_log_std": config.least_log_std, "tanh_mean": config.tanh_mean}
-    elif isinstance(config, RecurrentPPOConfig):
+    elif config.algo == "recurrent-ppo":
         policy = "MlpLstmPolicy" if config.stock else RecurrentPolicy
         network |= {"lstm_hidden_size": config.hidden, "enable_critic_lstm": False}
         network["activation_fn"] = nn.Tanh if config.stock else FastTanh

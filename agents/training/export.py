@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import pickle
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -75,14 +76,10 @@ def recurrent_policy(name: str, model: RecurrentPPO, env: VecNormalize, env_kwar
         env_kwargs: the arguments of the environment that it acts in.
     """
 
-    class Normalising:
-        """Predicts from the environment's own observations."""
+    def predict(observations: np.ndarray, **kwargs: Any) -> Any:
+        return model.predict(env.normalize_obs(observations), **kwargs)
 
-        def predict(self, observations: np.ndarray, **kwargs: Any) -> Any:
-            """As SB3's."""
-            return model.predict(env.normalize_obs(observations), **kwargs)
-
-    return wrap_policy(Normalising(), name=name, env_kwargs=env_kwargs)
+    return wrap_policy(SimpleNamespace(predict=predict), name=name, env_kwargs=env_kwargs)
 
 
 def export(name: str, model: BaseAlgorithm, config: Config, revision: str) -> Policy:

@@ -35,8 +35,7 @@ class QuietExit:
         message: printed to stderr at the end.
     """
 
-    def __init__(self) -> None:
-        self.message = "Stopped."
+    message = "Stopped."
 
     def install(self) -> None:
         """Installs the handler."""

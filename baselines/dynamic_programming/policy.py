@@ -107,8 +107,7 @@ class Lookahead:
         states = np.repeat(observations[:, :3].T.astype(np.float64), NUM_TORQUES, axis=1)
         outcome = self._transitions.step(states, self._actions)
         plants = self._q, self._corners, self._weights
-        scores: np.ndarray = compile_cached(_score)(*outcome, *plants, *self._tables)
-        return scores.reshape(-1, NUM_TORQUES)
+        return compile_cached(_score)(*outcome, *plants, *self._tables).reshape(-1, NUM_TORQUES)
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """The actions for observations of shape (count, entries): shape (count, 1), float32."""

@@ -71,8 +71,7 @@ class Solution:
         """The values of states of shape (3, n), cm; `FAILURE_VALUE` off the grid."""
         positions, nothing = self.grid.positions(states)[:, None], np.zeros((states.shape[1], 1), np.float32)
         cell = cell_curvature(self.curvature, self.grid)
-        interpolated: np.ndarray = compile_cached(_backup)(self.values, positions, nothing, 0.0, cell)[0]
-        return interpolated
+        return compile_cached(_backup)(self.values, positions, nothing, 0.0, cell)[0]
 
 
 def cell_curvature(curvature: float, grid: Grid) -> float:

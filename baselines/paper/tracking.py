@@ -119,11 +119,7 @@ def simulate(
         trajectories.append(
             Trajectory(
                 t=np.arange(end + 1) * LAW_DT,
-                theta=own[:, Row.theta],
-                theta_dot=own[:, Row.theta_dot],
-                x=own[:, Row.x],
-                x_dot=own[:, Row.x_dot],
-                torque=own[:, Row.torque],
+                **{name: own[:, getattr(Row, name)] for name in ("theta", "theta_dot", "x", "x_dot", "torque")},
                 reference=simulation.reference[own[:, Row.clock].astype(np.int64)],
                 memory=own[:, ROWS:],
                 metrics={name: float(values[i]) for name, values in metrics.items()},
