@@ -94,3 +94,4 @@ TASK_SCRIPTED = {
     law.policy: ScriptedPolicy(law.policy, law.description, {"task": law.task, "controller": f"baselines:{name}"})
     for name, law in TASK_LAWS.items()
 }
+ALL_SCRIPTED = {**SCRIPTED, **TASK_SCRIPTED}

@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from baselines.tables import markdown_table, text_table
 from benchmarks.measurement import OutputArgs
 from capsule_gym import task
 from capsule_gym.command_line import parse
@@ -127,8 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "compared at the last torque change before that; the last column is the median length. The random plants "
         "differ in every constant, with a slope, viscous friction, Stribeck's curve, and friction of the motor."
     )
-    print(note, text_table(table), sep="\n\n")
-    args.write(COMMAND, note, markdown_table(table))
+    args.report(COMMAND, note, table)
     return 0
 
 

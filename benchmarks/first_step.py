@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import baselines
-from baselines.tables import markdown_table, text_table
 from benchmarks.measurement import OutputArgs, machine
 from capsule_gym.command_line import parse
 
@@ -75,8 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             with tempfile.TemporaryDirectory() as folder:
                 rows.append([name, *(f"{seconds(python, program, folder):.2f}" for _ in range(2))])
     note = f"Wall time from the start of the process to its end, of an installed wheel. {machine()}."
-    print(text_table(rows, left=1), note, sep="\n\n")
-    args.write(COMMAND, markdown_table(rows), note)
+    args.report(COMMAND, rows, note, left=1)
     return 0
 
 

@@ -18,6 +18,7 @@ from typing import TypeVar
 from llvmlite.binding import get_host_cpu_features
 from tqdm import tqdm
 
+from baselines.tables import Rows, markdown_table, text_table
 from capsule_gym.command_line import check_output
 from capsule_gym.files import write_atomically
 
@@ -44,6 +45,11 @@ class OutputArgs:
         for name in ("turns", "total_steps"):
             if getattr(self, name, 1) < 1:
                 raise ValueError(f"--{name.replace('_', '-')} must be above 0, got 0")
+
+    def report(self, command: str, *parts: str | Rows, left: int | None = None) -> None:
+        """Prints paragraphs and tables, with `left` as `text_table` takes it; writes the page, if it was asked for."""
+        print(*(part if isinstance(part, str) else text_table(part, left=left) for part in parts), sep="\n\n")
+        self.write(command, *(part if isinstance(part, str) else markdown_table(part) for part in parts))
 
     def write(self, command: str, *paragraphs: str) -> None:
         """Writes the page, if it was asked for.

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from baselines.tables import markdown_table, text_table
 from benchmarks import accuracy
 from benchmarks.measurement import OutputArgs, available_cores, machine
 from capsule_gym import task
@@ -259,8 +258,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "share of its friction limit mu N, forwards and backwards in turn. 'stiff': the hardest constraints that "
         f"MuJoCo allows at the step of {1e3 * DIRECT_PHYSICS_DT:g} ms. {machine('mujoco')}."
     )
-    print(text_table(rows), note, sep="\n\n")
-    args.write(COMMAND, markdown_table(rows), note)
+    args.report(COMMAND, rows, note)
     return 0
 
 

@@ -22,7 +22,6 @@ import gymnasium as gym
 import numpy as np
 from tqdm import tqdm
 
-from baselines.tables import markdown_table, text_table
 from benchmarks.measurement import OutputArgs, available_cores, machine, spread, take_turns
 from benchmarks.mujoco import FRICTIONS, FrictionModel
 from capsule_gym import ENV_ID, task
@@ -271,9 +270,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rates = measure(contenders, args.turns)
     rows = table(contenders, rates)
     note = f"{machine('mujoco', 'envpool')}; medians of {args.turns} turns, IQR: interquartile range over it."
-    below = [CONDITIONS, note, *left_out]
-    print(text_table(rows), *below, sep="\n\n")
-    args.write(COMMAND, markdown_table(rows), *below)
+    args.report(COMMAND, rows, CONDITIONS, note, *left_out)
     return 0
 
 

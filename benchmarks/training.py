@@ -22,7 +22,6 @@ from tqdm import tqdm
 from agents.evaluation.statistics import estimate, learning_curve, paired_difference
 from agents.training.presets import PRESETS, PPOConfig
 from baselines import drawing
-from baselines.tables import markdown_table, text_table
 from benchmarks.measurement import OutputArgs, machine
 from capsule_gym.command_line import Count, parse
 from capsule_gym.files import replacing
@@ -222,8 +221,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with drawing.style(), replacing(args.figure) as temporary:
             # Half as many bytes as at the resolution of the paper's figures.
             draw(runs, note).savefig(temporary, format="png", dpi=130, metadata={"Software": None})
-    print(text_table(table), words, note, sep="\n\n")
-    args.write(COMMAND, markdown_table(table), words, note)
+    args.report(COMMAND, table, words, note)
     return 0
 
 

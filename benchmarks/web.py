@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 
 import capsule_gym
-from baselines.tables import markdown_table, text_table
 from benchmarks.measurement import OutputArgs, machine, spread, take_turns
 from capsule_gym.command_line import Count, parse, refuse
 from capsule_gym.task import EPISODE_STEPS
@@ -112,8 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"Agent steps, of 20 ms each, of one capsule in closed loop per second of the processor; medians of "
         f"{args.turns} episodes. {machine()}."
     )
-    print(text_table(steps), note, sep="\n\n")
-    args.write(COMMAND, markdown_table(steps), note)
+    args.report(COMMAND, steps, note)
     return 0
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from agents.training.presets import ROWS, PPOConfig
 from baselines.dynamic_programming.policy import TORQUES
 from baselines.gaits.archive import GaitMap, encode_gaits, known_gaits, tolerant_nominal
+from baselines.policies import ALL_SCRIPTED
 from capsule_gym import Policy, load_policy, resets, task
 from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, TASK_SET_NAMES, EvaluationSet, load_set
 from capsule_gym.layout import HISTORY_ROWS, LANES, SETTINGS, Row, StepSettings, pack
@@ -40,16 +41,7 @@ from capsule_gym.parameters import (
     find_task,
 )
 from capsule_gym.simulation import LARGEST_KEY, NO_CONTROLLER, check_step, count_rows, make_settings
-from web.episodes import (
-    FILE,
-    OVER,
-    RECORDED,
-    SCRIPTED_POLICIES,
-    controller_names,
-    env_kwargs,
-    is_trained,
-    known_recordings,
-)
+from web.episodes import FILE, OVER, RECORDED, controller_names, env_kwargs, is_trained, known_recordings
 from web.modules import COMMON, DIRECT, ENTRIES, LAWS, STARTS, STEPS, build, find_law
 
 # The smallest mass of the platform with which friction up to the largest is accepted, kg, and the motor's largest
@@ -274,7 +266,7 @@ def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
         "task": find_task(options.task).name,
         "controller": controller_of(options),
         "settings": describe_settings(options),
-        "description": SCRIPTED_POLICIES[name].description,
+        "description": ALL_SCRIPTED[name].description,
     }
     if name in GAITS:
         found = GAITS[name]()

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 import capsule_gym
-from baselines.policies import SCRIPTED, TASK_SCRIPTED, Act
+from baselines.policies import ALL_SCRIPTED, Act
 from capsule_gym.command_line import parse
 from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, PlantSpec, load_set
 from capsule_gym.files import write_atomically
@@ -33,7 +33,6 @@ from capsule_gym.task import CONTROL_DT, EPISODE_STEPS, TASKS
 
 # Run in the browser by their recorded actions, on the frozen plants alone.
 RECORDED = ("optimum-nominal", "optimum-oracle")
-SCRIPTED_POLICIES = {**SCRIPTED, **TASK_SCRIPTED}
 FILE = Path(__file__).with_name("episodes.json")
 RECORDINGS = Path(__file__).with_name("recordings.npz")
 # In a recording, behind the last action of an episode.
@@ -55,12 +54,12 @@ def is_trained(name: str) -> bool:
 def controller_names() -> list[str]:
     """The policies that run in the browser; of a trained one the run with the lowest seed."""
     # Those of other tasks last, where they shift no plants.
-    return [*SCRIPTED_POLICIES, *sorted(policy_names(), key=lambda name: "task" in env_kwargs(name))]
+    return [*ALL_SCRIPTED, *sorted(policy_names(), key=lambda name: "task" in env_kwargs(name))]
 
 
 def env_kwargs(name: str) -> dict[str, Any]:
     """The arguments of the environment that a driver acts in."""
-    return capsule_gym.load_policy(name).env_kwargs if is_trained(name) else SCRIPTED_POLICIES[name].env_kwargs
+    return capsule_gym.load_policy(name).env_kwargs if is_trained(name) else ALL_SCRIPTED[name].env_kwargs
 
 
 def episodes() -> Iterator[Episode]:
@@ -88,7 +87,7 @@ def compute(episode: Episode) -> tuple[int, str]:
     plant, kwargs = found.plants[episode["plant"]], {**env_kwargs(name), **found.env_kwargs}
     env = capsule_gym.CapsuleEnv(**kwargs)
     observation, _ = env.reset(seed=plant.seed, options=plant.reset_options())
-    act = (capsule_gym.load_policy(name) if is_trained(name) else SCRIPTED_POLICIES[name]).start([plant.seed])
+    act = (capsule_gym.load_policy(name) if is_trained(name) else ALL_SCRIPTED[name]).start([plant.seed])
     digest, terminated, step = hashlib.sha256(), False, 0
     horizon = TASKS[found.task][1] * CONTROL_DT
     while not terminated and step < round(horizon / kwargs.get("control_dt", CONTROL_DT)):
@@ -117,7 +116,7 @@ def record(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
     from agents.evaluation.episodes import evaluate
     from baselines.dynamic_programming.policy import TORQUES
 
-    policy, taken = SCRIPTED[name], []
+    policy, taken = ALL_SCRIPTED[name], []
 
     def start(seeds: Sequence[int]) -> Act:
         act = policy.start(seeds)

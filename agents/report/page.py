@@ -143,6 +143,8 @@ def render(data: Data, title: str) -> str:
     """
     results, metric = data.results, data.results.criteria.metric
     speed = results.task == "speed"
+    versions = ", ".join(f"{name} {number}" for name, number in results.rows[0].header["versions"].items())
+    hashes = ", ".join(f"{each.name} {each.hash[:12]}" for each in results.sets)
     parts = [
         f"<h1>{html.escape(title)}</h1>",
         f"<p>{_sentence(data, data.subjects[0])}</p>",
@@ -152,7 +154,10 @@ def render(data: Data, title: str) -> str:
         _figure("Speed against cost of transport", draw_transport, results.rows) if speed else "",
         _figure("Performance profile", draw_profiles, results.rows, results.shown_sets) if speed else "",
         _figure("On which plants", draw_plants, results.rows, results.sets, metric),
-        _footer(data),
+        "<footer><p>Numbers are interquartile means with 95 % intervals, for other training runs, where there are "
+        "several, on other plants; shares are means. The mean speed of a failed episode is its distance over "
+        f"the episode's whole length. Written by <code>{COMMAND}</code> with {html.escape(versions)}. "
+        f"Sets: {hashes}.</p></footer>",
     ]
     body = "\n".join(part for part in parts if part)
     css = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
@@ -234,18 +239,6 @@ def _tables(data: Data) -> str:
         table = tabulate(rows, headers="firstrow", tablefmt="html", disable_numparse=True, stralign="right")
         tables.append(f'<h3>{name}</h3>\n<div class="wide">\n{table}\n</div>')
     return "\n".join(tables)
-
-
-def _footer(data: Data) -> str:
-    results = data.results
-    versions = ", ".join(f"{name} {number}" for name, number in results.rows[0].header["versions"].items())
-    hashes = ", ".join(f"{each.name} {each.hash[:12]}" for each in results.sets)
-    return (
-        "<footer><p>Numbers are interquartile means with 95 % intervals, for other training runs, where there are "
-        "several, on other plants; shares are means. The mean speed of a failed episode is its distance over "
-        f"the episode's whole length. Written by <code>{COMMAND}</code> with {html.escape(versions)}. "
-        f"Sets: {hashes}.</p></footer>"
-    )
 
 
 def compare(run: Path, set_name: str | None = None) -> None:

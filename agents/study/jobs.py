@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import dataclasses
 import json
 import re
 import traceback
 from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -93,8 +93,7 @@ def train_job(job: Job) -> str:
 
     path = job.run.with_name(f"{job.run.name}.log")
     path.parent.mkdir(parents=True, exist_ok=True)
-    log = path.open("a", encoding="utf-8", buffering=1)
-    with log, contextlib.redirect_stdout(log), contextlib.redirect_stderr(log):
+    with path.open("a", encoding="utf-8", buffering=1) as log, redirect_stdout(log), redirect_stderr(log):
         try:
             if not job.run.exists():
                 begin(job.run, job.config)

@@ -54,16 +54,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Written before anything is printed, so that a closed pipe does not cost the result.
     if args.json is not None:
         write_atomically(args.json, to_json(plain(results)))
-    figures = []
     if args.figures is not None:
         from baselines.paper.figures import draw_all
 
-        figures = draw_all(args.figures)
+        drawn = len(draw_all(args.figures))
     print(text(results))
     if args.json is not None:
         print(f"\nWritten to {args.json}")
-    if figures:
-        print(f"\n{len(figures)} files drawn to {args.figures}")
+    if args.figures is not None:
+        print(f"\n{drawn} files drawn to {args.figures}")
     return 0
 
 
