@@ -16,6 +16,7 @@ import pytest
 from safetensors.numpy import load_file, save
 
 import capsule_gym
+from agents.distillation.config import STUDENTS
 from capsule_gym import Capsule, Policy, Randomization, load_policy, policy_names
 from capsule_gym.policy import IMITATION, POLICY
 from tests.capsule_gym.test_network import make_layers
@@ -179,7 +180,7 @@ def test_every_pretrained_policy_loads_and_drives_its_environment(name):
     for run in (run for run in policy_names(seeds=True) if run.startswith(f"{name}/")):
         policy = load_policy(run)
         assert (policy.name, policy.training_seed) == (run, int(run.rpartition("-")[2]))
-        assert policy.algorithm == ("sac" if "sac" in name else IMITATION if "distilled" in name else "ppo")
+        assert policy.algorithm == ("sac" if "sac" in name else IMITATION if name in STUDENTS else "ppo")
         assert policy.revision not in ("", "unknown")
     policy = load_policy(name)
     assert (policy.name, policy.training_seed) == (name, 0)
