@@ -439,7 +439,8 @@ class Simulation:
             frictions = starts[Row.mu].tolist() if mu is None else mu
             for n, plant in enumerate(zip(masses, frictions, strict=True)):
                 own = () if drawn is None else drawn[len(self.task.draws) :, n].tolist()
-                self._check_plant(*plant, replace(self.capsule, **dict(zip(CONSTANTS, own, strict=False))))
+                constants = dict(zip(CONSTANTS, own, strict=False))
+                self._check_plant(*plant, replace(self.capsule, **constants) if constants else self.capsule)
             starts[Row.M], starts[Row.mu] = masses, frictions
         if state is not None:
             starts[: Row.M] = self._check_state(state, len(rows)).T

@@ -86,8 +86,8 @@ def draw_profiles(rows: Sequence[Row], set_names: Sequence[str]) -> Any:
     figure.supylabel("share of episodes that are faster", fontsize=8.0)
     add_note(
         figure,
-        "Horizontal: mean speed (cm/s). All episodes of all training seeds; bands: 95 %. A step "
-        "is a policy with the same speed on all plants; the part missing at the left edge made no progress.",
+        "Horizontal: mean speed (cm/s). All episodes of all training seeds; bands: 95 %. A step is a policy with "
+        "the same speed on all plants; the part missing at the left edge made no progress.",
     )
     return figure
 
