@@ -75,13 +75,13 @@ SCRIPTED = {
             partial(_start, "baselines.gaits.archive", "start_oracle"),
         ),
         ScriptedPolicy(
-            "optimum-nominal",
+            "dp-nominal",
             "dynamic programming for the nominal plant with a margin of normal force, whatever the plant",
             {},
             partial(_start, "baselines.dynamic_programming.policy", "start_nominal"),
         ),
         ScriptedPolicy(
-            "optimum-oracle",
+            "dp-oracle",
             "observes M and mu; dynamic programming for that plant",
             {"observe_parameters": True},
             partial(_start, "baselines.dynamic_programming.policy", "start_oracle"),

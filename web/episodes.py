@@ -32,7 +32,7 @@ from capsule_gym.policy import policy_names
 from capsule_gym.task import CONTROL_DT, EPISODE_STEPS, TASKS
 
 # Run in the browser by their recorded actions, on the frozen plants alone.
-RECORDED = ("optimum-nominal", "optimum-oracle")
+RECORDED = ("dp-nominal", "dp-oracle")
 FILE = Path(__file__).with_name("episodes.json")
 RECORDINGS = Path(__file__).with_name("recordings.npz")
 # In a recording, behind the last action of an episode.

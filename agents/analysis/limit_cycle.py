@@ -20,7 +20,7 @@ from capsule_gym.evaluation_sets import NOMINAL_PLANT
 from capsule_gym.parameters import NOMINAL
 
 # The paper's law, the fastest rows that learnt from reward, and the optimum.
-POLICIES = (BASELINE, "residual-on-gait", "residual-on-gait-wide", "residual-identifying", "optimum-nominal")
+POLICIES = (BASELINE, "residual-on-gait", "residual-on-gait-wide", "residual-identifying", "dp-nominal")
 # Seconds at the end in which the cycle is sought: three of the paper's cycles of 6.6 s, and a little.
 WINDOW = 20.0
 # Phases of the contact by the sign of the displacement.

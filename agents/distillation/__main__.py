@@ -28,10 +28,10 @@ class Args:
 
     Examples:
       python -m agents.distillation --seeds {0..4}
-      python -m agents.distillation optimum-distilled-wide --seeds 0
+      python -m agents.distillation dp-distilled-wide --seeds 0
     """
 
-    name: Annotated[Positional[str], arg(metavar="NAME", help=f"One of {', '.join(STUDENTS)}.")] = "optimum-distilled"
+    name: Annotated[Positional[str], arg(metavar="NAME", help=f"One of {', '.join(STUDENTS)}.")] = "dp-distilled"
     seeds: Annotated[tuple[int, ...], arg(metavar="N")] = (0, 1, 2)
     """Training seeds."""
     runs: Path = RUNS
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return INTERRUPTED
     except (RunError, OSError) as error:
         refuse(PROG, str(error))
-    print(f"Distilled; python -m agents.evaluate {args.runs / args.name} --against optimum-oracle compares it.")
+    print(f"Distilled; python -m agents.evaluate {args.runs / args.name} --against dp-oracle compares it.")
     return 0
 
 

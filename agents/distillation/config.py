@@ -60,8 +60,8 @@ class Student:
 
 # By the name of their rows on the leaderboard.
 STUDENTS = {
-    "optimum-distilled": Student("paper"),
-    "optimum-distilled-wide": Student(
+    "dp-distilled": Student("paper"),
+    "dp-distilled-wide": Student(
         "wide",
         identifies=True,
         change_rate=0.2,

@@ -1,4 +1,4 @@
-"""The scripted policies `optimum-nominal` and `optimum-oracle`: one-step lookahead with the values of the solutions.
+"""The scripted policies `dp-nominal` and `dp-oracle`: one-step lookahead with the values of the solutions.
 
 A policy tries a few dozen torques in the environment's own step, on the plant that it assumes, and takes the one with
 the largest reward plus value of the next state. The values are those of the coarse grids; between the plants of

@@ -24,7 +24,7 @@ SETTLED = HORIZON / 2.0
 CONTROL_INTERVALS = (0.01, 0.005)
 # cm/J
 ENERGY_WEIGHTS = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
-# N: `optimum-nominal` leaves so much normal force, for platforms that are lighter than it assumes.
+# N: `dp-nominal` leaves so much normal force, for platforms that are lighter than it assumes.
 NOMINAL_MARGIN = 1.6
 
 

@@ -17,7 +17,7 @@ from baselines.dynamic_programming.policy import NUM_TORQUES, TORQUES
 from capsule_gym import load_policy
 from capsule_gym.task import CONTROL_DT
 
-NAME = "optimum-distilled"
+NAME = "dp-distilled"
 TINY = {"num_envs": 3, "steps": 30, "updates": 3, "final_updates": 4, "final_parts": 2, "batch_size": 16}
 TINY |= {"learning_rate": 1e-3, "evaluation_episodes": 2}
 
@@ -57,7 +57,7 @@ def test_the_data_hide_the_plant_and_hold_the_regret_of_every_torque(dataset):
 
 
 def test_a_student_that_identifies_is_given_the_estimates():
-    name = "optimum-distilled-wide"
+    name = "dp-distilled-wide"
     assert STUDENTS[name].change_rate > 0.0
     data = collected(name, steps=150)
     assert data.inputs.shape[1] == 9

@@ -28,7 +28,7 @@ def dummy(monkeypatch):
 def test_every_policy_has_one_name_and_acts():
     assert {"zero", "adaptive", "gait-guarded", "direct-ppo"} <= set(NAMES)
     assert len(NAMES) == len(set(NAMES))
-    for name in ("random", "gait-oracle", "optimum-oracle", "direct-ppo/seed-2"):
+    for name in ("random", "gait-oracle", "dp-oracle", "direct-ppo/seed-2"):
         episode = Episode(find_policy(name), PLANT)
         episode.advance(0.2)
         assert episode.policy.name in name and episode.state()["torque"] != 0.0

@@ -263,7 +263,7 @@ BAD = [
         "RangeError",
         "energyWeight must be left out: residual-identifying",
     ),
-    ('await live.drive("optimum-oracle")', "RangeError", "set and plant must be given: what optimum-oracle does"),
+    ('await live.drive("dp-oracle")', "RangeError", "set and plant must be given: what dp-oracle does"),
     ('await live.drive("epc", { set: "paper", plant: 100 })', "RangeError", "plant must be .* 0 to 99, got 100"),
     ('await live.drive("random", { seed: 0.5 })', "TypeError", "seed must be a whole number from 0 to 99, got 0.5"),
     ("capsule.reset({ M: 0 })", "RangeError", r"M must be a finite number in \[0.2, 2\], got 0"),
@@ -517,7 +517,7 @@ def test_disturbances_act_on_who_drives(open_page: Open) -> None:
     page.focus("#slope")
     page.keyboard.press("End")
     page.wait_for_function("location.hash.includes('slope=3')")
-    page.select_option("#driver", "optimum-nominal")
+    page.select_option("#driver", "dp-nominal")
     page.wait_for_function("document.getElementById('slope').disabled && document.getElementById('set').value")
     assert "slope" not in link(page) and page.locator("#trouble").is_hidden()
 
@@ -561,7 +561,7 @@ SCENES = [
     "#driver=epc&rival=adaptive&view=lane&set=drift&plant=3&speed=0.5&t=7.5",
     "#driver=adaptive&M=0.45&mu=0.02&jumps=1:0.5:0.01,2.5:0.6:0.1&t=3",
     "#driver=yourself&rival=epc&M=0.5&mu=0.01&t=0.8&hand=10uK20z9u",
-    "#driver=optimum-nominal&rival=random&set=paper&plant=9&t=2",
+    "#driver=dp-nominal&rival=random&set=paper&plant=9&t=2",
     "#driver=gait-predictive&rival=gait-guarded&M=0.5&mu=0.01&seed=3&disturbances=real&t=0.5",
     "#driver=gait-predictive&M=0.5&mu=0.01&latency=0.005&noise=0.5&motor=0.05&slope=-2&t=0.5",
     "#driver=gait-predictive&set=real&plant=7&t=0.5",
@@ -578,7 +578,7 @@ WRONG = [
     ("#driver=epc&jumps=1:2", 'jumps must be t:M:mu.* got "1:2"'),
     ("#driver=epc&t=99", 'a number from 0 to 33, got "99"'),
     ("#driver=yourself&hand=!", "hand must be letters"),
-    ("#driver=optimum-oracle&M=0.6&t=1", "recorded on the plants of the sets"),
+    ("#driver=dp-oracle&M=0.6&t=1", "recorded on the plants of the sets"),
 ]
 
 

@@ -62,7 +62,7 @@ def test_static_friction_that_is_planned_with_makes_the_optimum_faster():
     plants, capsule = tuple(PlantSpec(M, mu, seed=0) for M, mu in ((0.4, 0.25), (0.6, 0.4))), STICKY_GRID.capsule
     found = []
     for grid in (GRID, STICKY_GRID):
-        policy = replace(SCRIPTED["optimum-oracle"], start=lambda seeds, grid=grid: Oracle(len(seeds), grid=grid).act)
+        policy = replace(SCRIPTED["dp-oracle"], start=lambda seeds, grid=grid: Oracle(len(seeds), grid=grid).act)
         found.append(evaluate(policy, EvaluationSet("some", plants, capsule=capsule)))
     for unaware, aware in zip(*found, strict=True):
         assert not aware["failed"] and aware["mean_speed"] > 1.03 * unaware["mean_speed"]
@@ -147,8 +147,8 @@ def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, monkeypatch, 
 @pytest.mark.parametrize(
     ("name", "plants"),
     [
-        ("optimum-oracle", [(0.35, 0.3, 30.0), (0.5, 0.01, 14.5), (0.42, 0.07, 20.0), (0.62, 0.015, 12.0)]),
-        ("optimum-nominal", [(0.5, 0.01, 13.5), (0.45, 0.009, 13.5), (0.55, 0.011, 13.5)]),
+        ("dp-oracle", [(0.35, 0.3, 30.0), (0.5, 0.01, 14.5), (0.42, 0.07, 20.0), (0.62, 0.015, 12.0)]),
+        ("dp-nominal", [(0.5, 0.01, 13.5), (0.45, 0.009, 13.5), (0.55, 0.011, 13.5)]),
     ],
 )
 def test_a_policy_is_fast_and_does_not_fail(name, plants):
