@@ -1,7 +1,8 @@
-"""What mkdocs does besides: the leaderboard and links to scenes lead to the live page."""
+"""Hooks of mkdocs: pages of the notebooks, and links of rankings and scenes to the live page."""
 
 from __future__ import annotations
 
+import base64
 import html
 import json
 import re
@@ -11,62 +12,104 @@ from typing import Any
 from urllib.parse import parse_qs, urlencode
 
 from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File
 from mkdocs.utils import get_relative_url
 
 ROOT = Path(__file__).resolve().parents[1]
-# Made by `make web` behind this build, into the same folder.
+# `make web` writes into this folder after mkdocs.
 LIVE = "live/"
-# The page about it, which mkdocs would write to the same file, and where it lies instead.
+# By default mkdocs would write the page about the live page to the live page's own file.
 ABOUT_LIVE = "live.md"
 ABOUT_LIVE_AT = "in_the_browser/index.html"
-# The paper's controller, which the live page shows beside all others.
+# The paper's controller, which the live page shows next to each policy.
 BASELINE = "adaptive"
 # Pages with a ranking of policies.
 RANKINGS = ("index.md", "leaderboard.md")
 TABLE = re.compile(r"<table>.*?</table>", re.DOTALL)
 ROW = re.compile(r"(?<=<tr>).*?(?=</tr>)", re.DOTALL)
-# A figure is wider than a telephone: a touch opens it by itself.
+# On a telephone a figure is too small to read: a tap opens it alone.
 FIGURE = re.compile(r'<img\b[^>]*\bsrc="(?P<file>[^"]*figures/[^"]*)"[^>]*>')
 CELL = re.compile(r"(?<=<td>).*?(?=</td>)")
-# On GitHub such a link leads to the page about the live page, here to the scene itself.
+# On GitHub such a link leads to the page about the live page, on the site to the scene itself.
 SCENE = re.compile(r"\[(?P<text>[^\]]+)\]\(live\.md#(?P<scene>driver=[^)\s]+)\)")
+COLAB = "https://colab.research.google.com/github/"
 
 
 @cache
 def drivers() -> frozenset[str]:
-    """What the live page can show: each of its drivers has an episode in web/episodes.json."""
+    """The policies that the live page can show, each with an episode in web/episodes.json."""
     episodes = json.loads((ROOT / "web" / "episodes.json").read_text(encoding="utf-8"))
     return frozenset(episode["driver"] for episode in episodes)
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Puts the page about the live page beside the folder of that name, where the live page itself comes to lie.
+    """Adds CONTRIBUTING.md and the notebooks, and moves the page about the live page out of the live page's folder.
 
     Raises:
-        PluginError: if another file would come to lie in that folder.
+        PluginError: if another file would be written into that folder.
     """
     files.get_file_from_path(ABOUT_LIVE).dest_uri = ABOUT_LIVE_AT
     lost = [file.src_uri for file in files if file.dest_uri.startswith(LIVE)]
     if lost:
         raise PluginError(f"`make web` writes into the same folder {LIVE} as {', '.join(lost)}")
+    contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").replace("](docs/", "](")
+    files.append(File.generated(config, "contributing.md", content=contributing))
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        for name, content in notebook_files(path, config.repo_url or "").items():
+            files.append(File.generated(config, f"notebooks/{name}", content=content))
     return files
 
 
+def notebook_files(path: Path, repository: str) -> dict[str, str | bytes]:
+    """A notebook as a Markdown page and its pictures.
+
+    Args:
+        path: the notebook.
+        repository: its address on GitHub; without one the page has no link to Colab.
+
+    Returns:
+        The content of each file by its name.
+    """
+    parts: list[str] = []
+    pictures: dict[str, bytes] = {}
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        if cell["cell_type"] == "markdown":
+            # The page lies one folder below the others.
+            parts.append(source.replace("](../docs/", "](../").replace("](../LEADERBOARD.md", "](../leaderboard.md"))
+            continue
+        parts.append(f"```python\n{source}\n```")
+        for output in cell["outputs"]:
+            data = output.get("data", {})
+            if "image/png" in data:
+                name = f"{path.stem}_{len(pictures)}.png"
+                pictures[name] = base64.b64decode(data["image/png"])
+                parts.append(f"![What the cell shows]({name})")
+            else:
+                text = "".join(output.get("text", data.get("text/plain", "")))
+                parts.append(f"```text\n{text.rstrip()}\n```")
+    owner = repository.partition("github.com/")[2].strip("/")
+    if owner:
+        badge = f"[![Open in Colab](../media/colab.svg)]({COLAB}{owner}/blob/main/notebooks/{path.name})"
+        parts.insert(1, badge)
+    return {f"{path.stem}.md": "\n\n".join(parts) + "\n", **pictures}
+
+
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Makes links to live.md#driver=.. links to that scene of the live page."""
+    """Links live.md#driver=.. to that scene of the live page."""
     return SCENE.sub(lambda match: _link(page, match["scene"], match["text"], {}), markdown)
 
 
 def on_page_content(content: str, page: Any, **_: Any) -> str:
-    """Links figures to themselves, and rankings to the live page."""
-    content = FIGURE.sub(lambda match: f'<a href="{match["file"]}" title="By itself">{match[0]}</a>', content)
+    """Links figures to their files, and the policies of rankings to the live page."""
+    content = FIGURE.sub(lambda match: f'<a href="{match["file"]}" title="Open the figure">{match[0]}</a>', content)
     if page.file.src_uri not in RANKINGS:
         return content
     return TABLE.sub(lambda match: _watched(page, match[0]), content)
 
 
 def _watched(page: Any, table: str) -> str:
-    """A ranking with links to its policies on the live page, next to the paper's law; other tables as they are."""
+    """A ranking with links of its policies to the live page; another table unchanged."""
     heads = re.findall("<th>(.*?)</th>", table)
     if not {"policy", f"x {BASELINE}"} <= {*heads}:
         return table
@@ -74,7 +117,7 @@ def _watched(page: Any, table: str) -> str:
 
 
 def _watched_row(page: Any, row: str, column: int) -> str:
-    """A row of a ranking, whose first cell gets the link, to the first plant of the paper's ranges, if it is shown."""
+    """A row of a ranking; if the live page can show its policy, with a link behind the first cell."""
     cells = CELL.findall(row)
     if not cells or cells[column] not in drivers():
         return row
@@ -89,7 +132,7 @@ def _link(page: Any, scene: str, text: str, attributes: dict[str, str]) -> str:
     """A link to a scene of the live page.
 
     Raises:
-        PluginError: if the live page has none of its drivers.
+        PluginError: if the live page cannot show a policy of the scene.
     """
     given = parse_qs(scene)
     strangers = {*given["driver"], *given.get("rival", [])} - drivers()

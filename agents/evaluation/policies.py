@@ -1,7 +1,7 @@
 """Policies by name or path: scripted policies, checkpoints, training runs, and policies written by others.
 
 Another project's policy is a function from observations to actions, an object with `predict`, or a folder with a
-policy file; docs/your_policy.md shows how to evaluate one.
+policy file; docs/evaluation.md shows how to evaluate one.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("agents/**/*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("agents/**/*.md")])
 MODULES = sorted(path for package in ("capsule_gym", "baselines", "agents") for path in (ROOT / package).rglob("*.py"))
 FENCE = re.compile(r"^( *)```(\w+)\b[^\n]*\n(.*?)^\1```\s*$", re.DOTALL | re.MULTILINE)
 SHELL = ("bash", "sh", "shell", "console")
