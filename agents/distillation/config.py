@@ -20,6 +20,7 @@ class Student:
         grid: the plants that the expert's solutions are of, with the plants' static ratio.
         identifies: whether it identifies them on line.
         change_rate: how often M and mu are drawn anew within an episode, 1/s.
+        law: the name of a control law that its torque is added to, and the limit on its torque, N m.
         margin: normal force that the expert leaves, N: a student that does not know M needs more than the expert.
         max_regret: largest regret of a torque in the data, cm. The end of an episode costs more.
         num_envs: episodes of a round.
@@ -38,6 +39,7 @@ class Student:
     grid: PlantGrid = GRID
     identifies: bool = False
     change_rate: float = 0.0
+    law: tuple[str, float] | None = None
     margin: float = MIN_NORMAL_FORCE
     max_regret: float = 5.0
     num_envs: int = 64
@@ -54,7 +56,9 @@ class Student:
     @property
     def env_kwargs(self) -> dict[str, Any]:
         """The arguments of the environment that it acts in."""
-        own = {"capsule": self.grid.capsule} if self.grid.capsule != NOMINAL else {}
+        own: dict[str, Any] = {"capsule": self.grid.capsule} if self.grid.capsule != NOMINAL else {}
+        if self.law:
+            own |= {"controller": self.law[0], "residual_limit": self.law[1]}
         return {"randomization": self.randomization, "observe_parameters": False, **own}
 
 
@@ -65,6 +69,17 @@ STUDENTS = {
         "wide",
         identifies=True,
         change_rate=0.2,
+        margin=0.4,
+        max_regret=30.0,
+        num_envs=96,
+        rounds=10,
+        final_updates=24_000,
+    ),
+    "residual-distilled-wide": Student(
+        "wide",
+        identifies=True,
+        change_rate=0.2,
+        law=("baselines:gait_identifying", 2.0),
         margin=0.4,
         max_regret=30.0,
         num_envs=96,

@@ -55,7 +55,7 @@ def collect(
     """
     count, none = student.num_envs, AutoresetMode.DISABLED
     env = CapsuleVectorEnv(num_envs=count, autoreset_mode=none, **{**student.env_kwargs, "observe_parameters": True})
-    expert = Oracle(count, student.margin, student.grid)
+    expert = Oracle(count, student.margin, student.grid, student.law)
     header = make_header(
         EnvConfig(**student.env_kwargs),
         layers=1,
@@ -73,7 +73,7 @@ def collect(
     running, expert_acts = np.ones(count, bool), rng.random(count) < expert_share
     inputs, regrets = [], []
     for _ in range(student.steps):
-        scores = expert.scores(observations)
+        scores = expert.scores(observations, env.simulation)
         regret = np.minimum(scores.max(axis=1, keepdims=True) - scores, student.max_regret).astype(np.float32)
         observed = np.ascontiguousarray(observations[:, : header.observed])
         compute_inputs(numbers, observed, 0, count, memory, given)

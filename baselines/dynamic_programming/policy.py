@@ -20,6 +20,7 @@ from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem, Trans
 from baselines.dynamic_programming.solver import cell_curvature
 from capsule_gym.compiler import compile_cached
 from capsule_gym.parameters import NOMINAL
+from capsule_gym.simulation import Simulation
 
 Act = Callable[[np.ndarray], np.ndarray]
 
@@ -85,25 +86,29 @@ class Lookahead:
         count: environments.
         margin: normal force that a torque must leave, N.
         problems: whose values are interpolated, all of one static ratio; with one these are taken as they are.
+        law: as of `Transitions`.
     """
 
-    def __init__(self, count: int, margin: float, *problems: Problem) -> None:
+    def __init__(self, count: int, margin: float, *problems: Problem, law: tuple[str, float] | None = None) -> None:
         self._tables = _tables(*problems)
         assumed = Problem(margin=margin, static_ratio=problems[0].static_ratio)
-        self._transitions = Transitions(assumed, count * NUM_TORQUES)
+        self._transitions, self._with_law = Transitions(assumed, count * NUM_TORQUES, law), law is not None
         self._actions = np.tile(TORQUES.astype(np.float64), count)
         self._q = np.full(count, NOMINAL.m * NOMINAL.l / (NOMINAL.M + NOMINAL.m))
         self._corners, self._weights = np.zeros((count, 1), np.int64), np.ones((count, 1))
 
-    def scores(self, observations: np.ndarray) -> np.ndarray:
+    def scores(self, observations: np.ndarray, simulation: Simulation | None = None) -> np.ndarray:
         """The score of each torque: its reward plus the value of the next state, cm; `FAILURE_SCORE` if it fails.
 
         Args:
             observations: shape (count, entries); theta, theta_dot and x_dot come first.
+            simulation: of the environments, whose law has a memory; not needed without a law.
 
         Returns:
             Shape (count, torques), float64, in the order of `TORQUES`.
         """
+        if self._with_law and simulation is not None:
+            self._transitions.take_over(simulation)
         states = np.repeat(observations[:, :3].T.astype(np.float64), NUM_TORQUES, axis=1)
         outcome = self._transitions.step(states, self._actions)
         plants = self._q, self._corners, self._weights
@@ -121,14 +126,21 @@ class Oracle(Lookahead):
         count: environments.
         margin: normal force that a torque must leave, N.
         grid: the plants whose values are interpolated, with the static ratio of those observed.
+        law: as of `Transitions`.
     """
 
-    def __init__(self, count: int, margin: float = MIN_NORMAL_FORCE, grid: PlantGrid = GRID) -> None:
-        super().__init__(count, margin, *plant_problems(grid))
+    def __init__(
+        self,
+        count: int,
+        margin: float = MIN_NORMAL_FORCE,
+        grid: PlantGrid = GRID,
+        law: tuple[str, float] | None = None,
+    ) -> None:
+        super().__init__(count, margin, *plant_problems(grid), law=law)
         self._grid = grid
         self._observed = np.zeros((count, 2), np.float32)
 
-    def scores(self, observations: np.ndarray) -> np.ndarray:
+    def scores(self, observations: np.ndarray, simulation: Simulation | None = None) -> np.ndarray:
         """As of any lookahead, on the plants observed."""
         plants = observations[:, -2:]
         # On most steps no plant has changed.
@@ -140,7 +152,7 @@ class Oracle(Lookahead):
             cells = [self._grid.cell(*plant) for plant in zip(M.tolist(), mu.tolist(), strict=True)]
             self._corners, a, b = (np.array(each) for each in zip(*cells, strict=True))
             self._weights = np.stack([(1.0 - a) * (1.0 - b), (1.0 - a) * b, a * (1.0 - b), a * b], axis=1)
-        return super().scores(observations)
+        return super().scores(observations, simulation)
 
 
 def start_nominal(seeds: Sequence[int]) -> Act:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from baselines.archive import GRID, STICKY_GRID, PlantGrid
-from capsule_gym.layout import Row
+from capsule_gym.layout import LANES, Row
 from capsule_gym.parameters import DIRECT_PHYSICS_DT, NOMINAL, Capsule, EnvConfig
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
@@ -92,10 +92,14 @@ class Transitions:
     Args:
         problem: with the plant of all states; `set_plants` gives others.
         count: states that are moved at once.
+        law: the name of a control law to whose torque the actions are added, and their limit, N m.
     """
 
-    def __init__(self, problem: Problem, count: int) -> None:
-        self._simulation = Simulation(count, problem.options)
+    def __init__(self, problem: Problem, count: int, law: tuple[str, float] | None = None) -> None:
+        options = problem.options
+        if law:
+            options = replace(options, physics_dt=None, controller=law[0], residual_limit=law[1])
+        self._simulation = Simulation(count, options)
         self._simulation.reset(np.arange(count))
         self._zeros = np.zeros(count)
         self.margin = problem.margin
@@ -105,6 +109,12 @@ class Transitions:
         """Gives every state a plant of its own: M in kg and mu, shape (count,)."""
         self._simulation.write(Row.M, M)
         self._simulation.write(Row.mu, mu)
+
+    def take_over(self, simulation: Simulation) -> None:
+        """Continues the episodes of a simulation with the same law: each of them in `count / num_envs` neighbours."""
+        places = np.arange(self._simulation.num_envs)
+        columns = simulation.columns(places * simulation.num_envs // places.size)
+        self._simulation.world[places // LANES, :, places % LANES] = columns.T
 
     def step(self, states: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Takes a step.
