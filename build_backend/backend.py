@@ -1,14 +1,20 @@
-"""The package's build backend: setuptools', but that a wheel also holds machine code.
+"""The package's build backend: setuptools', with machine code in the wheel.
 
-The environment's first step then compiles nothing and imports no numba (`capsule_gym.compilation`). An editable
-installation is built without it, and needs nothing but setuptools.
+The machine code lets the environment's first step compile nothing and import no numba (`capsule_gym.compilation`). An
+editable installation is built without it, and needs nothing but setuptools.
+
+The environment variable REPOSITORY_URL, the address of the repository, gives the metadata its URLs and the README its
+absolute links. Two builds of the same files give the same bytes.
 """
 
 from __future__ import annotations
 
+import gzip
 import os
+import re
 import subprocess
 import sys
+import tarfile
 import tempfile
 from pathlib import Path
 
@@ -16,13 +22,66 @@ from setuptools import build_meta
 from setuptools.build_meta import *  # noqa: F403 (the hooks of PEP 517)
 from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_py import build_py
+from setuptools.command.egg_info import egg_info
 from setuptools.config.pyprojecttoml import read_configuration
+
+# Times in the archives: 1980-01-01, the earliest that a wheel can hold.
+os.environ.setdefault("SOURCE_DATE_EPOCH", "315532800")
 
 
 def get_requires_for_build_wheel(config_settings=None):
     """What the package itself needs, since it is run to see what it compiles."""
     dependencies = read_configuration("pyproject.toml")["project"]["dependencies"]
     return [*build_meta.get_requires_for_build_wheel(config_settings), *dependencies]
+
+
+def build_sdist(sdist_directory, config_settings=None):
+    """Builds the sdist without the times, owners and modes of the files that it was made of."""
+    name = build_meta.build_sdist(sdist_directory, config_settings)
+    path = Path(sdist_directory, name)
+    epoch = int(os.environ["SOURCE_DATE_EPOCH"])
+    repacked = path.with_suffix(".tmp")
+    with (
+        tarfile.open(path) as old,
+        open(repacked, "wb") as file,
+        gzip.GzipFile("", "wb", fileobj=file, mtime=epoch) as zipped,
+        tarfile.open(fileobj=zipped, mode="w", format=tarfile.PAX_FORMAT) as new,
+    ):
+        for member in sorted(old.getmembers(), key=lambda each: each.name):
+            member.mode = 0o755 if member.isdir() or member.mode & 0o100 else 0o644
+            member.mtime, member.uid, member.gid, member.uname, member.gname = epoch, 0, 0, "", ""
+            member.pax_headers = {}
+            new.addfile(member, old.extractfile(member))
+    repacked.replace(path)
+    return name
+
+
+def link_absolutely(text, files):
+    """The Markdown text with its relative links below the URL `files`; without a URL, with their words alone."""
+
+    def link(match):
+        image, words, target = match.groups()
+        if files:
+            return f"{image}[{words}]({files}/{target}{'?raw=true' if image else ''})"
+        return "" if image else words
+
+    return re.sub(r"(!?)\[([^\[\]]*)\]\((?!https?:|#)([^()\s]+)\)", link, text)
+
+
+class EggInfo(egg_info):
+    """Writes the metadata with URLs."""
+
+    def finalize_options(self):
+        super().finalize_options()
+        metadata, repository = self.distribution.metadata, os.environ.get("REPOSITORY_URL", "").rstrip("/")
+        files = f"{repository}/blob/v{metadata.version}" if repository else ""
+        metadata.long_description = link_absolutely(metadata.long_description, files)
+        if repository:
+            metadata.project_urls = {
+                "Repository": repository,
+                "Issues": f"{repository}/issues",
+                "Changelog": f"{files}/CHANGELOG.md",
+            }
 
 
 class BuildPy(build_py):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import pkgutil
 import re
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -124,6 +125,17 @@ def is_own(controller: str | None) -> bool:
     return controller is None or _OWN.fullmatch(controller) is not None
 
 
+def _hidden_baselines(controller: str) -> str:
+    """What to do where an import string names a law of this package, but `baselines` is another one; "" otherwise."""
+    module = sys.modules.get("baselines")
+    if not is_own(controller) or module is None or hasattr(module, "LAWS"):
+        return ""
+    return (
+        f"{list(module.__path__)} hides the package `baselines` of capsule-gym (OpenAI Baselines has the same name); "
+        "uninstall that one, install capsule-gym into a virtual environment without it, or start Python elsewhere"
+    )
+
+
 def find_controller(controller: str | Controller | Callable[[], Controller] | None) -> Controller | None:
     """Resolves what the environment's argument `controller` accepts.
 
@@ -141,7 +153,8 @@ def find_controller(controller: str | Controller | Callable[[], Controller] | No
         try:
             found = pkgutil.resolve_name(controller)
         except (ValueError, AttributeError, ModuleNotFoundError) as error:
-            raise ValueError(f"controller must be {accepted}, got {written(controller)}: {error}") from error
+            reason = _hidden_baselines(controller) or error
+            raise ValueError(f"controller must be {accepted}, got {written(controller)}: {reason}") from error
     if callable(found):
         try:
             found = found()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -29,6 +30,17 @@ capsule_gym.load_policy("direct-ppo")
 def test_the_environment_needs_no_optional_package() -> None:
     done = subprocess.run([sys.executable, "-c", MINIMAL], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_another_package_baselines_is_named(tmp_path: Path) -> None:
+    (tmp_path / "baselines").mkdir()
+    (tmp_path / "baselines" / "__init__.py").touch()
+    code = "from capsule_gym import CapsuleEnv; CapsuleEnv(controller='baselines:adaptive')"
+    # The folder in which Python starts comes first.
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert str(tmp_path) in done.stderr and "uninstall that one" in done.stderr
 
 
 def test_packages_policies_and_sets_are_installed() -> None:
