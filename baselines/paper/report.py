@@ -247,8 +247,8 @@ def optimal_profiles_text(results: Results) -> str:
         "The optimum of the paper's own family of profiles, exact tracking, Principles 1 to 4",
         cells,
         f"Of the worst plant; 'binding': at {100.0 * BINDING:.0f} % of the limit or more (P2: Principle 2, and so on).",
-        "The speeds are lower bounds of the optimum, rounded down: each problem has the best profile that any of the "
-        "searches found.",
+        "The speeds are lower bounds of the optimum, rounded down: each problem has the best profile that the "
+        "committed searches found, and other seeds may find a faster one.",
         last_left=True,
     )
 
