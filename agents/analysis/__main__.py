@@ -10,7 +10,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from agents.analysis import goal, limit_cycle, pareto, recording, residual_limit, sensitivity, statistics
+from agents.analysis import algorithms, goal, limit_cycle, pareto, recording, residual_limit, sensitivity, statistics
 from agents.analysis.data import Document
 from capsule_gym.command_line import Positional, parse, refuse
 from capsule_gym.files import write_atomically
@@ -28,6 +28,7 @@ DOCUMENTS = {
     "goal": goal,
     "sensitivity": sensitivity,
     "gallery": recording,
+    "algorithms": algorithms,
 }
 
 

@@ -30,7 +30,6 @@ from agents.training.signals import Stop
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, EvaluationSet
 from capsule_gym.files import canonical_hash, write_atomically
 from capsule_gym.parameters import EnvConfig, find_task
-from capsule_gym.task import CONTROL_DT
 
 # Far from the seeds 0, 1, .. of training runs and evaluation sets: models are selected on plants of their own.
 SELECTION_SEED = 1_000_000
@@ -254,7 +253,7 @@ class TrainingCallback(BaseCallback):
 def evaluate_wrapped(model: BaseAlgorithm, config: Config, plants: EvaluationSet) -> list[Episode]:
     """One episode on every plant, from rest, in environments with the run's wrappers; as `evaluate` returns them."""
     normalise = normalisation(model).normalize_obs
-    steps = round(config.horizon / config.env_kwargs().get("control_dt", CONTROL_DT))
+    steps = round(config.horizon / config.control_dt)
     episodes = []
     for plant in plants.plants:
         env = wrapped_env(config.wrapper, {**config.env_kwargs(), **EPISODE_SETTINGS}, steps)

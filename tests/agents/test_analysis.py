@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import capsule_gym
 from agents.analysis import __main__ as analysis
-from agents.analysis import goal, limit_cycle, pareto, recording, sensitivity
+from agents.analysis import algorithms, goal, limit_cycle, pareto, recording, sensitivity
 from agents.analysis.data import fronts, gather, read_learning
 from agents.analysis.limit_cycle import find_cycle, median_run
 from agents.analysis.recording import Recording, record
@@ -291,3 +292,23 @@ def test_the_figure_of_the_goal(tmp_path, monkeypatch):
     assert [row[1] for row in cells(document.sections["bound"])[2:]] == ["100.0 %"] * 2
     (write,) = document.figures.values()
     assert write(tmp_path / "goal")[0].stat().st_size > 5000
+
+
+# --- algorithms ------------------------------------------------------------------------------------------------------
+
+
+def test_sac_from_the_default_start_swings_on_one_side_of_the_upright():
+    one_sided, fast = (
+        find_cycle(record(capsule_gym.load_policy(name))) for name in (algorithms.ONE_SIDED, "direct-ppo")
+    )
+    assert one_sided.theta.min() > np.radians(10.0)
+    assert fast.theta.min() < -np.radians(50.0) and fast.theta.max() > np.radians(40.0)
+    assert fast.x[-1] / fast.t[-1] > 2.5 * one_sided.x[-1] / one_sided.t[-1]
+
+
+def test_learning_curves_are_read_by_task_and_seed(tmp_path):
+    path = tmp_path / "curves.csv"
+    path.write_text("direct,0,100,1.5,0.25\ndirect,0,200,2.5,0\ndirect,3,100,0.5,0\nresidual,0,100,-1,1\n")
+    found = algorithms.read_curves(path)
+    assert {task: list(runs) for task, runs in found.items()} == {"direct": [0, 3], "residual": [0]}
+    assert [values.tolist() for values in found["direct"][0]] == [[100.0, 200.0], [1.5, 2.5]]

@@ -1,6 +1,6 @@
 """Every example runs with a small budget where its library is installed; data and notebooks are what they show.
 
-`make test` runs the example of Stable-Baselines3; the others need minutes and run where EXAMPLES is set.
+`make test` runs the examples of Stable-Baselines3; the others need minutes and run where EXAMPLES is set.
 """
 
 from __future__ import annotations
@@ -17,11 +17,15 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples"
 ID = "capsule_gym:CapsuleStickSlip-v0"
-ZOO = "--algo ppo --env CapsuleStickSlip-v0 --gym-packages capsule_gym --device cpu -n 4096 --conf-file"
-# By the name of its extra: the module it needs, its command, and a word of what it prints at its end.
+ZOO = "-m rl_zoo3.train --env CapsuleStickSlip-v0 --gym-packages capsule_gym --device cpu -n 4096"
+PLAIN = f"{EXAMPLES}/plain_sb3.py --steps 2048 --every 2048"
+# The module that it needs, its command, and a word of what it prints at its end.
 PROGRAMS = {
     "sb3": ("stable_baselines3", f"{EXAMPLES}/sb3_ppo.py --steps 2048", "return of an episode"),
-    "rl-zoo": ("rl_zoo3", f"-m rl_zoo3.train {ZOO} {EXAMPLES}/rl_zoo.yml", "Saving to"),
+    "sb3-direct": ("stable_baselines3", f"{PLAIN} direct", "2,048 steps:"),
+    "sb3-residual": ("stable_baselines3", f"{PLAIN} residual", "2,048 steps:"),
+    "rl-zoo": ("rl_zoo3", f"{ZOO} --algo ppo --conf-file {EXAMPLES}/rl_zoo.yml", "Saving to"),
+    "rl-zoo-sac": ("rl_zoo3", f"{ZOO} --algo sac --conf-file {EXAMPLES}/rl_zoo_sac.yml", "Saving to"),
     "rllib": ("ray.rllib", f"{EXAMPLES}/rllib_ppo.py --iterations 2 --batch 400", "steps, mean return -"),
     "skrl": ("skrl", f"{EXAMPLES}/skrl_ppo.py --steps 256", "256/256"),
     "tianshou": ("tianshou", f"{EXAMPLES}/tianshou_ppo.py --steps 64", "train_step=640"),
@@ -55,7 +59,7 @@ def run(command: str, folder: Path) -> str:
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_program_runs(name: str, tmp_path: Path) -> None:
     module, command, printed = PROGRAMS[name]
-    if name != "sb3" and "EXAMPLES" not in os.environ:
+    if module != "stable_baselines3" and "EXAMPLES" not in os.environ:
         pytest.skip("EXAMPLES is not set")
     pytest.importorskip(module)
     assert printed in run(command, tmp_path)

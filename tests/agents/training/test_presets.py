@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import re
+from pathlib import Path
 from typing import get_args, get_type_hints
 
 import pytest
@@ -90,6 +91,7 @@ def test_direct_torque_may_be_less_than_the_motors():
 def test_rows_that_are_presets_are_the_same_instances():
     assert ROWS["residual-ppo"] is PRESETS["residual", "ppo"]
     assert ROWS["direct-ppo"] is PRESETS["direct", "ppo"]
+    assert ROWS["direct-sac"] is PRESETS["direct", "sac"]
 
 
 def test_the_table_of_commands_names_every_row_and_its_seeds():
@@ -105,3 +107,19 @@ def test_the_table_of_commands_names_every_row_and_its_seeds():
         program, *words = command.replace(" N", " 7").split()
         assert program == "train.py"
         assert train.read_args(words).hyperparameters == dataclasses.replace(ROWS[name], seed=7)
+
+
+def test_the_zoo_trains_sac_with_the_presets_settings():
+    yaml = pytest.importorskip("yaml")
+    path = Path(__file__).resolve().parents[3] / "examples" / "rl_zoo_sac.yml"
+    (found,) = yaml.safe_load(path.read_text(encoding="utf-8")).values()
+    config = PRESETS["direct", "sac"]
+    env = found["env_kwargs"]
+    assert env.pop("max_episode_steps") == round(config.episode_seconds / config.control_dt)
+    assert env.pop("initial_range") == list(config.initial_range)
+    assert env == {name: getattr(config, name) for name in ("control_dt", "termination_penalty")}
+    # The Zoo's rate falls to 0.
+    assert float(found["learning_rate"].removeprefix("lin_")) == config.learning_rate
+    assert (found["n_envs"], float(found["n_timesteps"])) == (config.num_envs, config.total_steps)
+    names = ("batch_size", "buffer_size", "learning_starts", "gradient_steps", "gamma", "tau")
+    assert {name: found[name] for name in names} == {name: getattr(config, name) for name in names}
