@@ -50,7 +50,7 @@ def test_a_report_shows_the_numbers_of_the_leaderboard(both, monkeypatch):
     assert "Learning curve" in text and f"{NAME} in motion" in text
     board = json.loads((ROOT / "leaderboard.json").read_text())
     tables = text.split("<h3>")[1:]
-    # Those of 100 plants: the others would take a report too long.
+    # Not the sets of 1,000 plants: they would take a report too long.
     assert [each.partition("<")[0] for each in tables] == list(SET_NAMES)
     rows = {row["policy"]: row["results"] for row in board["rows"]}
     for table, name in zip(tables, SET_NAMES, strict=True):
