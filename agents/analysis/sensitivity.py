@@ -95,7 +95,7 @@ def compose(results: Mapping[str, Cells]) -> Document:
     """The document of these results."""
     fields = {name: ", ".join(f"`{each}={size}`" for each, size in given.items()) for name, given in DISTURBED.items()}
     sizes = markdown_table([["disturbance", "at the size 1"], *([name, text] for name, text in fields.items())])
-    tables = {"sizes": sizes, **{f"percent_{100 * size:g}": table(results, size) for size in SIZES}}
+    tables = {"sizes": sizes, "speeds": table(results, 1.0)}
     return Document(tables, {"figures/sensitivity": write_with(draw, results)})
 
 
