@@ -1,4 +1,4 @@
-"""Tables and figures of the leaderboard's results: differences between policies, learning curves."""
+"""Tables and figures of the leaderboard's results: performance profiles, learning curves, cost of transport."""
 
 from __future__ import annotations
 
@@ -10,23 +10,20 @@ from agents.analysis.data import SPEED, Document, Results, gather
 from agents.analysis.figures import draw_learning, draw_profiles, draw_transport, write_with
 from agents.evaluation import policies as evaluation_policies
 from agents.evaluation.episodes import TABLE_METRICS
-from agents.evaluation.policies import BASELINE
-from agents.evaluation.statistics import learning_curve, paired_difference
+from agents.evaluation.statistics import learning_curve
 from agents.leaderboard.rows import RESULTS, load_rows
 from baselines.tables import markdown_table
 from capsule_gym.evaluation_sets import SET_NAMES, load_set
 
 ROOT = Path(__file__).resolve().parents[2]
 METRIC = TABLE_METRICS[SPEED]
-# Policies with which the trained rows are compared.
-REFERENCES = (BASELINE, "direct-ppo")
 
 
 def document() -> Document:
     """Tables and figures of the leaderboard's results; nothing is evaluated."""
     rows = load_rows(ROOT / RESULTS, [candidate.name for candidate in evaluation_policies.all_candidates()])
     results = gather(rows, [load_set(name) for name in SET_NAMES], evaluation_policies.CHECKPOINTS)
-    return Document({"differences": differences(results), "learning": learning(results)}, figures_of(results))
+    return Document({"learning": learning(results)}, figures_of(results))
 
 
 def figures_of(results: Results) -> dict[str, Callable[[Path], Any]]:
@@ -38,23 +35,6 @@ def figures_of(results: Results) -> dict[str, Callable[[Path], Any]]:
     if results.learning:
         found["learning"] = write_with(draw_learning, results.learning)
     return {f"figures/statistics_{name}": write for name, write in found.items()}
-
-
-def differences(results: Results) -> str:
-    """Paired differences of the trained rows to the paper's controller and to `direct-ppo`."""
-    rows = {row.name: row for row in results.rows}
-    table = [["policy", "set", *(f"minus {name}" for name in REFERENCES)]]
-    for row in results.trained:
-        for set_name in results.shown_sets:
-            cells = []
-            for name in REFERENCES:
-                other, cell = rows.get(name), "-"
-                if other is not None and other is not row:
-                    found = paired_difference(row.score(set_name, SPEED), other.score(set_name, SPEED))
-                    cell = METRIC.with_interval(found.to_dict(), sign=True)
-                cells.append(cell)
-            table.append([row.name, set_name, *cells])
-    return markdown_table(table)
 
 
 def learning(results: Results) -> str:

@@ -70,11 +70,6 @@ def cells(table):
 
 
 def test_tables_of_the_statistics(results):
-    differences = {(row[0], row[1]): row[2:] for row in cells(analysis.statistics.differences(results))}
-    # Student's t for three seeds half a cm/s apart; what is cut off the outer ones widens it.
-    assert differences["direct-ppo", "paper"] == ["+16.50 [+14.02, +18.98]", "-"]
-    against, direct = differences["residual", "wide"]
-    assert against.startswith("+8.25 [") and direct.startswith("-8.25 [")
     learning = analysis.statistics.learning(results)
     assert cells(learning)[2] == ["residual", "2", "300", "9.50 [3.15, 15.85]", "300"]
     assert "Without committed evaluations: direct-ppo." in learning
