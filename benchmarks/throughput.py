@@ -36,7 +36,7 @@ ACTION_SCALE = 0.2
 LAW: dict[str, Any] = {"controller": "baselines:adaptive", "residual_limit": ACTION_SCALE * task.TORQUE_LIMIT}
 # Distinct actions that are repeated.
 DRAWS = 16
-BATCHES = (1, 64, 1024, 16384, 262144)
+BATCHES = (64, 1024, 16384)
 PEER_BATCH = 1024
 THREADS = (1, 2)
 SINGLE_PEER = "CartPole-v1"
@@ -193,7 +193,7 @@ def ours() -> list[Contender]:
             for threads in THREADS if num_envs >= PEER_BATCH else THREADS[:1]:
                 endless = {"physics_dt": physics_dt, "threads": threads, "max_episode_steps": sys.maxsize}
                 batch = partial(step_batch, ENV_ID, num_envs, **endless, **kwargs)
-                peer = mujoco_contender(FRICTIONS[0], physics_dt, threads).name if num_envs > 1 else SINGLE_PEER
+                peer = mujoco_contender(FRICTIONS[0], physics_dt, threads).name
                 found.append(Contender(f"{label}, gym.make_vec", batch, num_envs, substeps, threads, peer))
     drawn = partial(step_single, ENV_ID, ACTION_SCALE, render_mode="rgb_array")
     found.append(Contender(f"{DIRECT}, drawn", drawn, peer=DRAWN_PEER))
