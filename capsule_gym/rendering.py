@@ -314,6 +314,7 @@ class Renderer:
             pivot, ball = ((at + offset, y) for at, y in (_polar(0.0, 0.0), _polar(theta, ROD)))
             self._ribbon([pivot, ball], 5.0, GHOST)
             self._disc(ball, BALL, GHOST)
+            self._write(name, 16, GREY, ball[0] + BALL + 6, ball[1] + 5)
         text = f"{name} {_number(100.0 * abs(distance), 1)} cm {'ahead' if distance > 0.0 else 'behind'}"
         self._write(text, 17, GREY, WIDTH - 24, HEADER + 27, "topright")
 
