@@ -36,17 +36,18 @@ ACTION_SCALE = 0.2
 LAW: dict[str, Any] = {"controller": "baselines:adaptive", "residual_limit": ACTION_SCALE * task.TORQUE_LIMIT}
 # Distinct actions that are repeated.
 DRAWS = 16
-BATCHES = (1, 64, 1024, 16384, 262144)
+BATCHES = (64, 1024, 16384)
 PEER_BATCH = 1024
 THREADS = (1, 2)
 SINGLE_PEER = "CartPole-v1"
+DRAWN_PEER = "Pendulum-v1, drawn"
 DIRECT, WITH_LAW = "capsule", "capsule with law"
 INTEGRATOR = "implicitfast"
 CONDITIONS = (
     f"A step of ours and of MuJoCo's capsule is {1e3 * task.CONTROL_DT:g} ms; direct torque is uniform within "
     f"±{ACTION_SCALE * task.TORQUE_LIMIT:g} N m, the law is baselines:adaptive. Ours computes observation, reward and "
     "info too, MuJoCo's batch (mujoco.rollout) the physics alone. Ratios of batches are to its batch at the same step "
-    "and number of threads. Batches of ours never truncate here."
+    'and number of threads. Batches of ours never truncate here. Drawn: render() after each step, in "rgb_array".'
 )
 
 
@@ -99,7 +100,7 @@ class Contender:
 
 
 def step_single(env_id: str, scale: float = 1.0, **kwargs: Any) -> Stepper:
-    """One environment with gymnasium's default wrappers."""
+    """One environment with gymnasium's default wrappers; with a render mode, each step with its frame."""
     env = gym.make(env_id, **kwargs)
     env.action_space.seed(SEED)
     samples = [env.action_space.sample() for _ in range(256)]
@@ -109,6 +110,8 @@ def step_single(env_id: str, scale: float = 1.0, **kwargs: Any) -> Stepper:
     def step(count: int) -> None:
         for _ in range(count):
             _, _, terminated, truncated, _ = env.step(next(actions))
+            if "render_mode" in kwargs:
+                env.render()
             if terminated or truncated:
                 env.reset()
 
@@ -190,8 +193,10 @@ def ours() -> list[Contender]:
             for threads in THREADS if num_envs >= PEER_BATCH else THREADS[:1]:
                 endless = {"physics_dt": physics_dt, "threads": threads, "max_episode_steps": sys.maxsize}
                 batch = partial(step_batch, ENV_ID, num_envs, **endless, **kwargs)
-                peer = mujoco_contender(FRICTIONS[0], physics_dt, threads).name if num_envs > 1 else SINGLE_PEER
+                peer = mujoco_contender(FRICTIONS[0], physics_dt, threads).name
                 found.append(Contender(f"{label}, gym.make_vec", batch, num_envs, substeps, threads, peer))
+    drawn = partial(step_single, ENV_ID, ACTION_SCALE, render_mode="rgb_array")
+    found.append(Contender(f"{DIRECT}, drawn", drawn, peer=DRAWN_PEER))
     return found
 
 
@@ -201,6 +206,7 @@ def peers() -> list[Contender]:
     found = [
         Contender(SINGLE_PEER, partial(step_single, SINGLE_PEER)),
         Contender("Pendulum-v1", partial(step_single, "Pendulum-v1")),
+        Contender(DRAWN_PEER, partial(step_single, "Pendulum-v1", render_mode="rgb_array")),
         # Its frame_skip is 2.
         Contender(inverted, partial(step_single, inverted), substeps=2, package="mujoco"),
         Contender(f"{SINGLE_PEER}, gym.make_vec", partial(step_batch, SINGLE_PEER, PEER_BATCH), PEER_BATCH),

@@ -32,106 +32,107 @@ _VIEWS = ("_rows", "_memory", "_varied", "_observation", "_step", "_renderer")
 
 
 class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
-    """Friction-driven locomotion: a capsule that an inner pendulum drives by stick and slip.
+    """A capsule robot that moves by stick and slip, driven by a pendulum.
 
     ## Description
 
-    A capsule robot without legs: inside a rigid shell an inverted pendulum turns on a motor, held by a torsional
-    spring and a damper, and the shell lies on a floor with Coulomb friction. Swung fast one way, the pendulum pushes
-    the capsule forwards against the friction; swung back slowly, the friction holds it. Only the pendulum is
-    actuated. The robot and the numbers are those of Liu, Yu and Cang, "Optimized adaptive tracking control for an
-    underactuated vibro-driven capsule system" (Nonlinear Dynamics 94, 2018).
+    The capsule is a rigid platform on a floor with Coulomb friction. It carries an inverted pendulum with a motor, a
+    torsional spring and a damper at the pivot. Only the pendulum is actuated. A fast swing in one direction pushes the
+    platform forwards against friction; during a slow swing back, friction holds it. The goal is to move forwards as
+    fast as possible. The robot is that of Liu, Yu and Cang, "Optimized adaptive tracking control for an underactuated
+    vibro-driven capsule system" (Nonlinear Dynamics 94, 2018).
 
-    The ball sits at x - l sin(theta): a growing theta swings it backwards and pushes the platform forwards (+x).
-    Contact is exact: the platform sticks with a velocity of exactly 0.0 while the load is below the friction limit,
-    and every change between stick and slip is located inside the integration step to the integrator's order.
+    The ball of the pendulum is at x - l sin(theta): a growing theta swings it backwards and pushes the platform
+    forwards (+x). Contact is exact: the platform sticks with a velocity of exactly 0.0 while the load is below the
+    friction limit, and each transition between stick and slip is located inside the integration step.
 
-    The mass M of the platform and the friction coefficient mu are drawn at random for every episode.
+    The mass M of the platform and the friction coefficient mu are drawn at every reset.
 
     ## Action Space
 
-    A `ndarray` of shape `(1,)`, dtype `float32`, in [-1, 1] (values outside are clipped).
+    A `ndarray` of shape `(1,)`, dtype `float32`, in [-1, 1]. Values outside are clipped.
 
-    | task | what the action is | applied torque u |
+    | control | meaning of the action a | applied torque u |
     |---|---|---|
-    | direct torque (`controller=None`) | the motor torque | clip(residual_limit a), where `residual_limit` defaults to `torque_limit` |
-    | residual torque (`controller="module:attribute"`) | a torque on top of a control law that runs inside the step at 1 kHz | clip(clip(u_law) + residual_limit a) |
+    | direct (`controller=None`) | motor torque | clip(residual_limit a); `residual_limit` defaults to `torque_limit` |
+    | residual (`controller="module:attribute"`) | torque on top of a control law that runs inside the step at 1 kHz | clip(clip(u_law) + residual_limit a) |
 
-    Every clip is to +-`torque_limit`. A zero residual is the scripted controller, bit for bit. Mind that a stiff law
-    fights the residual; `residual_limit = 2 torque_limit` lets the agent take over completely.
+    Torques are clipped to +-`torque_limit`. A residual of zero gives the control law itself, bit for bit. A law that
+    tracks a reference counteracts the residual; with `residual_limit = 2 torque_limit` the agent can override the law.
 
     ## Observation Space
 
-    A `ndarray` of dtype `float32`; SI units; values are clipped to the bounds.
+    A `ndarray` of dtype `float32`, in SI units. Values are clipped to the bounds.
 
     | Num | Observation | Min | Max | present |
     |---|---|---|---|---|
     | 0 | theta: angle of the pendulum from the upright (rad) | -pi/2 | pi/2 | always |
-    | 1 | theta_dot: its rate (rad/s) | -20 | 20 | always |
+    | 1 | theta_dot: angular velocity (rad/s) | -20 | 20 | always |
     | 2 | x_dot: velocity of the platform (m/s) | -2 | 2 | always |
     | 3 | stick: 1 where the platform sticks (x_dot is exactly 0), else 0 | 0 | 1 | always |
     | 4 | last action, after clipping | -1 | 1 | always |
     | 5 | theta_d: reference angle (rad) | -pi/2 | pi/2 | with a controller |
-    | 6 | theta_d_dot: its rate (rad/s) | -20 | 20 | with a controller |
-    | 7 | sine of the cycle's phase | -1 | 1 | with a controller |
-    | 8 | cosine of the cycle's phase | -1 | 1 | with a controller |
-    | 9 | the torque that the law returns at this instant (N m) | -torque_limit | torque_limit | with a controller |
-    | last two | M (kg), mu | 0 | 4 Capsule.M, 1; or what `randomization` and `capsule` reach, where that is more | `observe_parameters=True` |
+    | 6 | theta_d_dot: reference angular velocity (rad/s) | -20 | 20 | with a controller |
+    | 7 | sine of the phase of the reference cycle | -1 | 1 | with a controller |
+    | 8 | cosine of that phase | -1 | 1 | with a controller |
+    | 9 | present torque of the control law (N m) | -torque_limit | torque_limit | with a controller |
+    | last two | M (kg), mu | 0 | 4 Capsule.M, 1; or the limits of `randomization` and `capsule`, if larger | `observe_parameters=True` |
 
-    Where M and mu are observed, `reset(options=..)` refuses larger ones than these: a `Randomization` with wider ranges
-    makes room for them.
-
-    With `stack_size=n` the same entries of the n - 1 steps before follow, the newest first; an episode begins with n times
-    the first.
-
-    The position x is not observed: the task does not depend on it. `info["state"]` holds it.
+    With `stack_size=n` the observations of the n - 1 previous steps follow, the newest first; after a reset all n are
+    the first observation. The position x is not observed, since the reward does not depend on it; `info["state"]`
+    contains it. With `observe_parameters=True`, `reset(options=..)` accepts M and mu only within these bounds.
 
     ## Rewards
 
-    The sum of three terms, each in `info` under its name:
+    The reward is the sum of three terms, which `info` contains under these names:
 
     - `reward_progress`: forward displacement of the platform in this step, in centimetres;
-    - `reward_energy`: minus `energy_weight` times the joules spent, the integral of |u theta_dot| over the step,
-      integrated inside it;
-    - `reward_termination`: minus `termination_penalty` where the episode fails.
+    - `reward_energy`: -`energy_weight` times the energy of this step, the integral of |u theta_dot|, in J;
+    - `reward_termination`: -`termination_penalty` if the episode terminates, else 0.
 
     ## Starting State
 
-    theta = -pi/3 (plus uniform noise of half width `initial_noise`), at rest, x = 0; with `initial_range`, theta and
-    theta_dot are drawn, so that training also meets what a policy that has settled for a poor gait never visits.
-    `reset(options={"state": [theta, theta_dot, x, x_dot], "M": kg, "mu": ..})` sets what is given; `options={"changes":
-    [{"t": s, "M": kg, "mu": ..}]}` lets M and mu jump during the episode. A state has |theta| < pi/2, |theta_dot| <=
-    1000 rad/s, |x| <= 1e6 m and |x_dot| <= 1000 m/s. The draws of M, mu and of the initial state come from separate
-    random streams. With disturbances, or a `Randomization` of further constants, `options={"disturbances": {"latency":
-    0.01}, "capsule": {"m": 0.14}}` sets what the episode would draw.
+    theta = -pi/3, at rest, x = 0. `initial_noise` adds uniform noise to theta; `initial_range` draws theta and
+    theta_dot from uniform distributions around 0 instead. M, mu, the initial state and the disturbances come from
+    separate random streams. `reset(options={..})` sets values instead:
+
+    | option | value |
+    |---|---|
+    | `"state"` | [theta, theta_dot, x, x_dot]: theta within pi/2 rad of 0, the others within 1000 rad/s, 1e6 m and 1000 m/s |
+    | `"M"`, `"mu"` | mass (kg), friction coefficient |
+    | `"changes"` | [{"t": s, "M": kg, "mu": ..}, ..]: changes of M and mu during the episode |
+    | `"capsule"` | {"m": kg, ..}: constants that a `Randomization` would draw |
+    | `"disturbances"` | {"latency": s, ..}: values that `disturbances` would draw |
 
     ## Episode End
 
     1. Termination "pendulum": |theta| reaches pi/2, where the ball meets the platform.
-    2. Termination "contact": the normal force falls to zero, the capsule leaves the floor.
-    3. Termination "diverged": a step of the integrator returns no number, or meets one of these ends or a change of
-       the contact at |theta_dot| + |x_dot| beyond 1e4 rad/s and m/s, which takes a plant or a torque that it does not
-       resolve. The environment stays at the last state before that.
-    4. Truncation: after 1650 steps (33 s, the paper's five cycles of 6.6 s).
+    2. Termination "contact": the normal force reaches zero; the platform leaves the floor.
+    3. Termination "diverged": the integrator cannot resolve the motion (a result that is not finite, or an event above
+       |theta_dot| + |x_dot| = 1e4). The environment keeps the last state before.
+    4. Truncation: after 1650 steps, 33 s.
 
-    A copy, `copy.deepcopy`'s or pickle's, goes on bit for bit with this episode and the next ones. Of the control law a
-    pickle holds the argument `controller`, which must be picklable: an import string, or a function of a module.
-
-    `env.unwrapped.episode_metrics()` gives the metrics of the episode, at its end and at any time before. Truncation is
-    done by gymnasium's wrapper, which the environment does not see.
+    `env.unwrapped.episode_metrics()` returns the metrics of the episode so far. `copy.deepcopy` and `pickle` copy the
+    episode; the copy continues bit for bit. A pickle stores the argument `controller`, which must be picklable: an
+    import string or a function of a module.
 
     ## Info
 
-    The same keys and dtypes at every reset and step, as numbers and arrays of numpy: `state` (theta, theta_dot, x,
-    x_dot), `stick`, `M`, `mu`, `torque` (the last torque applied, N m), `law_torque` (what the law returns for the next interval, N m),
-    `normal_force` (the smallest in the step, N; after a reset the weight), `energy` (of the step, J), the reward terms,
-    and `termination` (`capsule_gym.task.Termination`: 0 while the episode goes on, 1 "pendulum", 2 "contact",
-    3 "diverged").
+    `info` has the same keys and dtypes after every reset and step:
 
-    With disturbances, or a `Randomization` of further constants, also `reading` (what the sensors have shown last of
-    theta, theta_dot, x, x_dot; x is the integral of the measured x_dot), `capsule` (the episode's constants, in the
-    order of `capsule_gym.parameters.CONSTANTS`) and `disturbances` (what it has drawn, in the order of
-    `capsule_gym.parameters.DISTURBANCES`).
+    | key | value |
+    |---|---|
+    | `state` | theta, theta_dot, x, x_dot (float64) |
+    | `stick` | whether the platform sticks |
+    | `M`, `mu` | mass (kg) and friction coefficient of the episode |
+    | `torque` | last applied torque, N m |
+    | `law_torque` | torque of the control law for the next interval, N m |
+    | `normal_force` | smallest normal force in the step, N; after a reset the weight |
+    | `energy` | energy of the step, J |
+    | `reward_progress`, `reward_energy`, `reward_termination` | terms of the reward |
+    | `termination` | `capsule_gym.task.Termination`: 0 running, 1 "pendulum", 2 "contact", 3 "diverged" |
+    | `reading` | last readings of theta, theta_dot, x, x_dot; only with disturbances or drawn constants |
+    | `disturbances`, `capsule` | the episode's values in the order of `DISTURBANCES` and `CONSTANTS` of `capsule_gym.parameters`; only then |
 
     ## Arguments
 
@@ -141,26 +142,26 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     gym.make("capsule_gym:CapsuleStickSlip-v0", controller="baselines:adaptive", randomization="paper")
     ```
 
-    The prefix imports the package, which registers the environment: in a spawned or a remote worker, too.
+    The prefix `capsule_gym:` imports the package, which registers the environment, also in spawned and remote workers.
 
     | argument | default | meaning |
     |---|---|---|
     | `controller` | `None` | control law inside the step: an import string "module:attribute", a `Controller`, or a function that returns one |
-    | `residual_limit` | `torque_limit` | torque of the action 1, N m |
+    | `residual_limit` | `torque_limit` | torque of an action of 1, N m |
     | `torque_limit` | `1.5` | largest motor torque, N m |
-    | `randomization` | `"paper"` | where M and mu of an episode come from: "none": the capsule's own M and mu; "paper": M in [0.45, 0.55] kg, mu in [0.009, 0.011]; "wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3]; "broad": M in [0.25, 1.2] kg, mu log-uniform in [0.002, 0.6]; "sticky": M in [0.35, 0.75] kg, mu in [0.2, 0.6]; "real": M in [0.45, 0.55] kg, mu in [0.009, 0.011], m in [0.1242, 0.1518], l in [0.27, 0.33], k in [0.324, 0.396], c in [0.08307, 0.10153]; "real-wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3], m in [0.1242, 0.1518], l in [0.27, 0.33], k in [0.324, 0.396], c in [0.08307, 0.10153]; or a `Randomization` |
-    | `disturbances` | `"none"` | what sensors, motor and floor do to an ideal plant: "none"; "real": noise, bias and drift of the sensors, 5 to 15 ms of latency, lag and friction of the motor; or a `Disturbances` |
+    | `randomization` | `"paper"` | distribution of the plant, drawn at every reset: "none": the capsule's own M and mu; "paper": M in [0.45, 0.55] kg, mu in [0.009, 0.011]; "wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3]; "broad": M in [0.25, 1.2] kg, mu log-uniform in [0.002, 0.6]; "sticky": M in [0.35, 0.75] kg, mu in [0.2, 0.6]; "real": M in [0.45, 0.55] kg, mu in [0.009, 0.011], m in [0.1242, 0.1518], l in [0.27, 0.33], k in [0.324, 0.396], c in [0.08307, 0.10153]; "real-wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3], m in [0.1242, 0.1518], l in [0.27, 0.33], k in [0.324, 0.396], c in [0.08307, 0.10153]; or a `Randomization` |
+    | `disturbances` | `"none"` | imperfect sensors and motor: "none"; "real": noise, bias and drift of the sensors, 5 to 15 ms of latency, lag and friction of the motor; or a `Disturbances` |
     | `capsule` | `Capsule()` | the plant's constants |
     | `observe_parameters` | `False` | whether the observation ends with M and mu |
-    | `stack_size` | `1` | observations that an observation holds: the present one and those of the steps before |
-    | `energy_weight` | `0.1` | centimetres that a joule costs |
-    | `termination_penalty` | `10` | centimetres that a failure costs |
+    | `stack_size` | `1` | number of observations, the newest first, that one observation stacks |
+    | `energy_weight` | `0.1` | weight of the energy in the reward, cm/J |
+    | `termination_penalty` | `10` | penalty of a termination in the reward, cm |
     | `initial_noise` | `0` | half width of the uniform noise on the initial angle, rad |
-    | `initial_range` | `None` | half widths, in rad and rad/s, of the uniform distributions around 0 that theta and theta_dot start from; None starts at rest at -pi/3 |
+    | `initial_range` | `None` | half widths (rad, rad/s) of uniform distributions around 0 of the initial theta and theta_dot; None starts at rest at -pi/3 |
     | `control_dt` | `0.02` | agent step, s |
-    | `physics_dt` | 2 ms, with a controller 1 ms | step of the fourth-order integrator, s; at most a million in an agent step |
+    | `physics_dt` | 2 ms, with a controller 1 ms | step of the fourth-order integrator, s; at most a million steps per agent step |
     | `render_mode` | `None` | "human" or, also of a batch, "rgb_array" |
-    | `task` | `"speed"` | what the agent is to do: speed, goal, velocity, or a `Task` |
+    | `task` | `"speed"` | the task: speed, goal, velocity, or a `Task` |
 
     Raises:
         TypeError: if an argument is of the wrong type.

@@ -1,6 +1,6 @@
-"""What an environment is made of: the plant's constants, their randomisation, and the options, all checked here.
+"""Arguments of the environments: constants of the plant, randomisation, disturbances and options, with their checks.
 
-`EnvConfig` has the options of `CapsuleEnv` and `CapsuleVectorEnv`; the table of the former's docstring has their lines.
+The table of arguments in the docstring of `CapsuleEnv` lists the options of `EnvConfig`.
 """
 
 # ruff: noqa: RUF009 (`_option` returns a field of the dataclass)
@@ -337,13 +337,13 @@ CONSTANTS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Randomization:
-    """The ranges that the plant of every episode is drawn from, uniformly. None keeps the capsule's own.
+    """Ranges from which every episode draws its plant uniformly. None keeps the value of the `Capsule`.
 
     Attributes:
         M: lowest and highest mass of the platform, kg.
         mu: lowest and highest friction coefficient.
         log_mu: draw log(mu) uniformly instead of mu, for ranges over several decades.
-        m: mass of the ball, kg; this and the next as in `Capsule`.
+        m: mass of the ball, kg.
         l: distance from the pivot to the ball, m.
         g: gravitational acceleration, m/s^2.
         k: stiffness of the torsional spring, N m/rad.
@@ -483,36 +483,37 @@ Draws = float | tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Disturbances:
-    """What sensors, motor and floor do to an ideal plant: the law inside the step and the agent see the sensors, late.
+    """Imperfect sensors and motor, and pushes on the platform.
 
-    A pair (low, high) of numbers is a range that every episode draws from uniformly. Sensors are read at every call of
-    the law, without a law at every step of the agent. They have no position: the law's x is the integral of the
-    measured x_dot. The observation's `stick` is 1 where the measured |x_dot| is at most `stick_threshold`.
+    A pair (low, high) of numbers is a range from which every episode draws uniformly. The control law and the agent
+    both observe the sensors. Sensors are read at every call of the control law or, without one, at every agent step.
+    The position has no sensor: the law's x is the integral of the measured x_dot. The observation's `stick` is 1 where
+    the measured |x_dot| is at most `stick_threshold`.
 
     Attributes:
-        theta_noise: standard deviation of the white noise of a sensor, rad; of each reading by itself.
+        theta_noise: standard deviation of the white noise of theta's sensor, rad; independent between readings.
         theta_dot_noise: rad/s.
         x_dot_noise: m/s.
-        theta_bias: constant error of a sensor, rad.
+        theta_bias: constant error of theta's sensor, rad.
         theta_dot_bias: rad/s.
         x_dot_bias: m/s.
-        theta_drift: standard deviation of a slow error of a sensor, rad: a Gauss-Markov process.
+        theta_drift: standard deviation of the Gauss-Markov error of theta's sensor, rad.
         theta_dot_drift: rad/s.
         x_dot_drift: m/s.
-        drift_time: its time constant, s.
-        theta_resolution: what a sensor's reading is rounded to a multiple of, rad; 0 does not round.
+        drift_time: time constant of the Gauss-Markov errors, s.
+        theta_resolution: step to which a reading of theta is rounded, rad; 0 does not round.
         theta_dot_resolution: rad/s.
         x_dot_resolution: m/s.
-        latency: from the state to the reading that shows it, s; rounded to whole periods of the law, without a law to
+        latency: age of the state that a reading shows, s; rounded to whole periods of the law or, without a law, to
             steps of the integrator.
-        lag: time constant with which the motor's torque follows the commanded one, s.
+        lag: time constant of the motor's torque, s.
         motor_friction: Coulomb friction of the motor, N m, added to `Capsule.motor_friction`.
-        torque_resolution: what the commanded torque is rounded to a multiple of, N m; 0 does not round.
-        push: largest force on the platform, N: in every second a force drawn uniformly from -push to push acts for
-            0.1 s, which begin at a random time.
-        unmeasured: names out of "theta", "theta_dot" and "x_dot": of these the readings are 0.
-        controls: who sees the sensors: "both", or only the "law" or the "agent", while the other one sees the state.
-        stick_threshold: m/s.
+        torque_resolution: step to which the commanded torque is rounded, N m; 0 does not round.
+        push: largest force on the platform, N. In every second a force drawn uniformly from [-push, push] acts for
+            0.1 s from a random time on.
+        unmeasured: any of "theta", "theta_dot" and "x_dot"; their readings are 0.
+        controls: which controller observes the sensors: "both", "law" or "agent"; the other one observes the state.
+        stick_threshold: largest measured |x_dot| that counts as stick, m/s.
 
     Raises:
         TypeError: if a field is of the wrong type.
@@ -719,20 +720,20 @@ class EnvConfig:
         "returns one",
     )
     residual_limit: float | None = _option(
-        None, "torque of the action 1, N m", _or_none(_number(0.0, LARGEST_TORQUE, "N m"))
+        None, "torque of an action of 1, N m", _or_none(_number(0.0, LARGEST_TORQUE, "N m"))
     )
     torque_limit: float = _option(
         task.TORQUE_LIMIT, "largest motor torque, N m", _number(0.0, LARGEST_TORQUE, "N m", open_low=True)
     )
     randomization: str | Randomization = _option(
         "paper",
-        f"where M and mu of an episode come from: {_RANGES}; or a `Randomization`",
+        f"distribution of the plant, drawn at every reset: {_RANGES}; or a `Randomization`",
         _found_by(Randomization.named),
     )
     disturbances: str | Disturbances = _option(
         "none",
-        'what sensors, motor and floor do to an ideal plant: "none"; "real": noise, bias and drift of the sensors, 5 '
-        "to 15 ms of latency, lag and friction of the motor; or a `Disturbances`",
+        'imperfect sensors and motor: "none"; "real": noise, bias and drift of the sensors, 5 to 15 ms of latency, lag '
+        "and friction of the motor; or a `Disturbances`",
         _found_by(Disturbances.named),
     )
     capsule: Capsule | None = _option(None, "the plant's constants", _or_none(_instance("a Capsule or None", Capsule)))
@@ -741,35 +742,35 @@ class EnvConfig:
     )
     stack_size: int = _option(
         1,
-        "observations that an observation holds: the present one and those of the steps before",
+        "number of observations, the newest first, that one observation stacks",
         partial(check_count, most=LARGEST_STACK),
     )
     energy_weight: float = _option(
-        task.ENERGY_WEIGHT, "centimetres that a joule costs", _number(0.0, LARGEST_COST, "cm/J")
+        task.ENERGY_WEIGHT, "weight of the energy in the reward, cm/J", _number(0.0, LARGEST_COST, "cm/J")
     )
     termination_penalty: float = _option(
-        task.TERMINATION_PENALTY, "centimetres that a failure costs", _number(0.0, LARGEST_COST, "cm")
+        task.TERMINATION_PENALTY, "penalty of a termination in the reward, cm", _number(0.0, LARGEST_COST, "cm")
     )
     initial_noise: float = _option(
         0.0, "half width of the uniform noise on the initial angle, rad", _number(0.0, 0.5, "rad")
     )
     initial_range: tuple[float, float] | None = _option(
         None,
-        "half widths, in rad and rad/s, of the uniform distributions around 0 that theta and theta_dot start from; "
-        "None starts at rest at -pi/3",
+        "half widths (rad, rad/s) of uniform distributions around 0 of the initial theta and theta_dot; None starts at "
+        "rest at -pi/3",
         _or_none(_is_range),
     )
     control_dt: float = _option(task.CONTROL_DT, "agent step, s", _IS_STEP)
     physics_dt: float | None = _option(
-        None, "step of the fourth-order integrator, s; at most a million in an agent step", _or_none(_IS_STEP)
+        None, "step of the fourth-order integrator, s; at most a million steps per agent step", _or_none(_IS_STEP)
     )
     threads: int = _option(
-        1, "threads that share a batch, from 64 environments each; the results do not depend on it", check_count
+        1,
+        "number of threads that step a batch, each at least 64 environments; results do not depend on it",
+        check_count,
     )
     render_mode: str | None = _option(None, '"human" or, also of a batch, "rgb_array"', _or_none(_is_render_mode))
-    task: str | Task = _option(
-        "speed", f"what the agent is to do: {', '.join(task.TASKS)}, or a `Task`", _found_by(find_task)
-    )
+    task: str | Task = _option("speed", f"the task: {', '.join(task.TASKS)}, or a `Task`", _found_by(find_task))
 
     def __init__(self, **options: Any) -> None:
         known = {each.name: each for each in fields(self)}

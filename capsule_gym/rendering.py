@@ -5,12 +5,12 @@ pygame draws and pillow writes; both are imported only when needed.
 
 from __future__ import annotations
 
-import functools
 import importlib
 import math
 import os
 import warnings
 from collections.abc import Callable, Iterable, Sequence
+from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +24,20 @@ from capsule_gym.task import ENV_ID
 
 Colour = tuple[int, int, int]
 Points = NDArray[np.float64] | Sequence[tuple[float, float]]
+# Left, top, width and height in pixels of the finished frame.
+Area = tuple[int, int, int, int]
 
 # Everything is drawn at twice the size and averaged down, which anti-aliases every shape and text alike.
 SCALE = 2
+# The number of texts whose pictures are kept: most stay from frame to frame.
+TEXTS = 256
 # Between the frames of a moving picture: 25 a second, which a GIF can keep exactly.
 FRAME_SECONDS = 0.04
 FRAMES_OF_PALETTE = 8
 WIDTH, HEIGHT = 960, 450
 
 # Layout in pixels of the finished frame.
+GRID_TOP = 130
 HEADER, FLOOR, RULER = 76, 378, 36
 COLUMN, VALUE_RIGHT, VALUE_BASELINE = 160, 108, 58
 # Sizes of the robot in pixels; the rod's length sets the scale of the ruler.
@@ -41,6 +46,13 @@ ROD, BALL, PIVOT = 168.0, 19.0, 67.0
 SHELL_HEIGHT = PIVOT + ROD + BALL + 12.0
 SHELL_HALF = 224.0
 SHELL_BOX = (MIDDLE - SHELL_HALF, FLOOR - SHELL_HEIGHT, 2 * SHELL_HALF, SHELL_HEIGHT)
+# Where every frame differs: the robot, with another one the whole stage, and the figures.
+ROBOT_AREA: Area = (256, 112, 448, FLOOR - 105)
+ROBOT_CORNER = tuple(SCALE * side for side in ROBOT_AREA[:2])
+STAGE_AREA: Area = (0, HEADER + 1, WIDTH, FLOOR - HEADER + 6)
+# Of one number of the ruler: no wider than the smallest distance between two.
+NUMBER_AREA: Area = (0, FLOOR + 15, 42, 16)
+FIGURES_AREA: Area = (0, 33, WIDTH, 31)
 PLATFORM_HALF, PLATFORM_HEIGHT = 68.0, 25.0
 GAUGE = 72.0
 SPRING_INNER, SPRING_OUTER, SPRING_TURNS = 9.0, 31.0, 2.5
@@ -61,6 +73,17 @@ TORQUE: Colour = (139, 76, 199)
 STICK: Colour = (37, 99, 186)
 SLIP: Colour = (238, 128, 36)
 GHOST: Colour = (196, 205, 217)
+# Of pictures of which only a part is drawn.
+TRANSPARENT: Colour = (255, 0, 255)
+
+# Names, decimals and units of the figures.
+FIGURES = (
+    ("TIME", 2, "s"),
+    ("DISPLACEMENT", 1, "cm"),
+    ("SPEED", 1, "cm/s"),
+    ("MEAN SPEED", 2, "cm/s"),
+    ("TORQUE", 2, "N m"),
+)
 
 
 def _number(value: float, decimals: int) -> str:
@@ -125,9 +148,17 @@ class Renderer:
         except ImportError as error:
             message = 'pygame is not installed, run: pip install "capsule-gym[render]"'
             raise gymnasium.error.DependencyNotInstalled(message) from error
-        self._surface = pygame.Surface((SCALE * WIDTH, SCALE * HEIGHT), 0, 32)
+        self._marks = math.ceil(WIDTH / self._major_pixels) + 2
+        # Wider than the frame: the ruler on it moves by up to a labelled mark.
+        self._canvas = pygame.Surface((SCALE * math.ceil(WIDTH + self._major_pixels) + SCALE, SCALE * HEIGHT), 0, 32)
+        self._frame = pygame.Surface((WIDTH, HEIGHT), 0, 32)
         # pygame's own font comes with it, so no machine lacks it.
-        self._font = functools.cache(lambda size: pygame.font.Font(None, SCALE * size))
+        self._font = cache(lambda size: pygame.font.Font(None, SCALE * size))
+        self._text, self._number = lru_cache(TEXTS)(self._draw_text), lru_cache(TEXTS)(self._draw_number)
+        self._background = lru_cache(1)(self._draw_background)
+        self._ruler, self._rulers = self._draw_ruler()
+        self._inside = self._stencil(partial(self._box, *SHELL_BOX, INSIDE, radius=SHELL_HEIGHT / 2))
+        self._bodies = {contact: self._stencil(partial(self._draw_body, contact)) for contact in (STICK, SLIP)}
         self._window: Any = None
         if mode == "human":
             pygame.display.init()
@@ -176,24 +207,24 @@ class Renderer:
                 self._on_key(pygame.key.name(event.key), event.type == pygame.KEYDOWN)
         if self.closed:
             return None
-        self._box(0, 0, WIDTH, HEIGHT, WHITE)
         contact = STICK if x_dot == 0.0 else SLIP
         # Other environments call pygame.quit() when they close, which voids every font in the process.
         pygame.font.init()
         self._font.cache_clear()
-        self._draw_floor(x)
+        self._frame.blit(self._background(M, mu, note), (0, 0))
+        area = ROBOT_AREA if ghost is None else STAGE_AREA
+        self._draw_floor(x, area)
         if ghost is not None:
             self._draw_ghost(*ghost, x)
+            self._write_title(M, mu)
         self._draw_robot(theta, torque, contact)
+        self._show(area)
         self._draw_figures(time, x, x_dot, torque, contact)
-        self._write(self._title, 20, SLATE, 24, HEADER + 27)
-        self._write(f"M {M:.3f} kg     \N{GREEK SMALL LETTER MU} {mu:.4f}", 17, GREY, 24, HEADER + 46)
-        self._write(note, 16, GREY, 24, HEIGHT - 13)
-        frame = pygame.transform.smoothscale(self._surface, (WIDTH, HEIGHT))
         if self._mode == "rgb_array":
-            pixels = bytearray(pygame.image.tobytes(frame, "RGB"))
-            return np.frombuffer(pixels, np.uint8).reshape(HEIGHT, WIDTH, 3)
-        self._window.blit(frame, (0, 0))
+            pixels = np.empty((HEIGHT, WIDTH, 3), np.uint8)
+            pygame.image.frombuffer(pixels, (WIDTH, HEIGHT), "RGB").blit(self._frame, (0, 0))
+            return pixels
+        self._window.blit(self._frame, (0, 0))
         pygame.display.flip()
         self._clock.tick(self._fps)
         return None
@@ -205,23 +236,72 @@ class Renderer:
             self._window = None
             self._pygame.display.quit()
 
-    def _draw_floor(self, x: float) -> None:
-        """The ground, the inside of the shell, and the ruler as it passes beneath the robot."""
-        self._box(0, HEADER, WIDTH, FLOOR - HEADER, PAPER)
-        self._box(0, FLOOR, WIDTH, RULER, FLOOR_FILL)
-        self._box(*SHELL_BOX, INSIDE, radius=SHELL_HEIGHT / 2)
+    def _draw_background(self, M: float, mu: float, note: str) -> Any:
+        """What stays from frame to frame: title and plant, the names of the figures, and the note."""
+        self._box(0, 0, WIDTH, HEIGHT, WHITE)
+        for column, (label, _, unit) in enumerate(FIGURES):
+            left = COLUMN * column
+            self._write(label, 16, GREY, left + 24, 26)
+            self._write(unit, 19, GREY, left + VALUE_RIGHT + 6, VALUE_BASELINE)
+            self._box(left + COLUMN, 16, 1, HEADER - 32, HAIRLINE)
+        self._write("CONTACT", 16, GREY, COLUMN * len(FIGURES) + 24, 26)
+        self._box(0, HEADER, WIDTH, 1, HAIRLINE)
+        self._box(0, HEADER + 1, WIDTH, GRID_TOP - HEADER, PAPER)
+        self._write_title(M, mu)
+        self._write(note, 16, GREY, 24, HEIGHT - 13)
+        self._show((0, 0, WIDTH, HEIGHT))
+        return self._frame.copy()
+
+    def _write_title(self, M: float, mu: float) -> None:
+        """The title and the plant."""
+        self._write(self._title, 20, SLATE, 24, HEADER + 27)
+        self._write(f"M {M:.3f} kg     \N{GREEK SMALL LETTER MU} {mu:.4f}", 17, GREY, 24, HEADER + 46)
+
+    def _draw_ruler(self) -> tuple[Any, list[Any]]:
+        """The stage and the marks of the ruler: as on the canvas, and averaged from each of the places of a pixel."""
+        width, top, height = self._canvas.get_width() // SCALE, HEADER + 1, FLOOR + RULER - HEADER - 1
+        self._box(0, top, width, height, PAPER)
+        self._box(0, FLOOR, width, RULER, FLOOR_FILL)
+        self._draw_grid(0.0)
+        for part in range(10 * self._marks):
+            length = 13 if part % 10 == 0 else 9 if part % 10 == 5 else 6
+            self._box(part * self._major_pixels / 10, FLOOR, 1, length, TICK)
+        self._box(0, FLOOR - 1, width, 2, TICK)
+        drawn = self._canvas.subsurface((0, SCALE * top, SCALE * width, SCALE * height)).copy()
+        size = width - 1, FLOOR + RULER - GRID_TOP
+        sides = [SCALE * side for side in size]
+        parts = [drawn.subsurface((shift, SCALE * (GRID_TOP - top), *sides)) for shift in range(SCALE)]
+        return drawn, [self._pygame.transform.smoothscale(part, size) for part in parts]
+
+    def _draw_grid(self, left: float) -> None:
+        """The vertical lines of the ruler's numbers, the first of them there."""
+        for mark in range(self._marks):
+            self._box(left + mark * self._major_pixels, GRID_TOP, 1, FLOOR - GRID_TOP, GRID)
+
+    def _draw_number(self, text: str, shift: int) -> Any:
+        """The picture of a number of the ruler, whose mark is so many pixels of the canvas right of its middle."""
+        self._box(*NUMBER_AREA, FLOOR_FILL)
+        self._write(text, 17, GREY, NUMBER_AREA[2] / 2 + shift / SCALE, FLOOR + 28, "midtop")
+        return self._averaged(NUMBER_AREA)
+
+    def _draw_floor(self, x: float, area: Area) -> None:
+        """The ruler as it passes beneath the robot, in that area on the canvas too, and the inside of the shell."""
         start = MIDDLE - x / self._major * self._major_pixels
         first = math.floor(-start / self._major_pixels)
-        left = round(SCALE * (start + first * self._major_pixels)) / SCALE
+        across = round(SCALE * (start + first * self._major_pixels))
+        left, shift = across / SCALE, -across % SCALE
+        self._frame.blit(self._rulers[shift], ((across + shift) // SCALE, GRID_TOP))
         step = 100.0 * self._major
         decimals = max(0, -round(math.log10(step)))
-        for mark in range(math.ceil(WIDTH / self._major_pixels) + 2):
-            at = left + mark * self._major_pixels
-            self._box(at, HEADER + 54, 1, FLOOR - HEADER - 54, GRID)
-            for part in range(10):
-                length = 13 if part == 0 else 9 if part == 5 else 6
-                self._box(at + part * self._major_pixels / 10, FLOOR, 1, length, TICK)
-            self._write(_number(step * (first + mark), decimals), 17, GREY, at + 0.5, FLOOR + 28, "midtop")
+        for mark in range(self._marks):
+            at = across + round(SCALE * mark * self._major_pixels) + 1
+            number = self._number(_number(step * (first + mark), decimals), at % SCALE)
+            self._frame.blit(number, (at // SCALE - NUMBER_AREA[2] // 2, NUMBER_AREA[1]))
+        self._canvas.set_clip([SCALE * side for side in area])
+        self._canvas.blit(self._ruler, (across, SCALE * (HEADER + 1)))
+        self._canvas.set_clip(None)
+        self._canvas.blit(self._inside, ROBOT_CORNER)
+        self._draw_grid(left)
         self._box(0, FLOOR - 1, WIDTH, 2, TICK)
 
     def _draw_ghost(self, name: str, theta: float, ghost_x: float, x: float) -> None:
@@ -234,11 +314,12 @@ class Renderer:
             pivot, ball = ((at + offset, y) for at, y in (_polar(0.0, 0.0), _polar(theta, ROD)))
             self._ribbon([pivot, ball], 5.0, GHOST)
             self._disc(ball, BALL, GHOST)
+            self._write(name, 16, GREY, ball[0] + BALL + 6, ball[1] + 5)
         text = f"{name} {_number(100.0 * abs(distance), 1)} cm {'ahead' if distance > 0.0 else 'behind'}"
         self._write(text, 17, GREY, WIDTH - 24, HEADER + 27, "topright")
 
-    def _draw_robot(self, theta: float, torque: float, contact: Colour) -> None:
-        """The contact, the platform, the motor's torque, the spring and the pendulum."""
+    def _draw_body(self, contact: Colour) -> None:
+        """The contact and the platform."""
         self._box(*SHELL_BOX, contact, radius=SHELL_HEIGHT / 2, line=3)
         half = SHELL_HALF - SHELL_HEIGHT / 2 + 6
         self._box(MIDDLE - half, FLOOR - 1, 2 * half, 7, contact, radius=2)
@@ -248,6 +329,10 @@ class Renderer:
         self._polygon(tower, SLATE)
         self._disc((MIDDLE, pivot), SPRING_OUTER + 8, SLATE)
         self._disc((MIDDLE, pivot), SPRING_OUTER + 4, PAPER)
+
+    def _draw_robot(self, theta: float, torque: float, contact: Colour) -> None:
+        """The contact and the platform, the motor's torque, the spring and the pendulum."""
+        self._canvas.blit(self._bodies[contact], ROBOT_CORNER)
         # An arc arrow around the pivot: from the upright, a quarter turn at the limit, the way the motor turns.
         end = 0.5 * math.pi * max(-1.0, min(1.0, torque / self._torque_limit))
         if abs(end) > 0.015:
@@ -266,52 +351,65 @@ class Renderer:
     def _draw_figures(self, time: float, x: float, x_dot: float, torque: float, contact: Colour) -> None:
         """The numbers, right-aligned, so that no digit moves when another appears; stick or slip."""
         mean = x / time if time > 0.0 else 0.0
-        self._box(0, HEADER, WIDTH, 1, HAIRLINE)
-        figures: tuple[tuple[str, float, int, str], ...] = (
-            ("TIME", time, 2, "s"),
-            ("DISPLACEMENT", 100.0 * x, 1, "cm"),
-            ("SPEED", 100.0 * x_dot, 1, "cm/s"),
-            ("MEAN SPEED", 100.0 * mean, 2, "cm/s"),
-            ("TORQUE", torque, 2, "N m"),
-        )
-        for column, (label, value, decimals, unit) in enumerate(figures):
+        values = (time, 100.0 * x, 100.0 * x_dot, 100.0 * mean, torque)
+        for column, (value, (label, decimals, _)) in enumerate(zip(values, FIGURES, strict=True)):
             left, colour = COLUMN * column, TORQUE if label == "TORQUE" else INK
-            self._write(label, 16, GREY, left + 24, 26)
+            self._box(left + 1, VALUE_BASELINE - 25, VALUE_RIGHT + 1, 31, WHITE)
             self._write(_number(value, decimals), 32, colour, left + VALUE_RIGHT, VALUE_BASELINE, "topright")
-            self._write(unit, 19, GREY, left + VALUE_RIGHT + 6, VALUE_BASELINE)
-            self._box(left + COLUMN, 16, 1, HEADER - 32, HAIRLINE)
-        self._write("CONTACT", 16, GREY, COLUMN * len(figures) + 24, 26)
         self._box(822, 33, 114, 31, contact, radius=15)
         self._write("STICK" if x_dot == 0.0 else "SLIP", 22, WHITE, 879, 55, "midtop")
+        self._show(FIGURES_AREA)
+
+    def _stencil(self, draw: Callable[[], None]) -> Any:
+        """The robot's area of the canvas with what is drawn there: laid on the canvas, it leaves the rest as it is."""
+        self._canvas.fill(TRANSPARENT)
+        draw()
+        picture = self._canvas.subsurface([SCALE * side for side in ROBOT_AREA]).copy()
+        picture.set_colorkey(TRANSPARENT, self._pygame.RLEACCEL)
+        return picture
+
+    def _show(self, area: Area) -> None:
+        """Takes an area of the canvas over into the frame."""
+        self._frame.blit(self._averaged(area), area[:2])
+
+    def _averaged(self, area: Area) -> Any:
+        """The picture of an area of the canvas at the size of the frame."""
+        part = self._canvas.subsurface([SCALE * side for side in area])
+        return self._pygame.transform.smoothscale(part, area[2:])
 
     def _box(
         self, x: float, y: float, width: float, height: float, colour: Colour, radius: float = 0.0, line: float = 0.0
     ) -> None:
         """A rectangle with corners of that radius: filled, or only an inner border of `line` pixels."""
         sides = [round(SCALE * side) for side in (x, y, width, height)]
-        self._pygame.draw.rect(self._surface, colour, sides, round(SCALE * line), border_radius=round(SCALE * radius))
+        self._pygame.draw.rect(self._canvas, colour, sides, round(SCALE * line), border_radius=round(SCALE * radius))
 
     def _disc(self, centre: tuple[float, float], radius: float, colour: Colour) -> None:
         """A filled disc."""
-        self._pygame.draw.circle(self._surface, colour, [SCALE * at for at in centre], SCALE * radius)
+        self._pygame.draw.circle(self._canvas, colour, [SCALE * at for at in centre], SCALE * radius)
 
     def _polygon(self, corners: Points, colour: Colour) -> None:
         """A filled polygon."""
-        self._pygame.draw.polygon(self._surface, colour, np.rint(SCALE * np.asarray(corners)).tolist())
+        self._pygame.draw.polygon(self._canvas, colour, np.rint(SCALE * np.asarray(corners)).tolist())
 
     def _ribbon(self, points: Points, width: float, colour: Colour) -> None:
         """A line through the points as one polygon: pygame's own thick lines are thin where they slant, and gape."""
         points = np.asarray(points, np.float64)
-        across = np.gradient(points, axis=0)[:, ::-1] * (-1.0, 1.0)
+        ends = np.concatenate((points[:1], points, points[-1:]))
+        across = (ends[2:] - ends[:-2])[:, ::-1] * (-1.0, 1.0)
         across *= (0.5 * width / np.maximum(np.hypot(across[:, 0], across[:, 1]), 1e-9))[:, None]
         self._polygon(np.concatenate((points + across, (points - across)[::-1])), colour)
 
     def _write(self, text: str, size: int, colour: Colour, x: float, baseline: float, anchor: str = "topleft") -> None:
         """Text whose left edge ("topleft"), centre ("midtop") or right edge ("topright") is at x."""
+        image, ascent = self._text(text, size, colour)
+        place = round(SCALE * x), round(SCALE * baseline) - ascent
+        self._canvas.blit(image, image.get_rect(**{anchor: place}))
+
+    def _draw_text(self, text: str, size: int, colour: Colour) -> tuple[Any, int]:
+        """The picture of a text, and its height above the baseline in pixels of the canvas."""
         font = self._font(size)
-        image = font.render(text, True, colour)
-        place = round(SCALE * x), round(SCALE * baseline) - font.get_ascent()
-        self._surface.blit(image, image.get_rect(**{anchor: place}))
+        return font.render(text, True, colour), font.get_ascent()
 
 
 def write_gif(frames: Iterable[np.ndarray], path: Path, frame_seconds: float = FRAME_SECONDS, width: int = 640) -> None:

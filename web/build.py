@@ -7,6 +7,7 @@ Into the folder of the site go the page `index.html`, out of the page's template
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 from collections.abc import Sequence
@@ -63,7 +64,9 @@ def build_page(module: str) -> str:
         "import map": json.dumps({"imports": imports}),
     }
     template = (PAGE / "index.html").read_text("utf-8")
-    return re.sub(r"/\* (style|import map) \*/", lambda match: parts[match[1]], template)
+    page = re.sub(r"/\* (style|import map) \*/", lambda match: parts[match[1]], template)
+    # A preview's address must be whole: known where the site is deployed, as in mkdocs.yml.
+    return page.replace("../media/", (os.environ.get("SITE_URL") or "../") + "media/", 1)
 
 
 def palette() -> str:

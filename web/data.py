@@ -41,7 +41,7 @@ from capsule_gym.parameters import (
     find_task,
 )
 from capsule_gym.simulation import LARGEST_KEY, NO_CONTROLLER, check_step, count_rows, make_settings
-from web.episodes import FILE, OVER, RECORDED, controller_names, env_kwargs, is_trained, known_recordings
+from web.episodes import FILE, OVER, RECORDED, SEEDS, controller_names, env_kwargs, is_trained, known_recordings
 from web.modules import COMMON, DIRECT, ENTRIES, LAWS, STARTS, STEPS, build, find_law
 
 # The smallest mass of the platform with which friction up to the largest is accepted, kg, and the motor's largest
@@ -68,8 +68,6 @@ GAITS: dict[str, Callable[[], GaitMap]] = {
     "gait-oracle": lambda: known_gaits().oracle,
 }
 RANDOM = "random"
-# Of each frozen set as many plants, whose seeds are 0, 1, ..
-SEEDS = 100
 
 
 class Archive:

@@ -27,19 +27,19 @@ DOCUMENTS = {
     "residual_limit": residual_limit,
     "goal": goal,
     "sensitivity": sensitivity,
-    "gallery": recording,
     "algorithms": algorithms,
+    "animations": recording,
 }
 
 
 @dataclass(frozen=True)
 class Args:
-    """Writes docs/NAME_tables.md, docs/figures/NAME*.png and .svg; the gallery also its animations, in docs/media.
+    """Writes docs/NAME_tables.md, docs/figures/NAME*.png and .svg, and the animations in docs/media.
 
     Examples:
       python -m agents.analysis
       python -m agents.analysis statistics --check
-      python -m agents.analysis limit_cycle gallery --output elsewhere
+      python -m agents.analysis limit_cycle animations --output elsewhere
     """
 
     names: Annotated[

@@ -74,7 +74,8 @@ def draw_profiles(rows: Sequence[Row], set_names: Sequence[str]) -> Any:
         rows: one or more.
         set_names: at most two, each with a pen of its own.
     """
-    figure, places = panels([row.name for row in rows], 0.9)
+    # A single line is as high as the label of its axis.
+    figure, places = panels([row.name for row in rows], 0.9, height=1.3 if len(rows) > 4 else 1.8)
     fastest = max(float(row.score(name, SPEED).max()) for row in rows for name in set_names)
     for row, axes in zip(rows, places, strict=False):
         for name, pen in zip(set_names, PENS, strict=False):
@@ -92,12 +93,17 @@ def draw_profiles(rows: Sequence[Row], set_names: Sequence[str]) -> Any:
     return figure
 
 
-def draw_learning(learning: Mapping[str, Learning], metric: TableMetric = TABLE_METRICS[SPEED]) -> Any:
+def draw_learning(
+    learning: Mapping[str, Learning],
+    metric: TableMetric = TABLE_METRICS[SPEED],
+    baseline: tuple[str, float] | None = None,
+) -> Any:
     """Learning curves: the metric of all seeds over steps, and their interquartile mean, a panel per row.
 
     Args:
         learning: by the row's name.
         metric: what the curves show.
+        baseline: a policy to compare with, as the note names it, and its metric.
     """
     figure, places = panels(list(learning), 0.75)
     for runs, axes in zip(learning.values(), places, strict=False):
@@ -106,12 +112,15 @@ def draw_learning(learning: Mapping[str, Learning], metric: TableMetric = TABLE_
             axes.plot(steps / 1e6, values, "." if len(values) == 1 else "-", color=MUTED, linewidth=0.5, alpha=0.6)
         curve = learning_curve(list(runs.values()))
         plot_curve(axes, replace(curve, x=curve.x / 1e6), PENS[0])
+        if baseline:
+            axes.axhline(baseline[1], color=INK, linewidth=0.9, linestyle=(0.0, (4.0, 2.0)))
     axes.set(xlim=(0.0, None), ylim=(0.0, None))
     figure.supylabel(metric.label, fontsize=8.0)
     add_note(
         figure,
         "Horizontal: millions of agent steps. Evaluations on each run's validation plants, never on a frozen set; "
-        "grey: the training seeds; blue: their interquartile mean, band: 95 %.",
+        "grey: the training seeds; blue: their interquartile mean, band: 95 %."
+        + (f" Dashed: {baseline[0]}." if baseline else ""),
     )
     return figure
 

@@ -1,4 +1,4 @@
-"""Recordings of an episode: its time series, a figure that compares several, animations; the gallery of the site."""
+"""Recordings of an episode: its time series, a figure that compares several, animations of the documentation."""
 
 from __future__ import annotations
 
@@ -21,19 +21,15 @@ from capsule_gym.task import CONTROL_DT, HORIZON
 
 # The last seconds of torque, angle and contact in the figure of a comparison.
 LAST = 6.6
-# The gallery's animations and the policies in its figure.
-POLICIES = (
-    *("adaptive", "epc", "feedback-linearising", "gait-guarded"),
-    *("residual-ppo", "residual-on-gait", "direct-ppo", "efficient"),
-)
+# Policies of the speed task with an animation.
+POLICIES = ("adaptive", "residual-on-gait")
 # Those of the other tasks: the plant, and the part of its episode, s.
 TASK_POLICIES = {
     "goal-pulses": (PlantSpec(0.5, 0.16, seed=0, goal=0.3), 0.0, 4.6),
     "velocity-pulses": (PlantSpec(0.5, 0.16, seed=21), 2.5, 7.0),
 }
-COMPARED = ("adaptive", "efficient", "residual-on-gait")
 # The part of an episode that they show and the time between pictures, s: the paper's controller slips once in it.
-BEGIN, SECONDS, GALLERY_FRAME_SECONDS = 12.0, 3.4, 0.08
+BEGIN, SECONDS, ANIMATION_FRAME_SECONDS = 12.0, 3.4, 0.08
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,18 +170,13 @@ def draw_comparison(recordings: Sequence[Recording], path: Path, plant: PlantSpe
 
 
 def document() -> Document:
-    """The files of the gallery."""
+    """The animations."""
     shown = {**{name: (NOMINAL_PLANT, BEGIN, SECONDS) for name in POLICIES}, **TASK_POLICIES}
-    media: dict[str, Any] = {f"media/{name}.gif": partial(animate, name, *part) for name, part in shown.items()}
-
-    def compare(path: Path) -> None:
-        draw_comparison([record(find_candidate(name).policies[0], name=name) for name in COMPARED], path)
-
-    return Document(figures={**media, "figures/gallery.png": compare})
+    return Document(figures={f"media/{name}.gif": partial(animate, name, *part) for name, part in shown.items()})
 
 
 def animate(name: str, plant: PlantSpec, begin: float, seconds: float, path: Path) -> None:
     """Writes the animation of a policy as a GIF; of a trained one the first seed."""
-    policy, every = find_candidate(name).policies[0], GALLERY_FRAME_SECONDS
+    policy, every = find_candidate(name).policies[0], ANIMATION_FRAME_SECONDS
     recording = record(policy, plant, seconds=begin + seconds, frames_from=begin, frame_seconds=every, name=name)
     write_gif(recording.frames, path, every, 480)

@@ -95,17 +95,18 @@ def compose(results: Mapping[str, Cells]) -> Document:
     """The document of these results."""
     fields = {name: ", ".join(f"`{each}={size}`" for each, size in given.items()) for name, given in DISTURBED.items()}
     sizes = markdown_table([["disturbance", "at the size 1"], *([name, text] for name, text in fields.items())])
-    tables = {"sizes": sizes, **{f"percent_{100 * size:g}": table(results, size) for size in SIZES}}
+    tables = {"sizes": sizes, "speeds": table(results)}
     return Document(tables, {"figures/sensitivity": write_with(draw, results)})
 
 
-def table(results: Mapping[str, Cells], size: float) -> str:
-    """Speed (cm/s), and failures in brackets, under every disturbance of one size."""
-    lines = [["policy", *(columns := [name for name, each in conditions() if each == size or name == NONE])]]
+def table(results: Mapping[str, Cells]) -> str:
+    """Speed (cm/s), and failures in brackets, under every disturbance of size 1."""
+    columns = [name for name, size in conditions() if size == 1.0]
+    lines = [["policy", *columns]]
     for policy, cells in results.items():
         line = [policy]
         for name in columns:
-            speed, failed = cells[name, 1.0 if name == NONE else size]
+            speed, failed = cells[name, 1.0]
             line.append(TABLE_METRICS[SPEED].format(speed) + (f" ({failed})" if failed else ""))
         lines.append(line)
     return markdown_table(lines)

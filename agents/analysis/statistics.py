@@ -1,4 +1,4 @@
-"""Tables and figures of the leaderboard's results: failures, differences, learning."""
+"""Tables and figures of the leaderboard's results: performance profiles, learning curves, cost of transport."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from agents.analysis.data import SPEED, Document, Results, gather
 from agents.analysis.figures import draw_learning, draw_profiles, draw_transport, write_with
 from agents.evaluation import policies as evaluation_policies
 from agents.evaluation.episodes import TABLE_METRICS
-from agents.evaluation.policies import BASELINE
-from agents.evaluation.statistics import learning_curve, paired_difference
-from agents.leaderboard.rows import RESULTS, Row, load_rows
+from agents.evaluation.statistics import learning_curve
+from agents.leaderboard.rows import RESULTS, load_rows
 from baselines.tables import markdown_table
 from capsule_gym.evaluation_sets import SET_NAMES, load_set
 
@@ -24,12 +23,7 @@ def document() -> Document:
     """Tables and figures of the leaderboard's results; nothing is evaluated."""
     rows = load_rows(ROOT / RESULTS, [candidate.name for candidate in evaluation_policies.all_candidates()])
     results = gather(rows, [load_set(name) for name in SET_NAMES], evaluation_policies.CHECKPOINTS)
-    sections = {
-        "failures": failures(results),
-        "differences": differences(results),
-        "learning": learning(results),
-    }
-    return Document(sections, figures_of(results))
+    return Document({"learning": learning(results)}, figures_of(results))
 
 
 def figures_of(results: Results) -> dict[str, Callable[[Path], Any]]:
@@ -41,43 +35,6 @@ def figures_of(results: Results) -> dict[str, Callable[[Path], Any]]:
     if results.learning:
         found["learning"] = write_with(draw_learning, results.learning)
     return {f"figures/statistics_{name}": write for name, write in found.items()}
-
-
-def failures(results: Results) -> str:
-    """Failures of every row on every set."""
-    names = [each.name for each in results.sets]
-    table = [["policy", "training seeds", *names]]
-    for row in results.rows:
-        seeds = str(len(row.header["training_seeds"]) or "-")
-        table.append([row.name, seeds, *(_failed(row, name) for name in names)])
-    return markdown_table(table)
-
-
-def _failed(row: Row, set_name: str) -> str:
-    """The failures over all episodes of all seeds; of several seeds also those of the worst."""
-    failed = row.score(set_name, "failed")
-    count, worst = int(failed.sum()), int(failed.sum(axis=1).max())
-    if not count:
-        return f"0/{failed.size}"
-    seed = f", worst seed {worst}" if len(failed) > 1 else ""
-    return f"{count}/{failed.size} ({100.0 * count / failed.size:.1f} %{seed})"
-
-
-def differences(results: Results) -> str:
-    """Paired differences of the trained rows to the paper's controller, to `direct-ppo` and to the law they run on."""
-    rows = {row.name: row for row in results.rows}
-    table = [["policy", "set", f"minus {BASELINE}", "minus direct-ppo", "minus the base", "base"]]
-    for row in results.trained:
-        for set_name in results.shown_sets:
-            cells = []
-            for name in (BASELINE, "direct-ppo", row.header["base"]):
-                other, cell = rows.get(name), "-"
-                if other is not None and other is not row:
-                    found = paired_difference(row.score(set_name, SPEED), other.score(set_name, SPEED))
-                    cell = METRIC.with_interval(found.to_dict(), sign=True)
-                cells.append(cell)
-            table.append([row.name, set_name, *cells, row.header["base"] or "-"])
-    return markdown_table(table)
 
 
 def learning(results: Results) -> str:

@@ -20,6 +20,7 @@ class Student:
         grid: the plants that the expert's solutions are of, with the plants' static ratio.
         identifies: whether it identifies them on line.
         change_rate: how often M and mu are drawn anew within an episode, 1/s.
+        change_randomization: the distribution of M and mu after a change; `randomization` where it is None.
         law: the name of a control law that its torque is added to, and the limit on its torque, N m.
         margin: normal force that the expert leaves, N: a student that does not know M needs more than the expert.
         max_regret: largest regret of a torque in the data, cm. The end of an episode costs more.
@@ -39,6 +40,7 @@ class Student:
     grid: PlantGrid = GRID
     identifies: bool = False
     change_rate: float = 0.0
+    change_randomization: str | None = None
     law: tuple[str, float] | None = None
     margin: float = MIN_NORMAL_FORCE
     max_regret: float = 5.0

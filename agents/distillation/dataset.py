@@ -102,7 +102,8 @@ def _plant_changes(student: Student, rng: np.random.Generator) -> dict[str, Any]
     """
     if not student.change_rate:
         return {}
-    distribution, seconds, changes = Randomization.named(student.randomization), student.steps * CONTROL_DT, []
+    distribution = Randomization.named(student.change_randomization or student.randomization)
+    seconds, changes = student.steps * CONTROL_DT, []
     for _ in range(student.num_envs):
         times = np.sort(rng.uniform(0.0, seconds, rng.poisson(student.change_rate * seconds))).tolist()
         plants = [draw_plant(distribution, NOMINAL, rng) for _ in times]

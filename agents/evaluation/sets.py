@@ -5,12 +5,12 @@
 | set | episodes | platform mass M and friction coefficient mu |
 |---|---|---|
 | `nominal` | 100 | the paper's plant, from 100 angles |
-| `paper` | 100 | drawn as by `randomization="paper"` |
-| `wide` | 100 | drawn as by `randomization="wide"` |
-| `extrapolation` | 100 | outside `wide` in M, in mu or in both |
-| `drift` | 100 | drawn three times as in `wide` |
-| `sticky` | 1000 | M and mu as in `randomization="sticky"`, spread evenly; static friction 1.3 times the kinetic |
-| `real` | 1000 | M and mu as in `paper`, m, l, k and c within 10 %, all spread evenly; `disturbances="real"` |
+| `paper` | 400 | as drawn by `randomization="paper"` |
+| `wide` | 400 | as drawn by `randomization="wide"` |
+| `extrapolation` | 400 | outside `wide` in M, in mu or in both |
+| `drift` | 400 | as drawn by `randomization="wide"`, three times |
+| `sticky` | 1000 | as drawn by `randomization="sticky"`; static friction 1.3 times the kinetic |
+| `real` | 1000 | M and mu as in `paper`, m, l, k and c within 10 %; `disturbances="real"` |
 | `real-wide` | 1000 | the same with M and mu as in `wide` |
 | `goal` | 1000 | of the task `goal`: M and mu as the task draws them, and the goal |
 | `goal-paper` | 1000 | of the task `goal` on the paper's floor: M and mu as in `paper`, static friction as kinetic |
@@ -21,24 +21,24 @@ microradian); its first episode is the paper's own. From a single start a chaoti
 
 `extrapolation`: a third of the plants leaves `wide` in M alone, a third in mu alone, a third in both. Outside means
 lighter or heavier (down to 0.25 kg, up to 1.2 kg; uniform), smoother or rougher (down to 0.002, up to 0.6;
-log-uniform), either side with equal chance; what stays inside is drawn as in `wide`. The lightest platform with the
+log-uniform), either side for half of the plants; what stays inside is as in `wide`. The lightest platform with the
 roughest floor is far from Painleve's paradox ((M + m) / m = 2.81, the bound is 1.08).
 
-`drift`: M and mu jump together at two times, the first drawn uniformly from the middle third of the episode's first
-half (5.5 to 11 s), the second from that of its second half (22 to 27.5 s), so that no plant rules for less than 5.5 s.
-Times are multiples of the agent's step.
+`drift`: M and mu jump together at two times, the first in the middle third of the episode's first half (5.5 to 11 s),
+the second in that of its second half (22 to 27.5 s), so that no plant rules for less than 5.5 s. Times are multiples of
+the agent's step.
 
-`sticky` has floors on which the platform sticks for much of the time. Its plants, and those of `real` and `real-wide`,
-follow a low-discrepancy sequence (Roberts's: multiples modulo 1 of the powers of 1 / phi, where phi^(d + 1) = phi + 1
-for d numbers): the first few cover the ranges as all do. The disturbances are drawn from the plants' seeds.
+The plants of the speed task follow a low-discrepancy sequence (Roberts's: multiples modulo 1 of the powers of 1 / phi,
+where phi^(d + 1) = phi + 1 for d numbers): a mean over a set is closer to that over its distribution than of random
+plants, and the first few plants cover the ranges as all do. The disturbances are drawn from the plants' seeds.
 
-Numbers are rounded (M to 0.1 g, mu to five digits). Every set has a random seed of its own; the plants' own seeds are
-0, 1, ..
+Numbers are rounded (M to 0.1 g, mu to five digits). `nominal` and the sets of the other tasks have a random seed each;
+the plants' own seeds are 0, 1, ..
 
 A set's hash (`EvaluationSet.hash`) is the sha256 of its name and plants as JSON with sorted keys and no white space:
 the file's layout does not matter, every number does. It stands in every result and in leaderboard.json; results
-compare only where it is the same. So a set does not change: another one gets another name. `nominal` alone has, once:
-in 0.1.0 it was a single episode.
+compare only where it is the same. So a set of a release does not change: another one gets another name. In 0.1.0
+`nominal` was a single episode, and `paper`, `wide`, `extrapolation` and `drift` were 100 random plants each.
 """
 
 from __future__ import annotations
@@ -59,9 +59,10 @@ from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
 
 PROG = "python -m agents.evaluation.sets"
 SETS_FOLDER = Path(__file__).with_name("frozen")
-EPISODES = 100
-# Of the other tasks and on sticky floors, where failures are rare.
-MANY_EPISODES = 1000
+# How many episodes each has; on sticky floors, under disturbances and in the other tasks failures are rare.
+EPISODES = (
+    {name: 1000 for name in (*FURTHER_SET_NAMES, *TASK_SET_NAMES)} | dict.fromkeys(SET_NAMES, 400) | {"nominal": 100}
+)
 # Half the width of the angles that `nominal` starts from, rad.
 STARTS = 0.1
 
@@ -70,65 +71,45 @@ assert _WIDE.M is not None and _WIDE.mu is not None
 LIGHTER, HEAVIER = (0.25, _WIDE.M[0]), (_WIDE.M[1], 1.2)
 SMOOTHER, ROUGHER = (0.002, _WIDE.mu[0]), (_WIDE.mu[1], 0.6)
 # Of the sets' own random streams. Frozen: a different set needs a different name.
-SEEDS = {"nominal": 20180, "paper": 20181, "wide": 20182, "extrapolation": 20183, "drift": 20184}
-TASK_SEEDS = {"goal": 20190, "velocity": 20191, "goal-paper": 20192}
+SEEDS = {"nominal": 20180, "goal": 20190, "velocity": 20191, "goal-paper": 20192}
 CHANGE_WINDOWS = ((HORIZON / 6.0, HORIZON / 3.0), (HORIZON * 2.0 / 3.0, HORIZON * 5.0 / 6.0))
-
-
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    # Imported here, as in other functions: it imports numba, which takes most of a second.
-    from capsule_gym.elementary import exp, log
-
-    return float(low * exp(float(rng.random()) * log(high / low)))
 
 
 def _sample(rng: np.random.Generator, randomization: str | Randomization) -> tuple[float, float]:
     """M and mu from one of the environment's own distributions, rounded."""
+    # Imported here, as in other functions: it imports numba, which takes most of a second.
     from capsule_gym.resets import draw_plant
 
-    M, mu = draw_plant(Randomization.named(randomization), NOMINAL, rng)
+    return _rounded(*draw_plant(Randomization.named(randomization), NOMINAL, rng))
+
+
+def _rounded(M: float, mu: float) -> tuple[float, float]:
     return round(M, 4), float(f"{mu:.5g}")
 
 
-def _sample_plant(name: str, rng: np.random.Generator, seed: int) -> PlantSpec:
-    """The next episode of a frozen set."""
-    if name == "nominal":
-        theta = round(START_THETA + rng.uniform(-STARTS, STARTS), 6) if seed else START_THETA
-        return PlantSpec(NOMINAL.M, NOMINAL.mu, seed, theta=theta)
-    M, mu = _sample(rng, "paper" if name == "paper" else "wide")
-    changes = []
-    if name == "extrapolation":
-        if seed % 3 != 1:
-            M = round(rng.uniform(*(LIGHTER if rng.random() < 0.5 else HEAVIER)), 4)
-        if seed % 3 != 0:
-            mu = float(f"{_log_uniform(rng, *(SMOOTHER if rng.random() < 0.5 else ROUGHER)):.5g}")
-    if name == "drift":
-        for window in CHANGE_WINDOWS:
-            t = round(round(rng.uniform(*window) / CONTROL_DT) * CONTROL_DT, 6)
-            changes.append(dict(zip(("t", "M", "mu"), (t, *_sample(rng, "wide")), strict=True)))
-    return PlantSpec(M, mu, seed, tuple(changes))
-
-
 def draw_set(name: str) -> EvaluationSet:
-    """Draws a frozen set anew, from its fixed seed.
+    """Draws a frozen set anew.
 
     Args:
         name: that of the set.
     """
     if name in TASK_SET_NAMES:
         return _draw_task_set(name)
-    if name in FURTHER_SET_NAMES:
+    if name != "nominal":
         return _spread_set(name)
     rng = np.random.default_rng(SEEDS[name])
-    return EvaluationSet(name, tuple(_sample_plant(name, rng, seed) for seed in range(EPISODES)))
+    thetas = [START_THETA, *(round(START_THETA + rng.uniform(-STARTS, STARTS), 6) for _ in range(1, EPISODES[name]))]
+    return EvaluationSet(
+        name, tuple(PlantSpec(NOMINAL.M, NOMINAL.mu, n, theta=theta) for n, theta in enumerate(thetas))
+    )
 
 
 def _draw_task_set(name: str) -> EvaluationSet:
     """The frozen set of another task than speed."""
     task_name, _, floor = name.partition("-")
-    task, rng = find_task(task_name), np.random.default_rng(TASK_SEEDS[name])
+    task, rng = find_task(task_name), np.random.default_rng(SEEDS[name])
     plants = []
-    for seed in range(MANY_EPISODES):
+    for seed in range(EPISODES[name]):
         M, mu = _sample(rng, floor or task.defaults["randomization"])
         goal = None
         if task_name == "goal":
@@ -146,23 +127,55 @@ def _constants_at(randomization: Randomization, shares: Sequence[float]) -> dict
 
 
 def _spread_set(name: str) -> EvaluationSet:
-    """A set whose plants are spread evenly over the randomisation of its name."""
+    """A set whose plants are spread evenly over the randomisation of its name, or around and within `wide`."""
     from capsule_gym.resets import plant_at, plant_ranges
 
-    capsule, disturbances = (STICKY_GRID.capsule, "none") if name == "sticky" else (None, "real")
-    randomization = Randomization.named(name)
-    ranges, plants = plant_ranges(randomization, capsule or NOMINAL), []
-    count = 2 + len(randomization.drawn)
-    phi = 2.0
+    capsule = STICKY_GRID.capsule if name == "sticky" else None
+    disturbances = "real" if name in ("real", "real-wide") else "none"
+    randomization = Randomization.named(name if name in RANDOMIZATIONS else "wide")
+    ranges = plant_ranges(randomization, capsule or NOMINAL)
+    count = {"extrapolation": 4, "drift": 8}.get(name, 2 + len(randomization.drawn))
+    phi, plants = 2.0, []
     for _ in range(100):
         phi = (1.0 + phi) ** (1.0 / (count + 1))
-    for seed in range(MANY_EPISODES):
+    for seed in range(EPISODES[name]):
         shares = [(0.5 + seed / phi ** (n + 1)) % 1.0 for n in range(count)]
-        M, mu = plant_at(ranges, *shares[:2])
-        own = _constants_at(randomization, shares[2:])
+        if name == "extrapolation":
+            plants.append(_plant_outside(ranges, shares, seed))
+            continue
+        M, mu = _rounded(*plant_at(ranges, *shares[:2]))
+        own = _constants_at(randomization, [] if name == "drift" else shares[2:])
         own = {constant: float(f"{value:.5g}") for constant, value in own.items()}
-        plants.append(PlantSpec(round(M, 4), float(f"{mu:.5g}"), seed, capsule=own or None))
+        plants.append(
+            PlantSpec(M, mu, seed, _changes_at(ranges, shares) if name == "drift" else (), capsule=own or None)
+        )
     return EvaluationSet(name, tuple(plants), capsule=capsule, disturbances=disturbances)
+
+
+def _plant_outside(ranges: np.ndarray, shares: Sequence[float], seed: int) -> PlantSpec:
+    """A plant of `extrapolation`; the last two shares choose the sides."""
+    from capsule_gym.resets import plant_at
+
+    M, mu = plant_at(ranges, *shares[:2])
+    if seed % 3 != 1:
+        low, high = LIGHTER if shares[2] < 0.5 else HEAVIER
+        M = low + (high - low) * shares[0]
+    if seed % 3 != 0:
+        low, high = SMOOTHER if shares[3] < 0.5 else ROUGHER
+        mu = low * (high / low) ** shares[1]
+    return PlantSpec(*_rounded(M, mu), seed)
+
+
+def _changes_at(ranges: np.ndarray, shares: Sequence[float]) -> tuple[dict[str, float], ...]:
+    """The changes of a plant of `drift`: three shares each, behind the two of M and mu at the start."""
+    from capsule_gym.resets import plant_at
+
+    changes = []
+    for n, (first, last) in enumerate(CHANGE_WINDOWS):
+        t = round(round((first + (last - first) * shares[3 * n + 2]) / CONTROL_DT) * CONTROL_DT, 6)
+        M, mu = _rounded(*plant_at(ranges, *shares[3 * n + 3 : 3 * n + 5]))
+        changes.append({"t": t, "M": M, "mu": mu})
+    return tuple(changes)
 
 
 def validation_set(

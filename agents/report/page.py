@@ -143,17 +143,25 @@ def render(data: Data, title: str) -> str:
     """
     results, metric = data.results, data.results.criteria.metric
     speed = results.task == "speed"
+    plant = " on the nominal plant" if speed else ""
+    profiled = " and ".join(results.shown_sets)
+    constant = [each for each in results.sets if not any(plant.changes for plant in each.plants)]
+    drawn = ", ".join(each.name for each in constant)
+    name, chosen = results.criteria.baseline, results.criteria.ranking_set
+    baseline = f"{name} on the set {chosen}", data.summaries[name][chosen][metric.name]["iqm"]
     versions = ", ".join(f"{name} {number}" for name, number in results.rows[0].header["versions"].items())
     hashes = ", ".join(f"{each.name} {each.hash[:12]}" for each in results.sets)
     parts = [
         f"<h1>{html.escape(title)}</h1>",
         f"<p>{_sentence(data, data.subjects[0])}</p>",
-        *(_image(f"{name} in motion", "gif", content) for name, content in data.animations.items()),
-        _figure("Learning curve", draw_learning, results.learning, metric) if results.learning else "",
+        *(_image(f"{name} in motion{plant}", "gif", content) for name, content in data.animations.items()),
+        _figure("Learning curve on validation plants", draw_learning, results.learning, metric, baseline)
+        if results.learning
+        else "",
         f"<h2>On every set</h2>\n{_tables(data)}",
-        _figure("Speed against cost of transport", draw_transport, results.rows) if speed else "",
-        _figure("Performance profile", draw_profiles, results.rows, results.shown_sets) if speed else "",
-        _figure("On which plants", draw_plants, results.rows, results.sets, metric),
+        _figure("Speed against cost of transport on nominal", draw_transport, results.rows) if speed else "",
+        _figure(f"Performance profile on {profiled}", draw_profiles, results.rows, results.shown_sets) if speed else "",
+        _figure(f"Every plant of {drawn}", draw_plants, results.rows, constant, metric),
         "<footer><p>Numbers are interquartile means with 95 % intervals, for other training runs, where there are "
         "several, on other plants; shares are means. The mean speed of a failed episode is its distance over "
         f"the episode's whole length. Written by <code>{COMMAND}</code> with {html.escape(versions)}. "
@@ -169,11 +177,10 @@ def render(data: Data, title: str) -> str:
 
 
 def draw_plants(rows: Sequence[Row], sets: Sequence[EvaluationSet], metric: TableMetric) -> Any:
-    """A metric on every plant with constant parameters, and where episodes fail."""
-    constant = [each for each in sets if not any(plant.changes for plant in each.plants)]
-    M, mu = (np.array([getattr(plant, name) for each in constant for plant in each.plants]) for name in ("M", "mu"))
+    """A metric on every plant of sets with constant parameters, and where episodes fail."""
+    M, mu = (np.array([getattr(plant, name) for each in sets for plant in each.plants]) for name in ("M", "mu"))
     values, failed = (
-        {row.name: np.concatenate([row.score(each.name, name).mean(axis=0) for each in constant]) for row in rows}
+        {row.name: np.concatenate([row.score(each.name, name).mean(axis=0) for each in sets]) for row in rows}
         for name in (metric.name, "failed")
     )
     top = max(1e-9, *(float(each.max()) for each in values.values()))
@@ -189,23 +196,26 @@ def draw_plants(rows: Sequence[Row], sets: Sequence[EvaluationSet], metric: Tabl
     figure.supylabel("friction coefficient μ", fontsize=8.0)
     add_note(
         figure,
-        "Horizontal: mass of the platform M (kg). A point per episode of the sets with constant parameters, averaged "
-        "over the training seeds. A cross: an episode that failed with at least one of them.",
+        "Horizontal: mass of the platform M (kg). A point per episode, averaged over the training seeds. A cross: an "
+        "episode that failed with at least one of them.",
     )
     return figure
 
 
 def _sentence(data: Data, row: Row) -> str:
-    """What a policy is, its metric next to the baseline's, and how often it fails."""
+    """What a policy is, its metric next to the baseline's, and how often it fails on each set."""
     criteria = data.results.criteria
     metric, chosen = criteria.metric, criteria.ranking_set
     own, theirs = (data.summaries[name][chosen] for name in (row.name, criteria.baseline))
     values = [metric.with_interval(each[metric.name]) for each in (own, theirs)]
+    failures = ", ".join(
+        f"{each['failures']} of {each['episodes']} on <code>{name}</code>"
+        for name, each in data.summaries[row.name].items()
+    )
     description = re.sub("`([^`]+)`", r"<code>\1</code>", html.escape(row.header["description"]))
     return (
         f"<strong>{html.escape(row.name)}</strong> ({description}): {metric.label} {values[0]} on the set "
-        f"<code>{chosen}</code>, where <code>{criteria.baseline}</code> has {values[1]}; "
-        f"{own['failures']} of {own['episodes']} episodes failed."
+        f"<code>{chosen}</code>, where <code>{criteria.baseline}</code> has {values[1]}. Failed episodes: {failures}."
     )
 
 
@@ -229,13 +239,13 @@ def _tables(data: Data) -> str:
     metrics = [metric for metric in every if any(metric.name in summary for summary in shown)]
     tables = []
     for name in (each.name for each in data.results.sets):
-        rows = [["policy", *(each.label for each in metrics), "failed"]]
+        rows = [["policy", "failed", *(each.label for each in metrics)]]
         for row in data.results.rows:
             summary = data.summaries[row.name][name]
             cells = [
                 metric.with_interval(summary[metric.name]) if metric.name in summary else "-" for metric in metrics
             ]
-            rows.append([row.name, *cells, f"{summary['failures']}/{summary['episodes']}"])
+            rows.append([row.name, f"{summary['failures']}/{summary['episodes']}", *cells])
         table = tabulate(rows, headers="firstrow", tablefmt="html", disable_numparse=True, stralign="right")
         tables.append(f'<h3>{name}</h3>\n<div class="wide">\n{table}\n</div>')
     return "\n".join(tables)

@@ -1,24 +1,57 @@
-"""The goal task, `CapsuleGoal-v0`: come to rest at a goal as soon as possible.
+"""Move to a goal and rest there, as soon as possible.
 
-An episode of 15 s draws the goal's displacement from the start, 5 to 50 cm in either direction;
-`reset(options={"goal": 0.3})`, in m, sets it. The goal is reached once the platform has been at rest, with a velocity
-of exactly 0, within 2 mm of it for 1 s. The episode goes on then.
+## Description
 
-| entry behind the observation | min | max |
+The capsule of `CapsuleStickSlip-v0` on a floor with more friction. Every episode draws the displacement of a goal. The
+goal is reached when the platform has been at rest, with a velocity of exactly 0, within 2 mm of the goal for 1 s.
+
+## Action Space
+
+As in `CapsuleStickSlip-v0`.
+
+## Observation Space
+
+The observation of `CapsuleStickSlip-v0`, followed by:
+
+| Observation | Min | Max |
 |---|---|---|
-| error e (m), the goal's position less the platform's | -1 | 1 |
+| error e: position of the goal minus x (m) | -1 | 1 |
 | tanh(e / 2 cm) | -1 | 1 |
-| how long the platform has been at rest within 2 mm (s) | 0 | 1 |
+| time for which the platform has been at rest within 2 mm of the goal (s) | 0 | 1 |
 
-Reward: `reward_goal`, per second -|e| / 0.5 m + exp(-|e| / 10 cm) / 2 + exp(-|e| / 2 cm) / 2 + exp(-|e| / 4 mm), the
-last twice at rest, and 2 more at rest within 2 mm; `reward_energy` and `reward_termination` as in the speed task, with
-an energy weight of 0 and a termination penalty of 3.
+## Rewards
 
-`info` adds `goal`, its position (m), `error` (m) and `held` (s). Metrics: `success`, 1 where the goal was reached, and
-`goal_time`, when that was (s), the rest of 1 s included, or the length of the episode where it was not.
+The sum of three terms, which `info` contains:
 
-With `randomization="paper", capsule=Capsule()` the floor is the paper's, on which the platform moves under a torque of
-1.3 % of the limit: there it is harder to rest than to move.
+- `reward_goal`, per second: -|e| / 0.5 m + exp(-|e| / 10 cm) / 2 + exp(-|e| / 2 cm) / 2 + exp(-|e| / 4 mm). At rest the
+  last exponential counts twice; at rest within 2 mm, 2 are added;
+- `reward_energy` and `reward_termination`, as in `CapsuleStickSlip-v0`.
+
+## Starting State
+
+At rest at theta = -pi/3 and x = 0. The displacement of the goal is uniform in 5 to 50 cm, in either direction;
+`reset(options={"goal": 0.3})` sets it, in m.
+
+## Episode End
+
+The terminations of `CapsuleStickSlip-v0`, and truncation after 750 steps, 15 s. Reaching the goal does not end the
+episode.
+
+## Info
+
+As in `CapsuleStickSlip-v0`, with `goal` (position, m), `error` (m) and `held` (s). `episode_metrics()` adds `success`
+(1 if the goal was reached) and `goal_time` (time at which the goal was reached, s, including the rest of 1 s; the
+length of the episode if it was not).
+
+## Arguments
+
+Those of `CapsuleStickSlip-v0`, with the defaults `capsule=Capsule(static_ratio=1.3)`, M uniform in [0.45, 0.55] kg, mu
+log-uniform in [0.05, 0.5], `energy_weight=0` and `termination_penalty=3`. `capsule=Capsule(), randomization="paper"`
+gives the paper's floor, where a torque of 1.3 % of the limit moves the platform, so that it is difficult to rest.
+
+## Version History
+
+* v0: initial version
 """
 
 from __future__ import annotations

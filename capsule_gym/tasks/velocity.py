@@ -1,25 +1,60 @@
-"""The velocity task, `CapsuleVelocity-v0`: follow a commanded mean velocity that changes during the episode.
+"""Follow a commanded mean velocity, which changes during the episode.
 
-An episode of 20 s draws its commands uniformly from -10 to 10 cm/s, each for 4 to 8 s.
-`reset(options={"commands": [{"t": 0.0, "v": 0.05}, {"t": 6.0, "v": -0.1}]})`, with t in s and v in m/s, sets them:
-up to eight, in order of time, the first at 0 s. The last one stays.
+## Description
 
-A target moves with the commanded velocity. It starts at the platform with every command, and stays within 0.3 m of it.
+The capsule of `CapsuleStickSlip-v0` on a floor with more friction. A target moves with the commanded velocity. It
+starts at the platform at every change of the command and stays within 0.3 m of the platform.
 
-| entry behind the observation | min | max |
+## Action Space
+
+As in `CapsuleStickSlip-v0`.
+
+## Observation Space
+
+The observation of `CapsuleStickSlip-v0`, followed by:
+
+| Observation | Min | Max |
 |---|---|---|
 | command (m/s) | -0.2 | 0.2 |
-| tanh(e / 5 cm) of the error e, the target's position less the platform's | -1 | 1 |
+| tanh(e / 5 cm) of the error e: position of the target minus x | -1 | 1 |
 | tanh(e / 20 cm) | -1 | 1 |
-| velocity of the platform (m/s), averaged with a time constant of 0.25 s | -2 | 2 |
+| velocity of the platform (m/s), filtered with a time constant of 0.25 s | -2 | 2 |
 
-Reward: `reward_tracking`, per second exp(-|e| / 2 cm) + exp(-|e| / 10 cm) / 2 - |e| / 2 m; `reward_energy` and
-`reward_termination` as in the speed task, with an energy weight of 0 and a termination penalty of 3.
+## Rewards
 
-`info` adds `command` (m/s), `target` (m) and `error` (m). Metrics: `velocity_error`, by how much the mean velocities
-under the commands miss them, in percent of the commands, each measured from 1.5 s after its change and weighted with
-that time; and `unsettled`, the share of commands that the platform was never within 2 cm of the target of, from then
-on. A command counts that was measured for a second. Where none was, the velocity error is 100 and the share 1.
+The sum of three terms, which `info` contains:
+
+- `reward_tracking`, per second: exp(-|e| / 2 cm) + exp(-|e| / 10 cm) / 2 - |e| / 2 m;
+- `reward_energy` and `reward_termination`, as in `CapsuleStickSlip-v0`.
+
+## Starting State
+
+At rest at theta = -pi/3 and x = 0. Commands are uniform in [-10, 10] cm/s, and each lasts 4 to 8 s.
+`reset(options={"commands": [{"t": 0.0, "v": 0.05}, {"t": 6.0, "v": -0.1}]})` sets up to eight, with t in s and v in
+m/s, in order of time, the first at 0 s. The last one stays.
+
+## Episode End
+
+The terminations of `CapsuleStickSlip-v0`, and truncation after 1000 steps, 20 s.
+
+## Info
+
+As in `CapsuleStickSlip-v0`, with `command` (m/s), `target` (m) and `error` (m). `episode_metrics()` adds
+
+- `velocity_error`: the absolute differences between the mean velocity and the command, each measured from 1.5 s after
+  the change of the command and weighted with the measured time, in percent of the commands;
+- `unsettled`: the share of commands during whose measurement the platform was never within 2 cm of the target.
+
+A command counts if it was measured for 1 s. If none was, `velocity_error` is 100 and `unsettled` is 1.
+
+## Arguments
+
+Those of `CapsuleStickSlip-v0`, with the defaults `capsule=Capsule(static_ratio=1.3)`, M uniform in [0.45, 0.55] kg, mu
+log-uniform in [0.05, 0.5], `energy_weight=0` and `termination_penalty=3`.
+
+## Version History
+
+* v0: initial version
 """
 
 from __future__ import annotations

@@ -1,6 +1,5 @@
 import dataclasses
 import json
-import os
 import signal
 
 import numpy as np
@@ -133,7 +132,7 @@ def test_ctrl_c_keeps_the_best_policy_and_the_run_is_not_overwritten(tmp_path, m
     def evaluate(policy, plants):
         evaluated.append(policy)
         if len(evaluated) == 2:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
         return [{"mean_speed": float(-len(evaluated)), "failed": 0.0}]
 
     monkeypatch.setattr(dagger, "evaluate", evaluate)

@@ -47,21 +47,24 @@ def test_a_report_shows_the_numbers_of_the_leaderboard(both, monkeypatch):
     assert re.findall(r'src="(data:image/\w+)', text) == ["data:image/gif", *["data:image/png"] * 4]
     assert not re.search(r'(src|href)="(?!data:)', text)
     assert "<title>A &lt;title&gt;</title>" in text and "<h1>A &lt;title&gt;</h1>" in text
-    assert "Learning curve" in text and f"{NAME} in motion" in text
+    assert "Learning curve on validation plants" in text and f"{NAME} in motion on the nominal plant" in text
     board = json.loads((ROOT / "leaderboard.json").read_text())
     tables = text.split("<h3>")[1:]
-    # Those of 100 plants: the others would take a report too long.
+    # Not the sets of 1,000 plants: they would take a report too long.
     assert [each.partition("<")[0] for each in tables] == list(SET_NAMES)
     rows = {row["policy"]: row["results"] for row in board["rows"]}
+    for name in ("paper", "wide"):
+        result = rows["direct-ppo"][name]
+        assert f"{result['failures']} of {result['episodes']} on <code>{name}</code>" in text
     for table, name in zip(tables, SET_NAMES, strict=True):
         lines = [re.findall(r"<td[^>]*>(.*?)</td>", line) for line in table.splitlines() if "<td" in line]
         shown = {cells[0].strip(): [cell.strip() for cell in cells[1:]] for cells in lines}
         assert list(shown) == [row.name for row in both.results.rows]
         for policy in ("direct-ppo", "adaptive"):
             result = rows[policy][name]
-            assert shown[policy][0].startswith(f"{result['mean_speed']['iqm']:.2f} [")
-            assert shown[policy][-1] == f"{result['failures']}/{result['episodes']}"
-            assert (shown[policy][-2] == "-") == ("share_of_optimum" not in result)
+            assert shown[policy][0] == f"{result['failures']}/{result['episodes']}"
+            assert shown[policy][1].startswith(f"{result['mean_speed']['iqm']:.2f} [")
+            assert (shown[policy][-1] == "-") == ("share_of_optimum" not in result)
 
 
 def test_a_finished_run_is_compared_and_drawn(run, both, tmp_path, capsys, monkeypatch):

@@ -68,6 +68,16 @@ def test_the_frames_are_those_that_were_looked_at() -> None:
     np.testing.assert_allclose(draw_scenes(), expected, atol=8.0)
 
 
+def test_a_frame_holds_nothing_of_the_frames_before_it() -> None:
+    renderer, rng = Renderer(Capsule(), "rgb_array", 50, 1.5), np.random.default_rng(0)
+    for n in range(24):
+        state = dict(zip(NAMES, rng.normal(0.0, (0.5, 0.4, 0.2, 0.6, 9.0, 0.2, 0.1)), strict=True))
+        state |= {"x_dot": 0.0} if n % 3 == 0 else {}
+        state |= {"ghost": ("rival", 0.4, state["x"] + 0.3)} if n % 4 == 1 else {}
+        state |= {"note": f"note {n}"} if n % 5 == 2 else {}
+        np.testing.assert_array_equal(renderer.draw(**state), frame(**state))
+
+
 def test_another_robot_out_of_the_picture_is_only_named() -> None:
     for lead, shown in ((-0.2, True), (1.2, True), (-1.2, True), (1e9, False), (-1e9, False)):
         pixels = frame(x=1.0, ghost=("rival", 0.9, 1.0 + lead))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -30,7 +31,7 @@ PROGRAMS = {
     "skrl": ("skrl", f"{EXAMPLES}/skrl_ppo.py --steps 256", "256/256"),
     "tianshou": ("tianshou", f"{EXAMPLES}/tianshou_ppo.py --steps 64", "train_step=640"),
     "torchrl": ("torchrl", f"{EXAMPLES}/torchrl_envs.py --steps 50", "failures"),
-    "minari": ("minari", f"{EXAMPLES}/minari_record.py --episodes 1", ""),
+    "minari": ("minari", f"{EXAMPLES}/offline_data.py --steps 2000", "mixed: "),
 }
 # SAC and TD3 read more of an episode that reaches its time limit, and begin with random torques without a seed: these
 # episodes of 10 steps end in time.
@@ -75,22 +76,35 @@ def test_cleanrl_runs_as_it_is(script: str, tmp_path: Path) -> None:
     assert "episodic_return=" in run(f"{EXAMPLES}/cleanrl_scripts.py {path} {CLEANRL[script]}", tmp_path)
 
 
-@pytest.mark.parametrize("name", ["adaptive", "residual-on-gait"])
 @pytest.mark.filterwarnings("default")
-def test_the_data_are_the_episodes_of_their_actions(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_d3rlpy_learns_from_the_data(tmp_path: Path) -> None:
+    if "EXAMPLES" not in os.environ:
+        pytest.skip("EXAMPLES is not set")
+    pytest.importorskip("d3rlpy")
+    shutil.copytree(EXAMPLES / "data", tmp_path, dirs_exist_ok=True)
+    assert "mixed, IQL: " in run(f"{EXAMPLES}/offline_rl.py --quality mixed --steps 10", tmp_path)
+
+
+@pytest.mark.parametrize("quality", ["random", "medium", "expert", "mixed"])
+@pytest.mark.filterwarnings("default")
+def test_the_data_are_the_episodes_of_their_actions(quality: str, monkeypatch: pytest.MonkeyPatch) -> None:
     minari = pytest.importorskip("minari")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(EXAMPLES / "data"))
-    dataset = minari.load_dataset(f"capsule/{name}-v0")
+    dataset = minari.load_dataset(f"capsule/{quality}-v0")
     env = dataset.recover_environment()
-    for seed, episode in enumerate(dataset):
-        observation, info = env.reset(seed=seed)
-        seen, states = [observation], [info["state"]]
+    for episode, stored in zip(dataset, dataset.storage.get_episode_metadata(dataset.episode_indices), strict=True):
+        observation, _ = env.reset(seed=int(stored["seed"]))
+        seen, rewards, terminated, truncated = [observation], [], False, False
         for action in episode.actions:
-            observation, _, terminated, truncated, info = env.step(action)
+            assert not (terminated or truncated)
+            observation, reward, terminated, truncated, _ = env.step(action)
             seen.append(observation)
-            states.append(info["state"])
-        assert (terminated, truncated) == (False, True)
-        assert np.array_equal(episode.observations, seen) and np.array_equal(episode.infos["state"], states)
+            rewards.append(reward)
+        assert (terminated, truncated) == (
+            episode.terminations[-1],
+            episode.truncations[-1],
+        ) and terminated != truncated
+        assert np.array_equal(episode.observations, seen) and np.array_equal(episode.rewards, rewards)
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "notebooks").glob("*.ipynb")), ids=lambda path: path.stem)

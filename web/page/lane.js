@@ -6,6 +6,11 @@ import { YOURSELF, disturbancesOf, driverNamed, startOf, titleOf } from "scene.j
 // As `Simulation` compares an episode's time with that of a jump.
 const TIME_TOLERANCE = 1e-9;
 const SNAPSHOT_SECONDS = 1;
+// Of the help for the reader, rad: the motor does not push a ball further out that leans beyond the first, and the key
+// to hold changes at the two others.
+const LET_GO = 0.8;
+const RETURN_AT = 0.7;
+const PUSH_AT = 0.09;
 const CHANNELS = ["theta", "theta_dot", "x", "x_dot", "torque", "normal", "speed", "transport", "action", "target"];
 
 /** The reader: the direct task, and an action that the page changes between two steps. */
@@ -16,10 +21,16 @@ class Hand {
     this.replay = replay;
     this.live = 0;
     this.action = 0;
+    this.helped = false;
+    /** The way to push now, as the help has it: 1 is to the left. */
+    this.turn = 1;
   }
 
   tick() {
-    this.action = this.replay[this.capsule.info.steps] ?? this.live;
+    const { theta } = this.capsule.state;
+    const outwards = this.helped && this.live * theta > 0 && Math.abs(theta) > LET_GO;
+    this.action = this.replay[this.capsule.info.steps] ?? (outwards ? 0 : this.live);
+    if (this.turn > 0 ? theta > RETURN_AT : theta < PUSH_AT) this.turn *= -1;
     return this.capsule.step(this.action);
   }
 }

@@ -17,9 +17,9 @@ const KINDS = {
   none: "No control",
 };
 const KEYS = { ArrowLeft: 1, a: 1, A: 1, ArrowRight: -1, d: -1, D: -1 };
-// A run of a hand counts from here on, s; a shorter one may owe its speed to the start.
-const BEST_FROM = 10;
-const BEST_KEY = "capsule_gym.best";
+// Share of the keys' strength with which the helper brings the ball back.
+const RETURN_SHARE = 0.25;
+const BEST_KEY = "capsule_gym.best_distance";
 // Pixels that a finger drags for the whole torque.
 const DRAG = 140;
 
@@ -69,29 +69,30 @@ async function open({ time = 0, play = player.playing } = {}) {
   player.now = 0;
   player.goal = null;
   told = "";
+  help();
   if (time > 0) player.seek(time);
   showScene();
   setPlaying(play);
 }
 
 player.stepped = (lane) => {
-  if (!lane.hand || scene.hand.length || lane.time < BEST_FROM) return;
-  const speed = lane.metrics[lane.steps].mean_speed;
-  if (!(speed <= best)) remember(speed);
+  if (!lane.hand || scene.hand.length) return;
+  const { distance } = lane.metrics[lane.steps];
+  if (distance > best) remember(distance);
 };
 
 function remembered() {
   try {
-    return Number(sessionStorage.getItem(BEST_KEY) ?? NaN);
+    return Number(localStorage.getItem(BEST_KEY));
   } catch {
-    return NaN;
+    return 0;
   }
 }
 
-function remember(speed) {
-  best = speed;
+function remember(distance) {
+  best = distance;
   try {
-    sessionStorage.setItem(BEST_KEY, String(speed));
+    localStorage.setItem(BEST_KEY, String(distance));
   } catch {
     // A browser that keeps nothing keeps it until the page is closed.
   }
@@ -155,8 +156,9 @@ function drive(action) {
 }
 
 function driveByKeys() {
-  const turn = [...held].reduce((sum, key) => sum + KEYS[key], 0);
-  drive(clamp(turn, -1, 1) * Number(element("strength").value));
+  const turn = clamp([...held].reduce((sum, key) => sum + KEYS[key], 0), -1, 1);
+  const share = turn < 0 && element("help").checked ? RETURN_SHARE : 1;
+  drive(turn * share * Number(element("strength").value));
 }
 
 function followKeys(event) {
@@ -210,6 +212,23 @@ function bindHands() {
     });
   }
   element("strength").addEventListener("input", showStrength);
+  element("help").addEventListener("change", help);
+  for (const button of document.querySelectorAll(".push")) {
+    const { key } = button.dataset;
+    button.addEventListener("pointerdown", (event) => {
+      button.setPointerCapture(event.pointerId);
+      held.add(key);
+      driveByKeys();
+      if (!player.over) setPlaying(true);
+    });
+    for (const end of ["pointerup", "pointercancel"]) button.addEventListener(end, release);
+  }
+}
+
+/** Tells the hand whether it is helped. */
+function help() {
+  const hand = player.lanes[0]?.hand;
+  if (hand) hand.helped = element("help").checked;
 }
 
 function showStrength() {
@@ -458,9 +477,27 @@ function bindPage() {
     }
     setTimeout(() => { element("copy").textContent = "Copy link"; }, 2000);
   });
+  element("share").addEventListener("click", share);
   element("check").addEventListener("click", runCheck);
   window.addEventListener("hashchange", readLink);
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+}
+
+/** Hands a picture of the stage over to the system's share dialog, with the link; saves it where there is none. */
+async function share() {
+  link();
+  const { metrics } = player.lanes[0].at(player.now, false);
+  const text = `${player.lanes[0].title}: ${written(100 * metrics.distance, 1)} cm in ${written(player.now, 1)} s`;
+  const picture = await stage.picture(text);
+  const files = [new File([picture], "capsule.png", { type: picture.type })];
+  const content = { files, text, url: location.href };
+  if (navigator.canShare?.(content)) return navigator.share(content).catch(() => {});
+  const save = document.createElement("a");
+  save.download = files[0].name;
+  save.href = URL.createObjectURL(picture);
+  save.click();
+  URL.revokeObjectURL(save.href);
+  announce("The picture is saved");
 }
 
 let checking = false;
@@ -519,9 +556,7 @@ function showScene() {
   element("rival").value = scene.rival;
   element("view").value = scene.view;
   element("view").disabled = !scene.rival;
-  const own =
-    "Keys, the slider below the stage, or a finger on it: hold to turn the motor. The ball leans to the right: " +
-    "begin to the left.";
+  const own = "Keys, buttons or the slider below the stage, or a finger on it: hold to turn the motor.";
   const described = (name) => driverNamed(name).description.replaceAll("`", "");
   show("driver-text", scene.driver === YOURSELF ? own : described(scene.driver));
   show("rival-text", scene.rival ? described(scene.rival) : "");
@@ -676,7 +711,11 @@ function showFigures({ x, x_dot, torque, metrics, contact }) {
   scrub.value = player.goal ?? now;
   scrub.setAttribute("aria-valuetext", `${written(now, 2)} s`);
   show("scrub-value", `${written(now, 2)} s`);
-  show("best", Number.isFinite(best) ? `${written(best, 2)} cm/s` : "none yet");
+  show("best", best > 0 ? `${written(100 * best, 1)} cm` : "none yet");
+  const { hand } = player.lanes[0];
+  for (const [id, turn] of [["push-left", 1], ["push-right", -1]]) {
+    element(id).classList.toggle("now", hand?.helped === true && hand.turn === turn);
+  }
 }
 
 /** What a picture that stands still shows, in words. */

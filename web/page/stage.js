@@ -66,6 +66,22 @@ export class Stage {
     }
   }
 
+  /** The picture that is shown, as a PNG with a line of text below. */
+  picture(text) {
+    const { canvas } = this.sheet;
+    const copy = document.createElement("canvas");
+    const [size, band] = [canvas.width / 32, canvas.width / 16];
+    [copy.width, copy.height] = [canvas.width, canvas.height + band];
+    const context = copy.getContext("2d");
+    context.fillStyle = colour("paper");
+    context.fillRect(0, 0, copy.width, copy.height);
+    context.drawImage(canvas, 0, 0);
+    context.fillStyle = colour("ink");
+    context.font = `600 ${size}px sans-serif`;
+    context.fillText(`capsule_gym  ${text}`, size, copy.height - band / 3);
+    return new Promise((resolve) => { copy.toBlob(resolve); });
+  }
+
   lane({ top, height }, { name, view }, ghost, still, ink) {
     const { context, width } = this.sheet;
     const scale = Math.min(WIDEST, width / (2.2 * SHELL_HALF), height / (ABOVE + SHELL_HEIGHT + BELOW));

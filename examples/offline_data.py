@@ -1,0 +1,99 @@
+"""Minari: offline data of four qualities, recorded on the native batch.
+
+MINARI_DATASETS_PATH=runs/data python examples/offline_data.py --steps 1e6
+"""
+
+import argparse
+from collections.abc import Callable, Iterator
+
+import gymnasium as gym
+import minari
+import numpy as np
+from minari.data_collector import EpisodeBuffer
+
+import capsule_gym
+
+ID = "capsule_gym:CapsuleStickSlip-v0"
+BATCH = 200
+EXPERT, MEDIUM = "direct-ppo", "direct-ppo-wide"
+DESCRIPTIONS = {
+    "random": "Uniform random torque; every episode fails.",
+    "medium": f"The policy {MEDIUM} with Gaussian noise of standard deviation 0.3 on its action.",
+    "expert": f"The policy {EXPERT}.",
+    "mixed": "Equal parts of random, medium and expert.",
+}
+Act = Callable[[np.ndarray], np.ndarray]
+
+
+def actor(quality: str) -> Act:
+    """What acts in a batch: observations of shape (n, entries) to actions of shape (n, 1)."""
+    rng = np.random.default_rng(0)
+    if quality == "random":
+        return lambda observations: rng.uniform(-1.0, 1.0, (len(observations), 1)).astype(np.float32)
+    policy = capsule_gym.load_policy(EXPERT if quality == "expert" else MEDIUM)
+    noise = 0.0 if quality == "expert" else 0.3
+
+    def act(observations: np.ndarray) -> np.ndarray:
+        actions = policy(observations)
+        return np.clip(actions + noise * rng.standard_normal(actions.shape), -1.0, 1.0).astype(np.float32)
+
+    return act
+
+
+def episodes(act: Act, first_seed: int) -> Iterator[EpisodeBuffer]:
+    """Whole episodes without end, of the seeds from the first on."""
+    env = gym.make_vec(ID, num_envs=BATCH)
+    while True:
+        observation, _ = env.reset(seed=first_seed)
+        columns: list[tuple[np.ndarray, ...]] = []
+        seen, length = [observation], np.zeros(BATCH, int)
+        while not length.all():
+            action = act(observation)
+            observation, reward, terminated, truncated, _ = env.step(action)
+            seen.append(observation)
+            columns.append((action, reward, terminated, truncated))
+            length[(length == 0) & (terminated | truncated)] = len(columns)
+        observations = np.stack(seen)
+        fields = [np.stack(column) for column in zip(*columns, strict=True)]
+        for i, steps in enumerate(length):
+            own = (field[:steps, i] for field in fields)
+            yield EpisodeBuffer(None, first_seed + i, None, observations[: steps + 1, i], *own)
+        first_seed += BATCH
+
+
+def record(quality: str, steps: int) -> None:
+    """Records one dataset with at least so many steps, where Minari keeps its own."""
+    parts = ("random", "medium", "expert") if quality == "mixed" else (quality,)
+    buffers = []
+    for part in parts:
+        recorded = 0
+        # The mixed episodes are others than those of the three.
+        for buffer in episodes(actor(part), 1_000_000 if quality == "mixed" else 0):
+            buffers.append(buffer)
+            recorded += len(buffer.rewards)
+            if recorded * len(parts) >= steps:
+                break
+    dataset = minari.create_dataset_from_buffers(
+        f"capsule/{quality}-v0",
+        buffers,
+        env=gym.make(ID),
+        algorithm_name=quality,
+        author="The capsule_gym authors",
+        description=DESCRIPTIONS[quality],
+        requirements=["capsule-gym"],
+    )
+    score = np.mean([buffer.rewards.sum() for buffer in buffers])
+    print(f"{quality}: {dataset.total_episodes} episodes, {dataset.total_steps} steps, mean return {score:.1f} cm")
+
+
+def main() -> None:
+    """Records all four."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--steps", type=float, default=1e6, help="of each dataset")
+    steps = int(parser.parse_args().steps)
+    for quality in DESCRIPTIONS:
+        record(quality, steps)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,93 @@
+"""d3rlpy: behaviour cloning and IQL on the data of offline_data.py, evaluated on the frozen set `paper`.
+
+MINARI_DATASETS_PATH=runs/data python examples/offline_rl.py --quality mixed
+"""
+
+import argparse
+
+import d3rlpy
+import gymnasium as gym
+import minari
+import numpy as np
+from d3rlpy.algos import BCConfig, IQLConfig, QLearningAlgoBase
+from d3rlpy.dataset import MDPDataset
+from d3rlpy.models import VectorEncoderFactory
+from d3rlpy.preprocessing import MultiplyRewardScaler, StandardObservationScaler
+
+from capsule_gym.evaluation_sets import load_set
+
+ID = "capsule_gym:CapsuleStickSlip-v0"
+HORIZON = 33.0
+
+
+def load(quality: str) -> MDPDataset:
+    """A dataset of Minari as d3rlpy's, without each episode's last observation, which no action follows.
+
+    d3rlpy's own `get_minari` keeps these, and so pairs the actions of later episodes with earlier observations.
+    """
+    episodes = list(minari.load_dataset(f"capsule/{quality}-v0"))
+    return MDPDataset(
+        observations=np.concatenate([episode.observations[:-1] for episode in episodes]),
+        actions=np.concatenate([episode.actions for episode in episodes]),
+        rewards=np.concatenate([episode.rewards for episode in episodes]),
+        terminals=np.concatenate([episode.terminations for episode in episodes]),
+        timeouts=np.concatenate([episode.truncations for episode in episodes]),
+    )
+
+
+def evaluate(algorithm: QLearningAlgoBase) -> tuple[float, int, int]:
+    """Mean speed in cm/s, which counts a failed episode until its end, failed episodes, and all."""
+    frozen = load_set("paper")
+    plants = [plant.reset_options() for plant in frozen.plants]
+    env = gym.make_vec(ID, num_envs=len(plants), **frozen.env_kwargs)
+    options = {name: np.array([plant[name] for plant in plants]) for name in ("M", "mu", "state")}
+    observation, _ = env.reset(options=options)
+    running, distance, failed = np.ones(len(plants), bool), np.zeros(len(plants)), 0
+    while running.any():
+        observation, _, terminated, truncated, info = env.step(algorithm.predict(observation))
+        ended = running & (terminated | truncated)
+        distance[ended] = info["state"][ended, 2]
+        failed += int((running & terminated).sum())
+        running &= ~ended
+    return 100.0 * distance.mean() / HORIZON, failed, len(plants)
+
+
+def main() -> None:
+    """Trains and evaluates both."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quality", default="mixed")
+    parser.add_argument("--steps", type=int, default=5000, help="of each algorithm")
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+
+    dataset = load(args.quality)
+    scaled = {"observation_scaler": StandardObservationScaler(), "batch_size": 256}
+    network = VectorEncoderFactory([64, 64])
+    algorithms = {
+        "BC": BCConfig(learning_rate=1e-3, encoder_factory=network, **scaled),
+        "IQL": IQLConfig(
+            actor_learning_rate=1e-3,
+            critic_learning_rate=1e-3,
+            actor_encoder_factory=network,
+            critic_encoder_factory=network,
+            value_encoder_factory=network,
+            reward_scaler=MultiplyRewardScaler(0.1),
+            **scaled,
+        ),
+    }
+    for name, config in algorithms.items():
+        d3rlpy.seed(args.seed)
+        algorithm = config.create(device="cpu:0")
+        algorithm.fit(
+            dataset,
+            n_steps=args.steps,
+            n_steps_per_epoch=args.steps,
+            logger_adapter=d3rlpy.logging.NoopAdapterFactory(),
+            show_progress=False,
+        )
+        speed, failed, episodes = evaluate(algorithm)
+        print(f"{args.quality}, {name}: {speed:.1f} cm/s, {failed} of {episodes} episodes failed", flush=True)
+
+
+if __name__ == "__main__":
+    main()
