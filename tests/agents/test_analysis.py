@@ -293,11 +293,3 @@ def test_sac_from_the_default_start_swings_on_one_side_of_the_upright():
     assert one_sided.theta.min() > np.radians(10.0)
     assert fast.theta.min() < -np.radians(50.0) and fast.theta.max() > np.radians(40.0)
     assert fast.x[-1] / fast.t[-1] > 2.5 * one_sided.x[-1] / one_sided.t[-1]
-
-
-def test_learning_curves_are_read_by_task_and_seed(tmp_path):
-    path = tmp_path / "curves.csv"
-    path.write_text("direct,0,100,1.5,0.25\ndirect,0,200,2.5,0\ndirect,3,100,0.5,0\nresidual,0,100,-1,1\n")
-    found = algorithms.read_curves(path)
-    assert {task: list(runs) for task, runs in found.items()} == {"direct": [0, 3], "residual": [0]}
-    assert [values.tolist() for values in found["direct"][0]] == [[100.0, 200.0], [1.5, 2.5]]
