@@ -10,7 +10,7 @@ STAMP := .venv/.installed
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help train test examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression faults fuzz bits bits-check boundscheck check clean
+.PHONY: help train test examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression faults fuzz bits bits-check boundscheck oldest check clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
@@ -106,6 +106,14 @@ boundscheck: export NUMBA_BOUNDSCHECK = 1
 boundscheck: $(STAMP)  ## Run the kernels with every index checked: their tests, and the episodes whose bits are committed
 	$(PYTEST) $(CHECKED) -k "not libraries"
 	$(BIN)/python -m tests.bits
+
+oldest: OLDEST := runs/oldest/bin
+oldest:  ## Run the environment's tests with the oldest versions that pyproject.toml allows
+	$(PYTHON) -m venv runs/oldest
+	$(OLDEST)/python -m pip install --disable-pip-version-check uv
+	$(OLDEST)/uv pip install --python $(OLDEST)/python --resolution lowest-direct -e ".[sb3,render]" \
+		"hypothesis>=6.100" "mpmath>=1.3" "pytest>=8.2" "scipy>=1.11"
+	$(OLDEST)/python -m pytest tests/capsule_gym
 
 check: lint types docs leaderboard-check regression faults fuzz bits boundscheck  ## All checks but the tests
 

@@ -27,6 +27,9 @@ from setuptools.config.pyprojecttoml import read_configuration
 
 # Times in the archives: 1980-01-01, the earliest that a wheel can hold.
 os.environ.setdefault("SOURCE_DATE_EPOCH", "315532800")
+os.umask(0o022)
+# Otherwise setuptools warns that it compiles no bytecode, which a wheel has none of anyway.
+sys.dont_write_bytecode = False
 
 
 def get_requires_for_build_wheel(config_settings=None):
@@ -96,6 +99,8 @@ class BuildPy(build_py):
             environment = {**os.environ, "PYTHONPATH": str(Path(self.build_lib).resolve()), "NUMBA_CACHE_DIR": cache}
             # Started elsewhere, it imports the copy.
             subprocess.run([sys.executable, str(program)], env=environment, cwd=cache, check=True)
+        for path in Path(self.build_lib).rglob("*"):
+            path.chmod(0o755 if path.is_dir() else 0o644)
 
 
 class BdistWheel(bdist_wheel):

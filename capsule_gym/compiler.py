@@ -122,8 +122,11 @@ def lower(function: Callable[..., Any], signature: Any, bindings: dict[str, Any]
     """
     register()
     own = {name: _inlined(v, {"forceinline": True}) if callable(v) else v for name, v in bindings.items()}
+    source = rebound(function, own)
+    # numba's exceptions contain the path of the source, which differs between builds.
+    source.__code__ = source.__code__.replace(co_filename=Path(source.__code__.co_filename).name)
     # What is compiled here owns no memory, and so counts no references.
-    dispatcher = numba.njit(rebound(function, own), _nrt=False, **OPTIONS, **NO_WRAPPERS)
+    dispatcher = numba.njit(source, _nrt=False, **OPTIONS, **NO_WRAPPERS)
     try:
         with _scalar():
             dispatcher.compile(signature)

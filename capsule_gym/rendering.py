@@ -46,13 +46,15 @@ ROD, BALL, PIVOT = 168.0, 19.0, 67.0
 SHELL_HEIGHT = PIVOT + ROD + BALL + 12.0
 SHELL_HALF = 224.0
 SHELL_BOX = (MIDDLE - SHELL_HALF, FLOOR - SHELL_HEIGHT, 2 * SHELL_HALF, SHELL_HEIGHT)
-# Where every frame differs: the robot, with another one the whole stage, and the figures.
+# Where every frame differs: the robot, and with another one the whole stage.
 ROBOT_AREA: Area = (256, 112, 448, FLOOR - 105)
 ROBOT_CORNER = tuple(SCALE * side for side in ROBOT_AREA[:2])
 STAGE_AREA: Area = (0, HEADER + 1, WIDTH, FLOOR - HEADER + 6)
 # Of one number of the ruler: no wider than the smallest distance between two.
 NUMBER_AREA: Area = (0, FLOOR + 15, 42, 16)
-FIGURES_AREA: Area = (0, 33, WIDTH, 31)
+# Of the first figure's number, and of the contact's name.
+VALUE_AREA: Area = (1, 33, 109, 31)
+CONTACT_AREA: Area = (822, 33, 114, 31)
 PLATFORM_HALF, PLATFORM_HEIGHT = 68.0, 25.0
 GAUGE = 72.0
 SPRING_INNER, SPRING_OUTER, SPRING_TURNS = 9.0, 31.0, 2.5
@@ -151,10 +153,12 @@ class Renderer:
         self._marks = math.ceil(WIDTH / self._major_pixels) + 2
         # Wider than the frame: the ruler on it moves by up to a labelled mark.
         self._canvas = pygame.Surface((SCALE * math.ceil(WIDTH + self._major_pixels) + SCALE, SCALE * HEIGHT), 0, 32)
-        self._frame = pygame.Surface((WIDTH, HEIGHT), 0, 32)
+        self._pixels = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+        self._frame = pygame.image.frombuffer(self._pixels, (WIDTH, HEIGHT), "RGB")
         # pygame's own font comes with it, so no machine lacks it.
         self._font = cache(lambda size: pygame.font.Font(None, SCALE * size))
         self._text, self._number = lru_cache(TEXTS)(self._draw_text), lru_cache(TEXTS)(self._draw_number)
+        self._value, self._contact = lru_cache(TEXTS)(self._draw_value), cache(self._draw_contact)
         self._background = lru_cache(1)(self._draw_background)
         self._ruler, self._rulers = self._draw_ruler()
         self._inside = self._stencil(partial(self._box, *SHELL_BOX, INSIDE, radius=SHELL_HEIGHT / 2))
@@ -219,11 +223,9 @@ class Renderer:
             self._write_title(M, mu)
         self._draw_robot(theta, torque, contact)
         self._show(area)
-        self._draw_figures(time, x, x_dot, torque, contact)
+        self._add_figures(time, x, x_dot, torque)
         if self._mode == "rgb_array":
-            pixels = np.empty((HEIGHT, WIDTH, 3), np.uint8)
-            pygame.image.frombuffer(pixels, (WIDTH, HEIGHT), "RGB").blit(self._frame, (0, 0))
-            return pixels
+            return self._pixels.copy()
         self._window.blit(self._frame, (0, 0))
         pygame.display.flip()
         self._clock.tick(self._fps)
@@ -268,10 +270,13 @@ class Renderer:
             self._box(part * self._major_pixels / 10, FLOOR, 1, length, TICK)
         self._box(0, FLOOR - 1, width, 2, TICK)
         drawn = self._canvas.subsurface((0, SCALE * top, SCALE * width, SCALE * height)).copy()
-        size = width - 1, FLOOR + RULER - GRID_TOP
-        sides = [SCALE * side for side in size]
-        parts = [drawn.subsurface((shift, SCALE * (GRID_TOP - top), *sides)) for shift in range(SCALE)]
-        return drawn, [self._pygame.transform.smoothscale(part, size) for part in parts]
+        size, rulers = (width - 1, FLOOR + RULER - GRID_TOP), []
+        for shift in range(SCALE):
+            part = drawn.subsurface((shift, SCALE * (GRID_TOP - top), *(SCALE * side for side in size)))
+            # Of the frame's own format, which makes laying it there a copy.
+            rulers.append(self._pygame.Surface(size, 0, self._frame))
+            rulers[-1].blit(self._pygame.transform.smoothscale(part, size), (0, 0))
+        return drawn, rulers
 
     def _draw_grid(self, left: float) -> None:
         """The vertical lines of the ruler's numbers, the first of them there."""
@@ -348,17 +353,28 @@ class Renderer:
         self._disc(_polar(theta, 0.0), 4, WHITE)
         self._disc(_polar(theta, ROD), BALL, BALL_COLOUR)
 
-    def _draw_figures(self, time: float, x: float, x_dot: float, torque: float, contact: Colour) -> None:
+    def _add_figures(self, time: float, x: float, x_dot: float, torque: float) -> None:
         """The numbers, right-aligned, so that no digit moves when another appears; stick or slip."""
         mean = x / time if time > 0.0 else 0.0
         values = (time, 100.0 * x, 100.0 * x_dot, 100.0 * mean, torque)
+        left, top = VALUE_AREA[:2]
         for column, (value, (label, decimals, _)) in enumerate(zip(values, FIGURES, strict=True)):
-            left, colour = COLUMN * column, TORQUE if label == "TORQUE" else INK
-            self._box(left + 1, VALUE_BASELINE - 25, VALUE_RIGHT + 1, 31, WHITE)
-            self._write(_number(value, decimals), 32, colour, left + VALUE_RIGHT, VALUE_BASELINE, "topright")
-        self._box(822, 33, 114, 31, contact, radius=15)
-        self._write("STICK" if x_dot == 0.0 else "SLIP", 22, WHITE, 879, 55, "midtop")
-        self._show(FIGURES_AREA)
+            number = self._value(_number(value, decimals), TORQUE if label == "TORQUE" else INK)
+            self._frame.blit(number, (left + COLUMN * column, top))
+        self._frame.blit(self._contact(x_dot == 0.0), CONTACT_AREA[:2])
+
+    def _draw_value(self, text: str, colour: Colour) -> Any:
+        """The picture of a figure's number."""
+        self._box(*VALUE_AREA, WHITE)
+        self._write(text, 32, colour, VALUE_RIGHT, VALUE_BASELINE, "topright")
+        return self._averaged(VALUE_AREA)
+
+    def _draw_contact(self, stuck: bool) -> Any:
+        """The picture of the contact's name."""
+        self._box(*CONTACT_AREA, WHITE)
+        self._box(*CONTACT_AREA, STICK if stuck else SLIP, radius=15)
+        self._write("STICK" if stuck else "SLIP", 22, WHITE, 879, 55, "midtop")
+        return self._averaged(CONTACT_AREA)
 
     def _stencil(self, draw: Callable[[], None]) -> Any:
         """The robot's area of the canvas with what is drawn there: laid on the canvas, it leaves the rest as it is."""
