@@ -85,7 +85,7 @@ def gradients(parameters: Iterable[torch.Tensor]) -> Network:
     """The memory of their gradients, which an optimizer reads."""
     for parameter in (parameters := list(parameters)):
         parameter.grad = torch.zeros_like(parameter)
-    return arrays(parameter.grad for parameter in parameters)  # type: ignore[misc]
+    return arrays(parameter.grad for parameter in parameters)
 
 
 @compiled
