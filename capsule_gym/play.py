@@ -93,9 +93,9 @@ class Game:
 
 @dataclass(frozen=True, kw_only=True)
 class Args(PlantArgs):
-    """Lets you drive the capsule by keys, with a trained or scripted policy as a ghost on the same plant.
+    """Opens a window in which you control the motor, next to a policy on the same plant.
 
-    Left and right, or A and D, swing the ball. N takes the next plant, R begins again on this one.
+    The arrow keys left and right, or A and D, apply torque. N selects the next plant, R restarts.
 
     Examples:
       python -m capsule_gym.play
@@ -103,9 +103,9 @@ class Args(PlantArgs):
       python -m capsule_gym.play --M 0.6 --mu 0.05 --speed 0.5
     """
 
-    rival: Annotated[str, arg(metavar="NAME_OR_PATH", help="The ghost: as `capsule_gym.demo` takes it.")] = "adaptive"
+    rival: Annotated[str, arg(metavar="NAME_OR_PATH", help="Policy shown as an outline, as in demo.")] = "adaptive"
     speed: float = 1.0
-    """Times the speed of reality, from 0.1 to 20."""
+    """Speed relative to real time, from 0.1 to 20."""
 
     def check(self) -> None:
         """Refuses a speed out of range."""
