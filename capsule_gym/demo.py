@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from gymnasium.error import DependencyNotInstalled
-from tyro.conf import arg
 
-from capsule_gym.command_line import Count, Positional, check_output, parse, refuse
+from capsule_gym.command_line import Count, Positional, arg, check_output, parse, refuse
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, FURTHER_SET_NAMES, SET_NAMES, PlantSpec, load_set
 from capsule_gym.parameters import check_number, nearest
 from capsule_gym.policy import load_policy, policy_names, pretrained

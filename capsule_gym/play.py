@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from tyro.conf import arg
 
-from capsule_gym.command_line import parse
+from capsule_gym.command_line import arg, parse
 from capsule_gym.demo import TERMINATIONS, Episode, PlantArgs, errors_in_one_line, find_policy
 from capsule_gym.evaluation_sets import PlantSpec
 from capsule_gym.parameters import check_number
