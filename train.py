@@ -59,7 +59,7 @@ class Choice:
     """The options that decide the defaults of all others."""
 
     env: Environment = "CapsuleStickSlip-v0"
-    """The environment: as fast as possible, to a goal, or at a commanded velocity."""
+    """The environment: maximum speed, a goal, or a commanded velocity."""
     task: Annotated[Task | None, tyro.conf.arg(metavar="{residual,direct}")] = None
     """Residual torque on a control law, or direct torque; residual by default, and direct in the other environments."""
     algo: Algorithm = "ppo"

@@ -15,11 +15,11 @@ from typing import Annotated, Any, NoReturn, TypeVar
 
 try:
     import tyro
-    from tyro.conf import Positional
+    from tyro.conf import Positional, arg
 except ImportError as error:
     raise ImportError('this command needs tyro: pip install "capsule-gym[render]"') from error
 
-__all__ = ["Count", "Positional", "check_output", "parse", "refuse"]
+__all__ = ["Count", "Positional", "arg", "check_output", "parse", "refuse"]
 
 T = TypeVar("T")
 # No option --no-fast beside --fast.

@@ -132,7 +132,7 @@ def lower(function: Callable[..., Any], signature: Any, bindings: dict[str, Any]
             dispatcher.compile(signature)
     except Exception as error:
         # Not all that numba raises are errors of numba's.
-        raise TypeError(f"numba says: {first_cause(error)}") from error
+        raise TypeError(f"numba cannot compile it: {first_cause(error)}") from error
     result = next(iter(dispatcher.overloads.values()))
     # Of this processor.
     text = re.sub(r' "target-(cpu|features)"="[^"]*"', "", result.library.get_llvm_str())

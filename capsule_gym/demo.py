@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from gymnasium.error import DependencyNotInstalled
-from tyro.conf import arg
 
-from capsule_gym.command_line import Count, Positional, check_output, parse, refuse
+from capsule_gym.command_line import Count, Positional, arg, check_output, parse, refuse
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, FURTHER_SET_NAMES, SET_NAMES, PlantSpec, load_set
 from capsule_gym.parameters import check_number, nearest
 from capsule_gym.policy import load_policy, policy_names, pretrained
@@ -128,10 +127,11 @@ class PlantArgs:
     """The plant."""
 
     set: Annotated[
-        str, arg(metavar="NAME_OR_PATH", help=f"One of {', '.join(SET_NAMES + FURTHER_SET_NAMES)}, or a file.")
+        str,
+        arg(metavar="NAME_OR_PATH", help=f"One of {', '.join(SET_NAMES + FURTHER_SET_NAMES)}, or the path of a file."),
     ] = "paper"
     seed: Count = 0
-    """Which of the set's plants, by its seed."""
+    """Seed of the plant in the set."""
     M: float | None = None
     """Mass of the platform in kg, instead of the set's."""
     mu: float | None = None
@@ -171,13 +171,13 @@ class Args(PlantArgs):
             "of a policy file or of a run's folder.",
         ),
     ]
-    rival: Annotated[str | None, arg(metavar="NAME_OR_PATH", help="Another one on the same plant, as a ghost.")] = None
+    rival: Annotated[str | None, arg(metavar="NAME_OR_PATH", help="A second policy, shown as an outline.")] = None
     output: Annotated[Path | None, arg(metavar="FILE", aliases=["-o"])] = None
     """Write a GIF to this file instead of opening a window."""
     overwrite: bool = False
     """Let --output replace an existing file."""
     seconds: float = HORIZON
-    """How much of the episode."""
+    """Length of the shown part of the episode, s."""
 
     def check(self) -> None:
         """Refuses a time out of range and files that cannot be written."""

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from tyro.conf import arg
 
-from capsule_gym.command_line import parse
+from capsule_gym.command_line import arg, parse
 from capsule_gym.demo import TERMINATIONS, Episode, PlantArgs, errors_in_one_line, find_policy
 from capsule_gym.evaluation_sets import PlantSpec
 from capsule_gym.parameters import check_number
@@ -93,9 +92,9 @@ class Game:
 
 @dataclass(frozen=True, kw_only=True)
 class Args(PlantArgs):
-    """Lets you drive the capsule by keys, with a trained or scripted policy as a ghost on the same plant.
+    """Opens a window in which you control the motor, next to a policy on the same plant.
 
-    Left and right, or A and D, swing the ball. N takes the next plant, R begins again on this one.
+    The arrow keys left and right, or A and D, apply torque. N selects the next plant, R restarts.
 
     Examples:
       python -m capsule_gym.play
@@ -103,9 +102,9 @@ class Args(PlantArgs):
       python -m capsule_gym.play --M 0.6 --mu 0.05 --speed 0.5
     """
 
-    rival: Annotated[str, arg(metavar="NAME_OR_PATH", help="The ghost: as `capsule_gym.demo` takes it.")] = "adaptive"
+    rival: Annotated[str, arg(metavar="NAME_OR_PATH", help="Policy shown as an outline, as in demo.")] = "adaptive"
     speed: float = 1.0
-    """Times the speed of reality, from 0.1 to 20."""
+    """Speed relative to real time, from 0.1 to 20."""
 
     def check(self) -> None:
         """Refuses a speed out of range."""

@@ -281,7 +281,9 @@ class Policy:
             ValueError: if it observes none, or the weight is out of range.
         """
         if not self.observes_energy_weight:
-            raise ValueError(f"{self.name!r} does not observe the energy weight: it acts the same whatever that is")
+            raise ValueError(
+                f"{self.name!r} does not observe the energy weight; another weight would not change its actions"
+            )
         return replace(self, env_kwargs={**self.env_kwargs, "energy_weight": energy_weight})
 
     def save(self, path: str | Path) -> None:
@@ -338,11 +340,13 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
         folder = path.absolute().parent
         name = folder.parent.name if folder.name == "best" else folder.name
     if path.stat().st_size > LARGEST_FILE:
-        raise ValueError(f"{path} is no policy: it must have at most {LARGEST_FILE} bytes, got {path.stat().st_size}")
+        raise ValueError(
+            f"{path} is not a policy file: it must have at most {LARGEST_FILE} bytes, got {path.stat().st_size}"
+        )
     try:
         policy = _read(name, path)
     except (SafetensorError, ValueError, TypeError, RecursionError, OverflowError) as error:
-        raise ValueError(f"{path} is no policy: {error}") from error
+        raise ValueError(f"{path} is not a policy file: {error}") from error
     controller = policy.env_kwargs.get("controller")
     if not (trust_controller or is_own(controller)):
         raise ValueError(

@@ -421,8 +421,8 @@ class Simulation:
         """
         if not self.settings.history and (capsule or disturbances):
             raise ValueError(
-                f"options[{'capsule' if capsule else 'disturbances'!r}] needs an environment with disturbances, of "
-                f"which 'none' is none, or with a Randomization of other constants than M and mu"
+                f"options[{'capsule' if capsule else 'disturbances'!r}] needs an environment with disturbances "
+                f"other than 'none', or with a Randomization of constants besides M and mu"
             )
         schedules = [self._schedule(changes[n]) for n in range(len(rows))] if changes is not None else None
         # Compiled code believes that it is given these.

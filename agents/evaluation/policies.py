@@ -200,7 +200,7 @@ def find_candidate(name_or_path: str, *, trust: bool = False, trust_controller: 
 def _imported(name: str, trust: bool) -> Candidate:
     """The policy "module:attribute"."""
     if not trust:
-        raise ValueError(f"policy {name!r} is code, which importing it runs: --trust accepts that")
+        raise ValueError(f"importing policy {name!r} runs its code; --trust allows it")
     module_name, _, attribute = name.partition(":")
     # As for a script: modules in the current folder are found.
     sys.path.insert(0, "")

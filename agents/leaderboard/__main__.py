@@ -38,23 +38,23 @@ SETS = SET_NAMES + FURTHER_SET_NAMES + TASK_SET_NAMES
 
 @dataclass(frozen=True)
 class Args:
-    """Evaluates policies on every frozen set, and writes leaderboard.json, LEADERBOARD.md and the README's head.
+    """Evaluates policies on every frozen set, and writes leaderboard.json, LEADERBOARD.md and the README's table.
 
     Examples:
       python -m agents.leaderboard                    evaluate every policy and write everything
-      python -m agents.leaderboard direct-ppo         evaluate these, and write everything from the results
-      python -m agents.leaderboard --from-results     evaluate none
+      python -m agents.leaderboard direct-ppo         evaluate one policy and write everything
+      python -m agents.leaderboard --from-results     write everything from stored results
       python -m agents.leaderboard --check            fail if anything is stale, and print it
     """
 
     names: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME")] = ()
-    """Policies to evaluate, or to check by evaluating; all of them where there is no name."""
+    """Policies to evaluate; all by default."""
     check: bool = False
     """Write nothing; fail if the leaderboard is stale."""
     from_results: bool = False
-    """Evaluate nothing: write, or check, what the results give."""
+    """Use the stored results instead of evaluating."""
     plants: Count | None = None
-    """With --check, evaluate so many plants of every set again, the first ones; all by default."""
+    """With --check, number of plants per set that are evaluated again; all by default."""
     jobs: int = os.cpu_count() or 1
     """Processes."""
 
@@ -127,7 +127,7 @@ def check(
             for name, text in files(root, build(rows, sets)).items():
                 path = root / name
                 if not path.is_file() or path.read_text(encoding="utf-8") != text:
-                    stale.append(f"{name} is not what the results give")
+                    stale.append(f"{name} differs from the results")
     except ValueError as error:
         stale.append(str(error))
     if stale:

@@ -16,7 +16,7 @@ from capsule_gym.command_line import Positional, check_output, parse, refuse
 
 @dataclass(frozen=True)
 class Args:
-    """Writes one self-contained page: learning curve, measures on every set, speed against cost, profiles, plants.
+    """Writes one self-contained page: learning curve, metrics on every set, speed and cost, profiles, plants.
 
     Rows of the leaderboard are read from its results; other runs are evaluated on every frozen set.
 
@@ -33,7 +33,7 @@ class Args:
     overwrite: bool = False
     """Replace an existing file."""
     trust_controller: bool = False
-    """Accept a policy with a control law from elsewhere: importing it runs its code."""
+    """Accept a policy with a control law that is not of this package: importing it runs its code."""
     trust_pickle: bool = False
     """Accept the folder of a run with an LSTM, whose agent is unpickled: that can run any code."""
 

@@ -108,7 +108,9 @@ def _candidate(name: str, trust_controller: bool, trust_pickle: bool) -> Candida
     path = Path(name)
     if (path / BEST / MODEL).is_file() and not (path / BEST / POLICY).is_file():
         if not trust_pickle:
-            raise ValueError(f"{path} holds an agent with an LSTM, which is unpickled: --trust-pickle accepts that")
+            raise ValueError(
+                f"{path} contains an agent with an LSTM, and unpickling it can run any code; --trust-pickle allows it"
+            )
         # Imports torch, which takes seconds.
         from agents.training.export import load_best
 

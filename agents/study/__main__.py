@@ -32,7 +32,7 @@ class Args:
       python -m agents.study direct-ppo --resume --publish
     """
 
-    rows: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME", help=f"Which of {', '.join(ROWS)}.")]
+    rows: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME", help=f"Rows: {', '.join(ROWS)}.")]
     seeds: Annotated[tuple[int, ...], arg(metavar="N")] = tuple(range(10))
     """Training seeds."""
     jobs: int | None = None

@@ -80,11 +80,11 @@ class Config:
     task: Annotated[Task, Fixed, Suppress] = "residual"
     env: Annotated[Environment, Fixed, Suppress] = "CapsuleStickSlip-v0"
     seed: Count = 0
-    """Seed of everything: the same seed gives the same model on one machine."""
+    """Random seed; the same seed gives the same model on one machine."""
     total_steps: Count = 6_000_000
     """Environment steps."""
     num_envs: Count = 64
-    """Environments that are stepped together."""
+    """Number of parallel environments."""
     controller: str | None = "baselines:adaptive"
     """Control law under a residual torque, as module:attribute."""
     residual_limit: Annotated[float, _option("residual_limit", "; twice the torque limit can cancel any law")] = (
@@ -92,7 +92,7 @@ class Config:
     )
     torque_limit: Annotated[float, _option("torque_limit")] = EnvConfig.torque_limit
     randomization: Literal["default", "none", "paper", "wide", "broad", "sticky", "real", "real-wide"] = "paper"
-    """Where M and mu of an episode come from; "default": the environment's own ranges."""
+    """Distribution of the plants; "default": that of the environment."""
     static_ratio: float | None = None
     """Static over kinetic friction coefficient of the floor; None for the environment's default."""
     disturbances: Annotated[Literal["none", "real"], _option("disturbances")] = "none"

@@ -18,7 +18,7 @@ PROG = "python -m baselines.dynamic_programming"
 
 @dataclass(frozen=True)
 class Args:
-    """Computes policies by dynamic programming. Goes on from what is known; Ctrl-C keeps what has been found.
+    """Computes policies by dynamic programming, as far as the archive lacks them. Ctrl-C keeps finished results.
 
     Examples:
       python -m baselines.dynamic_programming                      all that is missing
@@ -32,7 +32,7 @@ class Args:
     report: bool = False
     """Only print the tables of what is on file."""
     folder: Path = FOLDER
-    """Of the archive."""
+    """Folder of the archive."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -24,7 +24,7 @@ PROG = "python -m baselines.gaits"
 
 @dataclass(frozen=True)
 class Args:
-    """Searches the best-known gaits. Goes on from what is known; Ctrl-C keeps what finished iterations have found.
+    """Searches for fast periodic gaits, starting from the archive. Ctrl-C keeps the results of finished iterations.
 
     Examples:
       python -m baselines.gaits --minutes 25    continue the search
@@ -38,11 +38,11 @@ class Args:
     law: int = 0
     """Generations of a search for the parameters of `baselines:gait`; 0 searches gaits instead."""
     minutes: float = 25.0
-    """How long to search; the map of gait-oracle is computed at the end."""
+    """Duration of the search, min; the map of gait-oracle is computed at the end."""
     seed: int = 0
-    """Of the search."""
+    """Seed of the search."""
     folder: Path = FOLDER
-    """Of the archive."""
+    """Folder of the archive."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

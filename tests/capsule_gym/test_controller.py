@@ -147,7 +147,7 @@ GAINS = SimpleNamespace(gain=1.0)
     ],
 )
 def test_a_law_that_does_not_compile_is_named(law, cause):
-    message = rf"^the control law 'odd' must be a function that numba compiles, .* numba says: .*{cause}$"
+    message = rf"^the control law 'odd' must be a function that numba compiles, .* numba cannot compile it: .*{cause}$"
     with pytest.raises(TypeError, match=message) as raised:
         CapsuleEnv(controller=Controller("odd", law, np.zeros((1, 2))))
     assert "\n" not in str(raised.value)

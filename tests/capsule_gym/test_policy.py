@@ -277,7 +277,7 @@ def test_what_is_no_policy_file_is_refused_by_name_without_taking_memory(content
     path.write_bytes(content)
     tracemalloc.start()
     try:
-        with pytest.raises(ValueError, match=r"policy\.safetensors is no policy: "):
+        with pytest.raises(ValueError, match=r"policy\.safetensors is not a policy file: "):
             load_policy(path)
         assert tracemalloc.get_traced_memory()[1] < 1_000_000
     finally:
@@ -294,7 +294,7 @@ def test_a_truncated_file_and_one_too_large_are_refused(tmp_path):
         load_policy(path)
     for kept in (0.0, 0.05, 0.5, 0.99):
         path.write_bytes(content[: int(kept * len(content))])
-        with pytest.raises(ValueError, match="is no policy: "):
+        with pytest.raises(ValueError, match="is not a policy file: "):
             load_policy(path)
 
 
@@ -341,13 +341,13 @@ HOSTILE_METADATA = [
     ({"training_seed": "-1"}, "training_seed must be an integer from 0"),
     ({"revision": ""}, "revision must be a string that is not empty"),
     ({"env_kwargs": "[]"}, "env_kwargs must be a dict"),
-    ({"env_kwargs": '{"capsule":' + "[" * 60_000}, "is no policy: "),
+    ({"env_kwargs": '{"capsule":' + "[" * 60_000}, "is not a policy file: "),
     ({"env_kwargs": '{"torque_limit": NaN}'}, "torque_limit must be a finite number > 0"),
     ({"env_kwargs": '{"threads": 1000000000}'}, "env_kwargs must have keys out of"),
     ({"env_kwargs": '{"controller": ["os", "system"]}'}, "must be None or an import string"),
     ({"env_kwargs": '{"controller": "baselines:adaptive"}'}, "of shape (10,), one for each input"),
     ({"env_kwargs": '{"capsule": {"M": -1.0}}'}, "Capsule.M must be"),
-    ({"env_kwargs": '{"capsule": {"wheels": 4}}'}, "is no policy: "),
+    ({"env_kwargs": '{"capsule": {"wheels": 4}}'}, "is not a policy file: "),
 ]
 
 
@@ -362,7 +362,7 @@ def refused(tmp_path: Path, tensors: dict[str, np.ndarray | None], metadata: dic
         {key: value for key, value in described.items() if value is not None},
     )
     (tmp_path / POLICY).write_bytes(changed)
-    with pytest.raises(ValueError, match=r"policy\.safetensors is no policy: ") as caught:
+    with pytest.raises(ValueError, match=r"policy\.safetensors is not a policy file: ") as caught:
         load_policy(tmp_path / POLICY)
     return str(caught.value)
 

@@ -44,7 +44,7 @@ def test_unknown_policies_raise_an_error_that_lists_the_known_ones(world):
     for name, message in (
         ("lernt", r"policy \(adaptive, bold, goal-pulses, velocity-pulses\), a checkpoint \(learnt\), .* got 'lernt'"),
         (world / "empty", r"run's folder, which holds best/.*empty'"),
-        (world / "model.zip", r"model\.zip is no policy"),
+        (world / "model.zip", r"model\.zip is not a policy file"),
     ):
         with pytest.raises(ValueError, match=message):
             find_candidate(str(name))
@@ -53,7 +53,7 @@ def test_unknown_policies_raise_an_error_that_lists_the_known_ones(world):
 def test_malformed_checkpoints_raise_an_error(world):
     run = world / "checkpoints" / "learnt" / "seed-2"
     (run / "policy.safetensors").write_bytes(b"half")
-    with pytest.raises(ValueError, match=r"seed-2.policy\.safetensors is no policy"):
+    with pytest.raises(ValueError, match=r"seed-2.policy\.safetensors is not a policy file"):
         all_candidates()
     write_run(run, 10)
     with pytest.raises(ValueError, match=r"different training seeds, got \[10, 10\]"):
@@ -72,7 +72,7 @@ def test_a_module_is_imported_only_if_trusted(tmp_path, monkeypatch):
     (tmp_path / "my_rules.py").write_text(MODULE)
     path = list(sys.path)
     try:
-        with pytest.raises(ValueError, match="is code, which importing it runs: --trust accepts that"):
+        with pytest.raises(ValueError, match="runs its code; --trust allows it"):
             find_candidate("my_rules:zero")
         assert "my_rules" not in sys.modules
         (policy,) = find_candidate("my_rules:zero", trust=True).policies

@@ -44,7 +44,7 @@ def test_check_names_changed_rows(written):
 def test_check_names_stale_pages(written, name):
     text = (written / name).read_text()
     (written / name).write_text(text.replace("wild", "mild", 1))
-    assert checked(written, evaluated=[]) == [f"{name} is not what the results give"]
+    assert checked(written, evaluated=[]) == [f"{name} differs from the results"]
     assert checked(written)[-1] == "the numbers were not evaluated again"
 
 
