@@ -497,7 +497,7 @@ def test_a_hand_that_failed_stands_still_until_space_begins_again(open_page: Ope
     shows(page, "banner-text", "Space begins again.")
     page.keyboard.up("ArrowRight")
     page.wait_for_function("document.getElementById('play').getAttribute('aria-label') === 'Play'")
-    assert 0.2 < figure(page, "time") < 1.0
+    assert 0.1 < figure(page, "time") < 1.0
     page.keyboard.press(" ")
     page.wait_for_function("document.getElementById('banner').hidden")
     assert playing(page)
