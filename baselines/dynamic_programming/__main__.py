@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from baselines.dynamic_programming import FOLDER
@@ -42,6 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from baselines.archive import run_search
     from baselines.dynamic_programming.archive import load_archive
     from baselines.dynamic_programming.figure import report
+    from baselines.dynamic_programming.plants import set_plants, solve_plants
     from baselines.dynamic_programming.problem import PROBLEMS
 
     try:
@@ -50,16 +52,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         refuse(PROG, str(error))
     if args.check:
         stale = archive.check()
-        print(*stale, f"{len(archive.results)} trajectories repeated: {len(stale)} differ", sep="\n")
+        count = len(archive.results) + len(archive.plant_speeds)
+        print(*stale, f"{count} trajectories repeated: {len(stale)} differ", sep="\n")
         return int(bool(stale))
     missing = [problem for problem in PROBLEMS if problem.key not in archive.results]
+    plants = [plant for plant in set_plants() if plant not in archive.plant_speeds]
     if args.report:
-        if missing:
-            refuse(PROG, f"--report needs all {len(PROBLEMS)} problems on file, and {args.folder} lacks {len(missing)}")
+        if lacking := len(missing) + len(plants):
+            refuse(PROG, f"--report needs all problems and plants on file, and {args.folder} lacks {lacking}")
         print(report(archive))
         return 0
-    interrupted = run_search(archive.solve(missing), lambda: archive.save(args.folder))
-    print(f"{len(archive.results)} problems on file in {args.folder}")
+    steps = chain(archive.solve(missing), solve_plants(archive, plants))
+    interrupted = run_search(steps, lambda: archive.save(args.folder))
+    print(f"{len(archive.results)} problems and {len(archive.plant_speeds)} plants of sets on file in {args.folder}")
     return 130 if interrupted else 0
 
 

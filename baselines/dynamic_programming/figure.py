@@ -9,6 +9,7 @@ import numpy as np
 
 from baselines.archive import GRID, STICKY_GRID
 from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, add_note, new_figure
+from baselines.dynamic_programming import plants
 from baselines.dynamic_programming.archive import Archive, Result, cycle, known_results
 from baselines.dynamic_programming.problem import (
     ACTIONS,
@@ -143,10 +144,24 @@ def report(archive: Archive) -> str:
         numbers = [f"{each.energy_weight:g}", f"{each.mean_speed:.2f}", f"{each.cost_of_transport:.2f}"]
         weights.append([*numbers, f"{min(costs):.2f}" if costs else "-"])
 
-    parts = {"Finer grids": grids, "Control intervals": intervals, "Energy weights": weights}
+    sets = [["set", "plants", "slowest (cm/s)", "fastest (cm/s)", "interpolated over solved, mean", "from", "to"]]
+    for name in plants.SETS:
+        own = plants.set_plants(name)
+        solved = np.array([archive.plant_speeds[plant] for plant in own])
+        ratios = 100.0 * np.array([archive.interpolated_speed(*plant) for plant in own]) / solved - 100.0
+        numbers = [f"{speed:.2f}" for speed in (solved.min(), solved.max())]
+        shares = [f"{share:+.1f} %" for share in (ratios.mean(), ratios.min(), ratios.max())]
+        sets.append([f"`{name}`", str(len(own)), *numbers, *shares])
+
+    parts = {
+        "Finer grids": grids,
+        "Control intervals": intervals,
+        "Energy weights": weights,
+        "Plants of the sets": sets,
+    }
     for grid in (GRID, STICKY_GRID):
-        plants = [["M (kg) \\ mu", *(f"{mu:g}" for mu in grid.mu)]]
+        table = [["M (kg) \\ mu", *(f"{mu:g}" for mu in grid.mu)]]
         speeds = iter(f"{results[problem.key].mean_speed:.2f}" for problem in plant_problems(grid))
-        plants += [[f"{M:g}", *islice(speeds, len(grid.mu))] for M in grid.M]
-        parts[f"Plants with a static ratio of {grid.static_ratio:g} (cm/s)"] = plants
+        table += [[f"{M:g}", *islice(speeds, len(grid.mu))] for M in grid.M]
+        parts[f"Plants with a static ratio of {grid.static_ratio:g} (cm/s)"] = table
     return "\n\n".join(f"{heading}\n\n{markdown_table(rows)}" for heading, rows in parts.items())

@@ -36,6 +36,8 @@ LOCAL = np.linspace(-1.0, 1.0, 9)
 BATCH = 8192
 # s: steps of policy evaluation between two improvements, as time.
 EVALUATION_TIME = 0.8
+# s: how long before the end of an episode a policy takes the end into account; longer than a cycle.
+ENDING = 0.8
 MAX_ITERATIONS = 60
 # cm/s: converged where the span of the values' changes is smaller.
 TOLERANCE = 0.02
@@ -175,23 +177,41 @@ def solve(problem: Problem, grid: Grid, *, curvature: float = 0.0, start: Soluti
     return Solution(problem, grid, values, curvature, gain / problem.control_dt)
 
 
-def run_policy(solution: Solution, thetas: np.ndarray, *, horizon: float = HORIZON) -> Trajectory:
+def final_solutions(solution: Solution) -> list[Solution]:
+    """The values with 0, 1, .. steps to go up to `ENDING`: nothing counts after the end of an episode."""
+    problem, grid = solution.problem, solution.grid
+    actions = np.tile(np.linspace(-1.0, 1.0, TORQUES), (math.prod(grid.shape), 1))
+    positions, rewards = transitions(problem, grid, actions)
+    backup, cell = compile_cached(_backup), cell_curvature(solution.curvature, grid)
+    found = [replace(solution, values=np.zeros(grid.shape, np.float32))]
+    for _ in range(round(ENDING / problem.control_dt) - 1):
+        values, _ = backup(found[-1].values, positions, rewards, 0.0, cell)
+        found.append(replace(solution, values=values.astype(np.float32).reshape(grid.shape)))
+    return found
+
+
+def run_policy(
+    solution: Solution, thetas: np.ndarray, *, final: Sequence[Solution] = (), horizon: float = HORIZON
+) -> Trajectory:
     """Runs the policy that takes, at every step, the torque with the largest reward plus value of the next state.
 
     Args:
         solution: with the values.
         thetas: where the episodes start, at rest, rad.
+        final: with the values before the end, `final_solutions`; without them the policy never expects the end.
         horizon: length, s.
     """
     model = Transitions(solution.problem, thetas.size * ACTIONS.size)
     actions = np.tile(ACTIONS, thetas.size)
+    steps = round(horizon / solution.problem.control_dt)
 
     def choose(step: int, states: np.ndarray) -> np.ndarray:
         ends, rewards, failed = model.step(np.repeat(states[[0, 1, 3]], ACTIONS.size, axis=1), actions)
-        scores = np.where(failed, -np.inf, rewards + solution.at(ends))
+        left = steps - 1 - step
+        scores = np.where(failed, -np.inf, rewards + (final[left] if left < len(final) else solution).at(ends))
         return scores.reshape(-1, ACTIONS.size).argmax(axis=1)
 
-    return record(solution.problem, thetas, round(horizon / solution.problem.control_dt), choose)
+    return record(solution.problem, thetas, steps, choose)
 
 
 def ranges(trajectory: Trajectory, q: float) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -251,5 +271,5 @@ def solve_on_grids(problem: Problem, shapes: Sequence[tuple[int, int, int]]) -> 
     for shape in shapes:
         finer = replace(grid, shape=divide_nodes(shape, y, w), y=y, w=w)
         solution = solve(problem, finer, curvature=curvature, start=solution)
-        results.append((solution, run_policy(solution, STARTS)))
+        results.append((solution, run_policy(solution, STARTS, final=final_solutions(solution))))
     return results

@@ -13,9 +13,11 @@ from agents.evaluation.episodes import evaluate
 from baselines.archive import GRID, PLANTS, STICKY_GRID, find_grid
 from baselines.dynamic_programming import FOLDER, archive
 from baselines.dynamic_programming import __main__ as command
+from baselines.dynamic_programming import plants as plants_module
 from baselines.dynamic_programming import problem as module
 from baselines.dynamic_programming.archive import Archive, cycle, known_results, load_archive, optimal_speed
 from baselines.dynamic_programming.grid import Grid
+from baselines.dynamic_programming.plants import set_plants, solve_plant
 from baselines.dynamic_programming.policy import Oracle
 from baselines.dynamic_programming.problem import Problem, repeat
 from baselines.dynamic_programming.solver import Solution, solve_on_grids
@@ -32,10 +34,24 @@ SHORTER_INTERVAL_WINS = {(0.75, 0.5), (1.0, 0.5)}
 def test_trajectories_give_the_speeds_on_file_to_the_last_bit():
     known = known_results()
     keys = [Problem(M=0.35, mu=0.5).key, Problem().key, Problem(mu=0.45, static_ratio=1.3).key]
-    some = Archive({key: known.results[key] for key in keys}, dict(known.arrays))
+    arrays = {name: each[:3] if name.startswith("plants") else each for name, each in known.arrays.items()}
+    some = Archive({key: known.results[key] for key in keys}, arrays)
     assert some.check() == []
     some.arrays[f"{keys[0]} torques"] = some.arrays[f"{keys[0]} torques"][::-1]
-    assert len(some.check()) == 1
+    some.arrays["plants torques"] = np.roll(arrays["plants torques"], 1, axis=1)
+    assert len(some.check()) == 1 + 3
+
+
+def test_the_plants_of_the_sets_are_solved_themselves():
+    known = known_results()
+    plants = set_plants()
+    assert list(known.plant_speeds) == plants and len(plants) > 700
+    solved = np.array([optimal_speed(*plant) for plant in plants])
+    ratios = np.array([known.interpolated_speed(*plant) for plant in plants]) / solved
+    assert 0.001 < np.abs(ratios - 1.0).mean() < 0.02 and np.abs(ratios - 1.0).max() < 0.05
+    # A solution on a much coarser grid is slower, but not by much.
+    coarse = solve_plant(Problem(M=plants[1][0], mu=plants[1][1]), known, (13, 18, 7))
+    assert 0.9 < coarse.metrics["mean_speed"][0] / solved[1] < 1.01
 
 
 def test_the_optimum_is_faster_than_the_gaits():
@@ -128,20 +144,23 @@ def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, monkeypatch, 
 
     monkeypatch.setattr(module, "PROBLEMS", problems)
     monkeypatch.setattr(archive, "solve_on_grids", quick)
+    monkeypatch.setattr(plants_module, "set_plants", lambda *_: [(0.5, 0.01), (0.5, 0.02)])
+    monkeypatch.setattr(plants_module, "solve_plant", lambda problem, _: repeat(problem, np.full(1650, 60, np.uint8)))
     arguments = ["--folder", str(tmp_path / "new")]
     assert command.main(arguments) == 130
     assert list(load_archive(tmp_path / "new").results) == [each.key for each in problems[:2]]
     assert command.main(arguments) == 0
     assert calls[3:] == problems[2:]
     assert command.main([*arguments, "--check"]) == 0
-    assert "3 trajectories repeated: 0 differ" in capsys.readouterr().out
+    assert "5 trajectories repeated: 0 differ" in capsys.readouterr().out
+    monkeypatch.undo()
     # The tables are those of the page.
     assert command.main(["--report"]) == 0
     page = (ROOT / "docs" / "optimum.md").read_text(encoding="utf-8")
     written = {line.replace(" ", "") for line in page.splitlines()}
     rows = [line.replace(" ", "") for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
-    numbers = [row for row in rows if row[1].isdigit()]
-    assert len(numbers) > 25 and written.issuperset(numbers)
+    numbers = [row for row in rows if row[1].isdigit() or row[1] == "`"]
+    assert len(numbers) > 27 and written.issuperset(numbers)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from scipy.ndimage import map_coordinates
 from baselines.dynamic_programming import solver
 from baselines.dynamic_programming.grid import FAILED, Grid
 from baselines.dynamic_programming.problem import Problem, Transitions
-from baselines.dynamic_programming.solver import FAILURE_VALUE, run_policy, solve, transitions
+from baselines.dynamic_programming.solver import FAILURE_VALUE, final_solutions, run_policy, solve, transitions
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv
 from capsule_gym.layout import Row
 from capsule_gym.task import START_THETA
@@ -141,3 +141,12 @@ def test_without_friction_nothing_is_gained(coarse):
     frictionless = solve(Problem(mu=0.0), make_grid(w=(-1.0, 1.0)))
     trajectory = run_policy(frictionless, np.array([START_THETA]), horizon=4.0)
     assert abs(trajectory.states[-1, 2, 0]) < 2.0 * frictionless.grid.q
+
+
+def test_nothing_counts_after_the_end_of_an_episode(coarse):
+    solution, start = solve(Problem(), make_grid()), np.array([START_THETA])
+    final = final_solutions(solution)
+    assert not final[0].values.any()
+    steady, ending = (run_policy(solution, start, final=each, horizon=4.0) for each in ((), final))
+    # The last swing forwards ends with the episode.
+    assert ending.metrics["distance"][0] > steady.metrics["distance"][0] + 0.02
