@@ -3,6 +3,7 @@
 import argparse
 import csv
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -11,7 +12,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 ID = "capsule_gym:CapsuleStickSlip-v0"
 # Starts of training: theta within 60 degrees, theta_dot within 8 rad/s.
-TASKS = {
+TASKS: dict[str, dict[str, Any]] = {
     "direct": {"initial_range": None},
     "residual": {"controller": "baselines:adaptive", "residual_limit": 3.0, "initial_range": (1.047, 8.0)},
 }
@@ -24,10 +25,11 @@ class LearningCurve(BaseCallback):
         points: steps, mean speed (cm/s), and share of episodes that failed.
     """
 
-    def __init__(self, every: int, **kwargs: object) -> None:
+    def __init__(self, every: int, **kwargs: Any) -> None:
         super().__init__()
-        self.every, self.points = every, []
-        self.envs = gym.make_vec(ID, num_envs=16, autoreset_mode="DISABLED", **{**kwargs, "initial_range": None})
+        self.every, self.points = every, list[tuple[int, float, float]]()
+        kwargs |= {"initial_range": None, "autoreset_mode": "DISABLED"}
+        self.envs: Any = gym.make_vec(ID, num_envs=16, **kwargs)
 
     def _on_step(self) -> bool:
         if self.num_timesteps % self.every == 0:
@@ -39,8 +41,9 @@ class LearningCurve(BaseCallback):
                 observations, _, terminated, truncated, _ = self.envs.step(actions)
                 ended = terminated | truncated
             metrics = self.envs.episode_metrics()
-            self.points.append((self.num_timesteps, metrics["mean_speed"].mean(), metrics["failed"].mean()))
-            print(f"{self.num_timesteps:,} steps: {self.points[-1][1]:.2f} cm/s", flush=True)
+            speed, failed = metrics["mean_speed"].mean(), metrics["failed"].mean()
+            self.points.append((self.num_timesteps, speed, failed))
+            print(f"{self.num_timesteps:,} steps: {speed:.2f} cm/s, {failed:.0%} failed", flush=True)
         return True
 
 
