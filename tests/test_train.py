@@ -99,8 +99,11 @@ def test_help_explains_every_hyperparameter_with_its_default(task, algo, capsys)
     assert "resume only runs of your own" in description
     helps = {entry.split()[0]: " ".join(re.sub("[│|]", " ", entry).split()[1:]) for entry in entries}
     for name, value in PRESETS[task, algo].to_dict().items():
-        text, _, default = helps["--" + name.replace("_", "-")].partition("(default: ")
-        assert default.startswith(f"{value})") or name == "wrapper"
+        option = "--" + name.replace("_", "-")
+        option = option.replace("--", "--no-") if value is True else option
+        text, _, default = helps[option].partition("(default: ")
+        written = " ".join(map(str, value)) if isinstance(value, tuple) else value
+        assert default.startswith(f"{written})") or name == "wrapper"
         # What it takes, and what that means.
         assert len(text.split()) >= 3, text
 
