@@ -72,7 +72,9 @@ def collect(names: Sequence[str], *, trust_controller: bool = False, trust_pickl
     found = [_candidate(name, trust_controller, trust_pickle) for name in names]
     task = found[0].task if found else "speed"
     if others := [each.name for each in found if each.task != task]:
-        raise ValueError(f"policies of a report must be for one task, got {found[0].name} for {task} and {others[0]}")
+        raise ValueError(
+            f"policies of a report must be for the same task, got {found[0].name} for {task} and {others[0]}"
+        )
     published = {row["policy"]: row["results"] for row in rows_of(board, task)}
     sets = [each for each in map(load_set, SET_NAMES + TASK_SET_NAMES) if each.task == task]
     rows: list[Row] = []

@@ -496,5 +496,5 @@ def read_config(run: Path) -> Config:
     except FileNotFoundError:
         raise RunError(f"--resume must name the folder of a run, got {str(run)!r}, which has no {CONFIG}") from None
     except (OSError, AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
-        raise RunError(f"{path} is no configuration of a run: {type(error).__name__}: {error}") from error
+        raise RunError(f"{path} is not the configuration of a run: {type(error).__name__}: {error}") from error
     return config
