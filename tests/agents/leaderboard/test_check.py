@@ -137,7 +137,7 @@ def test_finished_rows_survive_an_interruption(main, world, monkeypatch, capsys)
         (["--check", "--plants", "0"], "--plants"),
         (["--plants", "5"], "--plants"),
         (["--jobs", "two"], "--jobs"),
-        (["lernt"], "names must be out of adaptive, bold, wild, twitch, learnt, stay, got lernt"),
+        (["lernt"], "names must be among adaptive, bold, wild, twitch, learnt, stay, got lernt"),
         (["bold", "--from-results"], "--from-results must be given without names, got bold"),
         (["bold"], "adaptive: no results in adaptive.npz; `python -m agents.leaderboard NAME` writes them"),
     ],
