@@ -162,7 +162,7 @@ def render(data: Data, title: str) -> str:
         _figure("Learning curve on validation plants", draw_learning, results.learning, metric, baseline)
         if results.learning
         else "",
-        f"<h2>On every set</h2>\n{_tables(data)}",
+        f"<h2>Evaluation sets</h2>\n{_tables(data)}",
         _figure("Speed against cost of transport on nominal", draw_transport, results.rows) if speed else "",
         _figure(f"Performance profile on {profiled}", draw_profiles, results.rows, results.shown_sets) if speed else "",
         _figure(f"Every plant of {drawn}", draw_plants, results.rows, constant, metric),

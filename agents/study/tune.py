@@ -93,7 +93,7 @@ class Args:
     """Tunes the hyperparameters of a preset or row on the validation plants of its runs.
 
     Prints the best trial, and writes all of them to runs/tune/NAME/trials.json. The trials are in Optuna's storage
-    runs/tune/NAME/study.db: with --resume the same command goes on, and in other terminals trains trials in parallel.
+    runs/tune/NAME/study.db: --resume continues the search, also in several terminals at once.
 
     Examples:
       python -m agents.study.tune efficient --trials 60 --runs runs/mine
