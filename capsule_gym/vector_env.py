@@ -75,6 +75,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
+        # Nothing to close where an argument is refused: gymnasium 1.1 closes such a batch, too, when it is deleted.
+        self.closed = True
         config = EnvConfig(render_mode=render_mode, **options)
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode of a batch must be None or 'rgb_array', got {written(render_mode)}")
@@ -96,6 +98,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._started = False
         self._renderer: Renderer | None = None
         self._spec: EnvSpec | None = None
+        self.closed = False
 
     def __getstate__(self) -> dict[str, Any]:
         """The episodes, which a copy goes on with, without the frames."""
