@@ -15,27 +15,27 @@ unexport PYTHONDONTWRITEBYTECODE
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
 
-train: $(STAMP)  ## Set everything up and train the default agent (TRAIN_ARGS="--help" for more)
+train: $(STAMP)  ## Install everything and train the default agent (TRAIN_ARGS="--help" for more)
 	$(BIN)/python train.py $(TRAIN_ARGS)
 
 # A worker that has no tests left takes those at the end of the other's: neighbours share fixtures. Each keeps to one
 # core, or torch's threads would wait for one another.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
-test: $(STAMP)  ## Set everything up and run the tests (PYTEST_ARGS="-k kernels" for some)
+test: $(STAMP)  ## Install everything and run the tests (PYTEST_ARGS="-k kernels" for some)
 	$(PYTEST) $(PYTEST_ARGS)
 
 # Those whose library is missing are skipped: each has an extra of its own, and they do not all go together.
 examples: export EXAMPLES = 1
-examples: $(STAMP)  ## Run the short programs of the libraries that are installed (make examples EXTRA=torchrl installs one)
+examples: $(STAMP)  ## Run the examples of the installed libraries (EXTRA=torchrl installs one)
 	$(if $(EXTRA),$(BIN)/python -m pip install --disable-pip-version-check -e ".[$(EXTRA)]" -c examples/constraints.txt)
 	$(BIN)/python -m pytest tests/examples $(PYTEST_ARGS)
 
-notebooks: $(STAMP)  ## Run the notebooks, and keep what they show
+notebooks: $(STAMP)  ## Execute the notebooks and save their output
 	$(BIN)/python -m pip install --disable-pip-version-check -e ".[notebooks]" -c constraints.txt
 	$(BIN)/python notebooks
 
-# Up to a half longer than the tests alone before Python 3.12, hardly since. The floor stands in pyproject.toml.
-coverage: $(STAMP)  ## Run the tests and measure their coverage, which must reach its floor
+# Slow before Python 3.12. The minimum is in pyproject.toml.
+coverage: $(STAMP)  ## Run the tests and fail below the minimum coverage
 	COVERAGE_CORE=$$($(BIN)/python -c "import sys; print('sysmon' if sys.version_info >= (3, 12) else 'ctrace')") \
 		$(PYTEST) --cov $(PYTEST_ARGS)
 
@@ -52,7 +52,7 @@ $(STAMP): pyproject.toml constraints.txt
 		$(BIN)/python -m pip install --disable-pip-version-check -e ".[dev]" -c constraints.txt
 	touch $@
 
-lint: $(STAMP)  ## Check style, formatting and which module imports which
+lint: $(STAMP)  ## Check style, formatting and import contracts
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --no-cache --no-logo
@@ -68,34 +68,34 @@ docs: $(STAMP)  ## Build the documentation into site/, with the live module in i
 web: $(STAMP)  ## Build the environment for browsers and node into site/live/ alone
 	$(BIN)/python -m web.build
 
-leaderboard: $(STAMP)  ## Evaluate all policies, and rewrite the leaderboard and its analysis
+leaderboard: $(STAMP)  ## Evaluate all policies and write the leaderboard and its analysis
 	$(BIN)/python -m agents.leaderboard
 	$(BIN)/python -m agents.analysis statistics residual_limit goal
 
-leaderboard-check: $(STAMP)  ## Fail where the leaderboard or its analysis is stale (PLANTS=25 evaluates so many of a set)
+leaderboard-check: $(STAMP)  ## Fail if the leaderboard or its analysis is stale (PLANTS=25 evaluates 25 plants per set)
 	$(BIN)/python -m agents.leaderboard --check $(if $(PLANTS),--plants $(PLANTS))
 	$(BIN)/python -m agents.analysis statistics residual_limit goal --check
 
 reproduce: ROWS ?= direct-ppo direct-ppo-wide residual-ppo residual-on-gait residual-on-gait-wide residual-identifying efficient pareto
 reproduce: SEED ?= 100
-reproduce: $(STAMP)  ## Train one run of each row anew and compare it with the published ones (ten minutes)
+reproduce: $(STAMP)  ## Train one run of each row and compare it with the published ones (ten minutes)
 	$(BIN)/python -m agents.study $(ROWS) --seeds $(SEED) --runs runs/reproduce
 	$(foreach row,$(ROWS),$(BIN)/python -m agents.evaluate runs/reproduce/$(row)/seed-$(SEED) --against $(row) &&) true
 
-regression: $(STAMP)  ## Fail where a kernel has become slower against what it is compared with
+regression: $(STAMP)  ## Fail if a kernel is slower than its floor
 	$(BIN)/python -m benchmarks.regression
 
-faults: $(STAMP)  ## Kill, stop and starve trainings, and damage caches; fail where something is lost
+faults: $(STAMP)  ## Interrupt trainings and damage caches; fail if something is lost
 	$(BIN)/python -m tests.faults --short
 
-fuzz: $(STAMP)  ## Call the environments with many random and invalid arguments; fail where something breaks
+fuzz: $(STAMP)  ## Call the environments with random and invalid arguments; fail on an unexpected error
 	$(BIN)/python -m pytest -n 2 --hypothesis-profile fuzz tests/capsule_gym/test_arguments.py \
 		tests/capsule_gym/test_fingerprint.py
 
-bits-check: $(STAMP)  ## Compare the bits of whole episodes with the committed ones, of trained policies one seed each
+bits-check: $(STAMP)  ## Compare whole episodes with the committed hashes, one seed of each trained policy
 	$(BIN)/python -m tests.bits --first-seeds
 
-bits: $(STAMP)  ## The same on every processor that this one can emulate, and the live page's episodes
+bits: $(STAMP)  ## The same for all seeds, as other processors compute, and for the live page
 	$(BIN)/python -m tests.bits --variants
 	$(BIN)/python -m web.episodes
 
@@ -103,12 +103,12 @@ bits: $(STAMP)  ## The same on every processor that this one can emulate, and th
 CHECKED := $(addprefix tests/capsule_gym/test_,$(addsuffix .py,dynamics simulation resets network observation \
 	rollout env vector_env)) tests/baselines/laws tests/agents/training/test_collection.py
 boundscheck: export NUMBA_BOUNDSCHECK = 1
-boundscheck: $(STAMP)  ## Run the kernels with every index checked: their tests, and the episodes whose bits are committed
+boundscheck: $(STAMP)  ## Run the kernels' tests and the committed episodes with index checks
 	$(PYTEST) $(CHECKED) -k "not libraries"
 	$(BIN)/python -m tests.bits
 
 oldest: OLDEST := runs/oldest/bin
-oldest:  ## Run the environment's tests with the oldest versions that pyproject.toml allows
+oldest:  ## Run the environment's tests with the oldest supported versions
 	$(PYTHON) -m venv runs/oldest
 	$(OLDEST)/python -m pip install --disable-pip-version-check uv
 	$(OLDEST)/uv pip install --python $(OLDEST)/python --resolution lowest-direct -e ".[sb3,render]" \

@@ -49,9 +49,9 @@ class Args:
     """A scripted policy, a checkpoint (all training seeds; one as NAME/seed-0), the path of a run or policy file, or
     module:attribute for a policy of another project."""
     set: Annotated[str | None, arg(metavar="NAME_OR_PATH")] = None
-    """A frozen set, or the path of a JSON file of the same form; by default the ranking's in the policy's task."""
+    """A frozen set, or the path of a JSON file of the same form; by default the set that ranks the policy's task."""
     against: Annotated[str | None, arg(metavar="NAME_OR_PATH")] = None
-    """The reference of the paired difference; by default adaptive, and in other tasks than speed their scripted law."""
+    """The reference of the paired difference; by default adaptive, or the scripted policy of the policy's task."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the result, with all episodes, to this file."""
     overwrite: bool = False

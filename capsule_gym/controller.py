@@ -1,4 +1,4 @@
-"""The contract of a control law that runs inside the environment's step, and how one is found by name."""
+"""Control laws that run inside the environment's step."""
 
 from __future__ import annotations
 
@@ -25,33 +25,34 @@ MOST_COLUMNS = 256
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """A control law with the reference it tracks and the memory it keeps.
+    """A control law with its reference table and its initial memory.
 
     The law is a pure scalar function that numba can compile:
 
         law(theta, theta_dot, x, x_dot, memory, reference) -> (torque, memory)
 
-    with the state in SI units, `memory` a tuple of floats (its length fixed by the field below), `reference` the
-    present row of the reference table as a tuple, and the torque in N m; the environment clips it to the torque
-    limit. It is called once per `dt` with the state at that instant, and the torque is held until the next call.
-    Gains belong into the law's closure, where the compiler sees them as constants; arrays there can be read, but the
-    law makes none, nor lists. Compiled code does not check indices: a law that reads beyond the end of an array reads
-    foreign memory, unless NUMBA_BOUNDSCHECK=1 is set.
+    The state is in SI units. `memory` is a tuple of floats of constant length, `reference` the current row of the
+    reference table as a tuple. The torque is in N m and is clipped to the torque limit. The law is called once per `dt`
+    with the current state; the torque is constant until the next call.
+
+    Gains are variables of the enclosing function; the compiler treats them as constants. The law can read arrays there,
+    but cannot create arrays or lists. Compiled code does not check indices: an index beyond the end of an array reads
+    other memory, unless NUMBA_BOUNDSCHECK=1 is set.
 
     Attributes:
-        name: for messages and tables.
+        name: name in messages and tables.
         law: the function above, plain or compiled with `numba.njit`.
-        reference: shape (steps, columns), float64, one row per call over one cycle, repeated for ever. Column 0 is the
-            reference angle in rad and column 1 its rate in rad/s; further columns are the law's own. At most 256
-            columns and ten million numbers. A law that follows none has zeros, and pictures then show none.
-        memory: the law's memory at the start of an episode, at most 256 numbers.
+        reference: shape (steps, columns), float64, one row per call over one cycle, which repeats. Column 0 is the
+            reference angle in rad, column 1 its rate in rad/s; a law can have further columns. At most 256 columns and
+            ten million numbers. Zeros for a law without a reference.
+        memory: memory at the start of an episode, 1 to 256 numbers.
         dt: seconds between calls; a divisor of the agent step.
-        task: the task, or its name, that the law is made for: the task's memory follows the row in `reference`. None
-            for a law that needs none of it, and so acts in every task.
+        task: task of the law, or its name. The law then receives the task's memory after the row in `reference`. None
+            for a law that does not depend on the task.
 
     Raises:
         TypeError: if a field is of the wrong type, or the law does not return (torque, memory).
-        ValueError: if a field is out of range, or the law's trial call returns anything not finite.
+        ValueError: if a field is out of range, or a trial call of the law returns a value that is not finite.
     """
 
     name: str
@@ -137,14 +138,14 @@ def _hidden_baselines(controller: str) -> str:
 
 
 def find_controller(controller: str | Controller | Callable[[], Controller] | None) -> Controller | None:
-    """Resolves what the environment's argument `controller` accepts.
+    """Returns the `Controller` for the environment's argument `controller`.
 
     Args:
         controller: None; a `Controller`; a function without arguments that returns one; or an import string
-            "module:attribute" that names either, as in "baselines:adaptive".
+            "module:attribute" of either, such as "baselines:adaptive".
 
     Raises:
-        TypeError: if it is, or leads to, something else.
+        TypeError: if the argument or the object that it names is something else.
         ValueError: if the import string names a module or attribute that does not exist.
     """
     accepted = "None, a Controller, a function that returns one, or an import string 'module:attribute'"

@@ -211,14 +211,13 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         """Begins a new episode.
 
         Args:
-            seed: starts the random streams anew, an integer in [0, 2**128); without one they go on, each episode with
-                its own draw.
-            options: any of "M" (kg), "mu", "state" ([theta, theta_dot, x, x_dot]) and "changes" (a list of
-                `{"t": s, "M": kg, "mu": ..}` in order of time: jumps during the episode) override what would be drawn;
-                of varied plants also "capsule" and "disturbances", each a dict.
+            seed: an integer in [0, 2**128) that restarts the random streams; None continues them.
+            options: values that replace random draws: "M" (kg), "mu", "state" ([theta, theta_dot, x, x_dot]), "changes"
+                (a list of `{"t": s, "M": kg, "mu": ..}` in order of time) and, if these are drawn, the dicts "capsule"
+                and "disturbances".
 
         Returns:
-            The observation and the info described above.
+            Observation and info.
 
         Raises:
             TypeError: if the seed or an option is of the wrong type.
@@ -248,7 +247,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         """One agent step: `capsule_gym.kernels.step`, compiled with the control law.
 
         Args:
-            action: shape (1,), the (residual) torque over its limit; clipped to [-1, 1].
+            action: shape (1,), torque relative to `residual_limit`; clipped to [-1, 1].
 
         Returns:
             Observation, reward, terminated, truncated (always False, as gymnasium's TimeLimit truncates) and info.
@@ -282,20 +281,20 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         return info
 
     def episode_metrics(self, horizon: int | None = None) -> dict[str, float]:
-        """The metrics of the episode so far; `capsule_gym.task.Metrics` and the task's module say what each means.
+        """The metrics of the episode so far: those of `capsule_gym.task.Metrics`, and those of the task.
 
         Args:
-            horizon: agent steps of a whole episode: a failed one has its mean speed over these. None takes the task's.
+            horizon: agent steps of a whole episode, over which `mean_speed` is computed; None for those of the task.
 
         Raises:
-            TypeError: if the horizon is no integer.
+            TypeError: if the horizon is not an integer.
             ValueError: if it is below 1.
         """
         steps = self.simulation.task.episode_steps if horizon is None else check_count("horizon", horizon)
         return {name: float(value[0]) for name, value in self.simulation.metrics(_FIRST, steps).items()}
 
     def render(self) -> np.ndarray | None:
-        """Draws the present state.
+        """Draws the current state.
 
         Returns:
             An array of shape (height, width, 3), uint8, in the mode "rgb_array"; None in the mode "human".
@@ -308,7 +307,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         return self._renderer.draw(**shown_state(self.simulation, 0))
 
     def close(self) -> None:
-        """Closes the window, if there is one."""
+        """Closes the window."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
@@ -318,7 +317,7 @@ def make_simulation(num_envs: int, config: EnvConfig) -> Simulation:
     """The simulation of an environment, which refuses an action without effect."""
     # A `Simulation` accepts that: it runs a control law by itself.
     if config.residual_limit == 0.0:
-        raise ValueError("residual_limit must be > 0 (N m), got 0.0: the action would do nothing")
+        raise ValueError("residual_limit must be > 0 (N m), got 0.0: the action would have no effect")
     return Simulation(num_envs, config)
 
 

@@ -1,6 +1,6 @@
-"""Evaluation sets and their files, the frozen ones among them: the plants that policies are evaluated on.
+"""Evaluation sets: lists of episodes on which policies are evaluated.
 
-`agents.evaluation.sets` says what the frozen ones are, and draws them.
+`agents.evaluation.sets` describes and draws the frozen sets.
 """
 
 from __future__ import annotations
@@ -45,12 +45,11 @@ class PlantSpec:
     Attributes:
         M: mass of the platform, kg.
         mu: friction coefficient.
-        seed: seeds the episode's environment and the policy, where they draw random numbers.
-        changes: the plant's jumps in order of time: `{"t": s from the start, "M": kg, "mu": ..}`, with M and mu from
-            then on.
-        theta: the angle that the episode starts from, at rest, rad.
-        goal: displacement of the goal in the task `goal`, m; None where the seed draws it.
-        capsule: constants out of `capsule_gym.parameters.CONSTANTS` that are this plant's own; None for none.
+        seed: seed of the episode's environment and of the policy.
+        changes: changes of the plant in order of time, `{"t": s from the start, "M": kg, "mu": ..}`.
+        theta: initial angle, at rest, rad.
+        goal: displacement of the goal in the task `goal`, m; None draws it from the seed.
+        capsule: further constants of this plant, out of `capsule_gym.parameters.CONSTANTS`; None for none.
     """
 
     M: float
@@ -62,7 +61,7 @@ class PlantSpec:
     capsule: dict[str, float] | None = None
 
     def reset_options(self) -> dict[str, Any]:
-        """The options of `reset` that begin this episode."""
+        """The options of `reset` for this episode."""
         own: dict[str, Any] = {} if self.goal is None else {"goal": self.goal}
         own |= {} if self.capsule is None else {"capsule": self.capsule}
         state = [self.theta, 0.0, 0.0, 0.0]
@@ -84,11 +83,11 @@ class EvaluationSet:
     """A named list of episodes.
 
     Attributes:
-        name: as it appears in results.
+        name: name in results.
         plants: the episodes, at least one.
         task: name of the task.
-        capsule: the constants that its plants share; None takes the task's.
-        disturbances: of its episodes, as the environment takes them; what one draws follows from its seed.
+        capsule: constants of all plants; None for the default of the task.
+        disturbances: the environment's argument `disturbances`; the seed of an episode determines what it draws.
     """
 
     name: str
@@ -99,7 +98,7 @@ class EvaluationSet:
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
-        """The arguments that the environments of its episodes have in common."""
+        """Arguments of the environment of its episodes."""
         capsule = self.capsule or find_task(self.task).defaults.get("capsule")
         disturbances = self.disturbances
         if disturbances == "none" and any(plant.capsule for plant in self.plants):
@@ -116,7 +115,7 @@ class EvaluationSet:
         return {"name": self.name, **self._options, "plants": [plant.to_dict() for plant in self.plants]}
 
     def to_json(self) -> str:
-        """The text of the set's file: one plant a line."""
+        """The text of the set's file, one plant per line."""
         plants = ",\n".join("  " + json.dumps(plant.to_dict()) for plant in self.plants)
         named = {"name": self.name, **self._options}
         head = "".join(f' "{key}": {json.dumps(value)},\n' for key, value in named.items())
@@ -184,10 +183,10 @@ def parse_set(content: Any) -> EvaluationSet:
 
     Args:
         content: `{"name": .., "plants": [{"M": .., "mu": .., "seed": .., "theta": .., "changes": [{"t": .., "M": ..,
-            "mu": ..}]}]}` with M in kg, theta in rad and t in s; `theta` and `changes` may be left out. A set may have
-            a "task", a "capsule" (`{"static_ratio": 1.3}`; what is left out is the paper's) and "disturbances" ("real"
-            or `{"latency": [0.005, 0.015]}`), its plants a "capsule" of their own, and those of the task "goal" a
-            "goal" in m; each of these all plants or none.
+            "mu": ..}]}]}` with M in kg, theta in rad and t in s; `theta` and `changes` are optional. Optional fields of
+            a set: "task"; "capsule", such as `{"static_ratio": 1.3}`; "disturbances", "real" or such as
+            `{"latency": [0.005, 0.015]}`. Optional fields of a plant: "capsule", and in the task "goal" "goal" in m;
+            either all plants have one or none.
 
     Raises:
         TypeError: if a number is of the wrong type.

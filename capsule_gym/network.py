@@ -365,15 +365,15 @@ def _compiled_episodes() -> Callable[..., int]:
 
 
 def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.ndarray]:
-    """Runs a policy in every environment of a simulation, whose episodes have begun.
+    """Runs a policy in every environment of a simulation.
 
-    An environment whose episode ends stands still from then on. The bits are those of a batch that is stepped with
-    `policy.start(..)`; the memory of the policy begins with the call.
+    An environment stops at the end of its episode. The results are those of a batch that is stepped with
+    `policy.start(..)`, bit for bit. The policy's memory starts with the call.
 
     Args:
-        simulation: after `reset`; changed. Its threads share the environments.
-        policy: what acts.
-        steps: how many agent steps, at least 1; they are also the length of a whole episode in the metrics.
+        simulation: the simulation after `reset`; it is changed.
+        policy: the policy.
+        steps: number of agent steps, at least 1, and length of a whole episode in the metrics.
 
     Returns:
         `simulation.metrics` of every environment.

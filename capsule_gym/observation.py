@@ -136,18 +136,18 @@ def identify(
     g: float,  # gravitational acceleration, m/s^2
     dt: float,  # time between the observations, s
 ) -> Memory:
-    """The memory of M and mu, identified on line from the observations, after one more of them.
+    """Updates the online estimate of M and mu with one observation.
 
-    While the platform slips one way the balance of momentum between two observations holds exactly, whatever the torque
-    did in between. With q = m l / (M + m) and s the sign of x' it reads
+    While the platform slips in one direction, the balance of momentum between two observations is exact for any torque.
+    With q = m l / (M + m) and s the sign of x',
 
         d x' = q d(cos(theta) theta') - mu s (g dt - q d(sin(theta) theta'))
 
-    where d is the difference of the two. An iterated extended Kalman filter keeps M and log(mu) with their covariance,
-    and takes one such pair after the other; pairs in which the platform sticks or turns say nothing that is as simple.
-    What it knows fades a little with every pair, and where a pair contradicts it the filter doubts it all: M and mu may
-    jump. It knows one coefficient of friction and Newton's normal force; of a `Capsule` with another one backwards, or
-    with the paper's, the balance is not exact. The filter belongs to the policy, not to the environment.
+    where d is the difference of the two observations. An iterated extended Kalman filter estimates M and log(mu) with
+    their covariance from such pairs of observations. It ignores pairs in which the platform sticks or changes its
+    direction. The covariance grows a little with every pair and is reset where a pair contradicts the estimate, since M
+    and mu can change during an episode. For a `Capsule` with another friction coefficient backwards, or with the
+    paper's normal force, the balance is approximate. The filter is part of the policy, not of the environment.
     """
     begun, M, log_mu, P_MM, P_Mf, P_ff, last_across, last_along, last_x_dot = memory
     sin, cos = sincos(theta)

@@ -175,8 +175,8 @@ class Capsule:
         static_ratio: static over kinetic friction coefficient, at least 1.
         backward_ratio: friction coefficient backwards over forwards (the paper's Remark 1: anisotropic contact).
         viscous: viscous friction of the floor, N s/m, in addition to Coulomb's.
-        stribeck_speed: speed in m/s at which the friction coefficient has fallen half way from its static to its
-            kinetic value (Hess and Soom's curve); 0 lets it fall at once.
+        stribeck_speed: speed in m/s at which the friction coefficient is half way between its static and its kinetic
+            value (Hess and Soom's curve); 0 for a jump at the start of slip.
         slope: angle by which the floor rises forwards, rad.
         motor_friction: Coulomb friction of the motor, N m, smooth below 0.5 rad/s.
         normal_force: "newton", from Newton's law, or "paper", which subtracts (k theta + c theta') sin(theta) as the
@@ -225,18 +225,18 @@ class Capsule:
         self.check_plant(self.M, self.mu)
 
     def check_plant(self, M: float, mu: float) -> None:
-        """Refuses values of M and mu that this capsule cannot have.
+        """Raises an error for values of M and mu that are invalid for this capsule.
 
-        In slip N depends on theta'' and theta'' on N through friction; the pair has one solution at every angle only
-        while (M + m) / m > (1 + sqrt(1 + mu^2)) / 2. Other plants admit Painleve's paradox.
+        In slip N depends on theta'' and theta'' on N through friction. There is exactly one solution at every angle if
+        (M + m) / m > (1 + sqrt(1 + mu^2)) / 2. Other plants admit Painleve's paradox.
 
         Args:
             M: mass of the platform in kg.
             mu: kinetic friction coefficient forwards.
 
         Raises:
-            TypeError: if one is no number.
-            ValueError: if one is out of range or together they admit Painleve's paradox.
+            TypeError: if M or mu is not a number.
+            ValueError: if M or mu is out of range, or the plant admits Painleve's paradox.
         """
         M, mu = _check_size("M", M, SMALLEST), _check_size("mu", mu, 0.0)
         # The largest coefficient that can act.
@@ -252,10 +252,10 @@ class Capsule:
             )
 
     def fastest_rate(self, M: float, mu: float) -> float:
-        """The largest rate in 1/s at which the pendulum moves by itself: what a step of the integrator must resolve.
+        """The fastest rate of the pendulum's own motion in 1/s, which the integrator must resolve.
 
-        It is the largest eigenvalue, by its size, of the motion linearised at rest, over all angles and both directions
-        of slip (docs/physics.md). A lighter platform and a rougher floor make it larger.
+        It is the largest absolute eigenvalue of the motion linearised at rest, over all angles and both directions of
+        slip (docs/physics.md). It is larger for lighter platforms and more friction.
 
         Args:
             M: mass of the platform in kg.
@@ -342,7 +342,7 @@ class Randomization:
     Attributes:
         M: lowest and highest mass of the platform, kg.
         mu: lowest and highest friction coefficient.
-        log_mu: draw log(mu) uniformly instead of mu, for ranges over several decades.
+        log_mu: draw log(mu) instead of mu uniformly.
         m: mass of the ball, kg.
         l: distance from the pivot to the ball, m.
         g: gravitational acceleration, m/s^2.
@@ -352,12 +352,12 @@ class Randomization:
         backward_ratio: friction coefficient backwards over forwards.
         viscous: viscous friction of the floor, N s/m.
         stribeck_speed: speed of the Stribeck curve, m/s.
-        slope: of the floor, rad.
+        slope: slope of the floor, rad.
         motor_friction: Coulomb friction of the motor, N m.
 
     Raises:
-        TypeError: if a range is no pair of numbers.
-        ValueError: if a range is not finite, not ordered, or holds what no `Capsule` has.
+        TypeError: if a range is not a pair of numbers.
+        ValueError: if a range is not finite or not ordered, or contains values that are invalid for a `Capsule`.
 
     Examples:
         >>> heavy = Randomization(M=(0.8, 1.0), mu=(0.01, 0.1), log_mu=True)
@@ -400,12 +400,12 @@ class Randomization:
 
     @property
     def drawn(self) -> list[str]:
-        """The names out of `CONSTANTS` that have a range."""
+        """The names of `CONSTANTS` that have a range."""
         return [name for name in CONSTANTS if getattr(self, name) is not None]
 
     @classmethod
     def named(cls, name: str | Randomization) -> Randomization:
-        """The randomisation of a name of `RANDOMIZATIONS`; a Randomization is returned as it is.
+        """The `Randomization` of a name; a `Randomization` is returned unchanged.
 
         Raises:
             ValueError: if the name is not known.
@@ -432,7 +432,7 @@ class Randomization:
                 raise ValueError(f"{self!r}: {error}") from None
 
     def check(self, capsule: Capsule) -> None:
-        """Refuses ranges in which some plant would be invalid, before any episode meets it.
+        """Raises an error for ranges that contain invalid plants.
 
         Raises:
             ValueError: if a plant at the ends of the ranges admits Painleve's paradox, or a value is too large or too
@@ -567,7 +567,7 @@ class Disturbances:
 
     @staticmethod
     def limits(name: str) -> tuple[float, float]:
-        """The smallest and the largest value that a field out of `DISTURBANCES` may have."""
+        """The smallest and the largest value of a field of `DISTURBANCES` may have."""
         if name.endswith("_bias"):
             return -LARGEST_DISTURBANCE, LARGEST_DISTURBANCE
         lowest = SHORTEST_STEP if name == "drift_time" else 0.0
@@ -575,7 +575,7 @@ class Disturbances:
 
     @classmethod
     def named(cls, name: str | Disturbances) -> Disturbances | None:
-        """The disturbances of that name, for "none" None; a Disturbances is returned as it is.
+        """The `Disturbances` of a name, None for "none"; a `Disturbances` is returned unchanged.
 
         Raises:
             ValueError: if the name is not known.
@@ -587,7 +587,7 @@ class Disturbances:
 
 
 DISTURBANCES = tuple(each.name for each in fields(Disturbances))[:-3]
-"""What an episode draws: the fields of `Disturbances` that are numbers or ranges."""
+"""The fields of `Disturbances` that are numbers or ranges."""
 
 DIRECT_PHYSICS_DT = 2e-3
 # Between the calls of a control law inside the step, s, unless its `Controller` says otherwise.

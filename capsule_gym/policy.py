@@ -79,7 +79,7 @@ def policy_names(*, seeds: bool = False) -> list[str]:
     """The names of the policies that come with the package.
 
     Args:
-        seeds: name every training run, as "residual-ppo/seed-2", in place of the policies that they are runs of.
+        seeds: return the names of all training runs, such as "residual-ppo/seed-2", instead.
     """
     return [name for name in pretrained() if ("/" in name) is seeds]
 
@@ -98,33 +98,32 @@ def pretrained() -> dict[str, Path]:
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """A trained network that acts deterministically: `policy(observation)` is the action.
+    """A trained, deterministic policy: `policy(observation)` returns the action.
 
-    A policy that identifies M and mu has a memory, which begins with an episode, and so acts through
-    `act = policy.start([0])`, then `act(observation)` at every step.
+    A policy that estimates M and mu has a memory. Call `act = policy.start([0])` at the beginning of an episode and
+    `act(observation)` at every step.
 
-    The arithmetic is strict float64 in a fixed order: the action for an observation is the same bits alone, in any
-    batch, and on any instruction set.
+    All operations are in float64 and in a fixed order. The action for an observation is the same bit for bit alone, in
+    any batch and on any processor.
 
     Attributes:
-        name: for messages and tables.
-        algorithm: what trained it, as "ppo".
+        name: name in messages and tables.
+        algorithm: training algorithm, such as "ppo".
         layers: weights (outputs, inputs) and biases (outputs,) of each layer, float32; the last has one output.
-        activation: after the hidden layers, "tanh" or "relu".
-        squashing: of the last output to [-1, 1], "clip" or "tanh".
-        mean: of the inputs in training, shape (inputs,), float64: the observation and what the fields below add.
-        variance: of the inputs in training, shape (inputs,), float64.
-        clip: largest size of a normalised input.
-        epsilon: added to the variance.
-        env_kwargs: the arguments of the environment that it was trained in, for
+        activation: activation of the hidden layers, "tanh" or "relu".
+        squashing: function that limits the output to [-1, 1], "clip" or "tanh".
+        mean: mean of the inputs in training, shape (inputs,), float64.
+        variance: variance of the inputs in training, shape (inputs,), float64.
+        clip: largest absolute value of a normalised input.
+        epsilon: constant that is added to the variance.
+        env_kwargs: arguments of the training environment, for
             `gym.make("CapsuleStickSlip-v0", **policy.env_kwargs)`.
-        training_seed: the seed of its training run.
-        revision: the git revision of the code that trained it.
-        output: what the network puts out: the "action", or the wanted "torque" in torque limits, from which the torque
-            of the control law is subtracted.
-        identifies: whether M, log(mu) and their standard deviations, as `capsule_gym.observation` finds them on
-            line, follow the observation among the inputs.
-        observes_energy_weight: whether the `energy_weight` of `env_kwargs` follows among the inputs.
+        training_seed: seed of the training run.
+        revision: git revision of the training code.
+        output: output of the network: the "action", or the total "torque" in torque limits, from which the torque of
+            the control law is subtracted.
+        identifies: online estimates of M and log(mu) and their standard deviations are inputs after the observation.
+        observes_energy_weight: the `energy_weight` of `env_kwargs` is an input after these.
 
     Raises:
         TypeError: if a field is of the wrong type.
@@ -147,7 +146,7 @@ class Policy:
     identifies: bool = False
     observes_energy_weight: bool = False
     entries: int = field(init=False)
-    """How many entries an observation has."""
+    """Number of entries of an observation."""
     _network: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -207,7 +206,7 @@ class Policy:
 
     @property
     def description(self) -> str:
-        """What it is, in a line."""
+        """A description in one line."""
         options, action = EnvConfig(**self.env_kwargs), "the whole torque"
         if options.controller is not None:
             limit = options.residual_limit or options.torque_limit
@@ -225,7 +224,7 @@ class Policy:
             Shape (1,) or (n, 1), float32, in [-1, 1].
 
         Raises:
-            TypeError: if the policy identifies the plant, and so has to be begun.
+            TypeError: if the policy estimates M and mu, which needs `start`.
             ValueError: if the observation has another shape or is not finite.
         """
         if self.identifies:
@@ -254,20 +253,20 @@ class Policy:
             )
         rows = array.reshape(-1, self.entries)
         if count not in (None, len(rows)):
-            raise ValueError(f"observations must be of {count} episodes, one a row, got {len(rows)} rows")
+            raise ValueError(f"observations must have one row for each of {count} episodes, got {len(rows)} rows")
         inputs, actions = np.empty((len(rows), len(self.mean)), np.float32), np.empty((len(rows), 1), np.float32)
         compiled_act_batch()(self._network, rows, memory, inputs, lanes, actions)
         return actions if array.ndim == 2 else actions[0]
 
     def start(self, seeds: Sequence[int]) -> Callable[[np.ndarray], np.ndarray]:
-        """Begins a batch of episodes, as scripted policies do.
+        """Begins a batch of episodes.
 
         Args:
-            seeds: one per episode; the policy draws no random numbers and counts them only.
+            seeds: one per episode, as for scripted policies; a trained policy draws no random numbers.
 
         Returns:
             The function from observations (episodes, entries) to actions (episodes, 1), or from (entries,) of a single
-            episode to (1,), to be called once per step. It raises a ValueError as the policy itself does.
+            episode to (1,). Call it once per step. It raises the same ValueError as the policy.
         """
         from capsule_gym.observation import CELLS
 
@@ -275,10 +274,10 @@ class Policy:
         return lambda observations: self._act(observations, memory, lanes, len(seeds))
 
     def with_energy_weight(self, energy_weight: float) -> Policy:
-        """The same policy with another energy weight among its inputs, in cm/J.
+        """The same policy with another energy weight, in cm/J.
 
         Raises:
-            ValueError: if it observes none, or the weight is out of range.
+            ValueError: if the policy does not observe an energy weight, or the weight is out of range.
         """
         if not self.observes_energy_weight:
             raise ValueError(
@@ -287,7 +286,7 @@ class Policy:
         return replace(self, env_kwargs={**self.env_kwargs, "energy_weight": energy_weight})
 
     def save(self, path: str | Path) -> None:
-        """Writes the file, whole or not at all; the same policy gives the same bytes."""
+        """Writes the policy file atomically. The same policy gives the same bytes."""
         tensors = {"inputs.mean": self.mean, "inputs.variance": self.variance}
         for n, (weights, bias) in enumerate(self.layers):
             tensors |= {f"layers.{n}.weight": weights, f"layers.{n}.bias": bias}
@@ -306,21 +305,21 @@ class Policy:
 
 
 def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool = False) -> Policy:
-    """Loads a trained policy. Nothing is unpickled, and no code of the file's is run.
+    """Loads a trained policy. A policy file contains no pickled objects and no code.
 
     Args:
-        name_or_path: one of `policy_names()`, as "residual-ppo", which means the training run with the lowest seed; or
-            one run of it, as "residual-ppo/seed-2"; or the path of a policy file, or of a training run's folder, whose
-            best policy counts where there is one.
-        trust_controller: accept a policy that names a control law outside this package. The environment imports such a
-            law by its name, which runs its code: say so only of code that you trust.
+        name_or_path: a name of `policy_names()`, such as "residual-ppo", which is the training run with the lowest
+            seed; one run, such as "residual-ppo/seed-2"; the path of a policy file; or the folder of a training run, of
+            which the best policy is loaded.
+        trust_controller: accept a policy with a control law outside this package. The environment imports the law,
+            which runs its code.
 
     Returns:
-        The policy; it acts in `gym.make("CapsuleStickSlip-v0", **policy.env_kwargs)`.
+        The policy, for `gym.make("CapsuleStickSlip-v0", **policy.env_kwargs)`.
 
     Raises:
         TypeError: if `name_or_path` is neither a string nor a path.
-        ValueError: if there is no such policy, its file is broken, or it names a law that is not trusted.
+        ValueError: if there is no such policy, the file is corrupt, or it names a law that is not trusted.
     """
     if not isinstance(name_or_path, (str, os.PathLike)):
         raise TypeError(f"name_or_path must be a policy's name or a path, got {written(name_or_path)}")
@@ -377,7 +376,7 @@ def _read(name: str, path: Path) -> Policy:
         layers = [(f"layers.{n}.weight", f"layers.{n}.bias") for n in range(min(count, MOST_LAYERS + 1))]
         expected = {"inputs.mean", "inputs.variance"}.union(*layers)
         if names != expected:
-            raise ValueError(f"it must hold the tensors {sorted(expected)}, got {sorted(names)[:20]}")
+            raise ValueError(f"it must contain the tensors {sorted(expected)}, got {sorted(names)[:20]}")
         arrays = {tensor: file.get_tensor(tensor) for tensor in names}
     values: dict[str, Any] = {}
     for key in (*TEXTS, *VALUES):

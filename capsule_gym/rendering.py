@@ -447,7 +447,7 @@ def write_gif(frames: Iterable[np.ndarray], path: Path, frame_seconds: float = F
         height = round(frame.shape[0] * width / frame.shape[1])
         pictures.append(Image.fromarray(frame).resize((width, height), Image.Resampling.LANCZOS))
     if not pictures:
-        raise ValueError("frames must hold at least one picture, got none: the episode ended before the first")
+        raise ValueError("frames must contain at least one picture, got none: the episode ended before the first")
     # One palette for all frames: colours do not flicker, and only what moves is stored anew. A single frame might lack
     # the colour of stick or that of slip.
     # By coverage, not by frequency: the few pixels of a legend keep their colour too. Then means (kmeans): the middle

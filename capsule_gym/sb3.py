@@ -17,16 +17,16 @@ from capsule_gym.vector_env import CapsuleVectorEnv
 
 
 class CapsuleSB3VecEnv(VecEnv):
-    """`CapsuleVectorEnv` behind the interface of Stable-Baselines3, without a Python loop over environments.
+    """The native batch as a `VecEnv` of Stable-Baselines3, without a Python loop over environments.
 
-    It stands where `make_vec_env("capsule_gym:CapsuleStickSlip-v0", n_envs=num_envs)` would. An info is empty but where
-    an episode ends; there it holds "terminal_observation", "TimeLimit.truncated", "episode" with the return "r" and the
-    length "l", as SB3's `Monitor` writes it, and the episode's "metrics" (`capsule_gym.task.Metrics` and the task's).
+    It replaces `make_vec_env("capsule_gym:CapsuleStickSlip-v0", n_envs=num_envs)`. The info of an environment is empty
+    except at the end of an episode. There it contains "terminal_observation", "TimeLimit.truncated", "episode" with the
+    return "r" and the length "l" as of SB3's `Monitor`, and "metrics" (`capsule_gym.task.Metrics`, and the task's).
 
     Args:
         num_envs: number of environments.
         seed: environment i gets seed + i.
-        **env_kwargs: what `CapsuleVectorEnv` takes; the autoreset mode is the wrapper's own.
+        **env_kwargs: arguments of `CapsuleVectorEnv` except `autoreset_mode`.
 
     Raises:
         TypeError: if an argument is of the wrong type, or `autoreset_mode` is given.
@@ -46,7 +46,7 @@ class CapsuleSB3VecEnv(VecEnv):
             self.seed(seed)
 
     def reset(self) -> VecEnvObs:
-        """Begins new episodes everywhere, with what `set_options` has set.
+        """Begins a new episode in every environment, with the options of `set_options`.
 
         Returns:
             Observations, float32 of shape (num_envs, entries).

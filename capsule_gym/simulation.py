@@ -290,7 +290,7 @@ class Simulation:
             self.world = np.zeros((blocks, rows, LANES))
             self.observations = np.zeros((self.num_envs, len(names)), np.float32)
         except MemoryError as error:
-            raise ValueError(f"num_envs must be as many as there is memory for, got {self.num_envs}: {error}") from None
+            raise ValueError(f"num_envs must fit into memory, got {self.num_envs}: {error}") from None
         # Set through a memoryview, which takes half the time of an array.
         self._action: Any = memoryview(self.world[0, Row.action])
         self._keys = np.zeros((self.num_envs, 2), np.uint64)

@@ -1,4 +1,4 @@
-"""What every task shares: what a `Task` is, clips, termination and the metrics of an episode.
+"""The class `Task`, and what all tasks share: termination and the metrics of an episode.
 
 The tasks themselves are in `capsule_gym.tasks`. The functions of a single time step are plain scalar functions;
 `capsule_gym.kernels` compiles them into the step.
@@ -41,7 +41,7 @@ TASKS = {
 
 
 class Termination(IntEnum):
-    """Why an episode ended before its time."""
+    """Reason for the termination of an episode: 0 none, 1 pendulum, 2 contact, 3 diverged."""
 
     none = 0
     pendulum = 1
@@ -50,68 +50,94 @@ class Termination(IntEnum):
 
 
 class Metrics(NamedTuple):
-    """The metrics of an episode, each of shape (environments,), float64."""
+    """The metrics of an episode, each of shape (environments,), float64.
 
-    mean_speed: np.ndarray  # cm/s
-    cost_of_transport: np.ndarray  # energy over weight and distance; infinite without forward progress
-    peak_torque: np.ndarray  # N m
-    rms_torque: np.ndarray  # N m
-    backward_ratio: np.ndarray  # travel backwards over travel forwards; infinite with the former alone, 0 at rest
-    stuck_fraction: np.ndarray  # share of the time in stick
-    smallest_normal_ratio: np.ndarray  # smallest N / ((M + m) g)
-    largest_theta: np.ndarray  # largest |theta|, rad
-    largest_theta_dot: np.ndarray  # largest |theta_dot|, rad/s
-    distance: np.ndarray  # m
-    energy: np.ndarray  # integral of |u theta_dot|, J
-    duration: np.ndarray  # s
-    failed: np.ndarray  # 1 where the episode terminated, else 0
+    Attributes:
+        mean_speed: displacement over the length of a whole episode, cm/s.
+        cost_of_transport: energy over weight and distance; infinite without forward progress.
+        peak_torque: largest |u|, N m.
+        rms_torque: root mean square of u, N m.
+        backward_ratio: backward over forward travel; infinite with backward travel only, 0 at rest.
+        stuck_fraction: share of the time in stick.
+        smallest_normal_ratio: smallest N / ((M + m) g).
+        largest_theta: largest |theta|, rad.
+        largest_theta_dot: largest |theta_dot|, rad/s.
+        distance: displacement, m.
+        energy: integral of |u theta_dot|, J.
+        duration: length of the episode, s.
+        failed: 1 if the episode terminated, else 0.
+    """
+
+    mean_speed: np.ndarray
+    cost_of_transport: np.ndarray
+    peak_torque: np.ndarray
+    rms_torque: np.ndarray
+    backward_ratio: np.ndarray
+    stuck_fraction: np.ndarray
+    smallest_normal_ratio: np.ndarray
+    largest_theta: np.ndarray
+    largest_theta_dot: np.ndarray
+    distance: np.ndarray
+    energy: np.ndarray
+    duration: np.ndarray
+    failed: np.ndarray
 
 
 METRICS = Metrics._fields
 
 
 class Draw(NamedTuple):
-    """How a number of an episode is drawn: uniformly."""
+    """A number that every episode draws uniformly.
+
+    Attributes:
+        low: lower bound.
+        high: upper bound.
+        signed: the bounds are those of the absolute value, and both signs are equally likely.
+    """
 
     low: float
     high: float
-    # Whether low and high are those of its size, and either sign is equally likely.
     signed: bool = False
 
 
 class Option(NamedTuple):
-    """What an episode of a task draws, and `reset(options={name: value})` sets."""
+    """Numbers that every episode of a task draws, and that `reset(options={name: value})` sets.
+
+    Attributes:
+        draws: the numbers.
+        parse: parse(name, value) -> the numbers for a value of the option; raises a TypeError or ValueError that names
+            the option.
+    """
 
     draws: tuple[Draw, ...]
-    # Takes the name of the argument and a value, and returns as many numbers as there are draws; raises a TypeError or
-    # ValueError that names the argument.
     parse: Callable[[str, Any], list[float]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Task:
-    """What the agent is to do: reward, further observations, memory, and metrics. The plant and failures are shared.
+    """A task: reward, additional entries of the observation, memory and metrics. All tasks share plant and failures.
 
-    Functions of a time step are scalar functions that numba compiles, marked `capsule_gym.compilation.inlined`. The
-    task's memory is a named tuple of floats, which they take and return; the numbers that an episode draws are its last
-    fields, in the order of `options`. A law made for the task (`Controller.task`) gets it behind its reference.
+    `reward`, `begin` and `observe` are scalar functions that numba compiles, with the decorator
+    `capsule_gym.compilation.inlined`. The memory of the task is a named tuple of floats. Its last fields are the
+    numbers that an episode draws, in the order of `options`. A law with `Controller.task` receives the memory after its
+    reference.
 
     Attributes:
         name: value of the environment's argument `task`.
         episode_steps: agent steps until truncation.
-        term: name of the task's reward in `info`; the costs of energy and failure are added to it.
-        reward: reward(x, x_dot, moved, dt, memory) -> (reward, memory) at the end of an agent step of dt seconds, in
-            which the platform has moved by so many metres.
+        term: name of the task's reward term in `info`. The energy and termination terms are added to it.
+        reward: reward(x, x_dot, moved, dt, memory) -> (reward, memory) at the end of an agent step of dt seconds in
+            which the platform moved by `moved` metres.
         memory: class of the memory.
-        begin: begin(x, memory) -> memory at the start of an episode; before, what is not drawn is 0.
-        entries: names of the entries that end the observation, with the bounds that they are clipped to.
-        observe: observe(out, x, memory) writes those entries into an array.
-        shown: fields of the memory that `info` shows under their names; `render` marks the place of a "goal" or a
+        begin: begin(x, memory) -> memory at the start of an episode; fields that are not drawn are 0 before.
+        entries: names of the additional entries, which end the observation, and the bounds to which they are clipped.
+        observe: observe(out, x, memory) writes these entries into an array.
+        shown: fields of the memory that `info` contains under their names; `render` marks the position of a "goal" or a
             "target" (m).
-        options: by name, what an episode draws.
-        metrics: metrics(memory, whole) -> its metrics by name, beside those of `Metrics`: of a memory of arrays, one
-            entry per episode, and the length in s that a failed episode should have had.
-        defaults: arguments of its environment that differ from those of the speed task.
+        options: numbers that an episode draws, by the name of their reset option.
+        metrics: metrics(memory, whole) -> metrics by name, in addition to those of `Metrics`. The fields of `memory`
+            are arrays with one entry per episode; `whole` is the length of a whole episode in s.
+        defaults: arguments of the environment that differ from those of the speed task.
     """
 
     name: str

@@ -33,23 +33,26 @@ from capsule_gym.simulation import SPEED, check_seed
 class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """N independent `CapsuleEnv`, stepped together by one compiled kernel.
 
-    `gym.make_vec("CapsuleStickSlip-v0", num_envs=N)` makes one. Spaces, rewards, info and random draws are those of
-    `CapsuleEnv`: environment i of a batch with seed s gives, bit for bit, the episodes of a single environment with
-    seed s + i, for any batch size and any number of threads. Its copies, `copy.deepcopy`'s and pickle's, go on bit for bit.
+    `gym.make_vec("CapsuleStickSlip-v0", num_envs=N)` creates one. Spaces, rewards, info and random draws are those of
+    `CapsuleEnv`. Environment i of a batch with seed s gives, bit for bit, the episodes of a single environment with
+    seed s + i, for any batch size and any number of threads. `copy.deepcopy` and `pickle` copy the running episodes.
 
-    Truncation is the batch's own, after `max_episode_steps`. The autoreset mode is gymnasium's: with NEXT_STEP the
-    step after the end ignores the action and returns the first observation of the next episode with reward 0; with
-    SAME_STEP the observation is that first one already and the last one is in `info["final_obs"]`, its info in
-    `info["final_info"]`, to which the episode's metrics are added; with DISABLED an ended environment stands still until
-    `reset(options={"reset_mask": mask})` names it.
+    The batch truncates episodes itself, after `max_episode_steps`. The autoreset modes are those of gymnasium:
+
+    - NEXT_STEP: the step after the end of an episode ignores the action and returns the first observation of the next
+      episode with reward 0.
+    - SAME_STEP: the last step of an episode returns the first observation of the next one. The last observation is in
+      `info["final_obs"]`, its info with the metrics of the episode in `info["final_info"]`.
+    - DISABLED: an environment whose episode has ended does not change until `reset(options={"reset_mask": mask})`
+      resets it.
 
     Args:
         num_envs: number of environments.
         max_episode_steps: agent steps until truncation; None takes the task's.
         autoreset_mode: an `AutoresetMode` or its name, "NEXT_STEP", "SAME_STEP" or "DISABLED".
         render_mode: None or "rgb_array".
-        **options: the other arguments of `CapsuleEnv`, and `threads`: threads that share a batch, from 64 environments
-            each; the results do not depend on it.
+        **options: the other arguments of `CapsuleEnv`, and `threads`: number of threads, each for at least 64
+            environments; results do not depend on it.
 
     Raises:
         TypeError: if an argument is of the wrong type.
@@ -72,6 +75,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
+        # Nothing to close where an argument is refused: gymnasium 1.1 closes such a batch, too, when it is deleted.
+        self.closed = True
         config = EnvConfig(render_mode=render_mode, **options)
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode of a batch must be None or 'rgb_array', got {written(render_mode)}")
@@ -93,6 +98,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._started = False
         self._renderer: Renderer | None = None
         self._spec: EnvSpec | None = None
+        self.closed = False
 
     def __getstate__(self) -> dict[str, Any]:
         """The episodes, which a copy goes on with, without the frames."""
@@ -100,7 +106,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """What `gym.make_vec` has made the batch from."""
+        """The spec with which `gym.make_vec` created the batch."""
         return self._spec
 
     @spec.setter
@@ -114,9 +120,10 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Begins new episodes.
 
         Args:
-            seed: environment i gets seed + i, or the i-th of a sequence (None goes on).
-            options: as for `CapsuleEnv`, each a value for all environments or one per environment ("changes": a list
-                per environment); and "reset_mask", bool of shape (num_envs,), to reset only some.
+            seed: environment i gets seed + i, or the i-th entry of a sequence; None continues its random streams.
+            options: options of `CapsuleEnv.reset`, each one value for all environments or one per environment
+                ("changes": a list per environment), and "reset_mask", bool of shape (num_envs,), which selects the
+                environments.
 
         Returns:
             Observations, float32 of shape (num_envs, entries), and the infos.
@@ -151,7 +158,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         Raises:
             ValueError: if the actions have another shape or are not finite, or the control law returned a torque that is
                 not finite.
-            gymnasium.error.ResetNeeded: before every environment has been reset once.
+            gymnasium.error.ResetNeeded: if an environment was never reset.
         """
         if not self._started:
             raise gym.error.ResetNeeded("call reset() before step(): some environment has no running episode")

@@ -278,7 +278,7 @@ def run(variables: dict[str, str], *names: str) -> subprocess.CompletedProcess[s
 
 @dataclass(frozen=True)
 class Args:
-    """Computes the bits of whole episodes; exit status 1 where they are not the committed ones.
+    """Computes the bits of whole episodes; the exit status is 1 if they differ from the committed ones.
 
     Examples:
       python -m tests.bits
@@ -286,10 +286,10 @@ class Args:
     """
 
     write: bool = False
-    """Commit new ones: write them to tests/bits.json."""
+    """Write them to tests/bits.json."""
 
     variants: bool = False
-    """Compare on other processors and with other libraries as well, as far as this machine can do as they do."""
+    """Also compare as other processors and libraries compute, as far as this machine can emulate them."""
 
     only: tuple[str, ...] = ()
     """Subjects that are compared; all where none is given."""

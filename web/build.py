@@ -87,7 +87,7 @@ class Args:
     """
 
     output: Annotated[Path, arg(metavar="DIR", aliases=["-o"])] = FOLDER
-    """Where the files go; it is made where it does not exist."""
+    """Folder of the files; created if it does not exist."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

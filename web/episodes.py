@@ -147,7 +147,7 @@ def known_recordings() -> dict[str, dict[str, np.ndarray]]:
 
 @dataclass(frozen=True)
 class Args:
-    """Computes the episodes that the page replays, and the optimum's actions; exit status 1 where they differ.
+    """Computes the episodes of the live page and the optimum's actions; the exit status is 1 if they differ.
 
     Examples:
       python -m web.episodes
@@ -155,7 +155,7 @@ class Args:
     """
 
     write: bool = False
-    """Commit new ones: write them to web/episodes.json and web/recordings.npz."""
+    """Write them to web/episodes.json and web/recordings.npz."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

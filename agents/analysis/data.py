@@ -116,7 +116,7 @@ def read_evaluations(path: Path, task: str = "speed") -> tuple[np.ndarray, np.nd
             lines = {int(line["steps"]): float(line[CRITERIA[task].column]) for line in csv.DictReader(file)}
         steps, values = np.array(sorted(lines.items()), np.float64).T
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} must be what a training run writes, got {type(error).__name__}: {error}") from error
+        raise ValueError(f"{path} must be the log of a training run, got {type(error).__name__}: {error}") from error
     return steps, values
 
 

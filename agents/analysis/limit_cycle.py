@@ -49,7 +49,7 @@ def find_cycle(recording: Recording) -> Recording:
     # The beginning is moved to the smallest theta in the cycle: the samples must reach further.
     fits = rises[1:] + periods < len(t)
     if recording.failed or not fits.any():
-        raise ValueError(f"recording must hold two cycles in its last {WINDOW:g} s, got {recording.name}")
+        raise ValueError(f"recording must contain two cycles in its last {WINDOW:g} s, got {recording.name}")
     # The changes of the rates over a cycle, in their standard deviations.
     rates = np.array([recording.theta_dot, recording.x_dot])
     changes = np.abs(np.diff(rates[:, rises])) / rates[:, first:].std(axis=1, keepdims=True)

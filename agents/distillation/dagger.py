@@ -225,6 +225,6 @@ def distil_all(name: str, folders: dict[int, Path]) -> bool:
     waiting = {seed: folder for seed, folder in folders.items() if not (folder / FINISHED).is_file()}
     started = [str(folder) for folder in waiting.values() if folder.exists()]
     if started:
-        raise RunError(f"{', '.join(started)} was started and is not finished: remove it, or give other --runs")
+        raise RunError(f"{', '.join(started)} is an unfinished run: remove it, or choose another folder with --runs")
     with Stop() as stop:
         return all(distil(name, STUDENTS[name], seed, folder, stop) for seed, folder in waiting.items())

@@ -138,10 +138,10 @@ def _trained(name: str, folder: Path, trust_controller: bool = False) -> Candida
     loaded = [capsule_gym.load_policy(path, trust_controller=trust_controller) for path in paths]
     seeds = [policy.training_seed for policy in loaded]
     if len(set(seeds)) < len(seeds):
-        raise ValueError(f"{folder} must hold runs of different training seeds, got {seeds}")
+        raise ValueError(f"{folder} must contain runs of different training seeds, got {seeds}")
     descriptions = {policy.description for policy in loaded}
     if len(descriptions) > 1:
-        raise ValueError(f"{folder} must hold runs of one kind, got: {'; '.join(sorted(descriptions))}")
+        raise ValueError(f"{folder} must contain runs of one kind, got: {'; '.join(sorted(descriptions))}")
     loaded.sort(key=lambda policy: policy.training_seed)
     return Candidate(name, tuple(loaded), descriptions.pop(), folder)
 

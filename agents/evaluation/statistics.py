@@ -125,7 +125,9 @@ def paired_difference(scores: ArrayLike, reference: ArrayLike, *, mean: bool = F
     """
     array, other = _checked("scores", scores), _checked("reference", reference)
     if array.shape[1] != other.shape[1]:
-        raise ValueError(f"scores and reference must hold the same episodes, got {array.shape[1]} and {other.shape[1]}")
+        raise ValueError(
+            f"scores and reference must contain the same episodes, got {array.shape[1]} and {other.shape[1]}"
+        )
     # Infinite in both: undefined, and NaN says so.
     with np.errstate(invalid="ignore"):
         return _estimate(array[:, None, :] - other[None, :, :], mean)

@@ -145,14 +145,14 @@ def main(arguments: Sequence[str] | None = None, *, root: Path = ROOT) -> int:
         if args.jobs < 1:
             raise ValueError(f"--jobs must be an integer >= 1, got {args.jobs}")
         if args.plants is not None and (args.plants < 1 or not args.check):
-            raise ValueError(f"--plants must be an integer >= 1 and stand with --check, got {args.plants}")
+            raise ValueError(f"--plants must be an integer >= 1 and needs --check, got {args.plants}")
         if args.names and args.from_results:
-            raise ValueError(f"--from-results must stand without names, got {' '.join(args.names)}")
+            raise ValueError(f"--from-results must be given without names, got {' '.join(args.names)}")
         candidates = [candidate for task in TASKS for candidate in all_candidates(task)]
         names = [candidate.name for candidate in candidates]
         unknown = [name for name in args.names if name not in names]
         if unknown:
-            raise ValueError(f"names must be out of {', '.join(names)}, got {unknown[0]}{nearest(unknown[0], names)}")
+            raise ValueError(f"names must be among {', '.join(names)}, got {unknown[0]}{nearest(unknown[0], names)}")
     except ValueError as error:
         refuse(COMMAND, str(error))
     chosen = [] if args.from_results else [each for each in candidates if each.name in (args.names or names)]

@@ -276,6 +276,6 @@ def files(root: Path, board: Mapping[str, Any]) -> dict[str, str]:
     before, start, rest = (root / "README.md").read_text(encoding="utf-8").partition(START)
     _, end, after = rest.partition(END)
     if not (start and end):
-        raise ValueError(f"README.md must hold {START} and then {END}")
+        raise ValueError(f"README.md must contain {START} and then {END}")
     readme = f"{before}{START}\n{head(board)}\n{END}{after}"
     return {"README.md": readme, "leaderboard.json": to_json(board), "LEADERBOARD.md": render(board)}

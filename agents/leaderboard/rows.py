@@ -253,7 +253,7 @@ def load_row(path: Path) -> Row:
         ValueError: if there is none, or it is not what `save_row` writes.
     """
     if not path.is_file():
-        raise ValueError(f"{path.stem}: has no results, expected in {path.name}: `python -m agents.leaderboard NAME`")
+        raise ValueError(f"{path.stem}: no results in {path.name}; `python -m agents.leaderboard NAME` writes them")
     try:
         # From memory: numpy does not close a file that it cannot read.
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
@@ -262,9 +262,9 @@ def load_row(path: Path) -> Row:
         shape = (len(header["metrics"]), max(1, len(header["training_seeds"])))
         fits = all(values.dtype == np.float64 and values.shape[:2] == shape for values in scores.values())
         if header["policy"] != path.stem or not fits:
-            raise ValueError("its header does not fit its name or its arrays")
+            raise ValueError("its header does not match its name or arrays")
     except (KeyError, TypeError, ValueError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
-        raise ValueError(f"{path.stem}: {path.name} holds no results: {type(error).__name__}: {error}") from error
+        raise ValueError(f"{path.stem}: {path.name} contains no results: {type(error).__name__}: {error}") from error
     return Row(header, scores)
 
 

@@ -72,7 +72,9 @@ def collect(names: Sequence[str], *, trust_controller: bool = False, trust_pickl
     found = [_candidate(name, trust_controller, trust_pickle) for name in names]
     task = found[0].task if found else "speed"
     if others := [each.name for each in found if each.task != task]:
-        raise ValueError(f"policies of a report must be for one task, got {found[0].name} for {task} and {others[0]}")
+        raise ValueError(
+            f"policies of a report must be for the same task, got {found[0].name} for {task} and {others[0]}"
+        )
     published = {row["policy"]: row["results"] for row in rows_of(board, task)}
     sets = [each for each in map(load_set, SET_NAMES + TASK_SET_NAMES) if each.task == task]
     rows: list[Row] = []
@@ -160,7 +162,7 @@ def render(data: Data, title: str) -> str:
         _figure("Learning curve on validation plants", draw_learning, results.learning, metric, baseline)
         if results.learning
         else "",
-        f"<h2>On every set</h2>\n{_tables(data)}",
+        f"<h2>Evaluation sets</h2>\n{_tables(data)}",
         _figure("Speed against cost of transport on nominal", draw_transport, results.rows) if speed else "",
         _figure(f"Performance profile on {profiled}", draw_profiles, results.rows, results.shown_sets) if speed else "",
         _figure(f"Every plant of {drawn}", draw_plants, results.rows, constant, metric),

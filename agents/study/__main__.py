@@ -52,7 +52,7 @@ class Args:
             raise ValueError(f"NAME must be one or several of {', '.join(ROWS)}")
         for job in plan(self.rows, self.seeds, self.runs):
             if job.run.exists() and not job.finished and not self.resume:
-                raise ValueError(f"{job.run} holds an unfinished run: {RESUME}")
+                raise ValueError(f"{job.run} contains an unfinished run: {RESUME}")
         if self.jobs is not None:
             check_count("--jobs", self.jobs)
         if self.backend == "ray" and find_spec("ray") is None:

@@ -79,7 +79,7 @@ def check_settings(job: Job) -> None:
     begun, now = read_config(job.run).to_dict(), job.config.to_dict()
     changed = [f"{name} was {begun.get(name)!r} and is {now[name]!r}" for name in now if begun.get(name) != now[name]]
     if changed:
-        raise RunError(f"{job.run} holds a run with other settings ({', '.join(changed)}): move it elsewhere")
+        raise RunError(f"{job.run} contains a run with other settings ({', '.join(changed)}): move it")
 
 
 def train_job(job: Job) -> str:
@@ -186,9 +186,7 @@ def publish(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
     check_settings(job)
     revision = json.loads((job.run / CONFIG).read_text(encoding="utf-8")).get("revision")
     if not re.fullmatch(r"[0-9a-f]+", str(revision)):
-        raise RunError(
-            f"{job.run} must be begun with nothing uncommitted, got the revision {revision!r}: train it again"
-        )
+        raise RunError(f"{job.run} must be a run of committed code, got the revision {revision!r}: train it again")
     folder = checkpoints / job.row / f"seed-{job.config.seed}"
     folder.mkdir(parents=True, exist_ok=True)
     for path in (job.run / EVALUATIONS, job.run / BEST / POLICY):

@@ -93,7 +93,7 @@ class Args:
     """Tunes the hyperparameters of a preset or row on the validation plants of its runs.
 
     Prints the best trial, and writes all of them to runs/tune/NAME/trials.json. The trials are in Optuna's storage
-    runs/tune/NAME/study.db: with --resume the same command goes on, and in other terminals trains trials in parallel.
+    runs/tune/NAME/study.db: --resume continues the search, also in several terminals at once.
 
     Examples:
       python -m agents.study.tune efficient --trials 60 --runs runs/mine
@@ -116,7 +116,7 @@ class Args:
         """Checks names and ranges."""
         self.settings().check()
         if (self.runs / self.row).exists() and not self.resume:
-            raise ValueError(f"{self.runs / self.row} holds a search: {RESUME}")
+            raise ValueError(f"{self.runs / self.row} contains a search: {RESUME}")
         check_count("--trials", self.trials)
         if find_spec("optuna") is None:
             raise ValueError("tuning needs Optuna: pip install 'capsule-gym[tune]'")
@@ -192,7 +192,7 @@ def tune(args: Args) -> Study:
     )
     settings = {"algo": base.algo, **json.loads(to_json(base.to_dict()))}
     if study.user_attrs.get("settings", settings) != settings:
-        raise RunError(f"{folder} holds a search that was begun with other settings: move it elsewhere")
+        raise RunError(f"{folder} contains a search with other settings: move it")
     study.set_user_attr("settings", settings)
     # With the number of trials in the seed, a search that resumes does not sample the same parameters again.
     study.sampler = optuna.samplers.TPESampler(seed=args.seed + len(study.trials), constant_liar=True)

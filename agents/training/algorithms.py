@@ -92,7 +92,7 @@ def wrapped_env(wrappers: tuple[str, ...], env_kwargs: Mapping[str, Any], steps:
         try:
             kind: Any = pkgutil.resolve_name(name)
             if not issubclass(kind, gym.Wrapper):
-                raise TypeError("it is no subclass of gymnasium.Wrapper")
+                raise TypeError("it is not a subclass of gymnasium.Wrapper")
             env = kind(env)
         except (ImportError, AttributeError, TypeError, ValueError) as error:
             raise RunError(

@@ -71,7 +71,7 @@ def locked(run: Path) -> Iterator[None]:
     try:
         lock.acquire()
     except filelock.Timeout:
-        raise RunError(f"{run} is being trained already, by another process") from None
+        raise RunError(f"{run} is being trained by another process") from None
     except OSError as error:
         if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP):
             raise
@@ -113,7 +113,7 @@ def newest_whole(run: Path) -> Path | None:
             return path
         print(f"warning: {path} is damaged; trying the one before", file=sys.stderr)
     if paths:
-        raise RunError(f"{run} has no whole checkpoint: {', '.join(map(str, paths))} damaged")
+        raise RunError(f"{run} has no undamaged checkpoint: {', '.join(map(str, paths))}")
     return None
 
 
@@ -198,7 +198,7 @@ def restore(
         model.set_env(normalised, force_reset=False)
         env.close()
     except Exception as error:
-        raise RunError(f"{checkpoint} cannot be understood ({type(error).__name__}: {error})") from error
+        raise RunError(f"{checkpoint} cannot be read ({type(error).__name__}: {error})") from error
 
     def restore_streams() -> None:
         vars(model)["action_noise"] = state["action_noise"]

@@ -35,7 +35,7 @@ def begin(run: Path, config: Config) -> None:
         ValueError: if a field of the configuration is out of range.
     """
     if run.exists() and any(run.iterdir()):
-        raise FileExistsError(f"{run} exists already")
+        raise FileExistsError(f"{run} already exists")
     config.check()
     # The errors of an agent come before its folder; warnings are shown when it is made again.
     with warnings.catch_warnings():
@@ -45,7 +45,7 @@ def begin(run: Path, config: Config) -> None:
             make_model(config, env)
         except Exception as error:
             reason = str(error).partition("\n")[0]
-            raise RunError(f"these hyperparameters give no agent: {type(error).__name__}: {reason}") from error
+            raise RunError(f"these hyperparameters are invalid: {type(error).__name__}: {reason}") from error
         try:
             pickle.dumps(env.venv)
         except Exception as error:
@@ -95,7 +95,7 @@ def train(
             file.unlink()
         latest = checkpoint.newest_whole(run)
         if latest is None and (run / MODEL).exists():
-            raise RunError(f"{run} has a trained agent, {MODEL}, but no checkpoint from which training can go on")
+            raise RunError(f"{run} has a trained agent, {MODEL}, but no checkpoint to resume from")
         settings = {name: value for name, value in config.to_dict().items() if name != "total_steps"}
         try:
             env = make_env(config, config.seed)
@@ -107,7 +107,7 @@ def train(
             raise
         except Exception as error:
             reason = str(error).partition("\n")[0]
-            raise RunError(f"{run / CONFIG} gives no agent: {type(error).__name__}: {reason}") from error
+            raise RunError(f"{run / CONFIG} is invalid: {type(error).__name__}: {reason}") from error
         if latest is not None:
             for name, value in progress.settings.items():
                 if settings[name] != value:

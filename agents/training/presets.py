@@ -201,7 +201,7 @@ class PPOConfig(OnPolicyConfig):
     """Options that only `agents.fast_ppo` has."""
 
     least_log_std: float = -20.0
-    """Floor of that logarithm."""
+    """Lower bound of that logarithm."""
     tanh_mean: bool = False
     """Whether tanh brings the mean of the action to [-1, 1]; else it is clipped."""
     jump_rate: float = 0.0
@@ -209,11 +209,11 @@ class PPOConfig(OnPolicyConfig):
     identifies: bool = False
     """Whether the policy observes online estimates of M and mu."""
     privileged_critic: bool = False
-    """Whether the critic observes M and mu, and of disturbed environments the state and the errors of the sensors."""
+    """Whether the critic observes M and mu and, with disturbances, the state and the errors of the sensors."""
     energy_weights: tuple[float, float] | None = None
     """Range of energy weights (cm/J); every episode of training draws one, which the policy observes."""
     output: Literal["action", "torque"] = "action"
-    """Output of the network: the action, or the total torque, of which the action is what the law does not apply."""
+    """Output of the network: the action, or the total torque, from which the torque of the law is subtracted."""
     critic_steps: Count = 0
     """Environment steps at the start in which only the critic learns, so that it does not spoil a good base."""
 
@@ -496,5 +496,5 @@ def read_config(run: Path) -> Config:
     except FileNotFoundError:
         raise RunError(f"--resume must name the folder of a run, got {str(run)!r}, which has no {CONFIG}") from None
     except (OSError, AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
-        raise RunError(f"{path} is no configuration of a run: {type(error).__name__}: {error}") from error
+        raise RunError(f"{path} is not the configuration of a run: {type(error).__name__}: {error}") from error
     return config

@@ -19,7 +19,7 @@ PROG = "python -m baselines.dynamic_programming"
 
 @dataclass(frozen=True)
 class Args:
-    """Computes policies by dynamic programming, as far as the archive lacks them. Ctrl-C keeps finished results.
+    """Computes the results of dynamic programming that the archive lacks. Ctrl-C keeps finished results.
 
     Examples:
       python -m baselines.dynamic_programming                      all that is missing

@@ -94,33 +94,32 @@ def adaptive(
     nominal: Capsule = NOMINAL,
     name: str = "adaptive",
 ) -> Controller:
-    """The adaptive variable-structure law (39) along a profile; the published gains are the defaults.
+    """The adaptive variable-structure law (39) along a profile, with the published gains by default.
 
-    Regularised, x_d starts from the platform at every cycle, sgn(delta_theta) is a saturation, beta = 1, and estimates
-    and eta are bounded; `adaptive_as_published` lists what the other form chooses.
+    In the regularised form x_d starts from the platform at every cycle, sgn(delta_theta) is a saturation, beta is 1,
+    and estimates and eta are bounded. `adaptive_as_published` describes the unregularised form.
 
     Args:
-        profile: what the pendulum follows.
+        profile: reference of the pendulum.
         Lambda_theta: bandwidth of the filter of the pendulum's error, 1/s.
         Lambda_x: bandwidth of the filter of the platform's error, 1/s.
-        K1: N m s/rad.
-        K2: N s.
-        K3: of the non-collocated terms, N s/m.
+        K1: gain of delta_theta, N m s/rad.
+        K2: gain of the switching term, N s.
+        K3: gain of the non-collocated terms, N s/m.
         Gamma_1: rate of adaptation of alpha_theta.
         Gamma_2: rate of adaptation of alpha_x.
-        regularised: the default; False is the corrected law without regularisation.
-        beta: of (39c) and (39d), rad^2/s^2, > 0; None is the form's own, `Choices.beta`.
-        n: of the exponent in (39d), at least 1; None is the form's own.
-        eta_0: the auxiliary variable at the start, > 0 and at most the form's `Choices.eta_bound`; None is the form's
-            own.
-        dt: period of the law and of its Euler steps, over which the torque is constant, s; divides the profile's
-            period. The environment's `physics_dt` must divide it.
-        nominal: the plant that the law starts from.
-        name: the controller's name.
+        regularised: False for the corrected law without regularisation.
+        beta: beta of (39c) and (39d), rad^2/s^2, > 0; None for that of the form, `Choices.beta`.
+        n: n of the exponent in (39d), at least 1; None for that of the form.
+        eta_0: initial auxiliary variable, > 0 and at most `Choices.eta_bound`; None for that of the form.
+        dt: period of the law and of its Euler steps, s. It divides the period of the profile, and the environment's
+            `physics_dt` divides it.
+        nominal: the nominal plant, from which the estimates start.
+        name: name of the controller.
 
     Raises:
         TypeError: if an argument is of the wrong type.
-        ValueError: if one is out of range.
+        ValueError: if an argument is out of range.
     """
     given = Gains(Lambda_theta, Lambda_x, K1, K2, K3, Gamma_1, Gamma_2)
     gains = Gains(**check_gains(**given._asdict()))
@@ -145,30 +144,29 @@ def adaptive(
 
 
 def adaptive_as_published() -> Controller:
-    """The adaptive law corrected, unregularised: as near to print as it runs.
+    """The adaptive law with corrected equations and without regularisation.
 
-    Corrected is what the paper's own derivation asks for and its print lacks: the tilde of the errors in (37a); the
-    minus of both regressors in (38), and m l sin(theta) theta' rho_theta as the last term of N_x; the norm in (39c),
-    which encloses alpha^_x; the norm in (39d), as (41) uses it; (2n + 2) / (2n + 1) as an exponent of eta there.
+    Corrections, which follow from the paper's own derivation: the tilde of the errors in (37a); the minus of both
+    regressors in (38), and m l sin(theta) theta' rho_theta as the last term of N_x; the norm in (39c) includes
+    alpha^_x; the norm in (39d) is that of (41); (2n + 2) / (2n + 1) in (39d) is an exponent of eta.
 
-    Chosen is what the paper leaves open (`baselines.laws.gains.UNREGULARISED`): beta = 0.01, n = 1, eta(0) = 1; sgn(0)
-    = 0; eta kept within [0, 1e6]; (39d) and (39e) integrated by Euler steps at 1 kHz, the torque held between them; the
-    normal force in Y_x computed with the nominal plant, with theta_d'' for the theta'' that no law knows, and not below
-    zero; the estimates started from the nominal plant and left free; x_d, x_d' and x_d'' integrated once, from the
-    nominal plant along theta_d, never to be corrected.
+    Choices that the paper leaves open (`baselines.laws.gains.UNREGULARISED`): beta = 0.01, n = 1, eta(0) = 1 and
+    sgn(0) = 0; eta is limited to [0, 1e6]; (39d) and (39e) are integrated by Euler steps at 1 kHz with constant torque
+    in between; the normal force in Y_x is that of the nominal plant with theta_d'' for theta'', and not below zero; the
+    estimates start at the nominal values and are not limited; x_d is the motion of the nominal platform along theta_d
+    from the start of the episode.
     """
     return adaptive(regularised=False, name="adaptive-as-published")
 
 
 def adaptive_optimal_profile() -> Controller:
-    """The adaptive law along the fastest profile (9) that keeps Principles 1 to 4 with 1.5 N m."""
+    """The adaptive law along the fastest profile (9) that satisfies Principles 1 to 4 with 1.5 N m."""
     return adaptive(optimal(1.5), name="adaptive-optimal-profile")
 
 
 def compliant() -> Controller:
-    """The adaptive law with a feedback that gives way: it tracks by its feed-forward and lets a residual through.
+    """The adaptive law with low gains, which hardly counteract a residual torque.
 
-    K1 Lambda_theta is 0.2 N m/rad instead of 15.6, and the non-collocated terms, which fight any motion of the
-    platform that the reference does not know, are off.
+    K1 Lambda_theta is 0.2 N m/rad instead of 15.6, and the non-collocated terms are zero.
     """
     return adaptive(**COMPLIANT._asdict(), name="compliant")

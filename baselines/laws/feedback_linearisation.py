@@ -15,7 +15,7 @@ def feedback_linearising_law(p: Plant, K_p: float, K_v: float) -> Law:
     """The torque (35), with f the actual friction force: mu N sign(x') in slip, the reaction in stick.
 
     Args:
-        p: the plant that the law believes in.
+        p: the nominal plant of the law.
         K_p: 1/s^2.
         K_v: 1/s.
     """
@@ -49,10 +49,10 @@ def feedback_linearising(
     """Feedback linearisation (35) along a profile.
 
     Args:
-        profile: what the pendulum follows.
-        K_p: 1/s^2.
-        K_v: 1/s.
-        nominal: the plant that the law believes in.
+        profile: reference of the pendulum.
+        K_p: gain of the angle's error, 1/s^2.
+        K_v: gain of the rate's error, 1/s.
+        nominal: the nominal plant of the law.
     """
     gains = check_gains(K_p=K_p, K_v=K_v)
     plant = nominal.plant()
@@ -60,13 +60,13 @@ def feedback_linearising(
 
 
 def feedback_linearising_optimal_profile() -> Controller:
-    """Feedback linearisation along the fastest profile (9) with 0.54 N m that need not keep Principle 4.
+    """Feedback linearisation along the fastest profile (9) with 0.54 N m and without Principle 4.
 
-    Without this principle the platform also moves while the pendulum returns.
+    Without this principle the platform can move while the pendulum returns.
     """
     return feedback_linearising(optimal(0.54, dropped=4))
 
 
 def epc() -> Controller:
-    """Feedback linearisation along the EPC profile, as the paper's comparison runs it."""
+    """Feedback linearisation along the EPC profile, with which the paper compares."""
     return feedback_linearising(EPC)

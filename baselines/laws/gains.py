@@ -1,4 +1,4 @@
-"""The constants of the control laws, each once: the published gains, and what the paper leaves open."""
+"""Gains and constants of the control laws: those of the paper, and those that it leaves open."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ class Gains(NamedTuple):
     Attributes:
         Lambda_theta: bandwidth of the first-order filter of the pendulum's error, 1/s.
         Lambda_x: bandwidth of the filter of the platform's error, 1/s.
-        K1: N m s/rad.
-        K2: N s.
-        K3: of the non-collocated terms, N s/m.
+        K1: gain of delta_theta, N m s/rad.
+        K2: gain of the switching term, N s.
+        K3: gain of the non-collocated terms, N s/m.
         Gamma_1: rate of adaptation of alpha_theta.
         Gamma_2: rate of adaptation of alpha_x.
     """
@@ -37,16 +37,16 @@ COMPLIANT = Gains(Lambda_theta=4.0, Lambda_x=PUBLISHED.Lambda_x, K1=0.05, K2=0.0
 
 
 class Choices(NamedTuple):
-    """What (39) needs and the paper leaves open, and what keeps the law's variables bounded.
+    """Constants of (39) that the paper leaves open, and bounds of the law's variables.
 
     Attributes:
         beta: the 'selected small constant' in the denominators of (39c) and (39d), rad^2/s^2.
-        n: of the exponent (2n + 2) / (2n + 1) in (39d).
-        eta_0: the auxiliary variable eta at the start.
-        saturation_width: of the saturation that stands for sgn(delta_theta), rad/s; 0.0 is sgn itself.
-        eta_bound: the largest eta: (39d) can grow without bound in finite time.
-        estimate_range: every estimate is kept within this fraction of its nominal value; infinity leaves it free.
-        anchored: whether x_d starts anew from the platform at every cycle, or goes on from the start of the run.
+        n: n of the exponent (2n + 2) / (2n + 1) in (39d).
+        eta_0: initial auxiliary variable eta.
+        saturation_width: width of the saturation that replaces sgn(delta_theta), rad/s; 0.0 for sgn itself.
+        eta_bound: largest eta, since (39d) can grow without bound in finite time.
+        estimate_range: largest deviation of an estimate from its nominal value, as a fraction of it; can be infinite.
+        anchored: x_d starts from the position of the platform at every cycle.
     """
 
     beta: float

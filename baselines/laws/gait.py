@@ -121,29 +121,29 @@ def known_parameters() -> tuple[float, ...]:
 
 
 def gait(parameters: Sequence[float] | None = None) -> Controller:
-    """A gait that does not observe the plant: its torque follows from theta, theta_dot and x_dot alone.
+    """The gait: its torque is a function of theta, theta_dot and x_dot. It does not observe M and mu.
 
     Args:
-        parameters: in the order of `PARAMETERS`; None takes the committed ones.
+        parameters: numbers in the order of `PARAMETERS`; None for those of `gait.json`.
 
     Raises:
-        TypeError: if one is no number.
-        ValueError: if one is not finite, or there are more or fewer.
+        TypeError: if a parameter is not a number.
+        ValueError: if a parameter is not finite, or their number is wrong.
     """
     return Controller("gait", gait_law(_checked(parameters)), NO_REFERENCE)
 
 
 def gait_identifying(parameters: Sequence[float] | None = None) -> Controller:
-    """The gait with a guard that identifies the platform while it slips, and acts sooner where it is light.
+    """The gait with a guard that estimates M while the platform slips and acts earlier on light platforms.
 
-    Where the platform is no lighter than those of `wide`, and known to be so, the torque is that of `gait`.
+    On platforms within the range of `wide`, once M is estimated, the torque is that of `gait`.
 
     Args:
-        parameters: as `gait` takes them.
+        parameters: as of `gait`.
 
     Raises:
-        TypeError: if one is no number.
-        ValueError: if one is not finite, or there are more or fewer.
+        TypeError: if a parameter is not a number.
+        ValueError: if a parameter is not finite, or their number is wrong.
     """
     return Controller("gait_identifying", identifying_law(_checked(parameters)), NO_REFERENCE, memory=(0.0,) * CELLS)
 

@@ -1,9 +1,9 @@
 """Control laws for late, noisy measurements and a lagging motor: an observer and a predictor around other laws.
 
-The sensors show the state of LATENCY calls ago. An observer with fixed gains estimates that state, and the nominal
-model carries the estimate through the torques that the law has returned since: the law inside acts on the state at
-which its torque arrives. The friction coefficient, the mass of the platform and the bias of the measured x_dot are
-learnt, each by one line that descends the gradient of the squared error of x_dot. The position is not measured.
+The sensors show the state of LATENCY calls ago. An observer with fixed gains estimates that state. The nominal model
+predicts from it, with the torques that the law has returned since, the state at which the next torque acts. The
+friction coefficient, the mass of the platform and the bias of the measured x_dot are estimated by gradient descent on
+the squared error of x_dot. The position is not measured.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ STRIDE = 3
 
 
 class Estimate(NamedTuple):
-    """What the observer knows of the plant LATENCY calls ago, before the measurement of that instant.
+    """The observer's estimate of the state LATENCY calls ago, before the measurement of that time.
 
     Attributes:
         begun: 1.0 once a measurement has come.
@@ -197,14 +197,14 @@ def predictive_gait_law(parameters: tuple[float, ...]) -> Law:
 
 
 def gait_predictive() -> Controller:
-    """The guarded gait on a state that an observer and a predictor give."""
+    """The gait on the state of the observer and predictor."""
     return Controller("gait_predictive", predictive_gait_law(known_parameters()), NO_REFERENCE, memory=MEMORY)
 
 
 def adaptive_predictive() -> Controller:
-    """The paper's adaptive law (39), regularised, on a state that an observer and a predictor give.
+    """The regularised adaptive law (39) on the state of the observer and predictor.
 
-    The position that it follows is the integral of the predicted x_dot.
+    Its x is the integral of the predicted x_dot.
     """
     base = adaptive()
     constants = constants_of(PUBLISHED, REGULARISED, PLANT, base.reference, base.dt)

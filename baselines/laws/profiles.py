@@ -1,7 +1,7 @@
-"""The velocity profiles that the pendulum is asked to follow: the paper's seven phases (9), and EPC's six.
+"""Reference profiles of the pendulum: the paper's, with seven phases (9), and EPC's, with six.
 
-A profile is a chain of segments, each theta_d' = A sin(phase + rate s) + offset + slope s over its own time s, so that
-angle and acceleration follow in closed form.
+A profile is a sequence of segments theta_d' = A sin(phase + rate s) + offset + slope s, with s from the start of the
+segment. Angle and acceleration are computed in closed form.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ class Segment:
     """One phase: theta_d'(s) = amplitude sin(phase + rate s) + offset + slope s for s in [0, duration).
 
     Attributes:
-        duration: s.
-        amplitude: rad/s.
-        phase: rad.
-        rate: rad/s.
-        offset: rad/s.
-        slope: rad/s^2.
+        duration: length of the phase, s.
+        amplitude: amplitude of the sine, rad/s.
+        phase: phase of the sine at the start, rad.
+        rate: angular frequency of the sine, rad/s.
+        offset: constant term, rad/s.
+        slope: linear term, rad/s^2.
     """
 
     duration: float
@@ -68,8 +68,8 @@ class Profile:
     """A closed cycle of the pendulum.
 
     Attributes:
-        name: for tables and figures.
-        segments: its phases, in order.
+        name: name in tables and figures.
+        segments: the phases, in order.
         start: angle at the start of the cycle, rad.
     """
 
@@ -122,12 +122,12 @@ class Profile:
 def _durations(times: Sequence[float], count: int, V1: float, P2: float) -> list[float]:
     """The durations of the phases between the given times, which must grow from 0; checks the velocities, too."""
     if not 0.0 < P2 < V1:
-        raise ValueError(f"P2 must lie between 0 and V1, got P2={P2!r}, V1={V1!r}")
+        raise ValueError(f"P2 must be between 0 and V1, got P2={P2!r}, V1={V1!r}")
     if len(times) != count:
-        raise ValueError(f"times must hold t1 to t{count}, got {len(times)} values")
+        raise ValueError(f"times must be t1 to t{count}, got {len(times)} values")
     durations = np.diff([0.0, *(check_number("times", t, "finite numbers > 0 (s)", 0.0, open_low=True) for t in times)])
     if (durations <= 0.0).any():
-        raise ValueError(f"times must grow, got {tuple(times)}")
+        raise ValueError(f"times must increase, got {tuple(times)}")
     return [float(duration) for duration in durations]
 
 
@@ -145,11 +145,11 @@ def seven_phases(times: Sequence[float], V1: float, P2: float, name: str = "prop
     Args:
         times: t1 to t7, s.
         V1: peak velocity P1 omega, rad/s.
-        P2: velocity at t3, below which the platform is to stay at rest, rad/s.
-        name: for tables and figures.
+        P2: velocity at t3, rad/s.
+        name: name in tables and figures.
 
     Raises:
-        ValueError: if the times do not grow or 0 < P2 < V1 does not hold.
+        ValueError: if the times do not increase, or P2 is not between 0 and V1.
     """
     d = _durations(times, 7, V1, P2)
     progressive = [
@@ -162,11 +162,11 @@ def seven_phases(times: Sequence[float], V1: float, P2: float, name: str = "prop
 
 
 def optimal(torque_limit: float, dropped: int = 0) -> Profile:
-    """The fastest profile (9) on the nominal plant, under exact tracking, that searches found.
+    """The fastest known profile (9) on the nominal plant under exact tracking.
 
     Args:
-        torque_limit: of the search, N m: 0.54, 1 or 1.5.
-        dropped: number of the principle that the profile need not keep, 2, 3 or 4; 0 for none.
+        torque_limit: torque limit of the search, N m: 0.54, 1 or 1.5.
+        dropped: number of the principle that the search ignored, 2, 3 or 4; 0 for none.
     """
     problem = {"torque_limit": torque_limit, "plants": "nominal", "dropped": dropped}
     solutions = json.loads(OPTIMA.read_text(encoding="utf-8"))["solutions"]
@@ -175,16 +175,16 @@ def optimal(torque_limit: float, dropped: int = 0) -> Profile:
 
 
 def six_phases(times: Sequence[float], V1: float, P2: float, name: str = "EPC") -> Profile:
-    """The profile of the EPC system that the paper compares itself with.
+    """The profile of the EPC system, with which the paper compares.
 
     Args:
         times: t1 to t6, s.
         V1: peak velocity, rad/s.
         P2: velocity at t2, rad/s.
-        name: for tables and figures.
+        name: name in tables and figures.
 
     Raises:
-        ValueError: if the times do not grow or 0 < P2 < V1 does not hold.
+        ValueError: if the times do not increase, or P2 is not between 0 and V1.
     """
     d = _durations(times, 6, V1, P2)
     progressive = [

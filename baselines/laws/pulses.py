@@ -132,7 +132,7 @@ def pulse_law(
 
 
 def goal_pulses() -> Controller:
-    """The law for the task `goal`: pulses, and on smooth floors strokes."""
+    """The law of the task `goal`: the gait and torque pulses, or strokes on smooth floors."""
     position = NO_REFERENCE.shape[1] + goal.Memory._fields.index("goal")
     pulses = inlined(pulse_law(known_parameters(), position, position, lead=0.0, near=NEAR, stop=0.025))
 
@@ -158,7 +158,7 @@ def goal_pulses() -> Controller:
 
 
 def velocity_pulses() -> Controller:
-    """The law for the task `velocity`."""
+    """The law of the task `velocity`: the gait and torque pulses towards the target."""
     position, rate = (NO_REFERENCE.shape[1] + velocity.Memory._fields.index(name) for name in ("target", "command"))
     law = pulse_law(known_parameters(), position, rate, lead=0.3, near=0.004, stop=0.0)
     return Controller("velocity_pulses", law, NO_REFERENCE, MEMORY, task="velocity")

@@ -16,7 +16,7 @@ PROG = "python -m baselines.paper"
 
 @dataclass(frozen=True)
 class Args:
-    """Prints the paper's numbers next to ours, with the reason where they differ; draws its figures.
+    """Prints the paper's numbers next to the computed ones, with the reasons for differences; draws its figures.
 
     About a minute: Section 5, two proofs on the published torques, the origin of Table 1, Principles and Lemmas, the
     optimum of the paper's profiles, the adaptive law over its ranges, and the sensitivity of the speeds.
@@ -28,7 +28,7 @@ class Args:
     """
 
     figures: Path | None = None
-    """Also draw the figures into this folder, made if it does not exist (needs matplotlib)."""
+    """Also draw the figures into this folder, which is created if necessary (needs matplotlib)."""
     json: Path | None = None
     """Also write all numbers to this file."""
     overwrite: bool = False

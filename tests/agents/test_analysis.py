@@ -95,7 +95,7 @@ def test_the_last_of_two_evaluations_at_the_same_step_counts(tmp_path):
     steps, speeds = read_learning(tmp_path)[3]
     assert (steps.tolist(), speeds.tolist()) == ([100, 200], [1.0, 5.0])
     path.write_text("steps,mean_speed_cm_s\n")
-    with pytest.raises(ValueError, match=r"evaluations\.csv must be what a training run writes"):
+    with pytest.raises(ValueError, match=r"evaluations\.csv must be the log of a training run"):
         read_learning(tmp_path)
 
 
@@ -210,7 +210,7 @@ def test_the_cycle_of_a_sine():
     assert cycle.x[-1] / cycle.t[-1] == pytest.approx(0.01, rel=1e-2)
     assert cycle.theta[0] == pytest.approx(-1.0, abs=1e-5)
     for wrong in (made(12.0), dataclasses.replace(made(0.8), failed=True)):
-        with pytest.raises(ValueError, match="must hold two cycles"):
+        with pytest.raises(ValueError, match="must contain two cycles"):
             find_cycle(wrong)
 
 

@@ -151,4 +151,4 @@ def test_ctrl_c_keeps_the_best_policy_and_the_run_is_not_overwritten(tmp_path, m
     with pytest.raises(SystemExit) as stop:
         command.main(words)
     assert stop.value.code == 2
-    assert "was started and is not finished" in capsys.readouterr().err
+    assert "is an unfinished run" in capsys.readouterr().err

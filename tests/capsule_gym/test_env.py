@@ -351,7 +351,7 @@ def test_spawned_workers_know_the_environment():
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        ({"residual_limit": 0.0}, "residual_limit must be > 0 .*, got 0.0: the action would do nothing"),
+        ({"residual_limit": 0.0}, "residual_limit must be > 0 .*, got 0.0: the action would have no effect"),
         ({"randomization": Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))}, "Painleve"),
         ({"physics_dt": 0.003}, "physics_dt must divide"),
         ({"controller": "baselines:adaptive", "control_dt": 0.0015, "physics_dt": 0.0005}, "dt must divide"),

@@ -127,7 +127,7 @@ def test_one_observation_or_many():
     assert policy(OBSERVATIONS[:0]).shape == (0, 1)
     act = policy.start(range(20))
     assert act(OBSERVATIONS).tobytes() == actions.tobytes()
-    with pytest.raises(ValueError, match=r"observations must be of 20 episodes, one a row, got 3 rows"):
+    with pytest.raises(ValueError, match=r"observations must have one row for each of 20 episodes, got 3 rows"):
         act(OBSERVATIONS[:3])
 
 
@@ -308,8 +308,8 @@ HOSTILE_TENSORS: list[tuple[dict[str, Any], str]] = [
     ({"layers.0.weight": np.ones(40, np.float32)}, "layers.0.weight must be float32 of shape (8, 5)"),
     ({"layers.1.weight": np.ones((2, 8), np.float32), "layers.1.bias": np.ones(2, np.float32)}, "and one in the last"),
     ({"inputs.mean": np.zeros(6)}, "of shape (5,), one for each input"),
-    ({"../../secret": np.ones(1, np.float32)}, "it must hold the tensors"),
-    ({"layers.0.bias": None}, "it must hold the tensors"),
+    ({"../../secret": np.ones(1, np.float32)}, "it must contain the tensors"),
+    ({"layers.0.bias": None}, "it must contain the tensors"),
     (
         {f"layers.{n}.{kind}": np.ones((1,) * axes, np.float32) for n in range(2, 7) for kind, axes in KINDS},
         "1 to 6 layers, got 7",

@@ -194,7 +194,7 @@ def test_what_stood_there_stays_where_no_picture_can_be_written(tmp_path):
 
     path = tmp_path / "kept.gif"
     path.write_bytes(b"mine")
-    with pytest.raises(ValueError, match="frames must hold at least one picture, got none"):
+    with pytest.raises(ValueError, match="frames must contain at least one picture, got none"):
         write_gif((), path)
     with pytest.raises(RuntimeError):
         write_gif(breaking(), path)

@@ -127,7 +127,7 @@ def test_a_batch_for_which_there_is_no_memory_says_so(monkeypatch):
         raise MemoryError("Unable to allocate 7 GiB")
 
     monkeypatch.setattr(np, "zeros", zeros)
-    with pytest.raises(ValueError, match=r"^num_envs must be as many as there is memory for, got 99: Unable"):
+    with pytest.raises(ValueError, match=r"^num_envs must fit into memory, got 99: Unable"):
         Simulation(99)
 
 

@@ -555,7 +555,7 @@ def test_plant_jumps_while_it_runs(open_page: Open) -> None:
     page.click("#jump")
     page.wait_for_function("location.hash.split(',').length === 2")
     page.click("#clear")
-    shows(page, "jumps", "No jumps.")
+    shows(page, "jumps", "No changes.")
 
 
 SCENES = [

@@ -316,7 +316,7 @@ function option(value, text) {
 /** What there is to choose in the scene's task. */
 function fillChoices() {
   element("driver").replaceChildren(option(YOURSELF, "Yourself"));
-  element("rival").replaceChildren(option("", "nobody"));
+  element("rival").replaceChildren(option("", "none"));
   for (const select of [element("driver"), element("rival")]) {
     for (const [kind, label] of Object.entries(KINDS)) {
       const rows = drivers.filter((driver) => driver.kind === kind && driver.task === scene.task);
@@ -527,7 +527,7 @@ async function runCheck() {
     const all = `All ${rows.rows.length} episodes are equal, bit for bit.`;
     show("verdict", equal ? all : "Some episodes are different.");
   } catch (error) {
-    show("verdict", `The check broke off: ${error.message}`);
+    show("verdict", `The check failed: ${error.message}`);
   }
   checking = false;
 }
@@ -620,7 +620,7 @@ function showPlant() {
   element("M").setAttribute("aria-valuetext", `${M} kg`);
   element("mu").setAttribute("aria-valuetext", String(mu));
   const jumps = scene.jumps.map((jump) => `${written(jump.t, 2)} s: ${plantText(jump)}`);
-  show("jumps", jumps.length ? `Jumps: ${jumps.join("; ")}` : "No jumps.");
+  show("jumps", jumps.length ? `Changes: ${jumps.join("; ")}` : "No changes.");
   element("clear").disabled = !hasOwnJumps(scene);
   const recorded = hasRecorded(scene);
   for (const id of ["M", "M-number", "mu", "mu-number", "jump"]) element(id).disabled = recorded;
@@ -692,8 +692,8 @@ function draw() {
       if (cells[column + 1].textContent !== value) cells[column + 1].textContent = value;
     });
   });
-  const change = player.moment === 0 ? "sets the plant of the episode" : "is a jump at this time";
-  show("plant-text", hasRecorded(scene) ? `${ONLY_FROZEN}.` : `A change ${change}.`);
+  const change = player.moment === 0 ? "A change sets the plant of the episode." : "A change acts from this time on.";
+  show("plant-text", hasRecorded(scene) ? `${ONLY_FROZEN}.` : change);
   showEnd();
 }
 

@@ -38,7 +38,7 @@ export function startOf({ task, M, mu, theta, seed, motor, slope, ...scene }) {
 }
 
 /** Why some drivers leave no choice of M and mu. */
-export const ONLY_FROZEN = "What the optimum does is recorded on the plants of the sets";
+export const ONLY_FROZEN = "The optimum is recorded on the plants of the sets";
 
 const LETTERS = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNO";
 const HALF = (HAND_STEPS - 1) / 2;

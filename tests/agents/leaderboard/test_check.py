@@ -37,7 +37,7 @@ def test_check_names_changed_rows(written):
     assert (revision, changed) == tuple(f"learnt: {field} differs from its results" for field in ("revision", "files"))
     assert command == "learnt: the table in agents/checkpoints/README.md has no command that trains it"
     write_run(written / "checkpoints" / "fresh" / "seed-0", 0)
-    assert "fresh: has no results, expected in fresh.npz: `python -m agents.leaderboard NAME`" in checked(written)
+    assert "fresh: no results in fresh.npz; `python -m agents.leaderboard NAME` writes them" in checked(written)
 
 
 @pytest.mark.parametrize("name", ["leaderboard.json", "LEADERBOARD.md", "README.md"])
@@ -92,7 +92,7 @@ def main(world, monkeypatch):
 
 def test_command_line(main, world, capsys):
     assert main("--check") == 1
-    assert "The leaderboard is stale:\n- adaptive: has no results" in capsys.readouterr().out
+    assert "The leaderboard is stale:\n- adaptive: no results" in capsys.readouterr().out
     assert main() == 0
     assert main("--check") == 0
     assert "up to date: 6 policies on 2 sets" in capsys.readouterr().out
@@ -137,9 +137,9 @@ def test_finished_rows_survive_an_interruption(main, world, monkeypatch, capsys)
         (["--check", "--plants", "0"], "--plants"),
         (["--plants", "5"], "--plants"),
         (["--jobs", "two"], "--jobs"),
-        (["lernt"], "names must be out of adaptive, bold, wild, twitch, learnt, stay, got lernt"),
-        (["bold", "--from-results"], "--from-results must stand without names, got bold"),
-        (["bold"], "adaptive: has no results, expected in adaptive.npz: `python -m agents.leaderboard NAME`"),
+        (["lernt"], "names must be among adaptive, bold, wild, twitch, learnt, stay, got lernt"),
+        (["bold", "--from-results"], "--from-results must be given without names, got bold"),
+        (["bold"], "adaptive: no results in adaptive.npz; `python -m agents.leaderboard NAME` writes them"),
     ],
 )
 def test_wrong_options_are_named(main, words, message, world, capsys):

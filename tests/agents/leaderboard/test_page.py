@@ -69,6 +69,6 @@ def test_pages_of_other_boards(written):
 def test_a_readme_without_a_marker_raises_an_error(written):
     for text in ("", START, END + START):
         (written / "README.md").write_text(text)
-        assert checked(written)[0].startswith("README.md must hold <!-- --8<-- [start:leaderboard] --> and then")
+        assert checked(written)[0].startswith("README.md must contain <!-- --8<-- [start:leaderboard] --> and then")
         with pytest.raises(ValueError, match="README"):
             files(written, read(written))

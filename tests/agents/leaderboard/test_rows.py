@@ -43,22 +43,22 @@ def test_malformed_files_raise_an_error(row, world):
     whole = path.read_bytes()
     for content in (b"", b"PK", whole[:-40], whole[: len(whole) // 2]):
         path.write_bytes(content)
-        with pytest.raises(ValueError, match=r"^learnt: learnt\.npz holds no results: "):
+        with pytest.raises(ValueError, match=r"^learnt: learnt\.npz contains no results: "):
             load_row(path)
     for arrays in ({}, {"header": np.frombuffer(b"[]", np.uint8)}, {"header": np.frombuffer(b"{}", np.uint8)}):
         np.savez_compressed(path, **arrays)
-        with pytest.raises(ValueError, match="holds no results"):
+        with pytest.raises(ValueError, match="contains no results"):
             load_row(path)
     path.write_bytes(whole)
     path.rename(folder / "other.npz")
-    with pytest.raises(ValueError, match="does not fit its name"):
+    with pytest.raises(ValueError, match="does not match its name"):
         load_row(folder / "other.npz")
     row.header["training_seeds"] = [0]
     save_row(folder, row)
-    with pytest.raises(ValueError, match="does not fit its name or its arrays"):
+    with pytest.raises(ValueError, match="does not match its name or arrays"):
         load_row(path)
     path.unlink()
-    with pytest.raises(ValueError, match=r"^learnt: has no results, expected in learnt\.npz"):
+    with pytest.raises(ValueError, match=r"^learnt: no results in learnt\.npz"):
         load_rows(folder, ["learnt"])
 
 

@@ -102,7 +102,7 @@ def test_the_best_policy_and_the_evaluations_are_published(finished, tmp_path):
 def test_a_revision_that_cannot_be_checked_out_is_not_published(finished, tmp_path, revision):
     path = finished.run / "config.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "revision": revision}))
-    with pytest.raises(RunError, match="nothing uncommitted") as error:
+    with pytest.raises(RunError, match="committed code") as error:
         publish(finished, tmp_path / "checkpoints")
     assert repr(revision) in str(error.value)
     assert not (tmp_path / "checkpoints").exists()

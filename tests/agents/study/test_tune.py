@@ -48,7 +48,7 @@ def test_a_search_resumes_where_it_was_stopped(tmp_path, monkeypatch, capsys):
     assert tune.main(words) == 130
     with pytest.raises(SystemExit):
         tune.main(words)
-    assert "holds a search: --resume continues" in capsys.readouterr().err
+    assert "contains a search: --resume continues" in capsys.readouterr().err
     words.insert(1, "--resume")
     assert tune.main(words) == 0
     content = json.loads((tmp_path / "tiny" / "trials.json").read_text())

@@ -137,7 +137,7 @@ def test_without_a_whole_checkpoint_every_damaged_one_is_named(tmp_path, whole, 
     paths = sorted(run.glob("checkpoint-*"))
     for path in paths:
         damage(path)
-    with pytest.raises(RunError, match="no whole checkpoint") as error:
+    with pytest.raises(RunError, match="no undamaged checkpoint") as error:
         train(run)
     assert all(str(path) in str(error.value) for path in paths)
 
@@ -150,7 +150,7 @@ def change(run: Path, name: str, value: object) -> None:
 
 UNFIT = {
     "hidden must stay 8 as in checkpoint-": lambda run: change(run, "hidden", 10**9),
-    "gives no agent: ValueError: .*'nope'": lambda run: change(run, "controller", "baselines:nope"),
+    "is invalid: ValueError: .*'nope'": lambda run: change(run, "controller", "baselines:nope"),
     "no checkpoint from which": lambda run: [path.unlink() for path in run.glob("checkpoint-*")],
 }
 
@@ -170,7 +170,7 @@ def test_a_checkpoint_that_cannot_be_understood_is_named(tmp_path):
     path = tmp_path / "checkpoint-000000000001"
     path.write_bytes(hashlib.sha256(b"no pickle").digest() + b"no pickle")
     assert checkpoint.newest_whole(tmp_path) == path
-    with pytest.raises(RunError, match=f"{path} cannot be understood"):
+    with pytest.raises(RunError, match=f"{path} cannot be read"):
         checkpoint.restore(path, FastPPO, make_env(small("ppo"), 0))
 
 
@@ -183,13 +183,13 @@ def test_two_processes_cannot_train_one_run(tmp_path, capsys, whole):
         assert holder.stdout.readline() == "held\n"
         assert command_line.main(["--resume", str(run), "--no-comparison"]) == 2
         error = capsys.readouterr().err
-        assert f"{run} is being trained already" in error and error.count("\n") == 1
+        assert f"{run} is being trained by another process" in error and error.count("\n") == 1
     finally:
         holder.kill()
         holder.communicate()
     # The system has released it.
     with locked(run):
-        with pytest.raises(RunError, match="being trained already"), locked(run):
+        with pytest.raises(RunError, match="being trained by another"), locked(run):
             pass
 
 
