@@ -24,7 +24,6 @@ class Student:
         law: the name of a control law that its torque is added to, and the limit on its torque, N m.
         margin: normal force below which a torque costs more, up to `max_regret` at 0 N: a student that does not know
             M needs more than the expert.
-        weight_share: share of the capsule's weight that is added to `margin`: of a heavy platform a change takes more.
         deviations: standard deviations of the estimated weight of the platform that are added to `margin`.
         max_regret: largest regret of a torque in the data, cm. The end of an episode costs more.
         num_envs: episodes of a round.
@@ -46,7 +45,6 @@ class Student:
     change_randomization: str | None = None
     law: tuple[str, float] | None = None
     margin: float = MIN_NORMAL_FORCE
-    weight_share: float = 0.0
     deviations: float = 0.0
     max_regret: float = 5.0
     num_envs: int = 64
@@ -77,9 +75,9 @@ STUDENTS = {
         identifies=True,
         change_rate=0.2,
         change_randomization="wide",
-        weight_share=0.075,
+        margin=0.5,
         deviations=2.0,
-        max_regret=30.0,
+        max_regret=60.0,
         num_envs=96,
         rounds=10,
         final_updates=24_000,
@@ -90,9 +88,9 @@ STUDENTS = {
         change_rate=0.2,
         change_randomization="wide",
         law=("baselines:gait_identifying", 2.0),
-        weight_share=0.075,
+        margin=0.4,
         deviations=2.0,
-        max_regret=30.0,
+        max_regret=60.0,
         num_envs=48,
         final_parts=3,
     ),

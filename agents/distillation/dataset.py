@@ -78,7 +78,7 @@ def collect(
         observed = np.ascontiguousarray(observations[:, : header.observed])
         compute_inputs(numbers, observed, 0, count, memory, given)
         scores = expert.scores(observations, env.simulation)
-        margins = student.margin + student.weight_share * NOMINAL.g * (observations[:, [-2]] + NOMINAL.m)
+        margins = np.full((count, 1), student.margin)
         if student.deviations:
             margins += student.deviations * NOMINAL.g * given[:, [M_DEVIATION]]
         scores -= student.max_regret * np.clip(1.0 - expert.normal_force / margins, 0.0, 1.0)
