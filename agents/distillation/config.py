@@ -80,7 +80,7 @@ STUDENTS = {
         max_regret=60.0,
         num_envs=96,
         rounds=10,
-        final_updates=24_000,
+        final_updates=60_000,
     ),
     "residual-distilled-wide": Student(
         "broad",
