@@ -22,7 +22,9 @@ class Student:
         change_rate: how often M and mu are drawn anew within an episode, 1/s.
         change_randomization: the distribution of M and mu after a change; `randomization` where it is None.
         law: the name of a control law that its torque is added to, and the limit on its torque, N m.
-        margin: normal force that the expert leaves, N: a student that does not know M needs more than the expert.
+        margin: normal force below which a torque costs more, up to `max_regret` at 0 N: a student that does not know
+            M needs more than the expert.
+        deviations: standard deviations of the estimated weight of the platform that are added to `margin`.
         max_regret: largest regret of a torque in the data, cm. The end of an episode costs more.
         num_envs: episodes of a round.
         steps: of each episode.
@@ -43,6 +45,7 @@ class Student:
     change_randomization: str | None = None
     law: tuple[str, float] | None = None
     margin: float = MIN_NORMAL_FORCE
+    deviations: float = 0.0
     max_regret: float = 5.0
     num_envs: int = 64
     steps: int = 800
@@ -68,37 +71,40 @@ class Student:
 STUDENTS = {
     "dp-distilled": Student("paper"),
     "dp-distilled-wide": Student(
-        "wide",
+        "broad",
         identifies=True,
         change_rate=0.2,
-        margin=0.4,
-        max_regret=30.0,
+        change_randomization="wide",
+        margin=0.5,
+        deviations=2.0,
+        max_regret=60.0,
         num_envs=96,
         rounds=10,
-        final_updates=24_000,
+        final_updates=60_000,
     ),
     "residual-distilled-wide": Student(
-        "wide",
+        "broad",
         identifies=True,
         change_rate=0.2,
+        change_randomization="wide",
         law=("baselines:gait_identifying", 2.0),
         margin=0.4,
-        max_regret=30.0,
-        num_envs=96,
-        rounds=10,
-        final_updates=24_000,
+        deviations=2.0,
+        max_regret=60.0,
+        num_envs=48,
+        final_parts=3,
     ),
     "sticky": Student(
         "sticky",
         grid=STICKY_GRID,
         identifies=True,
         margin=1.0,
+        deviations=1.0,
         max_regret=100.0,
         num_envs=320,
         steps=250,
         rounds=10,
-        final_updates=24_000,
-        evaluation_episodes=1024,
+        evaluation_episodes=512,
         failure_cost=1000.0,
     ),
 }

@@ -80,7 +80,7 @@ class Network:
         first, second, last = nn.Linear(inputs.shape[1], HIDDEN), nn.Linear(HIDDEN, HIDDEN), nn.Linear(HIDDEN, 1)
         self._layers = first, second, last
         self._module = nn.Sequential(first, FastTanh(), second, FastTanh(), last, FastTanh())
-        self._optimiser = torch.optim.Adam(self._module.parameters())
+        self._optimiser = torch.optim.Adam(self._module.parameters(), fused=True)
 
     def fit(
         self,

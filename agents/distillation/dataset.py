@@ -19,13 +19,15 @@ from baselines.dynamic_programming.policy import TORQUES, Oracle
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.compiler import compile_cached
 from capsule_gym.network import make_header, write_inputs
-from capsule_gym.observation import CELLS
+from capsule_gym.observation import CELLS, ESTIMATES
 from capsule_gym.parameters import NOMINAL, EnvConfig, Randomization
 from capsule_gym.resets import draw_plant
 from capsule_gym.task import CONTROL_DT
 
 # In every step: that the acting policy is drawn again, and that the action is random.
 SWITCH_PROBABILITY, EXPLORATION_PROBABILITY = 0.02, 0.01
+# The input with the standard deviation of the estimate of M, from the end.
+M_DEVIATION = ESTIMATES.index("M_deviation") - len(ESTIMATES)
 
 
 class Dataset(NamedTuple):
@@ -55,7 +57,7 @@ def collect(
     """
     count, none = student.num_envs, AutoresetMode.DISABLED
     env = CapsuleVectorEnv(num_envs=count, autoreset_mode=none, **{**student.env_kwargs, "observe_parameters": True})
-    expert = Oracle(count, student.margin, student.grid, student.law)
+    expert = Oracle(count, grid=student.grid, law=student.law)
     header = make_header(
         EnvConfig(**student.env_kwargs),
         layers=1,
@@ -73,10 +75,14 @@ def collect(
     running, expert_acts = np.ones(count, bool), rng.random(count) < expert_share
     inputs, regrets = [], []
     for _ in range(student.steps):
-        scores = expert.scores(observations, env.simulation)
-        regret = np.minimum(scores.max(axis=1, keepdims=True) - scores, student.max_regret).astype(np.float32)
         observed = np.ascontiguousarray(observations[:, : header.observed])
         compute_inputs(numbers, observed, 0, count, memory, given)
+        scores = expert.scores(observations, env.simulation)
+        margins = np.full((count, 1), student.margin)
+        if student.deviations:
+            margins += student.deviations * NOMINAL.g * given[:, [M_DEVIATION]]
+        scores -= student.max_regret * np.clip(1.0 - expert.normal_force / margins, 0.0, 1.0)
+        regret = np.minimum(scores.max(axis=1, keepdims=True) - scores, student.max_regret).astype(np.float32)
         inputs.append(given[running])
         regrets.append(regret[running])
         actions = TORQUES[regret.argmin(axis=1)]

@@ -114,6 +114,11 @@ class Lookahead:
         plants = self._q, self._corners, self._weights
         return compile_cached(_score)(*outcome, *plants, *self._tables).reshape(-1, NUM_TORQUES)
 
+    @property
+    def normal_force(self) -> np.ndarray:
+        """After the steps that the last scores are of, N, shape (count, torques)."""
+        return self._transitions.normal_force.reshape(-1, NUM_TORQUES)
+
     def act(self, observations: np.ndarray) -> np.ndarray:
         """The actions for observations of shape (count, entries): shape (count, 1), float32."""
         return TORQUES[self.scores(observations).argmax(axis=1)][:, None]

@@ -116,6 +116,11 @@ class Transitions:
         columns = simulation.columns(places * simulation.num_envs // places.size)
         self._simulation.world[places // LANES, :, places % LANES] = columns.T
 
+    @property
+    def normal_force(self) -> np.ndarray:
+        """The smallest of the last step, N, shape (count,)."""
+        return self._simulation.row(Row.normal_force)
+
     def step(self, states: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Takes a step.
 
@@ -132,7 +137,7 @@ class Transitions:
         simulation.write(Row.x, self._zeros)
         simulation.write(Row.termination, self._zeros)
         simulation.step(actions)
-        failed = (simulation.row(Row.termination) != 0.0) | (simulation.row(Row.normal_force) <= self.margin)
+        failed = (simulation.row(Row.termination) != 0.0) | (self.normal_force <= self.margin)
         return simulation.rows(Row.theta, Row.x_dot + 1)[[0, 1, 3]], simulation.row(Row.reward), failed
 
 

@@ -14,6 +14,8 @@ from agents.distillation.dataset import collect
 from agents.training.signals import INTERRUPTED
 from baselines.dynamic_programming.policy import NUM_TORQUES, TORQUES
 from capsule_gym import load_policy
+from capsule_gym.observation import DEVIATION_M
+from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import CONTROL_DT
 
 NAME = "dp-distilled"
@@ -21,8 +23,8 @@ TINY = {"num_envs": 3, "steps": 30, "updates": 3, "final_updates": 4, "final_par
 TINY |= {"learning_rate": 1e-3, "evaluation_episodes": 2}
 
 
-def collected(name=NAME, *, expert_share=1.0, act=None, steps=60):
-    student = dataclasses.replace(STUDENTS[name], num_envs=4, steps=steps)
+def collected(name=NAME, *, expert_share=1.0, act=None, steps=60, **settings):
+    student = dataclasses.replace(STUDENTS[name], num_envs=4, steps=steps, **settings)
     return collect(student, np.random.default_rng(0), expert_share, act, lambda: False)
 
 
@@ -72,6 +74,19 @@ def test_a_student_that_identifies_is_given_the_estimates():
         for weights, bias in policy.layers:
             given = np.tanh(given @ weights.T.astype(np.float64) + bias)
         np.testing.assert_allclose(act(inputs[:, :5]), given, atol=1e-6)
+
+
+def test_a_torque_that_leaves_less_normal_force_than_the_margin_costs_more():
+    def regrets(**settings):
+        plain = {"steps": 1, "max_regret": 100.0, "deviations": 0.0}
+        return collected("dp-distilled-wide", **(plain | settings)).regrets
+
+    small, large = regrets(margin=1.0), regrets(margin=20.0)
+    assert large.mean() > small.mean() + 10.0
+    # Before anything is known the weight is uncertain by its prior.
+    uncertain = regrets(margin=1.0, deviations=2.0)
+    np.testing.assert_allclose(uncertain, regrets(margin=1.0 + 2.0 * NOMINAL.g * DEVIATION_M), rtol=1e-4, atol=1e-4)
+    assert (uncertain != small).any()
 
 
 def test_the_acting_policy_decides_the_states(dataset):
