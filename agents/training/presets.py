@@ -423,8 +423,7 @@ ROWS: dict[str, Config] = {
     "residual-ppo": PRESETS["residual", "ppo"],
     "direct-ppo": PRESETS["direct", "ppo"],
     "direct-ppo-wide": PPOConfig(task="direct", controller=None, randomization="wide"),
-    # From the default start: the one-sided gait of docs/algorithms.md.
-    "direct-sac": SACConfig(**OFF_POLICY, task="direct", controller=None),
+    "direct-sac": PRESETS["direct", "sac"],
     "residual-on-gait": ON_GAIT,
     "residual-on-gait-wide": dataclasses.replace(ON_GAIT, randomization="wide"),
     "residual-identifying": dataclasses.replace(
