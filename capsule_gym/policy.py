@@ -389,6 +389,8 @@ def _read(name: str, path: Path) -> Policy:
     for key, kind in (("capsule", Capsule), ("randomization", Randomization), ("disturbances", Disturbances)):
         if isinstance(env_kwargs, dict) and isinstance(env_kwargs.get(key), dict):
             env_kwargs[key] = kind(**env_kwargs[key])
+    if isinstance(env_kwargs, dict) and isinstance(env_kwargs.get("initial_range"), list):
+        env_kwargs["initial_range"] = tuple(env_kwargs["initial_range"])
     values["observes_energy_weight"] = values.pop("told_energy_weight")
     return Policy(
         name=name,

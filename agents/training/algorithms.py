@@ -28,7 +28,16 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import nn
 
 from agents.training.fast_sac import FastSAC
-from agents.training.presets import Config, OffPolicyConfig, OnPolicyConfig, PPOConfig, RunError, TD3Config, TQCConfig
+from agents.training.presets import (
+    Config,
+    OffPolicyConfig,
+    OnPolicyConfig,
+    PPOConfig,
+    RunError,
+    SACConfig,
+    TD3Config,
+    TQCConfig,
+)
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.task import TASKS
 
@@ -175,6 +184,7 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
     else:
         kwargs["train_freq"] = 1
         names = ("buffer_size", "learning_starts", "gradient_steps", "tau")
+        names += ("target_entropy",) if isinstance(config, SACConfig) else ()
     kwargs |= {name: getattr(config, name) for name in names}
     fast = fast_ppo(config)
     if isinstance(config, PPOConfig):

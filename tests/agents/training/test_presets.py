@@ -122,5 +122,5 @@ def test_the_zoo_trains_sac_with_the_presets_settings():
     # The Zoo's rate falls to 0.
     assert float(found["learning_rate"].removeprefix("lin_")) == config.learning_rate
     assert (found["n_envs"], float(found["n_timesteps"])) == (config.num_envs, config.total_steps)
-    names = ("batch_size", "buffer_size", "learning_starts", "gradient_steps", "gamma", "tau")
+    names = ("batch_size", "buffer_size", "learning_starts", "gradient_steps", "gamma", "tau", "target_entropy")
     assert {name: found[name] for name in names} == {name: getattr(config, name) for name in names}
