@@ -178,6 +178,7 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
         "device": "cpu",
     }
     policy: Any = "MlpPolicy"
+    names: tuple[str, ...]
     if isinstance(config, OnPolicyConfig):
         network["log_std_init"] = config.log_std_init
         names = ("n_steps", "n_epochs", "gae_lambda", "ent_coef")
