@@ -35,8 +35,8 @@ class Dataset(NamedTuple):
 
     Attributes:
         inputs: of the student's network, shape (states, inputs), float32.
-        regrets: of each of `TORQUES` compared with the best, cm, shape (states, NUM_TORQUES), float32; 0 everywhere
-            where every torque ends the episode.
+        regrets: of each of `TORQUES` compared with the best, cm, shape (states, NUM_TORQUES), float32; those
+            that leave less normal force than the margin cost more.
     """
 
     inputs: np.ndarray
