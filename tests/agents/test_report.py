@@ -107,7 +107,7 @@ def test_a_run_in_another_task_is_reported_by_its_metrics(tmp_path, monkeypatch,
     text = (folder / "report.html").read_text()
     assert "time to the goal (s)" in text and "<code>goal-pulses</code> has" in text and "share of optimum" not in text
     assert re.findall("<h3>(.*)</h3>", text) == ["goal", "goal-paper"]
-    with pytest.raises(ValueError, match=r"must be for one task, got .+ for goal and direct-ppo"):
+    with pytest.raises(ValueError, match=r"must be for the same task, got .+ for goal and direct-ppo"):
         page.collect([str(folder), "direct-ppo"])
 
 

@@ -151,7 +151,7 @@ def change(run: Path, name: str, value: object) -> None:
 UNFIT = {
     "hidden must stay 8 as in checkpoint-": lambda run: change(run, "hidden", 10**9),
     "is invalid: ValueError: .*'nope'": lambda run: change(run, "controller", "baselines:nope"),
-    "no checkpoint from which": lambda run: [path.unlink() for path in run.glob("checkpoint-*")],
+    "no checkpoint to resume from": lambda run: [path.unlink() for path in run.glob("checkpoint-*")],
 }
 
 
