@@ -705,7 +705,7 @@ export async function drive(name, { energyWeight, disturbances, ...options } = {
   const found = sets[options.set];
   if (found && disturbances !== undefined) throw new RangeError("disturbances must be left out: the set says them");
   if (found && found.task !== task) throw new RangeError(`set must be one of the task ${task}, got ${options.set}`);
-  const given = found ?? { task, disturbances: disturbances ?? settings.disturbances };
+  const given = found ?? { task, capsule: settings.capsule, disturbances: disturbances ?? settings.disturbances };
   const [placed, kind] = await prepare(controller, task, settings, given, driver);
   const episode = new Episode(placed, { ...kind, set: kindOf(given) }, driver);
   if (energyWeight !== undefined) {
