@@ -288,9 +288,12 @@ def describe_set(found: EvaluationSet) -> dict[str, Any]:
     """A frozen set: its hash, what its environments have in common, and its first plants."""
     plants = [{key: value for key, value in plant.to_dict().items() if value != []} for plant in found.plants[:SEEDS]]
     given, capsule = found.env_kwargs["disturbances"], found.env_kwargs["capsule"] or NOMINAL
-    common = {"task": found.task, "disturbances": asdict(given) if isinstance(given, Disturbances) else given}
-    # Also the default one: a driver may have been trained on another.
-    common["capsule"] = [getattr(capsule, name) for name in CONSTANTS]
+    common = {
+        "task": found.task,
+        "disturbances": asdict(given) if isinstance(given, Disturbances) else given,
+        # Also the default one: a driver may have been trained on another.
+        "capsule": [getattr(capsule, name) for name in CONSTANTS],
+    }
     return {"hash": found.hash, **common, "plants": plants}
 
 

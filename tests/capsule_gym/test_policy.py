@@ -185,8 +185,8 @@ def test_every_pretrained_policy_loads_and_drives_its_environment(name):
     policy = load_policy(name)
     assert (policy.name, policy.training_seed) == (name, 0)
     env = gym.make(capsule_gym.ENV_ID, **policy.env_kwargs)
-    mu = 0.3 if name == "sticky" else Capsule().mu
-    observation, _ = env.reset(seed=0, options={"M": Capsule().M, "mu": mu})
+    # A plant of its training.
+    observation, _ = env.reset(seed=0)
     act = policy.start([0])
     for _ in range(round(3.0 / env.unwrapped.simulation.options.control_dt)):
         observation, _, terminated, _, _ = env.step(act(observation))

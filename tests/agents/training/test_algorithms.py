@@ -95,8 +95,7 @@ def test_policy_file_and_archive_act_as_the_agent(kind, policy_kwargs, labels, t
     assert np.array_equal(policy(observations), found)
     loaded = load_policy(tmp_path)
     assert loaded(observations).tobytes() == found.tobytes()
-    assert loaded.env_kwargs == config.env_kwargs()
-    assert (loaded.training_seed, loaded.revision) == (4, "abc")
+    assert (loaded.env_kwargs, loaded.training_seed, loaded.revision) == (config.env_kwargs(), 4, "abc")
 
 
 # --- faster parts of Stable-Baselines3 -------------------------------------------------------------------------------
