@@ -367,10 +367,11 @@ ENV_PRESETS: dict[Environment, PPOConfig] = {
     "CapsuleGoal-v0": dataclasses.replace(
         ON_GRIP,
         env="CapsuleGoal-v0",
-        total_steps=10_000_000,
+        total_steps=14_000_000,
+        hidden=128,
         n_steps=64,
         episode_seconds=3.0,
-        ent_coef=0.005,
+        ent_coef=0.006,
         identifies=True,
     ),
     # From rest full torque lifts light platforms within 0.2 s.
