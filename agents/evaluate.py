@@ -67,14 +67,7 @@ class Args:
 
 
 def comparison_table(name: str, episodes: Sequence[Episode], reference: str, others: Sequence[Episode]) -> str:
-    """Metrics as rows; the policy, the reference and the paired difference as columns.
-
-    Args:
-        name: of the policy.
-        episodes: the policy's.
-        reference: name of the reference.
-        others: the reference's episodes on the same set.
-    """
+    """Metrics as rows; the policy, the reference and the paired difference, on the same set, as columns."""
     own, theirs = summarise(episodes), summarise(others)
     rows = [["", name, reference, "difference"]]
     of_task = [metric for metric in TASK_METRICS if metric.name in own]

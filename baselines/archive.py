@@ -59,11 +59,7 @@ class PlantGrid:
         return self.M[0] <= M <= self.M[-1] and self.mu[0] <= mu <= self.mu[-1]
 
     def cell(self, M: float, mu: float) -> tuple[list[int], float, float]:
-        """The cell that contains a plant, or the nearest one.
-
-        Args:
-            M: mass of the platform, kg.
-            mu: friction coefficient.
+        """The cell that contains a plant, M in kg and mu, or the nearest one.
 
         Returns:
             Its four corners as indices of `plants`, and the position in it along M and along log(mu), each from 0 to 1.
@@ -95,12 +91,9 @@ def find_grid(capsule: Capsule) -> PlantGrid | None:
 def reading(folder: Path, command: str) -> Iterator[tuple[dict[str, Any], dict[str, np.ndarray]]]:
     """Reads an archive: the JSON object, in which lists have become tuples, and the arrays; both empty where none is.
 
-    Args:
-        folder: of the files.
-        command: that writes them, for the error message.
-
     Raises:
-        ValueError: if a file is malformed, or the block of the `with` statement fails with what it holds.
+        ValueError: if a file is malformed, or the block of the `with` statement fails with what it holds. The message
+            names the command that writes the files.
     """
     try:
         content, arrays = {}, {}
@@ -126,10 +119,7 @@ def _frozen(value: Any) -> Any:
 def write_archive(folder: Path, content: Mapping[str, Any], arrays: Mapping[str, np.ndarray] | None = None) -> None:
     """Writes an archive, each file atomically and the results last, so that none lacks its arrays.
 
-    Args:
-        folder: of the files.
-        content: the JSON object; the entries of its lists get a line each.
-        arrays: by name.
+    The entries of the lists in the JSON object get a line each.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if arrays:
@@ -144,11 +134,7 @@ def write_archive(folder: Path, content: Mapping[str, Any], arrays: Mapping[str,
 
 
 def run_search(steps: Iterable[object], save: Callable[[], None]) -> bool:
-    """Takes the steps of a search and saves after each; Ctrl-C ends the search and keeps what has been found.
-
-    Args:
-        steps: does the work as it is iterated.
-        save: writes what has been found so far.
+    """Iterates over the steps of a search and saves after each; Ctrl-C ends the search and keeps what has been found.
 
     Returns:
         Whether Ctrl-C ended the search.

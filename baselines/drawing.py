@@ -109,12 +109,7 @@ def mark_published(axes: Any, value: float, text: str, pen: Pen, *, x: float = 0
 
 
 def save(figure: Any, stem: Path) -> list[Path]:
-    """Writes `stem`.svg and `stem`.png atomically; the same figure gives the same bytes.
-
-    Args:
-        figure: the figure.
-        stem: path without suffix; its folder must exist.
-    """
+    """Writes `stem`.svg and `stem`.png atomically; the same figure gives the same bytes. The folder must exist."""
     written = []
     # Laid out once: the constrained layout takes longer than the drawing, and would run for each file.
     figure.draw_without_rendering()

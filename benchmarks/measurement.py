@@ -69,11 +69,7 @@ def available_cores() -> int:
 
 
 def machine(*packages: str) -> str:
-    """Processor with its widest vectors, cores and versions, in one line.
-
-    Args:
-        packages: whose versions are added to those of `PACKAGES`; one that is not installed is left out.
-    """
+    """Processor with its widest vectors, cores and versions, also of these packages if installed, in one line."""
     versions = []
     for package in (*PACKAGES, *packages):
         try:
@@ -92,12 +88,7 @@ def machine(*packages: str) -> str:
 
 
 def take_turns(contenders: Mapping[Name, Callable[[], float]], turns: int) -> dict[Name, list[float]]:
-    """The rates of all contenders, by name, one number per turn.
-
-    Args:
-        contenders: each takes one turn and returns its rate.
-        turns: number of turns of each contender, one after the other.
-    """
+    """The rates of all contenders, which take turns and return their rate, by name, one number per turn."""
     rates: dict[Name, list[float]] = {name: [] for name in contenders}
     for _ in tqdm(range(turns), desc="turns"):
         for name, turn in contenders.items():

@@ -161,11 +161,7 @@ class Batch:
 
 
 def simulate(model: Any, torques: np.ndarray) -> np.ndarray:
-    """Trajectories from theta = -pi/3 at rest under torques that are held for `task.CONTROL_DT`.
-
-    Args:
-        model: from `build_model`.
-        torques: one trajectory per row, N m.
+    """Trajectories from theta = -pi/3 at rest under torques in N m, one row each, held for `task.CONTROL_DT`.
 
     Returns:
         theta, theta_dot, x, x_dot at the end of each interval: shape (trajectories, intervals, 4).

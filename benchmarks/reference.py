@@ -136,16 +136,10 @@ def _swept(y0: np.ndarray, y1: np.ndarray, dense: Callable | None, t0: float, t1
 
 
 def simulate(torques: Sequence[float] | np.ndarray, state: Sequence[float], p: Plant, hold: float = 0.02) -> Trajectory:
-    """Integrates the plant under a torque that is held for `hold` seconds per entry.
-
-    Args:
-        torques: motor torque of every hold, N m.
-        state: theta, theta_dot, x, x_dot at the start.
-        p: the plant.
-        hold: length of a hold, s.
+    """Integrates the plant under a torque in N m that is held for `hold` seconds per entry.
 
     Returns:
-        States and integrals at every multiple of `hold`.
+        States and integrals at every multiple of `hold`; a state is theta, theta_dot, x, x_dot.
     """
     n = len(torques)
     states, sums, normals = np.empty((n + 1, 4)), np.zeros((n + 1, 4)), np.full(n + 1, math.inf)

@@ -88,9 +88,7 @@ def seeded(num_envs: int, **options: Any) -> Simulation:
 def kernel_steps(held: bool = False, **options: Any) -> Turn:
     """Agent steps of `NUM_ENVS` environments by the kernel alone, under random torques.
 
-    Args:
-        held: whether each environment keeps its first torque, so that the platform seldom reverses.
-        **options: of the environments.
+    `held` keeps each environment's first torque, so that the platform seldom reverses.
     """
     from capsule_gym.layout import Row
 

@@ -77,11 +77,7 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
 
 
 def refuse(prog: str, message: str) -> NoReturn:
-    """Ends the command with an error of its user.
-
-    Args:
-        prog: the command as the user types it.
-        message: which option is wrong, its value, and what would be accepted.
+    """Ends the command with an error of its user: which option is wrong, its value, and what would be accepted.
 
     Raises:
         SystemExit: always, with 2.
@@ -91,12 +87,7 @@ def refuse(prog: str, message: str) -> NoReturn:
 
 
 def check_output(option: str, path: Path | None, *, overwrite: bool = False) -> None:
-    """Refuses a file that a result cannot be written to, before the work and not after it.
-
-    Args:
-        option: as the user types it.
-        path: the file; None where none is asked for.
-        overwrite: whether an existing file may be replaced.
+    """Refuses a file that a result cannot be written to, if one is asked for, before the work and not after it.
 
     Raises:
         ValueError: if the file exists and may not be replaced, is a folder, or has no folder to lie in.

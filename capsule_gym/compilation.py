@@ -65,9 +65,7 @@ def inlined(function: Any) -> Any:
 def intrinsic(define: Callable[..., Any], prefer_literal: bool = False) -> Callable[[Any], Any]:
     """Marks a function whose instructions are generated; its body says what they do, and is what Python runs.
 
-    Args:
-        define: as `numba.extending.intrinsic` decorates it.
-        prefer_literal: as there.
+    The arguments are those of `numba.extending.intrinsic`.
     """
 
     def mark(function: Any) -> Any:

@@ -189,11 +189,7 @@ class Args(PlantArgs):
 
 @contextmanager
 def errors_in_one_line(prog: str) -> Iterator[None]:
-    """Ends a command with 2 after a wrong name or an error of the machine, as a missing display; with 130 after Ctrl-C.
-
-    Args:
-        prog: the command as the user types it.
-    """
+    """Ends a command with 2 after a wrong name or an error of the machine (no display), with 130 after Ctrl-C."""
     try:
         yield
     except (DependencyNotInstalled, ImportError, OSError, RuntimeError, ValueError) as error:

@@ -158,12 +158,7 @@ def read_sensors(block: np.ndarray, n: int, settings: StepSettings) -> None:
 def measure(block: np.ndarray, n: int, settings: StepSettings, begins: bool, last: bool) -> None:
     """Lets the sensors read where law or agent ask for it, and puts the readings where the law looks for the state.
 
-    Args:
-        block: one block of `world`; changed.
-        n: environments in it.
-        settings: of the environment.
-        begins: whether episodes begin, whose history `begin` has filled.
-        last: whether the step of the agent ends.
+    `begins`: whether episodes begin, whose history `begin` has filled; `last`: whether the step of the agent ends.
     """
     if not begins:
         remember(block, n, settings)

@@ -328,11 +328,9 @@ def make_renderer(simulation: Simulation, mode: str) -> Renderer:
 
 
 def describe(rows: np.ndarray, termination: Any) -> dict[str, Any]:
-    """The info of a reset or a step in the speed task.
+    """The info of a reset or a step in the speed task, from the first rows of `Row`.
 
-    Args:
-        rows: the first rows of `Row`, of one environment, shape (n,), or of a batch, shape (n, num_envs).
-        termination: `task.Termination` as int64, or an array of them.
+    Rows and termination, int64, are those of one environment, shape (n,), or of a batch, shape (n, num_envs).
     """
     return {
         "state": rows[_STATE],
@@ -351,25 +349,14 @@ def describe(rows: np.ndarray, termination: Any) -> dict[str, Any]:
 
 
 def add_task(info: dict[str, Any], own: task.Task, memory: np.ndarray) -> None:
-    """Makes the info that of another task than speed.
-
-    Args:
-        info: from `describe`; changed.
-        own: the task.
-        memory: its memory, of one environment, shape (n,), or of a batch, shape (n, num_envs).
-    """
+    """Makes an info from `describe` that of another task than speed, with its memory; shapes as there."""
     info[own.term] = info.pop("reward_progress")
     for name, place in own.places:
         info[name] = memory[place]
 
 
 def add_variation(info: dict[str, Any], rows: np.ndarray) -> None:
-    """Adds to an info what varied plants and disturbances have drawn, and what the sensors show.
-
-    Args:
-        info: from `describe`; changed.
-        rows: those of `Row`, of one environment, shape (n,), or of a batch, shape (n, num_envs).
-    """
+    """Adds to an info what varied plants and disturbances have drawn, and the readings; shapes as in `describe`."""
     info["reading"] = rows[_READING].T
     info["capsule"], info["disturbances"] = rows[_CAPSULE].T, rows[_DISTURBANCES].T
 

@@ -106,11 +106,8 @@ def padded(width: int) -> int:
 def pack(layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, header: Header) -> np.ndarray:
     """A network in one array, as compiled code takes it.
 
-    Args:
-        layers: weights (outputs, inputs) and biases (outputs,) of each layer, in order; the last has one output.
-        mean: what is subtracted from an input, shape (inputs,).
-        scale: what the difference is multiplied with, shape (inputs,).
-        header: the rest.
+    Layers are weights (outputs, inputs) and biases (outputs,), in order; the last has one output. The mean is
+    subtracted from the inputs, and the difference multiplied with the scale, both of shape (inputs,).
 
     Returns:
         Float64: the header, the padded widths, mean, scale, and each layer's biases and weights, row by row.

@@ -688,13 +688,10 @@ def _is_render_mode(name: str, value: Any) -> str:
 
 
 def _option(default: Any, doc: str, check: Check = lambda name, value: value) -> Any:
-    """A field of `EnvConfig`.
+    """A field of `EnvConfig`, with a line of documentation that names its unit.
 
-    Args:
-        default: its default.
-        doc: one line on what it is, with its unit.
-        check: returns a value as it is kept, or raises a TypeError or ValueError that names the option. Without one the
-            value is checked where it is resolved.
+    `check` returns a value as it is kept, or raises a TypeError or ValueError that names the option. Without one the
+    value is checked where it is resolved.
     """
     return field(default=default, metadata={"doc": doc, "check": check})
 

@@ -60,12 +60,7 @@ class Game:
             episode.begin(self.plants[self._number])
 
     def on_key(self, name: str, pressed: bool) -> None:
-        """Handles a key.
-
-        Args:
-            name: as pygame names it.
-            pressed: False where it is released.
-        """
+        """Handles a key, by pygame's name; it is pressed or released."""
         if name in LEFT | RIGHT:
             self._held = [held for held in self._held if held != name] + [name] * pressed
         elif pressed and name in ("n", "r"):

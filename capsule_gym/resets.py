@@ -34,15 +34,10 @@ def make_key(seed: int) -> tuple[int, int]:
 
 
 def random_stream(seed: int, episode: int, stream: Stream) -> np.random.Generator:
-    """The random numbers of one purpose in one episode of one environment.
+    """The random numbers of one purpose in one episode of one environment, counted since that was given its seed.
 
-    A counter-based generator needs no state between episodes, and an environment draws the same numbers alone and in
-    a batch.
-
-    Args:
-        seed: the environment's seed, any integer >= 0.
-        episode: episodes since that seed was given.
-        stream: the purpose.
+    A counter-based generator needs no state between episodes, and an environment draws the same numbers alone and in a
+    batch.
     """
     key = np.array(make_key(seed), np.uint64)
     return np.random.Generator(np.random.Philox(counter=[0, stream, episode, 0], key=key))
@@ -93,12 +88,7 @@ def draw_two(key_0: np.uint64, key_1: np.uint64, stream: np.uint64, episode: np.
 
 
 def plant_ranges(randomization: Randomization, capsule: Capsule) -> np.ndarray:
-    """Where M (kg) and mu begin and how much they grow, in pairs, and how much log(mu) grows; float64, shape (5,).
-
-    Args:
-        randomization: the ranges.
-        capsule: has what is not drawn.
-    """
+    """Where M (kg) and mu begin and how much they grow, in pairs, and how much log(mu) grows; float64, shape (5,)."""
     M, mu = randomization.M or (capsule.M, capsule.M), randomization.mu or (capsule.mu, capsule.mu)
     growth_of_log = log(mu[1] / mu[0]) if randomization.mu and randomization.log_mu else 0.0
     return np.array([M[0], M[1] - M[0], mu[0], mu[1] - mu[0], growth_of_log])
@@ -159,16 +149,11 @@ def draw(
 
 
 def draw_table(first: int, stream: Stream, draws: Sequence[Draw]) -> np.ndarray:
-    """What `draw_rows` reads: a line for each number that an episode draws.
-
-    Args:
-        first: row of the world that the first number goes to; the others follow.
-        stream: that the numbers come from, in their order.
-        draws: how.
+    """What `draw_rows` reads: a line for each number that an episode draws from a stream, in their order.
 
     Returns:
-        Float64 of shape (n, 6): the row, the stream, the number's place in it, its lowest value, the range above that,
-        and 1.0 where its sign is drawn.
+        Float64 of shape (n, 6): the row of the world, from `first` on, the stream, the number's place in it, its lowest
+        value, the range above that, and 1.0 where its sign is drawn.
     """
     lines = [(first + n, stream, n, draw.low, draw.high - draw.low, draw.signed) for n, draw in enumerate(draws)]
     return np.array(lines, np.float64).reshape(-1, 6)
@@ -178,12 +163,7 @@ def draw_table(first: int, stream: Stream, draws: Sequence[Draw]) -> np.ndarray:
 def draw_rows(table: np.ndarray, rows: np.ndarray, keys: np.ndarray, episodes: np.ndarray, values: np.ndarray) -> None:
     """Draws what else is drawn for the next episodes of some environments; arguments as of `draw`.
 
-    Args:
-        table: from `draw_table`.
-        rows: indices of the environments.
-        keys: of every environment.
-        episodes: of every environment.
-        values: shape (lines of the table, n); written.
+    `table` is from `draw_table`; `values`, of shape (lines of the table, n), are written.
     """
     for n in range(rows.size):
         i = rows[n]

@@ -62,12 +62,7 @@ CHANGE = ("t", "M", "mu")
 
 
 def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None", count: int = 1) -> int:
-    """An environment's seed as an int.
-
-    Args:
-        seed: what the caller gave.
-        accepted: in words, for the message.
-        count: how many environments get seeds from this one on.
+    """An environment's seed as an int; `count` environments get seeds from this one on.
 
     Raises:
         TypeError: if it is no integer.
@@ -95,13 +90,7 @@ def divide(name: str, whole: float, part_name: str, part: float) -> int:
 
 
 def check_step(capsule: Capsule, M: float, mu: float, settings: layout.StepSettings) -> None:
-    """Refuses a plant that is too stiff for the integrator's step.
-
-    Args:
-        capsule: the plant's constants.
-        M: mass of its platform, kg.
-        mu: its friction coefficient.
-        settings: what says the step.
+    """Refuses a plant, with its M in kg and mu, that is too stiff for the integrator's step.
 
     Raises:
         ValueError: if the step is longer than the integrator's stability allows.
@@ -121,10 +110,6 @@ def check_step(capsule: Capsule, M: float, mu: float, settings: layout.StepSetti
 
 def make_settings(options: EnvConfig, controller: Controller | None) -> layout.StepSettings:
     """The settings of the compiled step, with the values that follow from other options.
-
-    Args:
-        options: the environment's.
-        controller: the law inside the step, which `options` names.
 
     Raises:
         ValueError: if the steps of the integrator, the law and the agent do not divide each other, or are too many.
@@ -183,12 +168,9 @@ def count_rows(controller: Controller | None, own: task.Task = SPEED) -> int:
 
 
 def episode_metrics(world: np.ndarray, horizon: float | None, own: task.Task = SPEED) -> dict[str, np.ndarray]:
-    """The metrics of episodes.
+    """The metrics of episodes, one column of `Simulation.world` each, with the rows down to the task's memory.
 
-    Args:
-        world: shape (rows, n), one column per episode, the rows those of `Simulation.world` down to the task's memory.
-        horizon: length of a whole episode, s; None takes the time that has passed.
-        own: the task.
+    The length of a whole episode, `horizon` in s, is by default the time that has passed.
 
     Returns:
         One float64 array of shape (n,) for each field of `task.Metrics`, and for each metric of the task.

@@ -50,11 +50,7 @@ def build_module(archive: str) -> str:
 
 
 def build_page(module: str) -> str:
-    """The text of the page, one HTML file: an import map holds every JavaScript module, in its text, by its name.
-
-    Args:
-        module: the text of capsule.mjs.
-    """
+    """The text of the page, one HTML file: an import map holds every JavaScript module, in its text, by its name."""
     lengths = {name: getattr(rendering, name) for name in LENGTHS}
     sources = {MODULE: module, "figure.js": f"export const figure = {json.dumps(lengths)};\n"}
     sources |= {path.name: path.read_text("utf-8") for path in sorted(PAGE.glob("*.js"))}

@@ -227,11 +227,7 @@ def describe_settings(options: EnvConfig) -> dict[str, Any]:
 
 
 def describe_policy(name: str, policy: Policy) -> dict[str, Any]:
-    """A trained policy as the browser runs it; its network is an array of float64.
-
-    Args:
-        name: that it has in the browser.
-        policy: the policy.
+    """A trained policy as the browser runs it, under that name; its network is an array of float64.
 
     Raises:
         ValueError: as `describe_settings`, of the policy's environment.

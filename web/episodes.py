@@ -105,11 +105,7 @@ def compute(episode: Episode) -> tuple[int, str]:
 
 
 def record(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
-    """The actions of a policy, as places in `TORQUES`.
-
-    Args:
-        name: one of `RECORDED`.
-        plants: one episode each.
+    """The actions of one of `RECORDED` on plants, as places in `TORQUES`.
 
     Returns:
         Shape (plants, `EPISODE_STEPS`), uint8; `OVER` behind the end of an episode.

@@ -175,11 +175,7 @@ def entries_of(name: str) -> list[Entry]:
 
 
 def build(names: Sequence[str], cache: Path | None = CACHE) -> dict[str, bytes]:
-    """The modules of these names.
-
-    Args:
-        names: `COMMON`, or of `STEPS` or `LAWS`.
-        cache: a folder of modules that were built before; None builds all.
+    """The modules of these names: `COMMON`, or of `STEPS` or `LAWS`. A cache holds modules that were built before.
 
     Raises:
         subprocess.CalledProcessError: if one cannot be built; what the compiler says is on stderr, as is the progress.

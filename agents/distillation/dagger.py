@@ -50,15 +50,7 @@ MAX_GRADIENT_NORM = 1.0
 
 
 def interpolated_regret(regrets: torch.Tensor, torques: torch.Tensor) -> torch.Tensor:
-    """The regret of any torque, linear between those that the expert tried.
-
-    Args:
-        regrets: of `TORQUES`, shape (n, NUM_TORQUES).
-        torques: in [-1, 1], shape (n,).
-
-    Returns:
-        In the unit of the regrets, shape (n,).
-    """
+    """The regrets of torques in [-1, 1], shape (n,), linear between those of `TORQUES`, shape (n, NUM_TORQUES)."""
     positions = 0.5 * (NUM_TORQUES - 1) * (torques + 1.0)
     below = positions.detach().long().clamp(0, NUM_TORQUES - 2)
     low, high = (regrets.gather(1, (below + n)[:, None])[:, 0] for n in (0, 1))
@@ -66,12 +58,7 @@ def interpolated_regret(regrets: torch.Tensor, torques: torch.Tensor) -> torch.T
 
 
 class Network:
-    """The student's network: two hidden layers, tanh after each.
-
-    Args:
-        dataset: its inputs are normalised to zero mean and unit variance.
-        seed: of the initial weights.
-    """
+    """The student's network: two hidden layers, tanh after each; normalises its inputs as they are in the dataset."""
 
     def __init__(self, dataset: Dataset, seed: int) -> None:
         inputs = dataset.inputs.astype(np.float64)
@@ -117,14 +104,7 @@ class Network:
                 break
 
     def policy(self, name: str, student: Student, seed: int, revision: str) -> Policy:
-        """The policy with the current weights.
-
-        Args:
-            name: as the others a field of `capsule_gym.Policy`.
-            student: its configuration.
-            seed: of its training.
-            revision: of the code.
-        """
+        """The policy with the current weights."""
         return Policy(
             name=name,
             algorithm=IMITATION,
@@ -147,12 +127,8 @@ class Network:
 def schedule(student: Student) -> list[tuple[float | None, int, tuple[float, float]]]:
     """The rounds of DAgger and the parts of the final fit.
 
-    Args:
-        student: gives their number and size.
-
-    Returns:
-        For each the expert's share of the time (None where no data is collected), the gradient steps, and the step
-        sizes of Adam at the first and at the last of them.
+    Each is the expert's share of the time (None where no data is collected), the gradient steps, and the step sizes of
+    Adam at the first and at the last of them.
     """
     rate = student.learning_rate
     shares = (*EXPERT_SHARES, *[0.0] * student.rounds)[: student.rounds]
@@ -162,17 +138,9 @@ def schedule(student: Student) -> list[tuple[float | None, int, tuple[float, flo
 
 
 def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop) -> bool:
-    """Trains a student.
+    """Trains a student in a new folder and returns whether the run is finished; the same seed gives the same policy.
 
-    Args:
-        name: the student's.
-        student: its configuration.
-        seed: of everything: on one machine the same seed gives the same policy.
-        folder: a new one, for the files above.
-        stop: ends the run early; the folder then holds the best policy so far, if there is one.
-
-    Returns:
-        Whether the run is finished.
+    `stop` ends it early; the folder then holds the best policy so far, if there is one.
 
     Raises:
         FileExistsError: if the folder exists.
@@ -213,11 +181,7 @@ def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop) -> 
 
 
 def distil_all(name: str, folders: dict[int, Path]) -> bool:
-    """Runs what is not finished; returns whether all runs are.
-
-    Args:
-        name: of the student.
-        folders: of its runs, by the seed.
+    """Runs what is not finished; `folders` are by the seed. Returns whether all runs are.
 
     Raises:
         RunError: if a run was started before and is not finished.

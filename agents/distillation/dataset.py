@@ -46,14 +46,9 @@ class Dataset(NamedTuple):
 def collect(
     student: Student, rng: np.random.Generator, expert_share: float, act: Act | None, stopped: Callable[[], bool]
 ) -> Dataset:
-    """Runs a batch of episodes in which expert and student act in turn.
+    """Runs a batch of episodes in which the expert acts in `expert_share` of the time, and else the student's `act`.
 
-    Args:
-        student: its configuration.
-        rng: draws plants, the acting policy and exploration.
-        expert_share: share of the time in which the expert acts.
-        act: the student, from observations to actions; None lets the expert act alone.
-        stopped: whether to end early.
+    `rng` draws plants, who acts, and exploration; without an `act` the expert acts alone.
     """
     count, none = student.num_envs, AutoresetMode.DISABLED
     env = CapsuleVectorEnv(num_envs=count, autoreset_mode=none, **{**student.env_kwargs, "observe_parameters": True})
@@ -100,12 +95,7 @@ def collect(
 
 
 def _plant_changes(student: Student, rng: np.random.Generator) -> dict[str, Any]:
-    """The options of a reset: the times at which M and mu change within an episode, and their new values.
-
-    Args:
-        student: its change rate and episodes; at a rate of 0 there are no changes.
-        rng: draws times and values.
-    """
+    """The options of a reset: the times at which M and mu change within an episode, and their new values."""
     if not student.change_rate:
         return {}
     distribution = Randomization.named(student.change_randomization or student.randomization)

@@ -215,11 +215,9 @@ def _run(
 
 
 def scores(episodes: Sequence[Episode], metric: str) -> np.ndarray:
-    """The values of a metric, shape (training seeds, episodes of a set).
+    """The values of a metric in the episodes of one policy on one set, shape (training seeds, episodes of the set).
 
-    Args:
-        episodes: of one policy on one set; those of a training seed are adjacent.
-        metric: its name. None, which stands for infinity in files, becomes infinity again.
+    Those of a training seed are adjacent. None, which stands for infinity in files, becomes infinity again.
     """
     runs: dict[Any, list[float]] = {}
     for episode in episodes:

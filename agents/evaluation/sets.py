@@ -88,11 +88,7 @@ def _rounded(M: float, mu: float) -> tuple[float, float]:
 
 
 def draw_set(name: str) -> EvaluationSet:
-    """Draws a frozen set anew.
-
-    Args:
-        name: that of the set.
-    """
+    """Draws a frozen set anew."""
     if name in TASK_SET_NAMES:
         return _draw_task_set(name)
     if name != "nominal":

@@ -120,9 +120,7 @@ def _spread(builder: Any, value: Any) -> Any:
 def vectors(target_machine: Any) -> int:
     """Vectors of a row whose sums are made together: as many as the registers of a processor hold for TILE rows.
 
-    Args:
-        target_machine: of the processor that the code is compiled for. With registers of 512 bits one holds a vector,
-            and there are 32; else there are 16 of which a vector takes two.
+    With registers of 512 bits one holds a vector, and there are 32; else there are 16 of which a vector takes two.
     """
     vector, wide = f"<{WIDTH} x float>", '"prefer-vector-width"="512"'
     module = f"define {vector} @f({vector} %a) {wide} {{ %b = fadd {vector} %a, %a\n ret {vector} %b }}"
@@ -342,15 +340,10 @@ def adam(
 
 @_inner()
 def forward(parameters: np.ndarray, widths: np.ndarray, rows: np.ndarray) -> int:
-    """Takes LANES samples through a network.
+    """Takes LANES samples through a network and returns where the outputs begin in `rows`.
 
-    Args:
-        parameters: its part of a packed array.
-        widths: of its inputs and its layers.
-        rows: the padded inputs; the outputs of every layer are written behind them, shape (.., LANES) but flat.
-
-    Returns:
-        Where the outputs begin.
+    The outputs of every layer are written behind the padded inputs, of shape (.., LANES) but flat. `widths` are those
+    of the inputs and the layers, `parameters` the network's part of a packed array.
     """
     use_widest_vectors()
     at = given = 0

@@ -67,9 +67,7 @@ def training_commands() -> dict[str, str]:
 def build(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> dict[str, Any]:
     """The content of leaderboard.json, from the rows alone: the best row of each task on its ranking set first.
 
-    Args:
-        rows: in any order.
-        sets: the columns; of each task that has rows, one of them is the ranking set.
+    Of each task that has rows, one of the sets, which are the columns, is the ranking set.
 
     Raises:
         ValueError: if a row was evaluated on other sets.
@@ -148,13 +146,10 @@ def _difference(row: Mapping[str, Any], set_name: str) -> str:
 
 
 def _cells(row: Mapping[str, Any], place: int, baseline: float, best: float) -> dict[str, str]:
-    """The texts of all cells of a row, by the keys that the tables choose from.
+    """The texts of all cells of a row of leaderboard.json, by the keys that the tables choose from.
 
-    Args:
-        row: of leaderboard.json.
-        place: in the ranking, from 1 on.
-        baseline: speed of the paper's controller on the ranking set, cm/s.
-        best: that of the fastest of the paper's method.
+    `baseline` is the speed of the paper's controller on the ranking set, cm/s, `best` that of the fastest of its
+    method.
     """
     summary, disturbed = row["results"][RANKING_SET], row["disturbed"]
     width = SPEED.format(disturbed["high"] - disturbed["low"])
@@ -200,11 +195,7 @@ def _table(rows: Sequence[Mapping[str, str]], columns: Mapping[str, str]) -> str
 
 
 def render(board: Mapping[str, Any]) -> str:
-    """The text of LEADERBOARD.md, from page.md.
-
-    Args:
-        board: the content of leaderboard.json.
-    """
+    """The text of LEADERBOARD.md, from page.md and the content of leaderboard.json."""
     rows, cells, sets = board["rows"], _all_cells(board), board["sets"]
     of_tasks = {task: each["rows"] for task, each in board["tasks"].items()}
     hashes = {name: value for each in (board, *board["tasks"].values()) for name, value in each["sets"].items()}
@@ -265,10 +256,6 @@ def head(board: Mapping[str, Any]) -> str:
 
 def files(root: Path, board: Mapping[str, Any]) -> dict[str, str]:
     """The texts of leaderboard.json, LEADERBOARD.md and the README, which has the head between its markers.
-
-    Args:
-        root: the folder that they lie in.
-        board: what `build` returned.
 
     Raises:
         ValueError: if the README lacks a marker.

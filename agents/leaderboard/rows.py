@@ -149,12 +149,8 @@ def disturbed_range(policy: Policy, horizon: float = HORIZON) -> tuple[float, fl
     """The sensitivity of a policy to perturbations: the range of its mean speed (cm/s) under noise on its actions.
 
     The check does not need it: the same code gives the same bits on every machine. Readers do. Trajectories of a
-    chaotic policy diverge from a difference in their tenth digit, and the mean speed of a single episode is a sample
-    from a wide distribution, on a robot as here.
-
-    Args:
-        policy: one training run.
-        horizon: length of the episode in s, of which there are `COPIES`.
+    chaotic policy diverge from a difference in their tenth digit, and the mean speed of a single episode, of `horizon`
+    s, is a sample from a wide distribution, on a robot as here.
     """
     copies = EvaluationSet("copies", (NOMINAL_PLANT,) * COPIES)
     episodes = evaluate_policy(policy, copies, horizon=horizon, action_noise=NOISE)

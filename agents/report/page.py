@@ -121,30 +121,14 @@ def _candidate(name: str, trust_controller: bool, trust_pickle: bool) -> Candida
 
 
 def write(path: Path, names: Sequence[str] = (), *, trust_controller: bool = False, trust_pickle: bool = False) -> None:
-    """Writes the report of some policies, atomically.
-
-    Args:
-        path: the page.
-        names: as for `collect`.
-        trust_controller: as for `capsule_gym.load_policy`.
-        trust_pickle: as for `collect`.
-
-    Raises:
-        OSError: if a file cannot be read or written.
-        ValueError: if there is no such policy, or a file is broken.
-    """
+    """Writes the report of some policies, atomically; arguments and errors are those of `collect`."""
     data = collect(names, trust_controller=trust_controller, trust_pickle=trust_pickle)
     title = ", ".join(row.name for row in data.subjects) if names else "Leaderboard of capsule_gym"
     write_atomically(path, render(data, title))
 
 
 def render(data: Data, title: str) -> str:
-    """The whole page as HTML.
-
-    Args:
-        data: what it shows.
-        title: of the page.
-    """
+    """The whole page as HTML."""
     results, metric = data.results, data.results.criteria.metric
     speed = results.task == "speed"
     plant = " on the nominal plant" if speed else ""
@@ -258,9 +242,8 @@ def _tables(data: Data) -> str:
 def compare(run: Path, set_name: str | None = None) -> None:
     """Evaluates a run's best model and the baseline on the same frozen episodes; prints and draws the comparison.
 
-    Args:
-        run: the run's folder; gets comparison.png, animation.gif and report.html.
-        set_name: a frozen set, or the path of one; by default that of the task's ranking.
+    The run's folder gets comparison.png, animation.gif and report.html. The set is by default that of the task's
+    ranking.
     """
     # Imports torch, which takes seconds.
     from agents.training.export import load_best

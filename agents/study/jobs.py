@@ -49,11 +49,6 @@ class Job:
 def plan(rows: Sequence[str], seeds: Sequence[int], folder: Path) -> list[Job]:
     """Lists the runs of a study: the first seed of every row, then the second seed of every row, and so on.
 
-    Args:
-        rows: of the leaderboard.
-        seeds: training seeds.
-        folder: of all runs; a run is in NAME/seed-N.
-
     Raises:
         RunError: if a run's folder exists and holds no run, or a run with other settings.
         ValueError: if there is no such row, or a seed is out of range.
@@ -111,13 +106,9 @@ def train_all(
 ) -> dict[Job, str]:
     """Trains the runs that are not finished, or resumes them, and prints joblib's progress to stderr.
 
-    Ctrl-C stops all runs; each resumes later from its last checkpoint.
-
-    Args:
-        jobs: the runs.
-        parallel: number of runs in parallel; None for one per core.
-        backend: joblib's; `ray` is the cluster that RAY_ADDRESS names, or a new one on this machine. The machines of a
-            cluster must have the checkout and the folder of the runs at the same paths.
+    Ctrl-C stops all runs; each resumes later from its last checkpoint. By default there is one run per core. The
+    backend `ray` is the cluster that RAY_ADDRESS names, or a new one on this machine. The machines of a cluster must
+    have the checkout and the folder of the runs at the same paths.
 
     Returns:
         The reasons of the failures, by run.
@@ -173,13 +164,9 @@ def results_table(jobs: Sequence[Job]) -> str:
 def publish(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
     """Copies a run's best policy and its evaluations into the folder of its row and seed, and returns that folder.
 
-    Args:
-        job: the run.
-        checkpoints: the folder of all rows.
-
     Raises:
-        RunError: if the run is not finished, has other settings than its row, or was begun at a revision that cannot
-            be checked out.
+        RunError: if the run is not finished, has other settings than its row, or was begun at a revision that cannot be
+            checked out.
     """
     if not job.finished:
         raise RunError(f"{job.run} is not finished")

@@ -40,11 +40,7 @@ PROJECT = "capsule_gym"
 
 
 class WandbWriter(KVWriter):
-    """Writes the lines of SB3's logger to Weights & Biases, by agent steps.
-
-    Args:
-        run: the run's folder, whose name it has there.
-        config: its hyperparameters.
+    """Writes the lines of SB3's logger to Weights & Biases, by agent steps; a run has the name of its folder there.
 
     Raises:
         RunError: if wandb is not installed, or does not start.

@@ -60,9 +60,6 @@ class Progress:
 def locked(run: Path) -> Iterator[None]:
     """Locks a run's folder for this process. The system releases the lock when the process ends, however it ends.
 
-    Args:
-        run: a folder that exists.
-
     Raises:
         RunError: if another process holds the lock.
         OSError: if the folder cannot be written to.
@@ -124,16 +121,7 @@ def is_whole(checkpoint: Path) -> bool:
 
 
 def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | None) -> Path:
-    """Writes the state of a run between two updates, and deletes all older ones but the one before it.
-
-    Args:
-        run: the run's folder.
-        model: the agent, with its environments and its logger.
-        progress: how far the run is.
-        before: the checkpoint before this one.
-
-    Returns:
-        The checkpoint.
+    """Writes the state of a run between two updates; deletes all older ones but the one before it. Returns its path.
 
     Raises:
         OSError: if it cannot be written; the older ones stay as they were.
@@ -171,12 +159,7 @@ def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | No
 def restore(
     checkpoint: Path, kind: type[BaseAlgorithm], env: VecNormalize
 ) -> tuple[BaseAlgorithm, Progress, Callable[[], None]]:
-    """The agent of a checkpoint. This unpickles.
-
-    Args:
-        checkpoint: a whole one of the user's own.
-        kind: the class of the agent.
-        env: fresh environments of the run; those of the checkpoint replace them.
+    """The agent of a whole checkpoint of the user's own, which is unpickled; its environments replace `env`.
 
     Returns:
         The agent, how far it is, and a function that restores the random streams and the log: to be called when the

@@ -48,9 +48,6 @@ def save(folder: Path, model: BaseAlgorithm, policy: EvaluatedPolicy | None) -> 
 def load_best(run: Path) -> EvaluatedPolicy:
     """The best policy of a run of one's own: an LSTM is unpickled, and a control law's code runs.
 
-    Args:
-        run: its folder.
-
     Raises:
         OSError: if it has no best agent.
         RunError: if it is no folder of a run.
@@ -69,11 +66,8 @@ def load_best(run: Path) -> EvaluatedPolicy:
 def recurrent_policy(name: str, model: RecurrentPPO, env: VecNormalize, env_kwargs: dict[str, Any]) -> EvaluatedPolicy:
     """The deterministic policy of an agent with an LSTM, which has no policy file.
 
-    Args:
-        name: as it appears in results.
-        model: the agent.
-        env: normalises its observations, with the present statistics.
-        env_kwargs: the arguments of the environment that it acts in.
+    `env` normalises its observations, with the present statistics; `env_kwargs` are those of the environment that it
+    acts in.
     """
 
     def predict(observations: np.ndarray, **kwargs: Any) -> Any:
@@ -83,14 +77,7 @@ def recurrent_policy(name: str, model: RecurrentPPO, env: VecNormalize, env_kwar
 
 
 def export(name: str, model: BaseAlgorithm, config: Config, revision: str) -> Policy:
-    """The deterministic policy of an agent without an LSTM; `Policy.save` writes it.
-
-    Args:
-        name: for messages and tables.
-        model: the agent with its environments, which normalise its observations.
-        config: its configuration.
-        revision: the git revision of the code that trained it.
-    """
+    """The deterministic policy of an agent without an LSTM; `Policy.save` writes it."""
     activation, squashing = "relu", "tanh"
     if isinstance(model, PPO):
         # `agents.fast_ppo` adds `tanh_mean` to SB3's policy.

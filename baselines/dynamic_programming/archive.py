@@ -192,19 +192,14 @@ def known_results() -> Archive:
 
 @lru_cache(maxsize=4096)
 def optimal_speed(M: float, mu: float, grid: PlantGrid = GRID) -> float:
-    """The mean speed of dynamic programming from rest over 33 s, torque within 1.5 N m every 20 ms, in cm/s.
+    """The mean speed of dynamic programming from rest over 33 s, torque within 1.5 N m every 20 ms, in cm/s; M in kg.
 
     It is the speed of a trajectory that was found, not an upper bound: a policy may exceed it a little. Where the plant
     was not solved itself, as those of the grid and of the sets `paper` and `wide` were, it is linear in M and in
     log(mu) between the plants of the grid, which can be off by 2 %.
 
-    Args:
-        M: mass of the platform, kg.
-        mu: friction coefficient.
-        grid: with the plant's ratio of static to kinetic friction.
-
     Raises:
-        ValueError: if the plant lies outside the grid.
+        ValueError: if the plant lies outside the grid, which must have its ratio of static to kinetic friction.
     """
     if (M, mu) not in grid:
         raise ValueError(

@@ -44,14 +44,9 @@ def stretched(y: float) -> float:
 
 @jitable
 def locate(theta: float, theta_dot: float, x_dot: float, q: float, axes: np.ndarray) -> tuple[float, float, float]:
-    """The position of a state in cells from the first node; it may lie off the grid.
+    """The position of a state (rad, rad/s, m/s) in cells from the first node; it may lie off the grid.
 
-    Args:
-        theta: rad.
-        theta_dot: rad/s.
-        x_dot: m/s.
-        q: m l / (M + m), m.
-        axes: first node and spacing of theta (rad), s and w (rad/s), shape (3, 2).
+    `q` is m l / (M + m) in m; `axes` has first node and spacing of theta (rad), s and w (rad/s), shape (3, 2).
     """
     cos = sincos(theta)[1]
     rate = x_dot / q
@@ -70,14 +65,9 @@ def clamped(position: float, nodes: int) -> float:
 
 @jitable
 def interpolate(values: np.ndarray, a: float, b: float, c: float, curvature: float) -> float:
-    """The value at a position: linear along theta and s; along w linear plus a parabola of known curvature.
+    """The value at a position in cells: linear along theta (a) and s (b); along w (c) linear plus a parabola.
 
-    Args:
-        values: at the nodes, shape of the grid.
-        a: position along theta, in cells.
-        b: along s.
-        c: along w.
-        curvature: half the second derivative along w, times the square of its spacing.
+    `curvature`: half the second derivative along w, times the square of its spacing.
     """
     i, j, k = int(a), int(b), int(c)
     f, g, w = a - i, b - j, c - k

@@ -26,10 +26,7 @@ def set_plants(*names: str) -> list[tuple[float, float]]:
 def solve_plant(problem: Problem, archive: Archive, shape: tuple[int, int, int] = GRIDS[0]) -> Trajectory:
     """The trajectory of a plant within `GRID`, over the ranges and from the values of the plants around it.
 
-    Args:
-        problem: with the plant.
-        archive: with the values of the plants of `GRID`.
-        shape: nodes along theta, s and w, of which s and w are divided by their ranges.
+    The nodes along s and w in `shape` are divided by their ranges.
     """
     corners, along_M, along_mu = GRID.cell(problem.M, problem.mu)
     near = [archive.solution(plant_problems(GRID)[corner]) for corner in corners]
@@ -45,12 +42,7 @@ def solve_plant(problem: Problem, archive: Archive, shape: tuple[int, int, int] 
 
 
 def solve_plants(archive: Archive, missing: Sequence[tuple[float, float]]) -> Iterator[None]:
-    """Solves plants as it is iterated and adds them to an archive.
-
-    Args:
-        archive: with the values of the plants of `GRID`.
-        missing: M in kg and mu of each.
-    """
+    """Solves plants, M in kg and mu, as it is iterated, and adds them to an archive with the values of `GRID`."""
     for n, (M, mu) in enumerate(missing):
         archive.add_plant(M, mu, solve_plant(Problem(M=M, mu=mu), archive))
         if n % PART == PART - 1 or n == len(missing) - 1:

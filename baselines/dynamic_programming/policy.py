@@ -80,13 +80,10 @@ def _tables(*problems: Problem) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.
 
 
 class Lookahead:
-    """The policy on the nominal plant, for some environments.
+    """The policy on the nominal plant, for `count` environments; its torques leave a `margin` of normal force, N.
 
-    Args:
-        count: environments.
-        margin: normal force that a torque must leave, N.
-        problems: whose values are interpolated, all of one static ratio; with one these are taken as they are.
-        law: as of `Transitions`.
+    The values of the problems, all of one static ratio, are interpolated; of one they are taken as they are. `law` is
+    that of `Transitions`.
     """
 
     def __init__(self, count: int, margin: float, *problems: Problem, law: tuple[str, float] | None = None) -> None:
@@ -100,9 +97,8 @@ class Lookahead:
     def scores(self, observations: np.ndarray, simulation: Simulation | None = None) -> np.ndarray:
         """The score of each torque: its reward plus the value of the next state, cm; `FAILURE_SCORE` if it fails.
 
-        Args:
-            observations: shape (count, entries); theta, theta_dot and x_dot come first.
-            simulation: of the environments, whose law has a memory; not needed without a law.
+        theta, theta_dot and x_dot come first in the observations. `simulation`, of the environments, is needed with a
+        law, which has a memory.
 
         Returns:
             Shape (count, torques), float64, in the order of `TORQUES`.
@@ -127,11 +123,7 @@ class Lookahead:
 class Oracle(Lookahead):
     """The policy that observes the plants: M and mu are the last two entries of an observation.
 
-    Args:
-        count: environments.
-        margin: normal force that a torque must leave, N.
-        grid: the plants whose values are interpolated, with the static ratio of those observed.
-        law: as of `Transitions`.
+    The values of the plants of a grid, with the static ratio of those observed, are interpolated.
     """
 
     def __init__(

@@ -87,12 +87,10 @@ PROBLEMS = (
 
 
 class Transitions:
-    """A batch of the environment that takes one step from any states under any torques.
+    """A batch of the environment that takes one step from `count` states at once under any torques.
 
-    Args:
-        problem: with the plant of all states; `set_plants` gives others.
-        count: states that are moved at once.
-        law: the name of a control law to whose torque the actions are added, and their limit, N m.
+    All states are on the plant of the problem; `set_plants` gives others. `law` is the name of a control law to whose
+    torque the actions are added, and their limit, N m.
     """
 
     def __init__(self, problem: Problem, count: int, law: tuple[str, float] | None = None) -> None:
@@ -122,11 +120,7 @@ class Transitions:
         return self._simulation.row(Row.normal_force)
 
     def step(self, states: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Takes a step.
-
-        Args:
-            states: theta (rad), theta_dot (rad/s) and x_dot (m/s), shape (3, count).
-            actions: torques over their limit, shape (count,).
+        """Takes a step from states theta (rad), theta_dot (rad/s), x_dot (m/s), shape (3, count), with these actions.
 
         Returns:
             The next states, shape (3, count), the rewards in cm, and whether the steps fail, each of shape (count,).
@@ -159,11 +153,7 @@ class Trajectory:
     normal_forces: np.ndarray
 
     def cycle_starts(self, control_dt: float) -> np.ndarray:
-        """The steps after `SETTLED` at which the first episode's pendulum reverses to move forwards, left of upright.
-
-        Args:
-            control_dt: length of a step, s.
-        """
+        """The steps after `SETTLED` at which the first pendulum, left of upright, reverses to move forwards."""
         theta, theta_dot = self.states[:, 0, 0], self.states[:, 1, 0]
         starts = np.flatnonzero((theta_dot[:-1] <= 0.0) & (theta_dot[1:] > 0.0) & (theta[1:] < 0.0)) + 1
         return starts[starts >= round(SETTLED / control_dt)]

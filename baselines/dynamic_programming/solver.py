@@ -83,12 +83,7 @@ def cell_curvature(curvature: float, grid: Grid) -> float:
 
 
 def transitions(problem: Problem, grid: Grid, torques: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One step from every node under every torque.
-
-    Args:
-        problem: with the plant.
-        grid: of the nodes.
-        torques: over the limit, shape (nodes, torques).
+    """One step from every node under every torque, over the limit, of an array of shape (nodes, torques).
 
     Returns:
         Positions on the grid, shape (nodes, torques, 3), and rewards in cm, (nodes, torques), both float32.
@@ -114,12 +109,8 @@ def _backup(
 ) -> tuple[np.ndarray, np.ndarray]:
     """One step of value iteration, or of policy evaluation where there is one torque per node.
 
-    Args:
-        values: at the nodes, cm.
-        positions: of the next states on the grid, shape (nodes, torques, 3).
-        rewards: cm, shape (nodes, torques).
-        gain: cm per step.
-        curvature: `cell_curvature`, cm.
+    `positions` are those of the next states on the grid, shape (nodes, torques, 3); `rewards`, of shape (nodes,
+    torques), values, gain per step and `cell_curvature` are in cm.
 
     Returns:
         The new values, cm, and the indices of the best torques, each of shape (nodes,).
@@ -136,14 +127,7 @@ def _backup(
 
 
 def solve(problem: Problem, grid: Grid, *, curvature: float = 0.0, start: Solution | None = None) -> Solution:
-    """Solves a problem on a grid.
-
-    Args:
-        problem: what is optimised.
-        grid: of the states.
-        curvature: see `Solution`.
-        start: a solution on another grid, whose values are the initial ones.
-    """
+    """Solves a problem on a grid, from the values of a solution on another grid if there is one."""
     backup, cell = compile_cached(_backup), cell_curvature(curvature, grid)
     actions = np.tile(np.linspace(-1.0, 1.0, TORQUES), (math.prod(grid.shape), 1))
     positions, rewards = transitions(problem, grid, actions)
@@ -195,11 +179,8 @@ def run_policy(
 ) -> Trajectory:
     """Runs the policy that takes, at every step, the torque with the largest reward plus value of the next state.
 
-    Args:
-        solution: with the values.
-        thetas: where the episodes start, at rest, rad.
-        final: with the values before the end, `final_solutions`; without them the policy never expects the end.
-        horizon: length, s.
+    The episodes start at the angles `thetas` in rad, at rest, and last `horizon` s. `final` are the values before the
+    end, from `final_solutions`; without them the policy never expects the end.
     """
     model = Transitions(solution.problem, thetas.size * ACTIONS.size)
     actions = np.tile(ACTIONS, thetas.size)
@@ -248,14 +229,10 @@ def curvature_of(solution: Solution, trajectory: Trajectory) -> float:
 
 
 def solve_on_grids(problem: Problem, shapes: Sequence[tuple[int, int, int]]) -> list[tuple[Solution, Trajectory]]:
-    """Solves a problem on grids from coarse to fine.
+    """Solves a problem on grids of these shapes, from coarse to fine.
 
     On the first grid it is solved twice: over ranges that contain any solution, and over those that its own
     trajectories use.
-
-    Args:
-        problem: what is optimised.
-        shapes: nodes of the grids.
 
     Returns:
         For each grid the solution and its policy's episodes from `STARTS`.

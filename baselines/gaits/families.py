@@ -123,16 +123,7 @@ FAMILIES = {
 
 @inlined
 def action(gaits: np.ndarray, offset: int, time: float, theta: float, theta_dot: float, x_dot: float) -> float:
-    """The action of one gait, in [-1, 1].
-
-    Args:
-        gaits: from `encode`, flat.
-        offset: index at which this gait begins.
-        time: since the start of the episode, s.
-        theta: rad.
-        theta_dot: rad/s.
-        x_dot: m/s; exactly 0.0 in stick.
-    """
+    """The action, in [-1, 1], of the gait that begins at `offset` of the flat array from `encode`; the time is in s."""
     # The families' numbers are their places in `FAMILIES`.
     family, p = gaits[offset], load(gaits, offset + 1, 1, MAX_PARAMETERS)
     if family == 0.0:
@@ -152,12 +143,9 @@ def encode(family: str, parameters: np.ndarray) -> np.ndarray:
 
 
 def actions(gaits: np.ndarray, time: float, observations: np.ndarray) -> np.ndarray:
-    """The actions of many gaits, shape (gaits, 1), float32, in [-1, 1].
+    """The actions of gaits from `encode` after a time in s, shape (gaits, 1), float32, in [-1, 1].
 
-    Args:
-        gaits: from `encode`.
-        time: since the start of the episode, s.
-        observations: one per gait, float32; theta, theta_dot and x_dot come first.
+    There is an observation per gait, float32; theta, theta_dot and x_dot come first.
     """
     out = np.empty((len(gaits), 1), np.float32)
     entry = cached_entry(_act, "void(float64[::1], float64, float64[:, ::1], float32[:, ::1])")

@@ -73,11 +73,8 @@ def run_candidates(
 ) -> dict[str, np.ndarray]:
     """The metrics of one episode of every candidate, and their scores, shape (n,).
 
-    Args:
-        env: of `make_batch`.
-        parameters: shape (n, size), in the order of `PARAMETERS`.
-        plants: M in kg and mu in every part of the episode, shape (parts, 2, n).
-        actions: shape (steps, n).
+    `parameters` are of shape (n, size), in the order of `PARAMETERS`; `plants` are M in kg and mu in every part of the
+    episode, shape (parts, 2, n); `actions` are of shape (steps, n).
     """
     steps = len(actions)
     times = [steps * CONTROL_DT * part / len(plants) for part in range(1, len(plants))]
@@ -99,11 +96,8 @@ def draw_episodes(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Draws plants and actions as `run_candidates` takes them; every second episode has random actions.
 
-    Args:
-        rng: of the draws.
-        count: of different sequences of plants, each a Latin hypercube in M and log(mu) over `wide`.
-        horizon: length of an episode, s.
-        repeats: of the sequences; the actions differ.
+    There are `count` sequences of plants, each a Latin hypercube in M and log(mu) over `wide`; they are repeated with
+    other actions. An episode lasts `horizon` s.
     """
     ranges = plant_ranges(RANDOMIZATIONS["wide"], NOMINAL)
 
@@ -132,12 +126,7 @@ def evaluate(batch: CapsuleVectorEnv, parameters: np.ndarray) -> tuple[float, di
 
 
 def search_law(num_generations: int, seed: int) -> Iterator[None]:
-    """Runs generations as it is iterated; writes the mean of the distribution where it beats what is on file.
-
-    Args:
-        num_generations: of the CMA-ES.
-        seed: of the search.
-    """
+    """Runs generations as it is iterated; writes the mean of the distribution where it beats what is on file."""
     rng = np.random.default_rng([seed, 3])
     start = np.array([*tolerant_nominal().parameters, *START_GUARD]) / UNITS
     strategy = cma_strategy(start, FIRST_STEP, POPULATION, rng)

@@ -135,10 +135,7 @@ def sensitivity(results: dict[str, np.ndarray]) -> np.ndarray:
 def score(results: dict[str, np.ndarray], horizon: float, goals: np.ndarray | None = None) -> np.ndarray:
     """What the search maximises: the mean speed, cm/s, or less cost of transport at a required speed.
 
-    Args:
-        results: metrics of candidates.
-        horizon: length of the episodes, s.
-        goals: required speeds of the front, cm/s, one per candidate.
+    The episodes last `horizon` s; `goals` are the required speeds of the front, cm/s, one per candidate.
 
     Returns:
         Of the metrics' shape; failures score far below all else, and the later they fail the better.
@@ -159,12 +156,9 @@ def cma_strategy(start: np.ndarray, sigma: float, population: int, rng: np.rando
 
 
 def search(archive: Archive, seed: int, minutes: float) -> Iterator[None]:
-    """Searches gaits as it is iterated, until the time is up.
+    """Searches gaits for so many minutes as it is iterated; changes the archive in place.
 
-    Args:
-        archive: what is known; changed in place.
-        seed: of the whole search; iteration i draws from the stream (seed, i).
-        minutes: how long.
+    Iteration i draws from the stream (seed, i).
     """
     turns = list(product(PURPOSES, FAMILIES))
     deadline = perf_counter() + 60.0 * minutes
@@ -233,13 +227,9 @@ def find_candidates(
 
 
 def robust_gaits(family: str, points: np.ndarray, plants: np.ndarray, tolerant: bool) -> Iterator[Gait]:
-    """Simulates candidates over the whole horizon; the robust ones, the best first.
+    """Simulates candidates over the whole horizon; the robust, or robust and tolerant ones, the best first.
 
-    Args:
-        family: a name of `FAMILIES`.
-        points: parameters, shape (candidates, parameters).
-        plants: M in kg and mu, shape (candidates, 2).
-        tolerant: whether they shall be tolerant gaits.
+    `points` are parameters, shape (candidates, parameters), `plants` M in kg and mu, shape (candidates, 2).
     """
     # Rounded before the evaluation, as they are written.
     points = np.array([[float(f"{value:.9g}") for value in point] for point in points])
@@ -280,9 +270,6 @@ def compute_map(gaits: Sequence[Gait]) -> GaitMap:
     """Computes the map of `gait-oracle`: in every cell the gait whose slowest run is fastest.
 
     The runs cover the cell and two starts, since a small change may lead to another, slower motion.
-
-    Args:
-        gaits: to choose from.
     """
     M, mu = np.linspace(*MAP_M), np.geomspace(*MAP_MU)
     half_M, half_mu = 0.5 * (M[1] - M[0]), (mu[1] / mu[0]) ** 0.5

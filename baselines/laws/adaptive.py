@@ -33,15 +33,7 @@ def nominal_estimates(p: Plant) -> tuple[float, ...]:
 
 
 def constants_of(gains: Gains, choices: Choices, plant: Plant, table: np.ndarray, dt: float) -> Constants:
-    """The constants of the law as its compiled functions read them.
-
-    Args:
-        gains: see `Gains`.
-        choices: see `Choices`.
-        plant: the nominal one.
-        table: of `reference_table`.
-        dt: period of the law, s.
-    """
+    """The constants of the law as its compiled functions read them; `table` is from `reference_table`."""
     free = math.isinf(choices.estimate_range)
     low, high = 1.0 - choices.estimate_range, 1.0 + choices.estimate_range
     estimates = nominal_estimates(plant)

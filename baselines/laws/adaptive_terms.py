@@ -1,8 +1,8 @@
 """The adaptive variable-structure law (37) to (39) of the paper, term by term and in one call.
 
 Symbols are the paper's; where its print is wrong the corrected equation stands, and the comment says so. The functions
-are arithmetic on scalars and tuples, compiled into the law (`baselines.laws.adaptive`); `sliding_variables` also takes
-the arrays of a recorded run.
+are arithmetic on scalars and tuples in SI units, compiled into the law (`baselines.laws.adaptive`); `sliding_variables`
+also takes the arrays of a recorded run.
 """
 
 from __future__ import annotations
@@ -106,17 +106,7 @@ class Terms(NamedTuple):
 def sliding_variables(
     theta: float, theta_dot: float, x: float, x_dot: float, anchor: float, reference: tuple[float, ...], gains: Gains
 ) -> Sliding:
-    """Eq. (37); its (37a) lacks the tilde of the errors in print.
-
-    Args:
-        theta: rad.
-        theta_dot: rad/s.
-        x: m.
-        x_dot: m/s.
-        anchor: where x_d starts from, m.
-        reference: a row of `reference_table`.
-        gains: see `Gains`.
-    """
+    """Eq. (37); its (37a) lacks the tilde of the errors in print. x_d starts from the anchor, m."""
     theta_d, theta_d_dot, theta_d_ddot, x_d, x_d_dot, x_d_ddot, _ = reference
     e, e_dot = theta - theta_d, theta_dot - theta_d_dot
     e_x, e_x_dot = x - (anchor + x_d), x_dot - x_d_dot
@@ -134,17 +124,9 @@ def sliding_variables(
 def regressors(
     theta: float, theta_dot: float, x_dot: float, theta_d_ddot: float, s: Sliding, p: Plant
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Y_theta and Y_x of (38), with the sign that makes N = -Y alpha.
+    """Y_theta and Y_x of (38) on the nominal plant, with the sign that makes N = -Y alpha.
 
     N holds theta'', which no law knows before its torque acts: theta_d'' stands for it.
-
-    Args:
-        theta: rad.
-        theta_dot: rad/s.
-        x_dot: m/s.
-        theta_d_ddot: rad/s^2.
-        s: the variables of (37).
-        p: the nominal plant.
     """
     sin, cos = sincos(theta)
     normal = max(0.0, dynamics.normal_force(theta, theta_dot, theta_d_ddot, p))

@@ -14,10 +14,7 @@ from capsule_gym.parameters import NOMINAL, Capsule, Plant
 def feedback_linearising_law(p: Plant, K_p: float, K_v: float) -> Law:
     """The torque (35), with f the actual friction force: mu N sign(x') in slip, the reaction in stick.
 
-    Args:
-        p: the nominal plant of the law.
-        K_p: 1/s^2.
-        K_v: 1/s.
+    K_p is in 1/s^2, K_v in 1/s.
     """
 
     def law(

@@ -45,14 +45,10 @@ NO_REFERENCE = np.zeros((1, 2))
 
 @inlined
 def cubic(coefficients: tuple[Any, ...], theta: Any, theta_dot: Any, x_dot: Any, sign: Any) -> Any:
-    """The cubic polynomial of the state plus a step in the direction of slip.
+    """The cubic polynomial of the state plus a step in the direction of slip; coefficients as in `COEFFICIENTS`.
 
-    Args:
-        coefficients: in the order of `COEFFICIENTS`; numbers, or arrays of a shape of their own.
-        theta: rad; like the next three a number, or an array of that shape.
-        theta_dot: rad/s.
-        x_dot: m/s.
-        sign: of x_dot.
+    The state (rad, rad/s, m/s) and the sign of x_dot are numbers or arrays of one shape, the coefficients numbers or
+    arrays.
     """
     a, b, c = theta / STATE_SCALE[0], theta_dot / STATE_SCALE[1], x_dot / STATE_SCALE[2]
     aa, bb, cc = a * a, b * b, c * c
@@ -66,16 +62,10 @@ def cubic(coefficients: tuple[Any, ...], theta: Any, theta_dot: Any, x_dot: Any,
 
 @inlined
 def guarded_torque(theta: float, theta_dot: float, x_dot: float, parameters: tuple[float, ...]) -> float:
-    """The gait's torque within the limit, less the guard's, in N m.
+    """The gait's torque within the limit, less the guard's, in N m; the state in rad, rad/s and m/s, 0.0 in stick.
 
     The normal force is N = (M + m) g - m l (theta_dot^2 cos(theta) + theta_dot_dot sin(theta)): a pendulum that is fast
     while it is upright lifts the platform, in either direction. The guard brakes it before it is too fast.
-
-    Args:
-        theta: rad.
-        theta_dot: rad/s.
-        x_dot: m/s; exactly 0.0 in stick.
-        parameters: in the order of `PARAMETERS`.
     """
     sign = 1.0 if x_dot > 0.0 else -1.0 if x_dot < 0.0 else 0.0
     torque = clip(TORQUE_LIMIT * cubic(parameters[:-2], theta, theta_dot, x_dot, sign), TORQUE_LIMIT)

@@ -75,13 +75,7 @@ SIZE = len(MEMORY)
 
 @inlined
 def model_step(estimate: Estimate, torque: float, h: float) -> Estimate:
-    """One Euler step of the nominal model with the estimated M and mu; of the motor's lag an implicit one.
-
-    Args:
-        estimate: at the start.
-        torque: that the law has returned for this step, N m.
-        h: length of the step, s.
-    """
+    """One Euler step of h seconds of the nominal model with the estimated M and mu; implicit for the motor's lag."""
     begun, theta, theta_dot, x_dot, motor, M, mu, bias = estimate
     motor += h / (LAG + h) * (torque - motor)
     u = motor - MOTOR_FRICTION * clip(theta_dot / MOTOR_WIDTH, 1.0)
@@ -106,12 +100,6 @@ def correct(estimate: Estimate, theta: float, theta_dot: float, x_dot: float) ->
 
     Where x_dot is measured above its estimate while the platform slides forwards, friction is smaller than estimated;
     while the pendulum swings forwards, it moves the platform more, which is lighter than estimated.
-
-    Args:
-        estimate: before.
-        theta: measured, rad.
-        theta_dot: measured, rad/s.
-        x_dot: measured, m/s.
     """
     theta, theta_dot, x_dot = clip(theta, THETA_LIMIT), clip(theta_dot, THETA_DOT_BOUND), clip(x_dot, X_DOT_BOUND)
     first = estimate.begun == 0.0
@@ -137,13 +125,7 @@ def correct(estimate: Estimate, theta: float, theta_dot: float, x_dot: float) ->
 def predict(
     memory: tuple[float, ...], theta: float, theta_dot: float, x_dot: float
 ) -> tuple[Estimate, tuple[float, ...]]:
-    """Corrects the estimate by a measurement and carries it to the present.
-
-    Args:
-        memory: see `MEMORY`.
-        theta: measured LATENCY calls ago, rad.
-        theta_dot: rad/s.
-        x_dot: m/s.
+    """Corrects the estimate by a measurement of LATENCY calls ago and carries it to the present; memory as `MEMORY`.
 
     Returns:
         The estimate of the present, and the memory of the next call but for its last cell, the torque of this one.
@@ -164,11 +146,6 @@ def keep_contact(torque: float, theta: float, theta_dot: float) -> float:
     """A torque reduced, at most to 0, where it would take its last weight off the lightest platform's floor.
 
     The normal force is linear in the torque.
-
-    Args:
-        torque: N m.
-        theta: rad.
-        theta_dot: rad/s.
     """
     p = LIGHTEST_PLANT
     free = pressed_accelerations(theta, theta_dot, 0.0, 1.0, 0.0, 0.0, p)[2]

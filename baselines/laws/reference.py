@@ -65,12 +65,7 @@ def platform_motion(
 ) -> np.ndarray:
     """x, x' and x'' of the platform while the pendulum follows a prescribed motion: the second row of Eq. (1).
 
-    Args:
-        angle: theta at every h seconds, rad, shape (n,).
-        velocity: theta', rad/s.
-        acceleration: theta'', rad/s^2.
-        h: s.
-        p: the plant.
+    The pendulum's angle (rad), velocity and acceleration are given at every h seconds, shape (n,).
 
     Returns:
         Shape (3, n), from rest at x = 0: m, m/s, m/s^2.
@@ -104,12 +99,7 @@ def _write_motion(
 
 @lru_cache(maxsize=16)
 def reference_table(profile: Profile, nominal: Plant, dt: float = LAW_DT) -> np.ndarray:
-    """One cycle at the law's rate.
-
-    Args:
-        profile: what the pendulum is to follow; its period must be a multiple of the law's.
-        nominal: the plant that the controller believes in.
-        dt: period of the law, s.
+    """One cycle of a profile, whose period must be a multiple of the law's, dt in s; x_d is the nominal platform's.
 
     Returns:
         Shape (steps, 7), float64, columns COLUMNS; read-only.

@@ -39,11 +39,7 @@ m, l, g, k, c = NOMINAL.m, NOMINAL.l, NOMINAL.g, NOMINAL.k, NOMINAL.c
 def held_back(theta: float, theta_dot: float, acceleration: float, grip: float) -> float:
     """The torque in N m that gives the pendulum an acceleration where the platform sticks, but keeps it from falling.
 
-    Args:
-        theta: rad.
-        theta_dot: rad/s.
-        acceleration: wanted, rad/s^2.
-        grip: from this deceleration on, which stops the pendulum at OUTERMOST, that goes before, rad/s^2.
+    From the deceleration `grip` on, rad/s^2, stopping the pendulum at OUTERMOST goes before.
     """
     side = 1.0 if theta_dot > 0.0 else -1.0
     needed = theta_dot * theta_dot / (2.0 * max(0.02, OUTERMOST - side * theta))
@@ -62,16 +58,9 @@ def arriving(way: float) -> float:
 def stroke_torque(
     theta: float, theta_dot: float, x_dot: float, way: float, M: float, mu: float, phase: float
 ) -> tuple[float, float]:
-    """The torque in N m and the next phase, of a goal that lies ahead; the state is mirrored where it lies behind.
+    """The torque in N m and the next phase, CREEP or STROKE, of a goal that lies `way` metres ahead.
 
-    Args:
-        theta: rad.
-        theta_dot: rad/s.
-        x_dot: m/s; exactly 0.0 in stick.
-        way: the goal's position less the platform's, m.
-        M: mass of the platform, kg.
-        mu: friction coefficient.
-        phase: CREEP or STROKE.
+    The state is mirrored where it lies behind. x_dot is exactly 0.0 in stick.
     """
     sin, cos = sincos(theta)
     weight, shift = (M + m) * g, m * l / (M + m)

@@ -48,10 +48,7 @@ def sliding(run: Trajectory) -> Any:
 def lyapunov(run: Trajectory, start: tuple[float, ...], plant: Plant) -> np.ndarray:
     """The Lyapunov function V of Eq. (40) at every call of a run of the adaptive law with the published gains.
 
-    Args:
-        run: the run.
-        start: the law's memory before its first call.
-        plant: whose parameters are the true ones.
+    `start` is the law's memory before its first call; the parameters of `plant` are the true ones.
     """
     s, ml, n = sliding(run), plant.m * plant.l, REGULARISED.n
     # The memory of a sample is that after its call; the call itself used the one before.

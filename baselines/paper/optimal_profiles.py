@@ -125,17 +125,10 @@ def published_bounds() -> tuple[float, ...]:
 def assess(
     problem: Problem, times: Sequence[float], V1: float, P2: float, h: float = 1e-4, *, reserve: bool = False
 ) -> Solution:
-    """Evaluates a profile under exact tracking.
+    """Evaluates a profile under exact tracking, in steps of h seconds, which divide every phase.
 
-    The platform's motion follows from the second row of Eq. (1), and the torque from the first.
-
-    Args:
-        problem: its demands and plants.
-        times: t1 to t7, s.
-        V1: rad/s.
-        P2: rad/s.
-        h: step of the platform's motion, s; divides every phase.
-        reserve: apply the reserves of the search.
+    The platform's motion follows from the second row of Eq. (1), and the torque from the first. `reserve` applies the
+    reserves of the search.
     """
     profile = seven_phases(times, V1, P2)
     counts = np.rint(np.array([segment.duration for segment in profile.segments]) / h).astype(np.int64)
@@ -200,12 +193,8 @@ def search(
 ) -> Solution:
     """Solves one problem by differential evolution: feasible profiles rank by speed, all others by violation.
 
-    Args:
-        problem: the problem.
-        known: solutions of other problems; the best of them and of the published profile joins the first generation.
-        seed: of the search.
-        generations: number of generations.
-        members: of a generation, per parameter.
+    The best of the `known` solutions of other problems and of the published profile joins the first generation. A
+    generation has so many `members` per parameter.
 
     Raises:
         ImportError: if scipy is missing.

@@ -124,11 +124,7 @@ def lemma_1(cycle: Cycle, p: Plant, form: NormalForce = "newton", *, sufficient:
     for nothing. At theta = 0 with a = 0 it holds at every speed, and the capsule takes off beyond b = (M + m) g. Nor is
     it necessary for (7) itself: at theta = 0, where a drops out of (7), a large a violates (10) alone.
 
-    Args:
-        cycle: the motion.
-        p: the plant.
-        form: whether a includes the torque of spring and damper ("paper", as printed).
-        sufficient: (12) instead of (10).
+    In the form "paper" a includes the torque of spring and damper, as printed; `sufficient` gives (12) instead of (10).
     """
     a, b = _forces(cycle, p, form)
     weight = (p.M + p.m) * p.g
@@ -142,14 +138,9 @@ def lemma_2(cycle: Cycle, p: Plant, form: NormalForce = "newton", *, sufficient:
 
     As printed it bounds a sum without absolute values, so a strong deceleration meets it while the platform is pushed
     backwards, and the step to (18) drops 1 / (m l) from the terms of spring and damper, which adds a torque to an
-    acceleration. Corrected, |theta'' + (k theta + c theta') / (m l)| + theta'^2 <= (M + m) g / (m l) mu /
-    sqrt(mu^2 + 1) is sufficient for (8), by Cauchy and Schwarz, on either side.
-
-    Args:
-        cycle: the motion.
-        p: the plant; its static friction is taken as isotropic, at the smaller of the two coefficients.
-        form: whether the torque of spring and damper enters ("paper", as printed).
-        sufficient: the corrected inequality instead of (15).
+    acceleration. Corrected, |theta'' + (k theta + c theta') / (m l)| + theta'^2 <= (M + m) g / (m l) mu / sqrt(mu^2 +
+    1) is sufficient for (8), by Cauchy and Schwarz, on either side; `sufficient` gives this one. The static friction is
+    taken as isotropic, at the smaller of the two coefficients.
     """
     mu = p.mu * p.static_ratio * min(1.0, p.backward_ratio)
     limit = friction_bound(p._replace(mu=mu))
@@ -217,11 +208,7 @@ def evaluate_demands() -> list[dict[str, Any]]:
 
 
 def check_lemmas(states: int = 200_000, seed: int = 0) -> list[dict[str, Any]]:
-    """Both lemmas, as printed and corrected, on random states with |theta| < pi/2.
-
-    Args:
-        states: number of states for each lemma.
-        seed: of the random states.
+    """Both lemmas, as printed and corrected, each on random states with |theta| < pi/2.
 
     Returns:
         By row: the `lemma`, which forces (`form`), the `principle` for which it should be sufficient; the number of

@@ -38,14 +38,7 @@ ATTEMPTS = 12
 
 
 def torque_without_acceleration(theta: np.ndarray, theta_dot: float, slip: float, p: Plant) -> np.ndarray:
-    """Motor torque in N m at theta'' = 0, from Eq. (1).
-
-    Args:
-        theta: angles, rad.
-        theta_dot: rate, rad/s.
-        slip: +1.0 or -1.0 for the direction of slip, 0.0 for stick.
-        p: the plant.
-    """
+    """Motor torque in N m at theta'' = 0, from Eq. (1); `slip` is +1.0, -1.0 or, for stick, 0.0."""
     ml = p.m * p.l
     sin, cos = np.sin(theta), np.cos(theta)
     at_rest = -ml * p.g * sin + p.k * theta + p.c * theta_dot
@@ -238,14 +231,7 @@ def _slopes_of_acceleration(limit: float, largest_theta: float, fastest: float, 
 
 
 def swing_envelope(limit: float, low: float, high: float, capsule: Capsule | None = None) -> Envelope:
-    """Proof 2: the envelope of a swing from rest, whichever option for the normal force holds; see `upper_envelope`.
-
-    Args:
-        limit: of the torque, N m.
-        low: smallest angle of the swing, rad.
-        high: largest, rad.
-        capsule: the plant; its option for the normal force does not matter.
-    """
+    """Proof 2: the envelope of a swing from rest, whichever option for the normal force holds; see `upper_envelope`."""
     return upper_envelope(limit, low, high, *_both_contacts(capsule or Capsule()))
 
 

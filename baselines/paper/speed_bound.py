@@ -147,9 +147,8 @@ def excess(W: float, capsule: Capsule, bounds: Accelerations) -> tuple[float, fl
 def bound_speed(capsule: Capsule = NOMINAL) -> tuple[float, float]:
     """Upper bounds on the mean speed in the long run and over an episode from the task's start, cm/s.
 
-    Args:
-        capsule: the plant, with one friction coefficient for stick and both directions; infinity where the argument
-            fails.
+    The plant must have one friction coefficient for stick and both directions. The bounds are infinite where the
+    argument fails.
     """
     bounds, q = bound_accelerations(capsule), capsule.m * capsule.l / (capsule.M + capsule.m)
     # Above the first mu tan(theta) < 1 wherever p = 0; below the second the window's ends cost no more than max Q.

@@ -163,11 +163,7 @@ def track(profile: Profile, contact: NormalForce = "newton") -> dict[str, float]
 
 
 def step_study(profile: Profile, steps: Sequence[float] = STEPS) -> tuple[np.ndarray, np.ndarray]:
-    """Five cycles under feedback linearisation, law and physics at the same step.
-
-    Args:
-        profile: what the pendulum follows.
-        steps: s; each divides 20 ms.
+    """Five cycles under feedback linearisation, law and physics at the same steps, which divide 20 ms.
 
     Returns:
         Mean speeds (cm/s) and largest torques (N m).
@@ -261,14 +257,7 @@ def grid(rows: int = 29, columns: int = 61) -> tuple[np.ndarray, np.ndarray]:
 def speed_map(
     profile: Profile, M: Iterable[float] = (NOMINAL.M,), mu: Iterable[float] = (NOMINAL.mu,), h: float = MAP_STEP
 ) -> SpeedMap:
-    """Mean speed along a profile under exact tracking, for every M with every mu.
-
-    Args:
-        profile: what the pendulum follows.
-        M: masses of the platform, kg.
-        mu: friction coefficients.
-        h: integration step, s; divides the profile's period.
-    """
+    """Mean speed along a profile under exact tracking, for every M with every mu, in steps of h seconds."""
     steps = round(profile.period / h)
     masses, friction = np.array([*M]), np.array([*mu])
     # In the middle of the steps, where theta_d'' does not jump.

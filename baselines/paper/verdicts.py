@@ -32,13 +32,7 @@ REASONS = {
 
 
 def compare_numbers(runs: Results, study: Results, peaks: Sequence[Results], rates: Sequence[Results]) -> list[Results]:
-    """Every published number compared with ours.
-
-    Args:
-        runs: see `tracking.reproduce`.
-        study: see `adaptive.study_adaptive`.
-        peaks: see `proofs.check_proof_1`.
-        rates: see `proofs.check_proof_2`.
+    """Every published number compared with ours: from `reproduce`, `study_adaptive` and the checks of both proofs.
 
     Returns:
         By row: the `run` that it belongs to, the published `number`, ours in the same unit (`found`), its `kind`
@@ -101,11 +95,7 @@ def converged(study: Results, quantity: str) -> bool:
 
 
 def judge_claims(runs: Results, study: Results) -> list[Results]:
-    """Every claim of Sect. 5 and Theorem 1 compared with what is found.
-
-    Args:
-        runs: see `tracking.reproduce`.
-        study: see `adaptive.study_adaptive`.
+    """Every claim of Sect. 5 and Theorem 1 compared with what `reproduce` and `study_adaptive` have found.
 
     Returns:
         By row: the key of the `claim` in `published.CLAIMS`, what is `found`, and whether it holds (`reproduced`).
