@@ -37,11 +37,12 @@ def markdown_table(rows: Rows) -> str:
     """A Markdown table.
 
     >>> print(markdown_table([["policy", "cm/s"], ["adaptive", "1.390"]]))
-    | policy   | cm/s   |
-    |----------|--------|
-    | adaptive | 1.390  |
+    |policy|cm/s|
+    |---|---|
+    |adaptive|1.390|
     """
-    return tabulate(rows, headers="firstrow", tablefmt="github", disable_numparse=True)
+    head, *lines = (f"|{'|'.join(row)}|" for row in rows)
+    return "\n".join([head, "|" + "---|" * len(rows[0]), *lines])
 
 
 def printed_below(value: float, digits: int) -> str:

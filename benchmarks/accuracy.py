@@ -121,7 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         table.append([kind, f"±{amplitude:g}", *cells, f"{length:.1f} s"])
     note = (
         f"Largest (in brackets: median) error in any state after {SECONDS:g} s of random torque held for "
-        f"{1e3 * task.CONTROL_DT:g} ms, {TRAJECTORIES} trajectories a row of the paper's plant, against DOP853 at a "
+        f"{1e3 * task.CONTROL_DT:g} ms, {TRAJECTORIES} trajectories of the paper's plant per row, against DOP853 at a "
         "relative tolerance of 2e-13. Trajectories in which the ball meets the platform or contact is lost are "
         "compared at the last torque change before that; the last column is the median length. The random plants "
         "differ in every constant, with a slope, viscous friction, Stribeck's curve, and friction of the motor."

@@ -86,8 +86,10 @@ def notebook_files(path: Path, repository: str) -> dict[str, str | bytes]:
                 pictures[name] = base64.b64decode(data["image/png"])
                 parts.append(f"![What the cell shows]({name})")
             else:
-                text = "".join(output.get("text", data.get("text/plain", "")))
-                parts.append(f"```text\n{text.rstrip()}\n```")
+                text = "".join(output.get("text", data.get("text/plain", ""))).rstrip()
+                # A notebook stores what a cell prints in pieces.
+                before = parts.pop().removesuffix("```") if parts[-1].startswith("```text") else "```text\n"
+                parts.append(f"{before}{text}\n```")
     owner = repository.partition("github.com/")[2].strip("/")
     if owner:
         badge = f"[![Open in Colab](../media/colab.svg)]({COLAB}{owner}/blob/main/notebooks/{path.name})"

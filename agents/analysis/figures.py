@@ -158,7 +158,10 @@ def draw_transport(rows: Sequence[Row]) -> Any:
         marks.append((cost.value, speed.value, row.name, colour))
     axes.plot([], [], "o-", color=BLUE, markersize=4.0, linewidth=0.9, label="trained, 95 % over seeds")
     axes.plot([], [], "s", color=INK, markersize=4.0, label="scripted")
-    axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)", xlim=(0.0, None), ylim=(-0.5, None))
+    # A policy away from the plants of its training can need thirty times the cost of the others.
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)", xlim=(0.1, None), ylim=(-0.5, None))
     _label_marks(axes, marks)
     # Inside the axes every corner has a front, a policy or a label's line.
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=4)

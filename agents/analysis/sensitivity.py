@@ -32,6 +32,7 @@ def _sized_as_real(*names: str) -> dict[str, Any]:
     return {name: getattr(REAL, name) for name in names}
 
 
+ALL = 'all of "real"'
 _WHITE = _sized_as_real(*(f"{name}_noise" for name in SENSORS))
 # Each disturbance at the size 1, by its name in tables: that of "real" (of its latency the mean), where that has it.
 DISTURBED: dict[str, dict[str, Any]] = {
@@ -46,7 +47,7 @@ DISTURBED: dict[str, dict[str, Any]] = {
     "motor lag": _sized_as_real("lag"),
     "motor friction": _sized_as_real("motor_friction"),
     "pushes": {"push": 0.5},
-    'all of "real"': _sized_as_real(*(name for name in DISTURBANCES if name != "drift_time")),
+    ALL: _sized_as_real(*(name for name in DISTURBANCES if name != "drift_time")),
 }
 NONE, UNMEASURED = "none", "no x_dot"
 # The interquartile mean of the speed (cm/s) and the number of failures, by disturbance and size.
@@ -94,6 +95,7 @@ def document() -> Document:
 def compose(results: Mapping[str, Cells]) -> Document:
     """The document of these results."""
     fields = {name: ", ".join(f"`{each}={size}`" for each, size in given.items()) for name, given in DISTURBED.items()}
+    fields[ALL] = '`disturbances="real"`'
     sizes = markdown_table([["disturbance", "at the size 1"], *([name, text] for name, text in fields.items())])
     tables = {"sizes": sizes, "speeds": table(results)}
     return Document(tables, {"figures/sensitivity": write_with(draw, results)})

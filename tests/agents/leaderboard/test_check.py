@@ -113,7 +113,7 @@ def test_command_line(main, world, capsys):
     # The results of a row that has not changed are the same bytes.
     new = {path.name: path.read_bytes() for path in (world / RESULTS).iterdir()}
     assert {name for name in new if contents.get(name) != new[name]} == {"fresh.npz", "learnt.npz"}
-    assert "| fresh " in (world / "LEADERBOARD.md").read_text()
+    assert "|fresh|" in (world / "LEADERBOARD.md").read_text()
 
 
 def test_finished_rows_survive_an_interruption(main, world, monkeypatch, capsys):
