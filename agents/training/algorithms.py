@@ -184,7 +184,7 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
         names = ("n_steps", "n_epochs", "gae_lambda", "ent_coef")
     else:
         kwargs["train_freq"] = 1
-        names = ("buffer_size", "learning_starts", "gradient_steps", "tau")
+        names = ("buffer_size", "learning_starts", "gradient_steps", "n_steps", "tau")
         names += ("target_entropy",) if isinstance(config, SACConfig) else ()
     kwargs |= {name: getattr(config, name) for name in names}
     fast = fast_ppo(config)
