@@ -328,7 +328,7 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ),
     ("direct", "ppo"): PPOConfig(task="direct", controller=None),
     ("residual", "sac"): SACConfig(**OFF_POLICY),
-    # With less noise at the start it keeps a slow gait; with more at the end its swings stay away from the limits.
+    # With less noise at the start it keeps a slow gait.
     ("direct", "sac"): SACConfig(**DIRECT_OFF_POLICY, final_target_entropy=-4.0),
     ("residual", "td3"): TD3Config(**OFF_POLICY),
     ("direct", "td3"): TD3Config(
