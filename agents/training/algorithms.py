@@ -22,6 +22,7 @@ from sb3_contrib import TQC, RecurrentPPO
 from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.buffers import NStepReplayBuffer
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
@@ -185,6 +186,10 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
     else:
         kwargs["train_freq"] = 1
         names = ("buffer_size", "learning_starts", "gradient_steps", "tau")
+        if config.n_steps > 1:
+            # As SB3's argument n_steps, with which a model cannot be loaded without a warning.
+            kwargs["replay_buffer_class"] = NStepReplayBuffer
+            kwargs["replay_buffer_kwargs"] = {"n_steps": config.n_steps, "gamma": config.gamma}
         names += ("target_entropy",) if isinstance(config, SACConfig) else ()
     kwargs |= {name: getattr(config, name) for name in names}
     fast = fast_ppo(config)

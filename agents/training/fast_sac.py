@@ -30,7 +30,7 @@ class FastSAC(SAC):
     The algorithm is SB3's, up to rounding: with one update per call and the same seed the parameters agree.
 
     Not supported, because this project does not use them: dictionary observations, a fixed entropy coefficient, gSDE,
-    n-step returns, batch normalisation, other networks than two hidden layers.
+    batch normalisation, other networks than two hidden layers.
     """
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
@@ -49,12 +49,13 @@ class FastSAC(SAC):
         adams = [Adam(each) for each in (self.ent_coef_optimizer, self.critic.optimizer, self.actor.optimizer)]
 
         data = self.replay_buffer.sample(batch_size * gradient_steps, env=self._vec_normalize_env)
-        discounts = (1.0 - data.dones) * self.gamma
+        discounts = (1.0 - data.dones) * (self.gamma if data.discounts is None else data.discounts)
         pairs = torch.cat([data.observations, data.actions], dim=1)
-        columns = (data.observations, pairs, data.next_observations, data.rewards, discounts)
+        columns = (data.observations, pairs, data.next_observations, data.rewards[:, 0], discounts[:, 0])
+        batches = (column.numpy().reshape(gradient_steps, batch_size, *column.shape[1:]) for column in columns)
+        flat_averages, flat_parameters = flat(averages), flat(parameters)
         losses = []
-        for batch in zip(*(column.split(batch_size) for column in columns), strict=True):
-            x, taken, next_x, rewards, discount = (column.numpy() for column in batch)
+        for x, taken, next_x, rewards, discount in zip(*batches, strict=True):
             noise, next_noise = torch.randn(batch_size).numpy(), torch.randn(batch_size).numpy()
             proposal = propose(actor, x, noise)
             coefficient = np.float32(math.exp(self.log_ent_coef.item()))
@@ -63,19 +64,23 @@ class FastSAC(SAC):
             entropy_gradient[:] = entropy_error
             adams[0].step()
 
-            wanted = target(actor, targets, next_x, next_noise, coefficient, rewards[:, 0], discount[:, 0])
+            wanted = target(actor, targets, next_x, next_noise, coefficient, rewards, discount)
             critic_loss = differentiate_critics(critics, critic_gradients, taken, wanted)
             adams[1].step()
             actor_loss = differentiate_actor(actor, actor_gradient, critics, x, noise, proposal, coefficient)
             adams[2].step()
-            with torch.no_grad():
-                torch._foreach_lerp_(averages, parameters, self.tau)
+            average(flat_averages, flat_parameters, np.float32(self.tau))
             losses.append((coefficient, actor_loss, critic_loss, entropy_loss))
         self._n_updates += gradient_steps
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
         names = ("ent_coef", "actor_loss", "critic_loss", "ent_coef_loss")
         for name, mean in zip(names, np.mean(losses, axis=0).tolist(), strict=True):
             self.logger.record(f"train/{name}", mean)
+
+
+def flat(tensors: Iterable[torch.Tensor]) -> Network:
+    """The tensors' own memory, as vectors."""
+    return tuple(tensor.detach().view(-1).numpy() for tensor in tensors)
 
 
 def arrays(parameters: Iterable[torch.Tensor]) -> Network:
@@ -102,50 +107,71 @@ class Adam:
                 moments = {name: torch.zeros_like(parameter) for name in ("exp_avg", "exp_avg_sq")}
                 state.update(step=torch.zeros(()), **moments)
         states = [optimizer.state[parameter] for parameter in parameters]
-        self.steps = [state["step"] for state in states]
         columns = (
-            [parameter.detach() for parameter in parameters],
+            parameters,
             [parameter.grad for parameter in parameters],
-            *([state[name] for state in states] for name in ("exp_avg", "exp_avg_sq")),
+            *([state[name] for state in states] for name in ("exp_avg", "exp_avg_sq", "step")),
         )
-        self.columns = tuple(tuple(each.view(-1).numpy() for each in column) for column in columns)
+        self.columns = tuple(map(flat, columns))
 
     def step(self) -> None:
         """One step, with the gradients in place."""
-        for step in self.steps:
-            step += 1
-        count = self.steps[0].item()
-        corrections = tuple(np.float32(1.0 - float(decay) ** count) for decay in self.decay)
-        adam(*self.columns, self.rate, self.decay, corrections, self.eps)
+        adam(*self.columns, self.rate, self.decay, self.eps)
 
 
 @compiled
-def adam(
-    parameters: Any, slopes: Any, means: Any, squares: Any, rate: Any, decay: Any, corrections: Any, eps: Any
-) -> None:
+def adam(parameters: Any, slopes: Any, means: Any, squares: Any, steps: Any, rate: Any, decay: Any, eps: Any) -> None:
     """A step of Adam."""
-    for parameter, slope, mean, square in zip(parameters, slopes, means, squares):  # noqa: B905
+    for parameter, slope, mean, square, step in zip(parameters, slopes, means, squares, steps):  # noqa: B905
+        step[0] += ONE
+        size = rate / np.float32(1.0 - np.float64(decay[0]) ** np.float64(step[0]))
+        scale = ONE / np.float32(1.0 - np.float64(decay[1]) ** np.float64(step[0]))
         for i in range(len(parameter)):
             mean[i] += (ONE - decay[0]) * (slope[i] - mean[i])
             square[i] += (ONE - decay[1]) * (slope[i] * slope[i] - square[i])
-            denominator = np.sqrt(square[i] / corrections[1]) + eps
-            parameter[i] -= rate / corrections[0] * mean[i] / denominator
+            parameter[i] -= size * mean[i] / (np.sqrt(square[i] * scale) + eps)
+
+
+@compiled
+def average(averages: Any, parameters: Any, tau: Any) -> None:
+    """Moves the averages by that share to the parameters."""
+    for mean, parameter in zip(averages, parameters):  # noqa: B905
+        for i in range(len(mean)):
+            mean[i] += tau * (parameter[i] - mean[i])
+
+
+@compiled
+def rectify(y: Any, bias: Any) -> Any:
+    """Adds the biases to the rows and sets what is negative to 0, in place."""
+    for i in range(y.shape[0]):
+        for j in range(y.shape[1]):
+            y[i, j] = max(y[i, j] + bias[j], ZERO)
+    return y
+
+
+@compiled
+def gate(slope: Any, outputs: Any) -> Any:
+    """Sets the slopes of units whose output is 0 to 0, in place."""
+    for i in range(slope.shape[0]):
+        for j in range(slope.shape[1]):
+            slope[i, j] = slope[i, j] if outputs[i, j] > ZERO else ZERO
+    return slope
 
 
 @compiled
 def hidden(network: Any, x: Any) -> Any:
     """Outputs of both hidden layers."""
-    first = np.maximum(np.dot(x, network[0].T) + network[1], ZERO)
-    return first, np.maximum(np.dot(first, network[2].T) + network[3], ZERO)
+    first = rectify(np.dot(x, network[0].T), network[1])
+    return first, rectify(np.dot(first, network[2].T), network[3])
 
 
 @compiled
 def differentiate(network: Any, gradient: Any, x: Any, first: Any, second: Any, slope: Any) -> None:
     """Gradients of the hidden layers from that of the second one's output."""
     ones = np.ones(len(x), np.float32)
-    slope = np.where(second > ZERO, slope, ZERO)
+    slope = gate(slope, second)
     gradient[2][:], gradient[3][:] = np.dot(slope.T, first), np.dot(ones, slope)
-    slope = np.where(first > ZERO, np.dot(slope, network[2]), ZERO)
+    slope = gate(np.dot(slope, network[2]), first)
     gradient[0][:], gradient[1][:] = np.dot(slope.T, x), np.dot(ones, slope)
 
 
@@ -170,8 +196,8 @@ def value(critic: Any, pairs: Any) -> Any:
 @compiled
 def value_slope(critic: Any, first: Any, second: Any) -> Any:
     """The slopes of the values along the action."""
-    slope = np.where(second > ZERO, critic[4][0], ZERO)
-    slope = np.where(first > ZERO, np.dot(slope, critic[2]), ZERO)
+    slope = gate(np.outer(np.ones(len(second), np.float32), critic[4][0]), second)
+    slope = gate(np.dot(slope, critic[2]), first)
     return np.dot(slope, np.ascontiguousarray(critic[0][:, -1]))
 
 

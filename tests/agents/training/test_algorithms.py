@@ -101,10 +101,11 @@ def test_policy_file_and_archive_act_as_the_agent(kind, policy_kwargs, labels, t
 # --- faster parts of Stable-Baselines3 -------------------------------------------------------------------------------
 
 
-def test_fast_sac_makes_the_updates_of_sb3():
+@pytest.mark.parametrize("n_steps", [1, 3])
+def test_fast_sac_makes_the_updates_of_sb3(n_steps):
     results = []
     for stock in (True, False):
-        config = small("residual", "sac", learning_starts=400, stock=stock)
+        config = small("residual", "sac", learning_starts=400, stock=stock, n_steps=n_steps)
         model: Any = make_model(config, make_env(config, 0))
         assert type(model) is (SAC if stock else FastSAC)
         # Too few steps for an update: both hold the same transitions and the same networks.

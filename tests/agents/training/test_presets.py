@@ -17,7 +17,7 @@ from agents.distillation.dagger import HIDDEN
 from agents.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
 from agents.training.presets import CONFIG, PRESETS, RANGES, ROWS, Environment, PPOConfig, read_config
 from capsule_gym.parameters import DOCS, RANDOMIZATIONS, EnvConfig
-from capsule_gym.task import TASKS
+from capsule_gym.task import CONTROL_DT, TASKS
 
 
 def test_the_command_line_of_a_training_run_takes_its_words_and_defaults_from_the_options():
@@ -118,9 +118,11 @@ def test_the_zoo_trains_sac_with_the_presets_settings():
     env = found["env_kwargs"]
     assert env.pop("max_episode_steps") == round(config.episode_seconds / config.control_dt)
     assert env.pop("initial_range") == list(config.initial_range)
-    assert env == {name: getattr(config, name) for name in ("control_dt", "termination_penalty")}
+    assert env == {"termination_penalty": config.termination_penalty}
+    assert config.control_dt == CONTROL_DT
     # The Zoo's rate falls to 0.
     assert float(found["learning_rate"].removeprefix("lin_")) == config.learning_rate
     assert (found["n_envs"], float(found["n_timesteps"])) == (config.num_envs, config.total_steps)
-    names = ("batch_size", "buffer_size", "learning_starts", "gradient_steps", "gamma", "tau", "target_entropy")
+    names = ("batch_size", "buffer_size", "learning_starts", "gradient_steps", "n_steps", "gamma", "tau")
+    names += ("target_entropy",)
     assert {name: found[name] for name in names} == {name: getattr(config, name) for name in names}
