@@ -186,7 +186,7 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
     else:
         kwargs["train_freq"] = 1
         names = ("buffer_size", "learning_starts", "gradient_steps", "tau")
-        if config.n_steps > 1:
+        if isinstance(config, OffPolicyConfig) and config.n_steps > 1:
             # As SB3's argument n_steps, with which a model cannot be loaded without a warning.
             kwargs["replay_buffer_class"] = NStepReplayBuffer
             kwargs["replay_buffer_kwargs"] = {"n_steps": config.n_steps, "gamma": config.gamma}
