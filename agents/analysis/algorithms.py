@@ -1,7 +1,8 @@
-"""The one-sided gait that SAC converges to from the default start, next to the gait of PPO."""
+"""The one-sided gait of SAC from the default start, and the learning curves of plain Stable-Baselines3."""
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,13 +20,19 @@ from capsule_gym import load_policy
 
 # Trained from the default start; docs/algorithms.md has the command.
 ONE_SIDED = Path(__file__).with_name("one_sided.safetensors")
+# Written by examples/plain_sb3.py: task, training seed, steps, speed (cm/s), share of episodes that failed.
+CURVES = Path(__file__).with_name("plain_sb3.csv")
 
 
 def document() -> Document:
-    """The cycles as a table and a figure."""
+    """The cycles as a table and a figure, and the learning curves."""
     one_sided = record(load_policy(ONE_SIDED), name="SAC from the default start")
     cycles = [find_cycle(each) for each in (one_sided, median_run(find_candidate("direct-ppo")))]
-    return Document({"cycles": table(cycles)}, {"figures/algorithms_cycles": write_with(draw_cycles, cycles)})
+    figures = {
+        "figures/algorithms_cycles": write_with(draw_cycles, cycles),
+        "figures/algorithms_curves": write_with(draw_curves, CURVES),
+    }
+    return Document({"cycles": table(cycles)}, figures)
 
 
 def table(cycles: Sequence[Recording]) -> str:
@@ -48,4 +55,19 @@ def draw_cycles(cycles: Sequence[Recording]) -> Any:
     axes.set(xlabel="angle θ (deg)", ylabel="θ' (rad/s)")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=3)
     add_note(figure, "One steady cycle each on the paper's plant, clockwise. The upright is at 0.")
+    return figure
+
+
+def draw_curves(path: Path) -> Any:
+    """The mean speed over the steps of training, of one run per task."""
+    figure = new_figure(2.6, 4.6)
+    axes = figure.subplots()
+    with path.open(newline="", encoding="utf-8") as file:
+        points = list(csv.reader(file))
+    for task, pen in zip(dict.fromkeys(task for task, *_ in points), PENS, strict=True):
+        curve = np.array([[int(at) / 1e6, float(speed)] for name, _, at, speed, _ in points if name == task])
+        axes.plot(*curve.T, **pen.line(label=task))
+    axes.set(xlabel="steps of training (millions)", ylabel="speed (cm/s)", xlim=0.0, ylim=0.0)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2)
+    add_note(figure, "One run each; mean over 16 plants, from the default start.")
     return figure
