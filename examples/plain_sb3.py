@@ -40,7 +40,8 @@ class LearningCurve(BaseCallback):
             print(f"{self.num_timesteps:,} steps: {speed:.2f} cm/s, {failed:.0%} failed", flush=True)
             if self.path:
                 with self.path.open("a", newline="", encoding="utf-8") as file:
-                    csv.writer(file).writerow((self.task, self.model.seed, self.num_timesteps, f"{speed:.3f}", failed))
+                    point = (self.task, self.model.seed, self.num_timesteps, f"{speed:.3f}", failed)
+                    csv.writer(file, lineterminator="\n").writerow(point)
         return True
 
 
