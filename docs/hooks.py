@@ -1,4 +1,4 @@
-"""Hooks of mkdocs: pages of the notebooks, and links of rankings and scenes to the live page."""
+"""Hooks of mkdocs: pages of the notebooks, links to the live page, and words that a line does not break."""
 
 from __future__ import annotations
 
@@ -30,6 +30,10 @@ ROW = re.compile(r"(?<=<tr>).*?(?=</tr>)", re.DOTALL)
 # On a telephone a figure is too small to read: a tap opens it alone.
 FIGURE = re.compile(r'<img\b[^>]*\bsrc="(?P<file>[^"]*figures/[^"]*)"[^>]*>')
 CELL = re.compile(r"(?<=<td>).*?(?=</td>)")
+# On a telephone a line would break after the hyphens of --set and of 1e-12, and short names inside the word.
+INLINE_CODE = re.compile(r"(?<!<pre><code>)(?<!<span></span><code>)(?<=<code>)[^<]+(?=</code>)")
+EXPONENTIAL = re.compile(r"\b\d(?:\.\d+)?e-\d+\b")
+LONGEST_WHOLE = 20
 # On GitHub such a link leads to the page about the live page, on the site to the scene itself.
 SCENE = re.compile(r"\[(?P<text>[^\]]+)\]\(live\.md#(?P<scene>driver=[^)\s]+)\)")
 COLAB = "https://colab.research.google.com/github/"
@@ -103,11 +107,19 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 
 def on_page_content(content: str, page: Any, **_: Any) -> str:
-    """Links figures to their files, and the policies of rankings to the live page."""
+    """Links figures to their files and the policies of rankings to the live page, and keeps short words whole."""
     content = FIGURE.sub(lambda match: f'<a href="{match["file"]}" title="Open the figure">{match[0]}</a>', content)
+    content = INLINE_CODE.sub(lambda code: re.sub(r"\S+", _whole, code[0]), content)
+    content = TABLE.sub(lambda table: EXPONENTIAL.sub(_whole, table[0]), content)
     if page.file.src_uri not in RANKINGS:
         return content
     return TABLE.sub(lambda match: _watched(page, match[0]), content)
+
+
+def _whole(word: re.Match[str]) -> str:
+    """A short word, which a line does not break; a longer word unchanged."""
+    short = len(html.unescape(word[0])) <= LONGEST_WHOLE
+    return f'<span class="whole">{word[0]}</span>' if short else word[0]
 
 
 def _watched(page: Any, table: str) -> str:

@@ -138,6 +138,8 @@ def draw_transport(rows: Sequence[Row]) -> Any:
     Args:
         rows: those that make no progress have no cost, and are named in the note.
     """
+    from matplotlib.ticker import LogLocator
+
     figure = new_figure(max(4.4, 1.4 + 0.145 * len(rows)))
     # Room for the labels on the right, whose width the layout underestimates.
     figure.get_layout_engine().set(rect=(0.0, 0.0, 0.985, 1.0))
@@ -160,7 +162,9 @@ def draw_transport(rows: Sequence[Row]) -> Any:
     axes.plot([], [], "s", color=INK, markersize=4.0, label="scripted")
     # A policy away from the plants of its training can need thirty times the cost of the others.
     axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter("")
     axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)", xlim=(0.1, None), ylim=(-0.5, None))
     _label_marks(axes, marks)
     # Inside the axes every corner has a front, a policy or a label's line.
