@@ -149,7 +149,7 @@ def test_resume_asks_before_it_runs_the_code_of_a_law_from_elsewhere(tmp_path, c
         (["--learning-rate", "0.1"], f"--learning-rate must stay {PRESETS['direct', 'sac'].learning_rate}"),
         (["--run", "elsewhere"], "--run must not be given with --resume, got 'elsewhere'"),
         (["--row", "direct-ppo"], "--row must not be given with --resume, got 'direct-ppo'"),
-        (["--n-steps", "3"], "Unrecognized options: --n-steps, 3"),
+        (["--n-epochs", "3"], "Unrecognized options: --n-epochs, 3"),
     ],
 )
 def test_resume_refuses_other_changes(run, words, message, capsys):

@@ -16,7 +16,7 @@ def test_the_learning_curves_are_measured_and_written(tmp_path, monkeypatch, cap
     assert len(run.mean_speed) == len(run.failed) == len(run.steps)
     words = ["--seeds", "2", "--total-steps", "64", "--markdown", str(tmp_path / "a.md")]
     assert training.main([*words, "--figure", str(tmp_path / "curves.png")]) == 0
-    assert "| SB3's PPO | 2 " in (tmp_path / "a.md").read_text()
+    assert "|SB3's PPO|2|" in (tmp_path / "a.md").read_text()
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
     assert "Over the whole curve" in capsys.readouterr().out
 

@@ -158,7 +158,7 @@ def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, monkeypatch, 
     assert command.main(["--report"]) == 0
     page = (ROOT / "docs" / "optimum.md").read_text(encoding="utf-8")
     written = {line.replace(" ", "") for line in page.splitlines()}
-    rows = [line.replace(" ", "") for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
+    rows = [line.replace(" ", "") for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
     numbers = [row for row in rows if row[1].isdigit() or row[1] == "`"]
     assert len(numbers) > 27 and written.issuperset(numbers)
 
