@@ -55,6 +55,8 @@ def main() -> None:
     parser.add_argument("--curve", type=Path, help="CSV file")
     args = parser.parse_args()
 
+    if args.curve:
+        args.curve.parent.mkdir(parents=True, exist_ok=True)
     curve = LearningCurve(args.task, args.every, args.curve)
     model = PPO("MlpPolicy", gym.make(ID, **TASKS[args.task]), seed=args.seed, device="cpu")
     model.learn(args.steps, callback=curve)
