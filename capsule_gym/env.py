@@ -174,7 +174,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     """
 
     # Gymnasium declares it as the instance's, and wrappers change it: each instance gets a copy.
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012 (as Gymnasium declares it)
 
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
         self.simulation = make_simulation(1, EnvConfig(render_mode=render_mode, **options))

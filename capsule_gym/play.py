@@ -39,7 +39,7 @@ class Game:
     """
 
     name = "you"
-    env_kwargs: dict[str, Any] = {}  # noqa: RUF012
+    env_kwargs: dict[str, Any] = {}  # noqa: RUF012 (read only)
 
     def __init__(
         self, plants: Sequence[PlantSpec], rival: Any, speed: float = 1.0, settings: Mapping[str, Any] | None = None

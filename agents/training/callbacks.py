@@ -83,7 +83,7 @@ def make_logger(run: Path, config: Config, steps: int, wandb: bool) -> Logger:
     return Logger(str(folder), [table, make_output_format("tensorboard", str(folder)), *online])
 
 
-class Stopped(Exception):  # noqa: N818
+class Stopped(Exception):  # noqa: N818 (it is no error)
     """Ends a run between two updates, because its user asked for it."""
 
 

@@ -122,7 +122,7 @@ class Adam:
 @compiled
 def adam(parameters: Any, slopes: Any, means: Any, squares: Any, steps: Any, rate: Any, decay: Any, eps: Any) -> None:
     """A step of Adam."""
-    for parameter, slope, mean, square, step in zip(parameters, slopes, means, squares, steps):  # noqa: B905
+    for parameter, slope, mean, square, step in zip(parameters, slopes, means, squares, steps):  # noqa: B905 (numba knows no strict)
         step[0] += ONE
         size = rate / np.float32(1.0 - np.float64(decay[0]) ** np.float64(step[0]))
         scale = ONE / np.float32(1.0 - np.float64(decay[1]) ** np.float64(step[0]))
@@ -135,7 +135,7 @@ def adam(parameters: Any, slopes: Any, means: Any, squares: Any, steps: Any, rat
 @compiled
 def average(averages: Any, parameters: Any, tau: Any) -> None:
     """Moves the averages by that share to the parameters."""
-    for mean, parameter in zip(averages, parameters):  # noqa: B905
+    for mean, parameter in zip(averages, parameters):  # noqa: B905 (numba knows no strict)
         for i in range(len(mean)):
             mean[i] += tau * (parameter[i] - mean[i])
 
@@ -214,7 +214,7 @@ def target(actor: Any, critics: Any, x: Any, noise: Any, coefficient: Any, rewar
 def differentiate_critics(critics: Any, gradients: Any, pairs: Any, wanted: Any) -> float:
     """Writes the critics' gradients; returns their loss."""
     loss = 0.0
-    for critic, gradient in zip(critics, gradients):  # noqa: B905
+    for critic, gradient in zip(critics, gradients):  # noqa: B905 (numba knows no strict)
         values, first, second = value(critic, pairs)
         error = values - wanted
         loss += 0.5 * (error * error).mean()
