@@ -56,9 +56,11 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     |---|---|---|
     | direct (`controller=None`) | motor torque | clip(residual_limit a); `residual_limit` defaults to `torque_limit` |
     | residual (`controller="module:attribute"`) | torque on top of a control law that runs inside the step at 1 kHz | clip(clip(u_law) + residual_limit a) |
+    | the same with `total_torque=True` | total torque | torque_limit a, kept within `residual_limit` of clip(u_law) |
 
     Torques are clipped to +-`torque_limit`. A residual of zero gives the control law itself, bit for bit. A law that
-    tracks a reference counteracts the residual; with `residual_limit = 2 torque_limit` the agent can override the law.
+    tracks a reference counteracts the residual; with `residual_limit = 2 torque_limit` the agent can override the law,
+    which it learns sooner with `total_torque=True`.
 
     ## Observation Space
 
@@ -148,6 +150,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     |---|---|---|
     | `controller` | `None` | control law inside the step: an import string "module:attribute", a `Controller`, or a function that returns one |
     | `residual_limit` | `torque_limit` | torque of an action of 1, N m |
+    | `total_torque` | `False` | whether the action is the total torque, in units of torque_limit, kept within residual_limit of the law's torque |
     | `torque_limit` | `1.5` | largest motor torque, N m |
     | `randomization` | `"paper"` | distribution of the plant, drawn at every reset: "none": the capsule's own M and mu; "paper": M in [0.45, 0.55] kg, mu in [0.009, 0.011]; "wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3]; "broad": M in [0.25, 1.2] kg, mu log-uniform in [0.002, 0.6]; "sticky": M in [0.35, 0.75] kg, mu in [0.2, 0.6]; "real": M in [0.45, 0.55] kg, mu in [0.009, 0.011], m in [0.1242, 0.1518], l in [0.27, 0.33], k in [0.324, 0.396], c in [0.08307, 0.10153]; "real-wide": M in [0.35, 0.75] kg, mu log-uniform in [0.005, 0.3], m in [0.1242, 0.1518], l in [0.27, 0.33], k in [0.324, 0.396], c in [0.08307, 0.10153]; or a `Randomization` |
     | `disturbances` | `"none"` | imperfect sensors and motor: "none"; "real": noise, bias and drift of the sensors, 5 to 15 ms of latency, lag and friction of the motor; or a `Disturbances` |
@@ -247,7 +250,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         """One agent step: `capsule_gym.kernels.step`, compiled with the control law.
 
         Args:
-            action: shape (1,), torque relative to `residual_limit`; clipped to [-1, 1].
+            action: shape (1,), torque in units of `residual_limit`, or with `total_torque` of `torque_limit`; clipped to
+                [-1, 1].
 
         Returns:
             Observation, reward, terminated, truncated (always False, as gymnasium's TimeLimit truncates) and info.

@@ -96,8 +96,10 @@ def apply_torque(block: np.ndarray, n: int, plant: Plant, settings: StepSettings
     resting = 0
     for j in range(n):
         going = block[AT.halt + j] == UNDER_WAY
-        residual = settings.residual_limit * block[AT.action + j]
-        torque = clip(block[AT.law_torque + j] + residual, settings.torque_limit)
+        law_torque, action = block[AT.law_torque + j], block[AT.action + j]
+        rest = clip(settings.torque_limit * action - law_torque, settings.residual_limit)
+        residual = rest if settings.total_torque else settings.residual_limit * action
+        torque = clip(law_torque + residual, settings.torque_limit)
         if plant.extended == VARIED:
             torque = disturbances.drive(block, j, torque, going)
         torque = torque if going else block[AT.torque + j]
@@ -429,7 +431,7 @@ def step(
         start_task(block, n, end)
     for tick in range(1 if begin else settings.law_steps):
         if not begin:
-            # u = clip(law torque + residual_limit action), constant until the law is called again.
+            # u = clip(law torque + residual), constant until the law is called again.
             sticking = apply_torque(block, n, plant, settings)
             for substep in range(settings.physics_steps):
                 # Where nothing sticks the compiler leaves out a third of the work.

@@ -170,6 +170,7 @@ class StepSettings(NamedTuple):
 
     torque_limit: float
     residual_limit: float
+    total_torque: bool
     physics_dt: float
     physics_steps: int
     law_steps: int

@@ -719,6 +719,11 @@ class EnvConfig:
     residual_limit: float | None = _option(
         None, "torque of an action of 1, N m", _or_none(_number(0.0, LARGEST_TORQUE, "N m"))
     )
+    total_torque: bool = _option(
+        False,
+        "whether the action is the total torque, in units of torque_limit, kept within residual_limit of the law's torque",
+        _instance("True or False", bool, np.bool_),
+    )
     torque_limit: float = _option(
         task.TORQUE_LIMIT, "largest motor torque, N m", _number(0.0, LARGEST_TORQUE, "N m", open_low=True)
     )

@@ -184,6 +184,8 @@ class Policy:
             observes_energy_weight=self.observes_energy_weight,
             outputs_torque=self.output == "torque",
         )
+        if header.outputs_torque and options.total_torque:
+            raise ValueError("output must be 'action' with env_kwargs['total_torque']=True, got 'torque'")
         if header.outputs_torque and not header.residual_limit > 0.0:
             raise ValueError("output must be 'action' where env_kwargs give no residual_limit > 0, got 'torque'")
         for name, array in (("mean", self.mean), ("variance", self.variance)):
@@ -211,6 +213,7 @@ class Policy:
         if options.controller is not None:
             limit = options.residual_limit or options.torque_limit
             action = f"a residual torque of up to {limit:g} N m on `{options.controller}`"
+            action += ", as total torque" if options.total_torque else ""
         algorithm = "DAgger" if self.algorithm == IMITATION else self.algorithm.upper()
         return f"{algorithm}, {action}, trained with randomization {options.randomization}"
 

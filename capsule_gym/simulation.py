@@ -131,6 +131,7 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> layout.S
     settings = layout.StepSettings(
         torque_limit=torque_limit,
         residual_limit=torque_limit if residual_limit is None else residual_limit,
+        total_torque=options.total_torque,
         physics_dt=physics_dt,
         physics_steps=divide("the law's step" if controller else "control_dt", law_dt, "physics_dt", physics_dt),
         law_steps=divide(

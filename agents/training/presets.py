@@ -92,6 +92,7 @@ class Config:
     residual_limit: Annotated[float, _option("residual_limit", "; twice the torque limit can cancel any law")] = (
         2.0 * EnvConfig.torque_limit
     )
+    total_torque: Annotated[bool, _option("total_torque")] = EnvConfig.total_torque
     torque_limit: Annotated[float, _option("torque_limit")] = EnvConfig.torque_limit
     randomization: Literal["default", "none", "paper", "wide", "broad", "sticky", "real", "real-wide"] = "paper"
     """Distribution of the plants; "default": that of the environment."""
@@ -134,7 +135,7 @@ class Config:
         if self.randomization == "default":
             del kwargs["randomization"]
         # Policies of before these options do not name them.
-        for name in ("disturbances", "stack_size", "initial_range"):
+        for name in ("total_torque", "disturbances", "stack_size", "initial_range"):
             if kwargs[name] == getattr(EnvConfig, name):
                 del kwargs[name]
         if self.static_ratio is not None:
@@ -220,8 +221,10 @@ class PPOConfig(OnPolicyConfig):
     """Environment steps at the start in which only the critic learns, so that it does not spoil a good base."""
 
     def check(self) -> None:
-        """Also checks the energy weights, and the one that the policy observes in evaluations."""
+        """Also checks the output, the energy weights, and the one that the policy observes in evaluations."""
         super().check()
+        if self.output == "torque" and self.total_torque:
+            raise ValueError("output must be 'action' with total_torque=True, got 'torque'")
         if self.energy_weights is not None:
             accepted = f"{ENERGY_WEIGHT_TEXT} where it is observed"
             for weight in self.energy_weights:

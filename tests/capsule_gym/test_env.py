@@ -265,6 +265,24 @@ def test_residual_torque_formula():
             _, info = env.reset()
 
 
+def test_the_total_torque_is_the_action_within_the_residual_limit_of_the_law():
+    kwargs = {"controller": "baselines:adaptive", "total_torque": True, "control_dt": 0.001}
+    near, free = CapsuleEnv(**kwargs, residual_limit=1.0), CapsuleEnv(**kwargs, residual_limit=3.0)
+    direct = CapsuleEnv(control_dt=0.001, physics_dt=0.001)
+    for env in (near, free, direct):
+        env.reset(seed=4)
+    bounded = 0
+    for action in np.random.default_rng(0).uniform(-0.3, 0.3, (200, 1)).astype(np.float32):
+        law_torque, (_, _, _, _, info) = near.simulation.row(Row.law_torque)[0], near.step(action)
+        wanted = 1.5 * float(action[0])
+        assert info["torque"] == pytest.approx(np.clip(wanted, law_torque - 1.0, law_torque + 1.0), abs=1e-15)
+        bounded += info["torque"] != pytest.approx(wanted)
+        # Without a binding limit the law has no effect.
+        (one, *_), (other, *_) = free.step(action), direct.step(action)
+        np.testing.assert_allclose(one[:5], other[:5], rtol=0.0, atol=1e-6)
+    assert 50 < bounded < 200
+
+
 def test_observation_entries():
     env = gym.make(ENV_ID, controller="baselines:adaptive", observe_parameters=True, residual_limit=1.0)
     env.reset(seed=0)

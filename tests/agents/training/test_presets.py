@@ -27,7 +27,7 @@ def test_the_command_line_of_a_training_run_takes_its_words_and_defaults_from_th
     shared = [name for name in DOCS if name in fields and name != "task"]
     assert set(shared) > {"torque_limit", "residual_limit", "observe_parameters", "energy_weight"}
     # What policies of before these options do not name.
-    assert set(PPOConfig().env_kwargs()) == set(shared) - {"disturbances", "stack_size", "initial_range"}
+    assert set(PPOConfig().env_kwargs()) == set(shared) - {"total_torque", "disturbances", "stack_size", "initial_range"}
     for name in ("torque_limit", "observe_parameters", "energy_weight"):
         assert fields[name].default == getattr(EnvConfig, name)
     for name in ("torque_limit", "residual_limit", "observe_parameters", "energy_weight", "termination_penalty"):
