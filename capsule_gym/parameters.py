@@ -721,7 +721,8 @@ class EnvConfig:
     )
     total_torque: bool = _option(
         False,
-        "whether the action is the total torque, in units of torque_limit, kept within residual_limit of the law's torque",
+        "whether the action is the total torque, in units of torque_limit, kept within residual_limit of the law's "
+        "torque",
         _instance("True or False", bool, np.bool_),
     )
     torque_limit: float = _option(

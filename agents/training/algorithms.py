@@ -36,7 +36,6 @@ from agents.training.presets import (
     PPOConfig,
     RunError,
     SACConfig,
-    TD3Config,
     TQCConfig,
 )
 from capsule_gym.sb3 import CapsuleSB3VecEnv
@@ -130,9 +129,13 @@ def make_env(config: Config, seed: int) -> VecNormalize:
         venv = fast.RolloutVecEnv(config, seed, steps, **kwargs)
     else:
         venv = CapsuleSB3VecEnv(config.num_envs, seed, max_episode_steps=steps, **kwargs)
-    normalize = not isinstance(config, OffPolicyConfig) or config.normalize
-    # Without training its statistics stay 0 and 1; no entry of an observation is beyond 20.
-    return VecNormalize(venv, normalize, norm_reward=False, clip_obs=10.0 if normalize else 20.0, gamma=config.gamma)
+    env = VecNormalize(venv, norm_reward=False, gamma=config.gamma)
+    if isinstance(config, OffPolicyConfig) and config.observation_scale is not None:
+        # Running statistics would magnify `stick`, which hardly ever changes.
+        env.training = False
+        statistics: Any = env.obs_rms
+        statistics.var[:3] = np.array(config.observation_scale) ** -2.0
+    return env
 
 
 # --- algorithms ------------------------------------------------------------------------------------------------------
@@ -186,7 +189,10 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
     else:
         kwargs["train_freq"] = 1
         names = ("buffer_size", "learning_starts", "gradient_steps", "tau")
-        if isinstance(config, OffPolicyConfig) and config.n_steps > 1:
+        assert isinstance(config, OffPolicyConfig)
+        if config.action_noise > 0.0:
+            kwargs["action_noise"] = make_noise(config)
+        if config.n_steps > 1:
             # As SB3's argument n_steps, with which a model cannot be loaded without a warning.
             kwargs["replay_buffer_class"] = NStepReplayBuffer
             kwargs["replay_buffer_kwargs"] = {"n_steps": config.n_steps, "gamma": config.gamma}
@@ -202,8 +208,6 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
         policy = "MlpLstmPolicy" if config.stock else RecurrentPolicy
         network |= {"lstm_hidden_size": config.hidden, "enable_critic_lstm": False}
         network["activation_fn"] = nn.Tanh if config.stock else FastTanh
-    elif isinstance(config, TD3Config):
-        kwargs["action_noise"] = _action_noise(config)
     elif isinstance(config, TQCConfig):
         kwargs["top_quantiles_to_drop_per_net"] = config.dropped_quantiles
         network["n_quantiles"] = config.quantiles
@@ -216,8 +220,8 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
     return model
 
 
-def _action_noise(config: TD3Config) -> ActionNoise:
-    """The noise on the actions of TD3 while it trains."""
+def make_noise(config: OffPolicyConfig) -> ActionNoise:
+    """The noise on the actions while an agent trains."""
     mean, deviation, time = np.zeros(1), config.action_noise, config.noise_time
     if time == 0.0:
         return NormalActionNoise(mean, np.full(1, deviation))

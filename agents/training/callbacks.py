@@ -22,10 +22,10 @@ from agents.evaluation.policies import Policy
 from agents.evaluation.sets import validation_set
 from agents.evaluation.statistics import interquartile_mean
 from agents.training import checkpoint
-from agents.training.algorithms import LinearSchedule, wrapped_env
+from agents.training.algorithms import wrapped_env
 from agents.training.checkpoint import Progress
 from agents.training.export import export, normalisation, recurrent_policy, save
-from agents.training.presets import BEST, EVALUATIONS, LOGS, Config, RunError, SACConfig
+from agents.training.presets import BEST, EVALUATIONS, LOGS, Config, RunError
 from agents.training.signals import Stop
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, EvaluationSet
 from capsule_gym.files import canonical_hash, write_atomically
@@ -153,9 +153,6 @@ class TrainingCallback(BaseCallback):
             self.evaluate()
         if self.stop.requested:
             raise Stopped
-        if isinstance(self.config, SACConfig):
-            schedule = LinearSchedule(self.config.target_entropy, self.config.final_target_entropy)
-            vars(self.model)["target_entropy"] = schedule(self.model._current_progress_remaining)
 
     def _on_rollout_end(self) -> None:
         if self.model.ep_info_buffer:

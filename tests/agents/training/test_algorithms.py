@@ -25,8 +25,8 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 import train as command_line
 from agents.evaluation.episodes import evaluate
-from agents.training import algorithms, fast_sac
-from agents.training.algorithms import FastSAC, FastTanh, RecurrentPolicy, make_env, make_model, usable
+from agents.training import fast_sac
+from agents.training.algorithms import FastSAC, FastTanh, RecurrentPolicy, make_env, make_model, make_noise, usable
 from agents.training.export import export, load_best, recurrent_policy, save
 from agents.training.loop import begin, train
 from agents.training.presets import PRESETS, ROWS, PPOConfig, RunError, TD3Config
@@ -147,7 +147,7 @@ def test_fast_tanh_is_the_hyperbolic_tangent():
 @pytest.mark.parametrize("noise_time", [0.0, 0.1])
 def test_action_noise_has_its_deviation_and_correlation_time(noise_time):
     np.random.seed(0)
-    noise = algorithms._action_noise(TD3Config(action_noise=0.5, noise_time=noise_time))
+    noise = make_noise(TD3Config(action_noise=0.5, noise_time=noise_time))
     values = np.array([noise()[0] for _ in range(40_000)])[1000:]
     assert values.std() == pytest.approx(0.5, rel=0.1)
     later = np.corrcoef(values[:-5], values[5:])[0, 1]

@@ -56,14 +56,6 @@ def test_same_seed_same_model_another_seed_another(tmp_path, task, algo):
     assert not np.array_equal(models[0], models[2])
 
 
-def test_the_target_entropy_of_sac_falls_to_its_end(tmp_path):
-    config = small("direct", "sac", total_steps=400, target_entropy=-1.0, final_target_entropy=-3.0)
-    run = finished(tmp_path / "run", config)
-    # As it was set before the last step of the 8 environments.
-    model = algorithm(config).load(run / "model.zip", device="cpu")
-    assert model.target_entropy == pytest.approx(-1.0 - 2.0 * 392 / 400)
-
-
 def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
     run = tmp_path / "run"
     config = small("residual", "ppo", total_steps=768, evaluate_every=256)

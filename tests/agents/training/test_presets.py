@@ -6,18 +6,21 @@ import dataclasses
 import json
 import math
 import re
-from pathlib import Path
 from typing import get_args, get_type_hints
 
+import gymnasium as gym
+import numpy as np
 import pytest
 
 import train
 from agents.distillation.config import STUDENTS
 from agents.distillation.dagger import HIDDEN
 from agents.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
+from agents.training.algorithms import make_noise
 from agents.training.presets import CONFIG, PRESETS, RANGES, ROWS, Environment, PPOConfig, read_config
 from capsule_gym.parameters import DOCS, RANDOMIZATIONS, EnvConfig
-from capsule_gym.task import CONTROL_DT, TASKS
+from capsule_gym.task import CONTROL_DT, ENV_ID, TASKS
+from examples import rl_zoo_sac
 
 
 def test_the_command_line_of_a_training_run_takes_its_words_and_defaults_from_the_options():
@@ -27,7 +30,8 @@ def test_the_command_line_of_a_training_run_takes_its_words_and_defaults_from_th
     shared = [name for name in DOCS if name in fields and name != "task"]
     assert set(shared) > {"torque_limit", "residual_limit", "observe_parameters", "energy_weight"}
     # What policies of before these options do not name.
-    assert set(PPOConfig().env_kwargs()) == set(shared) - {"total_torque", "disturbances", "stack_size", "initial_range"}
+    later = {"total_torque", "disturbances", "stack_size", "initial_range"}
+    assert set(PPOConfig().env_kwargs()) == set(shared) - later
     for name in ("torque_limit", "observe_parameters", "energy_weight"):
         assert fields[name].default == getattr(EnvConfig, name)
     for name in ("torque_limit", "residual_limit", "observe_parameters", "energy_weight", "termination_penalty"):
@@ -111,18 +115,21 @@ def test_the_table_of_commands_names_every_row_and_its_seeds():
 
 
 def test_the_zoo_trains_sac_with_the_presets_settings():
-    yaml = pytest.importorskip("yaml")
-    path = Path(__file__).resolve().parents[3] / "examples" / "rl_zoo_sac.yml"
-    (found,) = yaml.safe_load(path.read_text(encoding="utf-8")).values()
+    (found,) = rl_zoo_sac.hyperparams.values()
     config = PRESETS["direct", "sac"]
-    env = found["env_kwargs"]
+    env = dict(found["env_kwargs"])
     assert env.pop("max_episode_steps") == round(config.episode_seconds / config.control_dt)
     assert env.pop("initial_range") == list(config.initial_range)
     assert env == {"termination_penalty": config.termination_penalty}
     assert config.control_dt == CONTROL_DT
-    # The Zoo's rate falls to 0.
     assert float(found["learning_rate"].removeprefix("lin_")) == config.learning_rate
-    assert (found["n_envs"], float(found["n_timesteps"])) == (config.num_envs, config.total_steps)
+    assert (found["n_envs"], found["n_timesteps"]) == (config.num_envs, config.total_steps)
     names = ("batch_size", "buffer_size", "learning_starts", "gradient_steps", "n_steps", "gamma", "tau")
     names += ("target_entropy",)
     assert {name: found[name] for name in names} == {name: getattr(config, name) for name in names}
+    assert vars(found["action_noise"]) == vars(make_noise(config))
+    ((_, bounds),) = found["env_wrapper"][0].items()
+    observations = gym.make(ENV_ID).observation_space
+    scale = (*config.observation_scale, 1.0, 1.0)
+    np.testing.assert_allclose(bounds["min_obs"], observations.low * scale)
+    np.testing.assert_allclose(bounds["max_obs"], observations.high * scale)

@@ -46,7 +46,7 @@ OWN = {
         "least_log_std": -0.4,
         "critic_steps": 300,
     },
-    "sac": {**OFF_POLICY, "n_steps": 3, "final_target_entropy": -3.0},
+    "sac": {**OFF_POLICY, "n_steps": 3, "action_noise": 0.2, "noise_time": 0.25},
     "td3": {**OFF_POLICY, "noise_time": 0.25},
     "recurrent-ppo": ON_POLICY,
 }
