@@ -317,9 +317,9 @@ OFF_POLICY: dict[str, Any] = {
 # it is for a narrow one: docs/algorithms.md.
 DIRECT_OFF_POLICY: dict[str, Any] = {
     **{"task": "direct", "controller": None, "total_steps": 500_000, "evaluate_every": 20_000},
-    **{"initial_range": (1.047, 8.0), "episode_seconds": 8.0, "termination_penalty": 10.0},
-    **{"learning_rate": 1e-3, "num_envs": 32, "batch_size": 512, "learning_starts": 2000, "n_steps": 3, "tau": 0.005},
-    **{"action_noise": 0.35, "noise_time": 0.25, "observation_scale": (2.0, 0.25, 6.0)},
+    **{"initial_range": (1.047, 8.0), "episode_seconds": 4.0, "termination_penalty": 10.0},
+    **{"learning_rate": 1e-3, "num_envs": 32, "batch_size": 256, "learning_starts": 2000, "n_steps": 3, "tau": 0.005},
+    **{"action_noise": 0.25, "noise_time": 0.25, "observation_scale": (2.0, 0.25, 6.0)},
 }
 RECURRENT: dict[str, Any] = {"total_steps": 1_000_000, "n_steps": 128, "evaluate_every": 100_000}
 PRESETS: dict[tuple[Task, Algorithm], Config] = {
