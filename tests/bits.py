@@ -123,6 +123,8 @@ def subjects() -> Iterator[Subject]:
     wide = {"randomization": "wide"}
     capsule = Capsule(static_ratio=1.4, backward_ratio=1.3)
     yield Subject("plant", {**wide, "observe_parameters": True}, random_actions(0.15))
+    total = {**wide, "controller": "baselines:gait", "total_torque": True, "residual_limit": 0.5}
+    yield Subject("plant under a total torque", total, random_actions(0.15))
     yield Subject("plant anisotropic", {**wide, "capsule": capsule, "initial_noise": 0.1}, random_actions(0.15))
     rough = Capsule(static_ratio=1.3, stribeck_speed=0.1, viscous=0.2, slope=-0.02, motor_friction=0.1)
     yield Subject("plant beyond Coulomb", {**wide, "capsule": rough, "initial_noise": 0.1}, random_actions(0.15))

@@ -164,6 +164,7 @@ PLANTS = {
 ARGUMENTS = {
     "controller": st.sampled_from([None, "baselines:adaptive"]),
     "residual_limit": st.floats(1e-6, 30.0),
+    "total_torque": st.booleans(),
     "torque_limit": st.floats(0.1, 50.0),
     "randomization": st.sampled_from(["none", "paper", "wide"]),
     "observe_parameters": st.booleans(),

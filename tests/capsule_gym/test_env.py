@@ -25,6 +25,7 @@ VARIANTS = [
     {},
     {"controller": "baselines:adaptive", "residual_limit": 3.0, "observe_parameters": True},
     {"observe_parameters": True, "randomization": "wide", "initial_noise": 0.05},
+    {"controller": "baselines:adaptive", "residual_limit": 1.0, "total_torque": True},
 ]
 JUMP = {"t": 1.0, "M": 0.5, "mu": 0.01}
 

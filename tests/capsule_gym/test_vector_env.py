@@ -20,6 +20,7 @@ from tests.capsule_gym.fakes import picky_controller
 VARIANTS = [
     {"initial_range": (1.0, 8.0), "randomization": "wide"},
     {"controller": "baselines:adaptive", "residual_limit": 3.0, "observe_parameters": True},
+    {"controller": "baselines:gait", "total_torque": True, "residual_limit": 0.5},
 ]
 
 
