@@ -41,12 +41,18 @@ def test_the_command_line_of_a_training_run_takes_its_words_and_defaults_from_th
     assert get_args(Environment) == tuple(env_id for env_id, _ in TASKS.values())
 
 
-@pytest.mark.parametrize("changes", [{}, {"energy_weights": (0.1, 0.2)}])
-def test_a_configuration_is_read_as_it_was_written(tmp_path, changes):
-    config = dataclasses.replace(PRESETS["direct", "ppo"], **changes)
-    content = {"task": "direct", "algo": "ppo", "hyperparameters": config.to_dict()}
+@pytest.mark.parametrize(("algo", "changes"), [("ppo", {}), ("ppo", {"energy_weights": (0.1, 0.2)}), ("sac", {})])
+def test_a_configuration_is_read_as_it_was_written(tmp_path, algo, changes):
+    config = dataclasses.replace(PRESETS["direct", algo], **changes)
+    content = {"task": "direct", "algo": algo, "hyperparameters": config.to_dict()}
     (tmp_path / CONFIG).write_text(json.dumps(content))
     assert read_config(tmp_path) == config
+
+
+def test_factors_of_the_observation_are_positive():
+    config = dataclasses.replace(PRESETS["direct", "sac"], observation_scale=(2.0, 0.0, 6.0))
+    with pytest.raises(ValueError, match=r"^observation_scale must be three finite numbers > 0, got 0\.0"):
+        config.check()
 
 
 @pytest.mark.parametrize("name", RANGES)
