@@ -277,7 +277,7 @@ def test_checked_code_has_its_own_place_in_the_cache(monkeypatch, tmp_path):
 
 
 def test_plant_and_settings_survive_packing():
-    settings = StepSettings(1.5, 3.0, 1e-3, 7, 20, 0.1, 10.0, True, False, 2)
+    settings = StepSettings(1.5, 3.0, True, 1e-3, 7, 20, 0.1, 10.0, True, False, 2)
     fixed = pack(PLANT, settings, np.zeros((3, 2)))
     assert numba.njit(unpack)(fixed, PLANT.pivot_torque_on_contact, PLANT.extended) == (PLANT, settings)
     # numpy makes objects of integers that fit none of its types: to the kernel these would be addresses.
