@@ -283,9 +283,6 @@ class TD3Config(OffPolicyConfig):
 
     algo: ClassVar[Algorithm] = "td3"
 
-    action_noise: float = 0.2
-    """Standard deviation of the noise that training adds to the actions."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class TQCConfig(SACConfig):
@@ -313,8 +310,8 @@ OFF_POLICY: dict[str, Any] = {
     "batch_size": 512,
     "evaluate_every": 50_000,
 }
-# From the default start alone they settle for a one-sided gait, and without correlated noise or with the observation as
-# it is for a narrow one: docs/algorithms.md.
+# From the default start alone they converge to a one-sided gait, and without correlated noise or with the observation
+# as it is mostly to a narrow one: docs/algorithms.md.
 DIRECT_OFF_POLICY: dict[str, Any] = {
     **{"task": "direct", "controller": None, "total_steps": 500_000, "evaluate_every": 20_000},
     **{"initial_range": (1.047, 8.0), "episode_seconds": 4.0, "termination_penalty": 10.0},
@@ -339,7 +336,7 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("direct", "ppo"): PPOConfig(task="direct", controller=None),
     ("residual", "sac"): SACConfig(**OFF_POLICY),
     ("direct", "sac"): SACConfig(**DIRECT_OFF_POLICY, target_entropy=-3.0),
-    ("residual", "td3"): TD3Config(**OFF_POLICY),
+    ("residual", "td3"): TD3Config(**OFF_POLICY, action_noise=0.2),
     ("direct", "td3"): TD3Config(**DIRECT_OFF_POLICY),
     ("residual", "tqc"): TQCConfig(**OFF_POLICY),
     ("direct", "tqc"): TQCConfig(**DIRECT_OFF_POLICY, target_entropy=-3.0, quantiles=10, dropped_quantiles=0),
