@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from capsule_gym import task
-from capsule_gym.layout import ROWS, Row
+from capsule_gym.layout import Row
 from capsule_gym.observation import observation_bounds
 from capsule_gym.parameters import RENDER_MODES, EnvConfig, check_count, written
 from capsule_gym.rendering import Renderer
@@ -21,14 +21,12 @@ _CODES = {float(code): np.int64(code) for code in task.Termination}
 # Looking the rows of an info up in `Row` at every step takes a tenth of it.
 _STATE, _X_DOT, _REWARD, _TERMINATION = slice(Row.theta, Row.M), Row.x_dot, Row.reward, Row.termination
 _M, _MU, _TORQUE, _LAW_TORQUE, _NORMAL_FORCE, _ENERGY, _PROGRESS, _ENERGY_COST, _FAILURE = Row[Row.M : Row.reward]
-_READING = slice(Row.read_theta, Row.true_theta)
-_CAPSULE = slice(Row.drawn_m, Row.theta_noise)
-_DISTURBANCES = slice(Row.theta_noise, Row.key)
+_CONSTANTS = Row.theta_noise - Row.drawn_m
 _FIRST = np.zeros(1, np.int64)
 # Of what a task shows, the places on the floor, m: pictures mark them.
 _PLACES = ("goal", "target")
 # What a copy of an environment does not take over.
-_VIEWS = ("_rows", "_memory", "_varied", "_observation", "_step", "_renderer")
+_VIEWS = ("_rows", "_memory", "_reading", "_drawn", "_observation", "_step", "_renderer")
 
 
 class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
@@ -202,8 +200,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         memory = self.simulation.world[0, self.simulation.task_row :, 0]
         self._memory = None if self.simulation.task is SPEED else memory
         # Of varied plants, what it shows besides.
-        varied = self.simulation.world[0, :ROWS, 0]
-        self._varied = varied if self.simulation.settings.history else None
+        self._reading = self.simulation.world[0, Row.read_theta : Row.true_theta, 0]
+        self._drawn = self.simulation.world[0, Row.drawn_m : Row.key, 0]
         self._observation = self.simulation.observations[0]
         self._step = self.simulation.step_one
         self._renderer: Renderer | None = None
@@ -280,8 +278,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         info = describe(rows, termination)
         if self._memory is not None:
             add_task(info, self.simulation.task, self._memory)
-        if self._varied is not None:
-            add_variation(info, self._varied.copy())
+        if self.simulation.settings.history:
+            add_variation(info, self._reading.copy(), self._drawn.copy())
         return info
 
     def episode_metrics(self, horizon: int | None = None) -> dict[str, float]:
@@ -359,10 +357,10 @@ def add_task(info: dict[str, Any], own: task.Task, memory: np.ndarray) -> None:
         info[name] = memory[place]
 
 
-def add_variation(info: dict[str, Any], rows: np.ndarray) -> None:
-    """Adds to an info what varied plants and disturbances have drawn, and the readings; shapes as in `describe`."""
-    info["reading"] = rows[_READING].T
-    info["capsule"], info["disturbances"] = rows[_CAPSULE].T, rows[_DISTURBANCES].T
+def add_variation(info: dict[str, Any], reading: np.ndarray, drawn: np.ndarray) -> None:
+    """Adds to an info the readings, and what varied plants and disturbances have drawn, shape (.., n)."""
+    info["reading"] = reading
+    info["capsule"], info["disturbances"] = drawn[..., :_CONSTANTS], drawn[..., _CONSTANTS:]
 
 
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:

@@ -224,7 +224,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if simulation.task is not SPEED:
             add_task(info, simulation.task, simulation.rows(simulation.task_row, simulation.task_end))
         if simulation.settings.history:
-            add_variation(info, simulation.rows(0, Row.true_theta))
+            reading, drawn = simulation.rows(Row.read_theta, Row.true_theta), simulation.rows(Row.drawn_m, Row.key)
+            add_variation(info, reading.T, drawn.T)
         return info
 
     def _begin_next(self, info: dict[str, Any], ended: np.ndarray) -> None:
