@@ -358,7 +358,7 @@ def add_task(info: dict[str, Any], own: task.Task, memory: np.ndarray) -> None:
 
 
 def add_variation(info: dict[str, Any], reading: np.ndarray, drawn: np.ndarray) -> None:
-    """Adds to an info the readings, and what varied plants and disturbances have drawn, shape (.., n)."""
+    """Adds to an info the readings, shape (.., 4), and what varied plants and disturbances have drawn."""
     info["reading"] = reading
     info["capsule"], info["disturbances"] = drawn[..., :_CONSTANTS], drawn[..., _CONSTANTS:]
 
