@@ -13,9 +13,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from capsule_gym.env import (
+    DRAWN_CONSTANTS,
+    DRAWN_DISTURBANCES,
     RESET_OPTIONS,
     add_task,
-    add_variation,
     as_actions,
     check_options,
     describe,
@@ -224,8 +225,9 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if simulation.task is not SPEED:
             add_task(info, simulation.task, simulation.rows(simulation.task_row, simulation.task_end))
         if simulation.settings.history:
-            reading, drawn = simulation.rows(Row.read_theta, Row.true_theta), simulation.rows(Row.drawn_m, Row.key)
-            add_variation(info, reading.T, drawn.T)
+            drawn = simulation.rows(Row.drawn_m, Row.key)
+            info["reading"] = simulation.rows(Row.read_theta, Row.true_theta).T
+            info["capsule"], info["disturbances"] = drawn[DRAWN_CONSTANTS].T, drawn[DRAWN_DISTURBANCES].T
         return info
 
     def _begin_next(self, info: dict[str, Any], ended: np.ndarray) -> None:
