@@ -74,11 +74,12 @@ CRITERIA = {
         baseline="goal-pulses",
         ranking_set="goal",
     ),
+    # The error of a command that never settles is large in any case.
     "velocity": Criteria(
         metric=_OF_TASKS["velocity_error"],
         unit="%",
         suffix="percent",
-        weights={"velocity_error": -1.0, "unsettled": -100.0, "failed": -300.0},
+        weights={"velocity_error": -1.0, "unsettled": -20.0, "failed": -300.0},
         baseline="velocity-pulses",
         ranking_set="velocity",
     ),
