@@ -25,6 +25,7 @@ from capsule_gym.parameters import (
     ENERGY_WEIGHTS,
     Capsule,
     EnvConfig,
+    Randomization,
     check_integer,
     check_number,
     nearest,
@@ -95,6 +96,8 @@ class Config:
     torque_limit: Annotated[float, _option("torque_limit")] = EnvConfig.torque_limit
     randomization: Literal["default", "none", "paper", "wide", "broad", "sticky", "real", "real-wide"] = "paper"
     """Distribution of the plants; "default": that of the environment."""
+    mass_range: tuple[float, float] | None = None
+    """Ends of the range of M, kg; None for those of the distribution."""
     static_ratio: float | None = None
     """Static over kinetic friction coefficient of the floor; None for the environment's default."""
     disturbances: Annotated[Literal["none", "real"], _option("disturbances")] = "none"
@@ -139,6 +142,9 @@ class Config:
                 del kwargs[name]
         if self.static_ratio is not None:
             kwargs["capsule"] = Capsule(static_ratio=self.static_ratio)
+        if self.mass_range is not None:
+            distribution = Randomization.named(EnvConfig(**kwargs).randomization)
+            kwargs["randomization"] = dataclasses.replace(distribution, M=self.mass_range)
         if self.task == "direct":
             kwargs |= {"controller": None, "residual_limit": min(self.residual_limit, self.torque_limit)}
         return kwargs

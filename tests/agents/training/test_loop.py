@@ -96,7 +96,7 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
 @pytest.mark.parametrize(
     ("env", "column", "changes"),
     [
-        ("CapsuleGoal-v0", "goal_time_s", {"stock": False, "static_ratio": 1.5}),
+        ("CapsuleGoal-v0", "goal_time_s", {"stock": False, "static_ratio": 1.5, "mass_range": (0.42, 0.44)}),
         ("CapsuleVelocity-v0", "velocity_error_percent", {"stock": True}),
         ("CapsuleGoal-v0", "goal_time_s", {"wrapper": ("tests.agents.training.wrappers:Swing",)}),
     ],
@@ -121,6 +121,9 @@ def test_a_run_in_another_environment_is_judged_by_its_task(tmp_path, monkeypatc
         return
     policy = load_policy(run)
     assert policy.env_kwargs["task"] == task
+    if config.mass_range:
+        assert all(0.42 <= plant.M <= 0.44 for plant in plants.plants)
+        assert policy.env_kwargs["randomization"].M == (0.42, 0.44)
     assert (plants.capsule.static_ratio, policy.env_kwargs.get("capsule")) == (
         (1.5, plants.capsule) if config.static_ratio else (1.3, None)
     )
