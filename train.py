@@ -21,11 +21,10 @@ if __name__ == "__main__":
 
 import tyro  # noqa: E402
 
-from agents.training.presets import (  # noqa: E402
+from agents.training.config import (  # noqa: E402
     BEST,
     CONFIG,
     MODEL,
-    ROWS,
     Algorithm,
     Config,
     Environment,
@@ -33,10 +32,9 @@ from agents.training.presets import (  # noqa: E402
     RecurrentPPOConfig,
     RunError,
     Task,
-    preset,
     read_config,
-    row_settings,
 )
+from agents.training.presets import ROWS, preset, row_settings  # noqa: E402
 from capsule_gym.command_line import NO_NEGATIONS, parse, refuse  # noqa: E402
 from capsule_gym.controller import is_own  # noqa: E402
 from capsule_gym.policy import POLICY  # noqa: E402

@@ -20,7 +20,8 @@ import numpy as np
 from tqdm import tqdm
 
 from agents.evaluation.statistics import estimate, learning_curve, paired_difference
-from agents.training.presets import PRESETS, PPOConfig
+from agents.training.config import PPOConfig
+from agents.training.presets import PRESETS
 from baselines import drawing
 from benchmarks.measurement import OutputArgs, machine
 from capsule_gym.command_line import Count, parse

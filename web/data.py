@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from agents.training.presets import ROWS, PPOConfig
+from agents.training.config import PPOConfig
+from agents.training.presets import ROWS
 from baselines.dynamic_programming.policy import TORQUES
 from baselines.gaits.archive import GaitMap, encode_gaits, known_gaits, tolerant_nominal
 from baselines.policies import ALL_SCRIPTED

@@ -13,7 +13,7 @@ import numpy as np
 from agents.evaluation.criteria import CRITERIA, Criteria
 from agents.evaluation.statistics import estimate
 from agents.leaderboard.rows import Row
-from agents.training.presets import EVALUATIONS
+from agents.training.config import EVALUATIONS
 from capsule_gym.evaluation_sets import EvaluationSet
 
 SPEED = "mean_speed"

@@ -11,7 +11,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from agents.distillation.config import STUDENTS
-from agents.training.presets import LARGEST_SEED, RunError
+from agents.training.config import LARGEST_SEED, RunError
 from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Positional, parse, refuse
 from capsule_gym.parameters import check_integer

@@ -27,7 +27,7 @@ from agents.evaluation.episodes import evaluate, scores
 from agents.evaluation.sets import validation_set
 from agents.training.algorithms import FastTanh
 from agents.training.checkpoint import git_revision
-from agents.training.presets import RunError
+from agents.training.config import RunError
 from agents.training.signals import Stop
 from baselines.dynamic_programming.policy import NUM_TORQUES
 from capsule_gym import Policy

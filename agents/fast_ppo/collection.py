@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from agents.training.presets import PPOConfig
+from agents.training.config import PPOConfig
 from capsule_gym import kernels, layout, resets
 from capsule_gym.compilation import inlined
 from capsule_gym.compiler import compile_allocating

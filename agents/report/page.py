@@ -26,7 +26,7 @@ from agents.evaluation.policies import CHECKPOINTS, Candidate, all_candidates, f
 from agents.leaderboard.page import build, rows_of
 from agents.leaderboard.rows import RESULTS, Row, evaluate_run, load_row, make_row, path_of
 from agents.report import COMMAND
-from agents.training.presets import BEST, EVALUATIONS, MODEL
+from agents.training.config import BEST, EVALUATIONS, MODEL
 from baselines.drawing import DPI, VERMILION, add_note, style
 from capsule_gym.evaluation_sets import NOMINAL_PLANT, SET_NAMES, TASK_SET_NAMES, EvaluationSet, load_set
 from capsule_gym.files import write_atomically

@@ -12,7 +12,8 @@ from typing import Annotated, Literal
 from tyro.conf import arg
 
 from agents.study.jobs import RESUME, plan, publish, results_table, train_all
-from agents.training.presets import ROWS, RunError
+from agents.training.config import RunError
+from agents.training.presets import ROWS
 from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Positional, parse, refuse
 from capsule_gym.parameters import check_count

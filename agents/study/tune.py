@@ -19,7 +19,8 @@ from tyro.conf import arg
 
 from agents.evaluation.episodes import versions
 from agents.study.jobs import RESUME, evaluations, score
-from agents.training.presets import PRESETS, ROWS, Algorithm, Config, OffPolicyConfig, RunError, row_settings
+from agents.training.config import Algorithm, Config, OffPolicyConfig, RunError
+from agents.training.presets import PRESETS, ROWS, row_settings
 from agents.training.signals import INTERRUPTED
 from capsule_gym.command_line import Count, Positional, parse, refuse
 from capsule_gym.files import canonical_hash, to_json, write_atomically

@@ -28,8 +28,7 @@ from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, Ornst
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import nn
 
-from agents.training.fast_sac import FastSAC
-from agents.training.presets import (
+from agents.training.config import (
     Config,
     OffPolicyConfig,
     OnPolicyConfig,
@@ -38,6 +37,7 @@ from agents.training.presets import (
     SACConfig,
     TQCConfig,
 )
+from agents.training.fast_sac import FastSAC
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.task import TASKS
 

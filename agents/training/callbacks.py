@@ -24,8 +24,8 @@ from agents.evaluation.statistics import interquartile_mean
 from agents.training import checkpoint
 from agents.training.algorithms import wrapped_env
 from agents.training.checkpoint import Progress
+from agents.training.config import BEST, EVALUATIONS, LOGS, Config, RunError
 from agents.training.export import export, normalisation, recurrent_policy, save
-from agents.training.presets import BEST, EVALUATIONS, LOGS, Config, RunError
 from agents.training.signals import Stop
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, EvaluationSet
 from capsule_gym.files import canonical_hash, write_atomically

@@ -38,8 +38,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
+from agents.training.config import RunError
 from agents.training.export import archive, normalisation
-from agents.training.presets import RunError
 from capsule_gym.files import synchronise, write_atomically
 
 LOCK = "lock"

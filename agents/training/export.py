@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.evaluation.policies import Policy as EvaluatedPolicy
 from agents.evaluation.policies import wrap_policy
-from agents.training.presets import BEST, MODEL, NORMALISATION, Config, RecurrentPPOConfig, read_config
+from agents.training.config import BEST, MODEL, NORMALISATION, Config, RecurrentPPOConfig, read_config
 from capsule_gym import Policy, load_policy
 from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY

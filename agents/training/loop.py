@@ -19,8 +19,8 @@ from agents.training import checkpoint
 from agents.training.algorithms import LinearSchedule, algorithm, make_env, make_model
 from agents.training.callbacks import Stopped, TrainingCallback, make_logger
 from agents.training.checkpoint import Progress, git_revision, locked
+from agents.training.config import BEST, CONFIG, MODEL, Config, RunError, read_config
 from agents.training.export import save
-from agents.training.presets import BEST, CONFIG, MODEL, Config, RunError, read_config
 from agents.training.signals import Stop
 from capsule_gym.files import naming, to_json, write_atomically
 

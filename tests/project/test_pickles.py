@@ -20,7 +20,8 @@ import numpy as np
 import pytest
 
 from agents.study.jobs import train_job
-from agents.training.presets import Config, row_settings
+from agents.training.config import Config
+from agents.training.presets import row_settings
 from baselines.archive import ARCHIVE, ARRAYS
 from tests.agents.training.small import small
 from tests.project.test_commands import commands

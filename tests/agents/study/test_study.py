@@ -7,7 +7,8 @@ import pytest
 
 from agents.study.__main__ import main
 from agents.study.jobs import FINISHED, Job, plan, publish, results_table, train_all
-from agents.training.presets import ROWS, RunError
+from agents.training.config import RunError
+from agents.training.presets import ROWS
 from tests.agents.fakes import write_run
 from tests.agents.training.small import small
 

@@ -10,7 +10,8 @@ import pytest
 
 from agents.study import tune
 from agents.training import loop
-from agents.training.presets import PRESETS, ROWS, read_config
+from agents.training.config import read_config
+from agents.training.presets import PRESETS, ROWS
 from tests.agents.training.small import small
 
 optuna = pytest.importorskip("optuna", reason="the extra `tune` is not installed", exc_type=ImportError)

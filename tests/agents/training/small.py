@@ -15,8 +15,9 @@ import torch
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from agents.training.callbacks import TrainingCallback
+from agents.training.config import Config
 from agents.training.loop import begin, train
-from agents.training.presets import PRESETS, Config
+from agents.training.presets import PRESETS
 from capsule_gym import load_policy
 from capsule_gym.policy import POLICY
 

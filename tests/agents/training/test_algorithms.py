@@ -27,9 +27,10 @@ import train as command_line
 from agents.evaluation.episodes import evaluate
 from agents.training import fast_sac
 from agents.training.algorithms import FastSAC, FastTanh, RecurrentPolicy, make_env, make_model, make_noise, usable
+from agents.training.config import PPOConfig, RunError, TD3Config
 from agents.training.export import export, load_best, recurrent_policy, save
 from agents.training.loop import begin, train
-from agents.training.presets import PRESETS, ROWS, PPOConfig, RunError, TD3Config
+from agents.training.presets import PRESETS, ROWS
 from capsule_gym import load_policy
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
 from capsule_gym.files import to_json

@@ -16,7 +16,7 @@ from stable_baselines3.common.logger import configure
 
 from agents.fast_ppo.collection import Rollout, RolloutVecEnv
 from agents.training import algorithms as loop
-from agents.training.presets import PPOConfig
+from agents.training.config import PPOConfig
 from capsule_gym import Capsule, CapsuleVectorEnv, Controller, Policy, Randomization
 from capsule_gym.elementary import exp
 from capsule_gym.layout import LANES, Row

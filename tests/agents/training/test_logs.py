@@ -11,8 +11,8 @@ import pytest
 from tqdm import tqdm
 
 from agents.training import callbacks
+from agents.training.config import RunError
 from agents.training.loop import begin, train
-from agents.training.presets import RunError
 from tests.agents.training.small import log, small
 
 WATCHED = ("mean_speed", "failed", "stuck_fraction", "reward_progress", "reward_energy", "reward_termination")

@@ -17,7 +17,8 @@ from agents.distillation.config import STUDENTS
 from agents.distillation.dagger import HIDDEN
 from agents.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candidate
 from agents.training.algorithms import make_noise
-from agents.training.presets import CONFIG, PRESETS, RANGES, ROWS, Environment, PPOConfig, read_config
+from agents.training.config import CONFIG, RANGES, Environment, PPOConfig, read_config
+from agents.training.presets import PRESETS, ROWS
 from capsule_gym.parameters import DOCS, RANDOMIZATIONS, EnvConfig
 from capsule_gym.task import CONTROL_DT, ENV_ID, TASKS
 from examples import rl_zoo_sac

@@ -25,8 +25,9 @@ from agents.fast_ppo import FastPPO
 from agents.training import callbacks, checkpoint, loop
 from agents.training.algorithms import make_env
 from agents.training.checkpoint import locked
+from agents.training.config import Config, RunError, read_config
 from agents.training.loop import begin, train
-from agents.training.presets import PRESETS, Config, RunError, read_config
+from agents.training.presets import PRESETS
 from agents.training.signals import Stop
 from tests.agents.training.small import differences, finished, parameters, rows, same, train_until
 

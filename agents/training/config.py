@@ -1,0 +1,334 @@
+"""The hyperparameters of a run: a dataclass per algorithm, whose fields are the options of train.py.
+
+The text under a field is its help. Nothing here imports torch.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+import tyro
+from tyro.conf import Fixed, Suppress
+
+from capsule_gym.command_line import Count
+from capsule_gym.parameters import (
+    DOCS,
+    ENERGY_WEIGHT_TEXT,
+    ENERGY_WEIGHTS,
+    Capsule,
+    EnvConfig,
+    Randomization,
+    check_integer,
+    check_number,
+)
+from capsule_gym.task import CONTROL_DT, TASKS
+
+# The largest seed of numpy's generators, which SB3 seeds.
+LARGEST_SEED = 2**32 - 1
+# Files of a run; agents.training.checkpoint describes its folder.
+CONFIG, MODEL, NORMALISATION, BEST = "config.json", "model.zip", "vecnormalize.pkl", "best"
+LOGS, EVALUATIONS = "logs", "evaluations.csv"
+
+Task = Literal["residual", "direct"]
+Environment = Literal["CapsuleStickSlip-v0", "CapsuleGoal-v0", "CapsuleVelocity-v0"]
+Algorithm = Literal["ppo", "sac", "td3", "tqc", "recurrent-ppo"]
+
+
+def _option(name: str, more: str = "") -> Any:
+    """The help of an option of the environment."""
+    return tyro.conf.arg(help=f"{DOCS[name][0].upper()}{DOCS[name][1:]}{more}.")
+
+
+# Smallest values of the counts that may be other than 1.
+LEAST = {"seed": 0, "batch_size": 2, "learning_starts": 0, "dropped_quantiles": 0, "critic_steps": 0}
+# Ranges of the other numbers: what is accepted in words, the ends, and whether the lower one is excluded.
+RANGES: dict[str, tuple[str, float, float, bool]] = {
+    "learning_rate": ("a finite number > 0", 0.0, math.inf, True),
+    "final_learning_rate": ("a finite number >= 0", 0.0, math.inf, False),
+    "gamma": ("a number in [0, 1]", 0.0, 1.0, False),
+    "gae_lambda": ("a number in [0, 1]", 0.0, 1.0, False),
+    "ent_coef": ("a finite number >= 0", 0.0, math.inf, False),
+    "log_std_init": ("a number in [-20, 2]", -20.0, 2.0, False),
+    "least_log_std": ("a number in [-20, 2]", -20.0, 2.0, False),
+    "episode_seconds": ("a finite number > 0 (s)", 0.0, math.inf, True),
+    "jump_rate": ("a finite number >= 0 (1/s)", 0.0, math.inf, False),
+    "tau": ("a number in (0, 1]", 0.0, 1.0, True),
+    "target_entropy": ("a finite number", -math.inf, math.inf, True),
+    "action_noise": ("a finite number >= 0", 0.0, math.inf, False),
+    "noise_time": ("a finite number >= 0", 0.0, math.inf, False),
+}
+
+
+class RunError(ValueError):
+    """A run that cannot be started or resumed: the message names the option or the file, and the reason."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """Hyperparameters of every algorithm."""
+
+    algo: ClassVar[Algorithm]
+
+    # They choose the preset, and so are no options of their own.
+    task: Annotated[Task, Fixed, Suppress] = "residual"
+    env: Annotated[Environment, Fixed, Suppress] = "CapsuleStickSlip-v0"
+    seed: Count = 0
+    """Random seed; the same seed gives the same model on one machine."""
+    total_steps: Count = 6_000_000
+    """Environment steps."""
+    num_envs: Count = 64
+    """Number of parallel environments."""
+    controller: str | None = "baselines:adaptive"
+    """Control law under a residual torque, as module:attribute."""
+    residual_limit: Annotated[float, _option("residual_limit", "; twice the torque limit can cancel any law")] = (
+        2.0 * EnvConfig.torque_limit
+    )
+    total_torque: Annotated[bool, _option("total_torque")] = EnvConfig.total_torque
+    torque_limit: Annotated[float, _option("torque_limit")] = EnvConfig.torque_limit
+    randomization: Literal["default", "none", "paper", "wide", "broad", "sticky", "real", "real-wide"] = "paper"
+    """Distribution of the plants; "default": that of the environment."""
+    mass_range: tuple[float, float] | None = None
+    """Ends of the range of M, kg; None for those of the distribution."""
+    static_ratio: float | None = None
+    """Static over kinetic friction coefficient of the floor; None for the environment's default."""
+    disturbances: Annotated[Literal["none", "real"], _option("disturbances")] = "none"
+    observe_parameters: Annotated[bool, _option("observe_parameters")] = EnvConfig.observe_parameters
+    stack_size: Annotated[Count, _option("stack_size")] = 1
+    initial_range: Annotated[tuple[float, float] | None, _option("initial_range")] = None
+    control_dt: Annotated[float, _option("control_dt")] = EnvConfig.control_dt
+    energy_weight: Annotated[float, _option("energy_weight")] = EnvConfig.energy_weight
+    termination_penalty: Annotated[float, _option("termination_penalty")] = 30.0
+    episode_seconds: float | None = None
+    """Length of an episode of training, s; the environment's by default."""
+    learning_rate: float = 1e-3
+    """Step size of Adam at the start."""
+    final_learning_rate: float = 1e-4
+    """Step size of Adam at the end; linear in between."""
+    gamma: float = 0.995
+    """Discount factor per agent step."""
+    hidden: Count = 64
+    """Units in each of the two hidden layers, and of an LSTM before them."""
+    batch_size: Count = 2048
+    """Samples in a gradient step."""
+    evaluate_every: Count = 500_000
+    """Environment steps between evaluations and checkpoints."""
+    evaluation_episodes: Count = 128
+    """Episodes in an evaluation, on validation plants."""
+    stock: bool = False
+    """Train with the unmodified classes of Stable-Baselines3, without this project's compiled PPO and fast SAC."""
+    wrapper: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="MODULE:ATTRIBUTE")] = ()
+    """A gymnasium.Wrapper around each environment, the first one innermost; repeatable. It implies --stock."""
+
+    def env_kwargs(self) -> dict[str, Any]:
+        """The arguments of the environment that this run trains in."""
+        # The run's task is not the environment's.
+        kwargs = {name: getattr(self, name) for name in DOCS if hasattr(self, name) and name != "task"}
+        if self.env_task != "speed":
+            kwargs["task"] = self.env_task
+        if self.randomization == "default":
+            del kwargs["randomization"]
+        # Policies of before these options do not name them.
+        for name in ("total_torque", "disturbances", "stack_size", "initial_range"):
+            if kwargs[name] == getattr(EnvConfig, name):
+                del kwargs[name]
+        if self.static_ratio is not None:
+            kwargs["capsule"] = Capsule(static_ratio=self.static_ratio)
+        if self.mass_range is not None:
+            distribution = Randomization.named(EnvConfig(**kwargs).randomization)
+            kwargs["randomization"] = dataclasses.replace(distribution, M=self.mass_range)
+        if self.task == "direct":
+            kwargs |= {"controller": None, "residual_limit": min(self.residual_limit, self.torque_limit)}
+        return kwargs
+
+    @property
+    def env_task(self) -> str:
+        """The value of the environment's argument `task`."""
+        return next(name for name, (env_id, _) in TASKS.items() if env_id == self.env)
+
+    @property
+    def horizon(self) -> float:
+        """Length of the environment's episode, s."""
+        return TASKS[self.env_task][1] * CONTROL_DT
+
+    def to_dict(self) -> dict[str, Any]:
+        """The fields as plain types."""
+        return dataclasses.asdict(self)
+
+    def check(self) -> None:
+        """Checks the hyperparameters; the environment checks its own arguments.
+
+        Raises:
+            TypeError: if a field is of the wrong type.
+            ValueError: if a field is out of range.
+        """
+        for field in dataclasses.fields(self):
+            name, value = field.name, getattr(self, field.name)
+            if field.type == "Count":
+                least, most = LEAST.get(name, 1), LARGEST_SEED if name == "seed" else sys.maxsize
+                accepted = f"an integer >= {least}" + (f" and <= {most}" if name == "seed" else "")
+                check_integer(name, value, accepted, least, most)
+            elif name in RANGES and value is not None:
+                accepted, low, high, open_low = RANGES[name]
+                check_number(name, value, accepted, low, high, open_low=open_low)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnPolicyConfig(Config):
+    """Algorithms that learn from the last rollout of their present policy."""
+
+    n_steps: Count = 256
+    """Steps of each environment between updates."""
+    n_epochs: Count = 6
+    """Passes over the collected steps in an update."""
+    gae_lambda: float = 0.98
+    """Decay of the generalised advantage estimate."""
+    ent_coef: float = 0.0
+    """Weight of the entropy bonus."""
+    log_std_init: float = -0.5
+    """Logarithm of the initial standard deviation of the action."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOConfig(OnPolicyConfig):
+    """Proximal policy optimisation."""
+
+    algo: ClassVar[Algorithm] = "ppo"
+    fast_only: ClassVar = (
+        *("least_log_std", "tanh_mean", "jump_rate", "identifies", "privileged_critic"),
+        *("energy_weights", "output", "critic_steps"),
+    )
+    """Options that only `agents.fast_ppo` has."""
+
+    least_log_std: float = -20.0
+    """Lower bound of that logarithm."""
+    tanh_mean: bool = False
+    """Whether tanh brings the mean of the action to [-1, 1]; else it is clipped."""
+    jump_rate: float = 0.0
+    """Rate at which M and mu are drawn anew within an episode of training, 1/s."""
+    identifies: bool = False
+    """Whether the policy observes online estimates of M and mu."""
+    privileged_critic: bool = False
+    """Whether the critic observes M and mu and, with disturbances, the state and the errors of the sensors."""
+    energy_weights: tuple[float, float] | None = None
+    """Range of energy weights (cm/J); every episode of training draws one, which the policy observes."""
+    output: Literal["action", "torque"] = "action"
+    """Output of the network: the action, or the total torque, from which the torque of the law is subtracted."""
+    critic_steps: Count = 0
+    """Environment steps at the start in which only the critic learns, so that it does not spoil a good base."""
+
+    def check(self) -> None:
+        """Also checks the output, the energy weights, and the one that the policy observes in evaluations."""
+        super().check()
+        if self.output == "torque" and self.total_torque:
+            raise ValueError("output must be 'action' with total_torque=True, got 'torque'")
+        if self.energy_weights is not None:
+            accepted = f"{ENERGY_WEIGHT_TEXT} where it is observed"
+            for weight in self.energy_weights:
+                check_number("energy_weights", weight, accepted, *ENERGY_WEIGHTS)
+            check_number("energy_weight", self.energy_weight, accepted, *ENERGY_WEIGHTS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecurrentPPOConfig(OnPolicyConfig):
+    """Proximal policy optimisation of a policy with an LSTM."""
+
+    algo: ClassVar[Algorithm] = "recurrent-ppo"
+
+
+@dataclass(frozen=True, kw_only=True)
+class OffPolicyConfig(Config):
+    """Algorithms that learn from a replay buffer."""
+
+    buffer_size: Count = 400_000
+    """Transitions that the replay buffer holds."""
+    learning_starts: Count = 10_000
+    """Random steps before the first update."""
+    gradient_steps: Count = 8
+    """Updates after each step of all environments."""
+    n_steps: Count = 1
+    """Steps whose rewards the target of a value sums before it adds the value of the state after them."""
+    tau: float = 0.01
+    """Rate of the moving average that the target networks are."""
+    observation_scale: tuple[float, float, float] | None = None
+    """Factors of the observed theta (rad), theta_dot (rad/s) and x_dot (m/s); without them the observation is
+    normalised by its running statistics."""
+    action_noise: float = 0.0
+    """Standard deviation of the noise that training adds to the actions."""
+    noise_time: float = 0.0
+    """Time over which that noise is correlated, s: uncorrelated noise hardly swings the pendulum."""
+
+    def check(self) -> None:
+        """Also checks the factors of the observation."""
+        super().check()
+        for factor in self.observation_scale or ():
+            check_number("observation_scale", factor, "three finite numbers > 0", 0.0, math.inf, open_low=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SACConfig(OffPolicyConfig):
+    """Soft actor-critic."""
+
+    algo: ClassVar[Algorithm] = "sac"
+
+    target_entropy: float = -1.0
+    """Entropy of the action that the entropy coefficient aims at."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TD3Config(OffPolicyConfig):
+    """Twin delayed deep deterministic policy gradient."""
+
+    algo: ClassVar[Algorithm] = "td3"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TQCConfig(SACConfig):
+    """Truncated quantile critics."""
+
+    algo: ClassVar[Algorithm] = "tqc"
+
+    quantiles: Count = 25
+    """Quantiles of the return that each of the two critics estimates."""
+    dropped_quantiles: Count = 2
+    """Largest quantiles per critic that the target leaves out."""
+
+    def check(self) -> None:
+        """Also checks that the target keeps a quantile."""
+        super().check()
+        if self.dropped_quantiles >= self.quantiles:
+            raise ValueError(f"dropped_quantiles must be an integer < {self.quantiles}, got {self.dropped_quantiles!r}")
+
+
+ALGORITHMS: dict[Algorithm, type[Config]] = {
+    kind.algo: kind for kind in (PPOConfig, SACConfig, TD3Config, TQCConfig, RecurrentPPOConfig)
+}
+
+
+def read_config(run: Path) -> Config:
+    """The configuration of an earlier run.
+
+    Args:
+        run: its folder.
+
+    Raises:
+        RunError: if there is none, or it is broken.
+    """
+    path = run / CONFIG
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        given = content["hyperparameters"]
+        # JSON knows lists only.
+        given |= {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
+        config = ALGORITHMS[content["algo"]](**given)
+        config.check()
+    except FileNotFoundError:
+        raise RunError(f"--resume must name the folder of a run, got {str(run)!r}, which has no {CONFIG}") from None
+    except (OSError, AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+        raise RunError(f"{path} is not the configuration of a run: {type(error).__name__}: {error}") from error
+    return config
