@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any, SupportsFloat
+from collections.abc import Sequence
+from typing import Any, SupportsFloat, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -12,23 +13,21 @@ from gymnasium import spaces
 from capsule_gym import task
 from capsule_gym.layout import Row
 from capsule_gym.observation import observation_bounds
-from capsule_gym.parameters import RENDER_MODES, EnvConfig, check_count, written
+from capsule_gym.parameters import CONSTANTS, DISTURBANCES, RENDER_MODES, EnvConfig, check_count, written
 from capsule_gym.rendering import Renderer
 from capsule_gym.simulation import SPEED, Simulation, check_seed
 
+Value = TypeVar("Value")
 RESET_OPTIONS = ("M", "mu", "state", "changes", "capsule", "disturbances")
 _CODES = {float(code): np.int64(code) for code in task.Termination}
 # Looking the rows of an info up in `Row` at every step takes a tenth of it.
 _STATE, _X_DOT, _REWARD, _TERMINATION = slice(Row.theta, Row.M), Row.x_dot, Row.reward, Row.termination
 _M, _MU, _TORQUE, _LAW_TORQUE, _NORMAL_FORCE, _ENERGY, _PROGRESS, _ENERGY_COST, _FAILURE = Row[Row.M : Row.reward]
-# Of what varied plants and disturbances have drawn.
-DRAWN_CONSTANTS = slice(0, Row.theta_noise - Row.drawn_m)
-DRAWN_DISTURBANCES = slice(Row.theta_noise - Row.drawn_m, None)
 _FIRST = np.zeros(1, np.int64)
 # Of what a task shows, the places on the floor, m: pictures mark them.
 _PLACES = ("goal", "target")
 # What a copy of an environment does not take over.
-_VIEWS = ("_rows", "_memory", "_reading", "_drawn", "_observation", "_step", "_renderer")
+_VIEWS = ("_rows", "_memory", "_reading", "_capsule", "_disturbances", "_observation", "_step", "_renderer")
 
 
 class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
@@ -134,7 +133,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     | `reward_progress`, `reward_energy`, `reward_termination` | terms of the reward |
     | `termination` | `capsule_gym.task.Termination`: 0 running, 1 "pendulum", 2 "contact", 3 "diverged" |
     | `reading` | last readings of theta, theta_dot, x, x_dot; only with disturbances or drawn constants |
-    | `disturbances`, `capsule` | the episode's values in the order of `DISTURBANCES` and `CONSTANTS` of `capsule_gym.parameters`; only then |
+    | `disturbances`, `capsule` | dicts of what the episode has drawn, as in the options of `reset`; only then |
 
     ## Arguments
 
@@ -203,7 +202,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         self._memory = None if self.simulation.task is SPEED else memory
         # Of varied plants, what it shows besides.
         self._reading = self.simulation.world[0, Row.read_theta : Row.true_theta, 0]
-        self._drawn = self._copy_drawn()
+        self._bind_drawn()
         self._observation = self.simulation.observations[0]
         self._step = self.simulation.step_one
         self._renderer: Renderer | None = None
@@ -241,7 +240,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
             names = ("M", "mu", "changes", "capsule", "disturbances", *own)
             given = {name: [options[name]] for name in names if options.get(name) is not None}
             self.simulation.reset(_FIRST, state=options.get("state"), **given)
-        self._drawn = self._copy_drawn()
+        self._bind_drawn()
         self._running = True
         if self.render_mode == "human":
             self.render()
@@ -282,14 +281,14 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         if self._memory is not None:
             add_task(info, self.simulation.task, self._memory)
         if self.simulation.settings.history:
-            drawn = self._drawn.copy()
             info["reading"] = self._reading.copy()
-            info["capsule"], info["disturbances"] = drawn[DRAWN_CONSTANTS], drawn[DRAWN_DISTURBANCES]
+            info["capsule"], info["disturbances"] = self._capsule.copy(), self._disturbances.copy()
         return info
 
-    def _copy_drawn(self) -> np.ndarray:
-        """What the episode has drawn, in one piece of memory: from there a copy takes half the time."""
-        return self.simulation.world[0, Row.drawn_m : Row.key, 0].copy()
+    def _bind_drawn(self) -> None:
+        """Keeps what the episode has drawn: copies of dicts take less than those of arrays."""
+        drawn = self.simulation.world[0, Row.drawn_m : Row.key, 0].tolist()
+        self._capsule, self._disturbances = name_drawn(drawn)
 
     def episode_metrics(self, horizon: int | None = None) -> dict[str, float]:
         """The metrics of the episode so far: those of `capsule_gym.task.Metrics`, and those of the task.
@@ -364,6 +363,12 @@ def add_task(info: dict[str, Any], own: task.Task, memory: np.ndarray) -> None:
     info[own.term] = info.pop("reward_progress")
     for name, place in own.places:
         info[name] = memory[place]
+
+
+def name_drawn(drawn: Sequence[Value]) -> tuple[dict[str, Value], dict[str, Value]]:
+    """The constants of the plant and the disturbances by their names, from the rows `drawn_m` to `push` of `Row`."""
+    constants = dict(zip(CONSTANTS, drawn, strict=False))
+    return constants, dict(zip(DISTURBANCES, drawn[len(CONSTANTS) :], strict=True))
 
 
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:

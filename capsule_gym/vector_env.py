@@ -13,8 +13,6 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from capsule_gym.env import (
-    DRAWN_CONSTANTS,
-    DRAWN_DISTURBANCES,
     RESET_OPTIONS,
     add_task,
     as_actions,
@@ -23,6 +21,7 @@ from capsule_gym.env import (
     make_renderer,
     make_simulation,
     make_spaces,
+    name_drawn,
     shown_state,
 )
 from capsule_gym.layout import Row
@@ -225,9 +224,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if simulation.task is not SPEED:
             add_task(info, simulation.task, simulation.rows(simulation.task_row, simulation.task_end))
         if simulation.settings.history:
-            drawn = simulation.rows(Row.drawn_m, Row.key)
             info["reading"] = simulation.rows(Row.read_theta, Row.true_theta).T
-            info["capsule"], info["disturbances"] = drawn[DRAWN_CONSTANTS].T, drawn[DRAWN_DISTURBANCES].T
+            info["capsule"], info["disturbances"] = name_drawn(list(simulation.rows(Row.drawn_m, Row.key)))
         return info
 
     def _begin_next(self, info: dict[str, Any], ended: np.ndarray) -> None:

@@ -47,6 +47,6 @@ def picky_controller() -> Controller:
 def layout(info: dict) -> dict:
     """The keys of an info with the type, dtype and shape of each value; of a batch's also what lies inside."""
     return {
-        key: layout(value) if isinstance(value, dict) else (type(value), value.dtype, value.shape)
+        key: layout(value) if isinstance(value, dict) else (type(value), np.asarray(value).dtype, np.shape(value))
         for key, value in info.items()
     }

@@ -193,7 +193,7 @@ def test_disturbances_are_drawn_and_set_as_in_python(node: Node) -> None:
     # The second episode follows from the seed as well.
     for seed, options in ((2**40 + 5, plant), (None, fixed)):
         _, info = env.reset(seed=seed, options=options)
-        drawn.append(float(info["disturbances"][13]))
+        drawn.append(info["disturbances"]["latency"])
         for n in range(80):
             env.step(np.array([0.02 * (n % 7 - 3)], np.float32))
         worlds.append(env.simulation.world[0, :, 0].tobytes().hex())
