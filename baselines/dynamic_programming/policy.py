@@ -126,14 +126,8 @@ class Oracle(Lookahead):
     The values of the plants of a grid, with the static ratio of those observed, are interpolated.
     """
 
-    def __init__(
-        self,
-        count: int,
-        margin: float = MIN_NORMAL_FORCE,
-        grid: PlantGrid = GRID,
-        law: tuple[str, float] | None = None,
-    ) -> None:
-        super().__init__(count, margin, *plant_problems(grid), law=law)
+    def __init__(self, count: int, grid: PlantGrid = GRID, law: tuple[str, float] | None = None) -> None:
+        super().__init__(count, MIN_NORMAL_FORCE, *plant_problems(grid), law=law)
         self._grid = grid
         self._observed = np.zeros((count, 2), np.float32)
 
