@@ -140,7 +140,8 @@ def pressed_accelerations(
     sin, cos = sincos(theta)
     share = slip * slip * p.mass_ratio
     rough = slip * mu
-    if p.extended != 0.0:
+    # Most floors have no such curve: a division less.
+    if p.extended != 0.0 and p.stribeck_excess != 0.0:
         rough *= stribeck(x_dot, p)
     squared = theta_dot * theta_dot
     weight = (p.M + p.m) * p.g
