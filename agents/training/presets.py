@@ -98,8 +98,7 @@ ENV_PRESETS: dict[Environment, PPOConfig] = {
         ent_coef=0.006,
         identifies=True,
     ),
-    # From rest full torque lifts light platforms within 0.2 s. The few that fail are the lightest: training on lighter
-    # ones meets more of these failures.
+    # From rest full torque lifts light platforms within 0.2 s. Training on lighter ones than the task's meets more lifts.
     "CapsuleVelocity-v0": dataclasses.replace(
         ON_GRIP,
         env="CapsuleVelocity-v0",
