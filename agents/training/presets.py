@@ -98,7 +98,8 @@ ENV_PRESETS: dict[Environment, PPOConfig] = {
         ent_coef=0.006,
         identifies=True,
     ),
-    # From rest full torque lifts light platforms within 0.2 s. Training on lighter ones than the task's meets more lifts.
+    # From rest full torque lifts light platforms within 0.2 s. Training on lighter ones than the task's meets more of
+    # these failures.
     "CapsuleVelocity-v0": dataclasses.replace(
         ON_GRIP,
         env="CapsuleVelocity-v0",
