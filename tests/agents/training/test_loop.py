@@ -122,8 +122,9 @@ def test_a_run_in_another_environment_is_judged_by_its_task(tmp_path, monkeypatc
     policy = load_policy(run)
     assert policy.env_kwargs["task"] == task
     if config.mass_range:
-        assert all(0.42 <= plant.M <= 0.44 for plant in plants.plants)
-        assert policy.env_kwargs["randomization"].M == (0.42, 0.44)
+        low, high = config.mass_range
+        assert all(low <= plant.M <= high for plant in plants.plants)
+        assert policy.env_kwargs["randomization"].M == (low, high)
     assert (plants.capsule.static_ratio, policy.env_kwargs.get("capsule")) == (
         (1.5, plants.capsule) if config.static_ratio else (1.3, None)
     )
