@@ -287,8 +287,9 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
     def _bind_drawn(self) -> None:
         """Keeps what the episode has drawn: copies of dicts take less than those of arrays."""
-        drawn = self.simulation.world[0, Row.drawn_m : Row.key, 0].tolist()
-        self._capsule, self._disturbances = name_drawn(drawn)
+        if self.simulation.settings.history:
+            drawn = self.simulation.world[0, Row.drawn_m : Row.key, 0].tolist()
+            self._capsule, self._disturbances = name_drawn(drawn)
 
     def episode_metrics(self, horizon: int | None = None) -> dict[str, float]:
         """The metrics of the episode so far: those of `capsule_gym.task.Metrics`, and those of the task.
