@@ -11,7 +11,7 @@ import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import tyro
 from tyro.conf import Fixed, Suppress
@@ -325,6 +325,8 @@ def read_config(run: Path) -> Config:
         given = content["hyperparameters"]
         # JSON knows lists only.
         given |= {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
+        if content["task"] not in get_args(Task):
+            raise ValueError(f"task must be one of {get_args(Task)}, got {content['task']!r}")
         config = ALGORITHMS[content["algo"]](**given)
         config.check()
     except FileNotFoundError:

@@ -199,6 +199,7 @@ BROKEN = {
     "deeply nested": "[" * 100_000,
     "no object": "[]",
     "no algorithm": '{"task": "direct", "hyperparameters": {}}',
+    "unknown task": '{"task": "walk", "algo": "ppo", "hyperparameters": {}}',
     "unknown algorithm": '{"task": "direct", "algo": "dqn", "hyperparameters": {}}',
     "unknown hyperparameter": '{"task": "direct", "algo": "ppo", "hyperparameters": {"colour": 1}}',
     "hyperparameters of another kind": '{"task": "direct", "algo": "ppo", "hyperparameters": 3}',
