@@ -39,7 +39,7 @@ from agents.training.config import (
 )
 from agents.training.fast_sac import FastSAC
 from capsule_gym.sb3 import CapsuleSB3VecEnv
-from capsule_gym.task import TASKS
+from capsule_gym.tasks import velocity
 
 HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 # As in SB3: keeps a logarithm finite where tanh has saturated.
@@ -88,16 +88,15 @@ def usable(config: Config) -> Config:
     return stock
 
 
-def wrapped_env(wrappers: tuple[str, ...], env_kwargs: Mapping[str, Any], steps: int) -> gym.Env[Any, Any]:
+def wrapped_env(config: Config, env_kwargs: Mapping[str, Any], steps: int) -> gym.Env[Any, Any]:
     """One environment with its wrappers, and SB3's `Monitor` below them, as SB3's `make_vec_env` places it.
 
     Raises:
         RunError: if there is no such subclass of `gymnasium.Wrapper`, or it is not made of an environment alone.
     """
-    env_id, _ = TASKS[env_kwargs.get("task", "speed")]
-    env: Any = gym.make(f"capsule_gym:{env_id}", max_episode_steps=steps, disable_env_checker=True, **env_kwargs)
+    env: Any = gym.make(f"capsule_gym:{config.env}", max_episode_steps=steps, disable_env_checker=True, **env_kwargs)
     env = EpisodeMetrics(env)
-    for name in wrappers:
+    for name in config.wrapper:
         try:
             kind: Any = pkgutil.resolve_name(name)
             if not issubclass(kind, gym.Wrapper):
@@ -118,10 +117,15 @@ def make_env(config: Config, seed: int) -> VecNormalize:
         ValueError: if one is out of range.
     """
     kwargs = config.env_kwargs()
+    if config.command_range:
+        if config.env_task != "velocity":
+            raise ValueError(f"command_range must be None in {config.env}, which has no commands")
+        # Policies are selected on the task's own commands.
+        kwargs["task"] = velocity.with_commands(*config.command_range)
     steps = max(1, round((config.episode_seconds or config.horizon) / config.control_dt))
     venv: VecEnv
     if config.wrapper:
-        venv = DummyVecEnv([lambda: wrapped_env(config.wrapper, kwargs, steps)] * config.num_envs)
+        venv = DummyVecEnv([lambda: wrapped_env(config, kwargs, steps)] * config.num_envs)
         if not isinstance(venv.observation_space, gym.spaces.Box) or not isinstance(venv.action_space, gym.spaces.Box):
             raise RunError(f"--wrapper must leave observations and actions Box, got {venv.observation_space}")
         venv.seed(seed)

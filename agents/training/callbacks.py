@@ -252,7 +252,7 @@ def evaluate_wrapped(model: BaseAlgorithm, config: Config, plants: EvaluationSet
     steps = round(config.horizon / config.control_dt)
     episodes = []
     for plant in plants.plants:
-        env = wrapped_env(config.wrapper, {**config.env_kwargs(), **EPISODE_SETTINGS}, steps)
+        env = wrapped_env(config, {**config.env_kwargs(), **EPISODE_SETTINGS}, steps)
         observation, _ = env.reset(seed=plant.seed, options=plant.reset_options())
         memory, begins, ended = None, np.ones(1, np.bool_), False
         while not ended:

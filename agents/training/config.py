@@ -95,6 +95,10 @@ class Config:
     """Distribution of the plants; "default": that of the environment."""
     mass_range: tuple[float, float] | None = None
     """Ends of the range of M, kg; None for those of the distribution."""
+    friction_range: tuple[float, float] | None = None
+    """Ends of the range of mu; None for those of the distribution."""
+    command_range: tuple[float, float] | None = None
+    """Ends of the range of the commands in training, m/s; None for those of the task."""
     static_ratio: float | None = None
     """Static over kinetic friction coefficient of the floor; None for the environment's default."""
     disturbances: Annotated[Literal["none", "real"], _option("disturbances")] = "none"
@@ -139,9 +143,10 @@ class Config:
                 del kwargs[name]
         if self.static_ratio is not None:
             kwargs["capsule"] = Capsule(static_ratio=self.static_ratio)
-        if self.mass_range is not None:
+        if self.mass_range or self.friction_range:
             distribution = Randomization.named(EnvConfig(**kwargs).randomization)
-            kwargs["randomization"] = dataclasses.replace(distribution, M=self.mass_range)
+            M, mu = self.mass_range or distribution.M, self.friction_range or distribution.mu
+            kwargs["randomization"] = dataclasses.replace(distribution, M=M, mu=mu)
         if self.task == "direct":
             kwargs |= {"controller": None, "residual_limit": min(self.residual_limit, self.torque_limit)}
         return kwargs

@@ -60,6 +60,7 @@ log-uniform in [0.05, 0.5], `energy_weight=0` and `termination_penalty=3`.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -242,3 +243,17 @@ TASK = Task(
     metrics=metrics,
     defaults=DEFAULTS,
 )
+
+
+def with_commands(low: float, high: float) -> Task:
+    """The task with commands uniform in [low, high], in m/s: a value of the environment's argument `task`.
+
+    Raises:
+        TypeError: if one is not a number.
+        ValueError: if one is further than 0.2 m/s from 0, or low is above high.
+    """
+    accepted = f"a number of m/s within {LARGEST:g} of 0"
+    low = check_number("low", low, accepted, -LARGEST, LARGEST)
+    high = check_number("high", high, f"{accepted} and not below low", low, LARGEST)
+    draws = (Draw(low, high),) * COMMANDS + (Draw(*LASTS),) * COMMANDS
+    return replace(TASK, options={"commands": Option(draws, parse_commands)})

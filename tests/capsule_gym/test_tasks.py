@@ -22,6 +22,7 @@ from capsule_gym.parameters import EnvConfig, find_task
 from capsule_gym.resets import Stream, random_stream
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.task import METRICS, TASKS, Draw, Option, Task
+from capsule_gym.tasks.velocity import with_commands
 from tests.capsule_gym.fakes import layout
 
 OTHERS = [name for name in TASKS if name != "speed"]
@@ -270,6 +271,14 @@ def test_velocity_is_measured_as_its_definition_says():
     assert metrics["velocity_error"] == pytest.approx(100.0 * missed / commanded, rel=1e-9)
     # The gait runs forwards at 20 cm/s, away from every target.
     assert metrics["unsettled"] == 1.0
+
+
+def test_velocity_draws_its_commands_from_the_range_that_is_given():
+    commands = CapsuleVectorEnv(512, task=with_commands(0.15, 0.2)).reset(seed=0)[1]["command"]
+    assert 0.15 <= commands.min() < 0.151 and 0.199 < commands.max() <= 0.2
+    for ends, message in [((-0.3, 0.1), "low must be .* within 0.2 of 0"), ((0.1, 0.05), "high must be .* not below")]:
+        with pytest.raises(ValueError, match=message):
+            with_commands(*ends)
 
 
 def test_a_platform_that_moves_as_it_is_told_has_no_velocity_error():

@@ -93,11 +93,14 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
         np.testing.assert_allclose(policy(observations), wanted, atol=2e-6)
 
 
+RANGES = {"mass_range": (0.42, 0.44), "friction_range": (0.06, 0.07)}
+
+
 @pytest.mark.parametrize(
     ("env", "column", "changes"),
     [
-        ("CapsuleGoal-v0", "goal_time_s", {"stock": False, "static_ratio": 1.5, "mass_range": (0.42, 0.44)}),
-        ("CapsuleVelocity-v0", "velocity_error_percent", {"stock": True}),
+        ("CapsuleGoal-v0", "goal_time_s", {"stock": False, "static_ratio": 1.5, **RANGES}),
+        ("CapsuleVelocity-v0", "velocity_error_percent", {"stock": True, "command_range": (0.05, 0.06)}),
         ("CapsuleGoal-v0", "goal_time_s", {"wrapper": ("tests.agents.training.wrappers:Swing",)}),
     ],
 )
@@ -121,10 +124,9 @@ def test_a_run_in_another_environment_is_judged_by_its_task(tmp_path, monkeypatc
         return
     policy = load_policy(run)
     assert policy.env_kwargs["task"] == task
-    if config.mass_range:
-        low, high = config.mass_range
-        assert all(low <= plant.M <= high for plant in plants.plants)
-        assert policy.env_kwargs["randomization"].M == (low, high)
+    if (M := config.mass_range) and (mu := config.friction_range):
+        assert all(M[0] <= plant.M <= M[1] and mu[0] <= plant.mu <= mu[1] for plant in plants.plants)
+        assert (policy.env_kwargs["randomization"].M, policy.env_kwargs["randomization"].mu) == (M, mu)
     assert (plants.capsule.static_ratio, policy.env_kwargs.get("capsule")) == (
         (1.5, plants.capsule) if config.static_ratio else (1.3, None)
     )
