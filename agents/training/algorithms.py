@@ -117,10 +117,12 @@ def make_env(config: Config, seed: int) -> VecNormalize:
         ValueError: if one is out of range.
     """
     kwargs = config.env_kwargs()
+    # Policies are selected with their own limit, on the task's own commands.
+    if config.training_limit is not None:
+        kwargs["residual_limit"] = config.training_limit
     if config.command_range:
         if config.env_task != "velocity":
             raise ValueError(f"command_range must be None in {config.env}, which has no commands")
-        # Policies are selected on the task's own commands.
         kwargs["task"] = velocity.with_commands(*config.command_range)
     steps = max(1, round((config.episode_seconds or config.horizon) / config.control_dt))
     venv: VecEnv

@@ -60,6 +60,7 @@ RANGES: dict[str, tuple[str, float, float, bool]] = {
     "jump_rate": ("a finite number >= 0 (1/s)", 0.0, math.inf, False),
     "tau": ("a number in (0, 1]", 0.0, 1.0, True),
     "target_entropy": ("a finite number", -math.inf, math.inf, True),
+    "training_limit": ("a finite number > 0 (N m)", 0.0, math.inf, True),
     "action_noise": ("a finite number >= 0", 0.0, math.inf, False),
     "noise_time": ("a finite number >= 0", 0.0, math.inf, False),
 }
@@ -89,6 +90,8 @@ class Config:
     residual_limit: Annotated[float, _option("residual_limit", "; twice the torque limit can cancel any law")] = (
         2.0 * EnvConfig.torque_limit
     )
+    training_limit: float | None = None
+    """Residual limit in training, N m; None for that of the policy, residual_limit."""
     total_torque: Annotated[bool, _option("total_torque")] = EnvConfig.total_torque
     torque_limit: Annotated[float, _option("torque_limit")] = EnvConfig.torque_limit
     randomization: Literal["default", "none", "paper", "wide", "broad", "sticky", "real", "real-wide"] = "paper"
