@@ -31,7 +31,8 @@ The sum of three terms, which `info` contains:
 
 At rest at theta = -pi/3 and x = 0. Commands are uniform in [-10, 10] cm/s, and each lasts 4 to 8 s.
 `reset(options={"commands": [{"t": 0.0, "v": 0.05}, {"t": 6.0, "v": -0.1}]})` sets up to eight, with t in s and v in
-m/s, in order of time, the first at 0 s. The last one stays.
+m/s, in order of time, the first at 0 s. The last one stays. The argument `task=with_commands(low, high)`, from
+`capsule_gym.tasks.velocity`, draws them from another range.
 
 ## Episode End
 
