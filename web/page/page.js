@@ -479,7 +479,8 @@ function bindPage() {
   });
   element("share").addEventListener("click", share);
   element("check").addEventListener("click", runCheck);
-  window.addEventListener("hashchange", readLink);
+  // The scene before may have written its own address since.
+  window.addEventListener("hashchange", (event) => readLink(new URL(event.newURL).hash));
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 }
 
@@ -781,9 +782,9 @@ function frame(time) {
   requestAnimationFrame(frame);
 }
 
-/** Shows what the page's address says. */
-async function readLink() {
-  const { scene: read, complaints } = readScene(location.hash);
+/** Shows what the fragment of an address says. */
+async function readLink(hash) {
+  const { scene: read, complaints } = readScene(hash);
   scene = read;
   complain(complaints.join(". "));
   await open({ time: scene.t ?? 0, play: scene.t === null && scene.driver !== YOURSELF && !reduced.matches });
@@ -799,4 +800,4 @@ bindPage();
 showStrength();
 element("span").value = String(span);
 requestAnimationFrame(frame);
-await readLink();
+await readLink(location.hash);
