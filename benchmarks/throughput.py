@@ -42,12 +42,14 @@ THREADS = (1, 2)
 SINGLE_PEER = "CartPole-v1"
 DRAWN_PEER = "Pendulum-v1, drawn"
 DIRECT, WITH_LAW = "capsule", "capsule with law"
+DISTURBED: dict[str, Any] = {"disturbances": "real", "randomization": "real", "scale": ACTION_SCALE}
 INTEGRATOR = "implicitfast"
 CONDITIONS = (
     f"A step of ours and of MuJoCo's capsule is {1e3 * task.CONTROL_DT:g} ms; direct torque is uniform within "
     f"±{ACTION_SCALE * task.TORQUE_LIMIT:g} N m, the law is baselines:adaptive. Ours computes observation, reward and "
     "info too, MuJoCo's batch (mujoco.rollout) the physics alone. Ratios of batches are to its batch at the same step "
-    'and number of threads. Batches of ours never truncate here. Drawn: render() after each step, in "rgb_array".'
+    'and number of threads. Batches of ours never truncate here. Disturbed: the plants and disturbances of "real". '
+    'Drawn: render() after each step, in "rgb_array".'
 )
 
 
@@ -195,6 +197,12 @@ def ours() -> list[Contender]:
                 batch = partial(step_batch, ENV_ID, num_envs, **endless, **kwargs)
                 peer = mujoco_contender(FRICTIONS[0], physics_dt, threads).name
                 found.append(Contender(f"{label}, gym.make_vec", batch, num_envs, substeps, threads, peer))
+    substeps = round(task.CONTROL_DT / DIRECT_PHYSICS_DT)
+    label, single = f"{DIRECT}, disturbed", partial(step_single, ENV_ID, **DISTURBED)
+    found.append(Contender(f"{label}, gym.make", single, 1, substeps, peer=found[0].name))
+    batch = partial(step_batch, ENV_ID, PEER_BATCH, max_episode_steps=sys.maxsize, **DISTURBED)
+    peer = Contender(f"{DIRECT}, gym.make_vec", batch, PEER_BATCH).name
+    found.append(Contender(f"{label}, gym.make_vec", batch, PEER_BATCH, substeps, peer=peer))
     drawn = partial(step_single, ENV_ID, ACTION_SCALE, render_mode="rgb_array")
     found.append(Contender(f"{DIRECT}, drawn", drawn, peer=DRAWN_PEER))
     return found
