@@ -12,7 +12,7 @@ import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from itertools import cycle
@@ -197,12 +197,11 @@ def ours() -> list[Contender]:
                 batch = partial(step_batch, ENV_ID, num_envs, **endless, **kwargs)
                 peer = mujoco_contender(FRICTIONS[0], physics_dt, threads).name
                 found.append(Contender(f"{label}, gym.make_vec", batch, num_envs, substeps, threads, peer))
-    substeps = round(task.CONTROL_DT / DIRECT_PHYSICS_DT)
-    label, single = f"{DIRECT}, disturbed", partial(step_single, ENV_ID, **DISTURBED)
-    found.append(Contender(f"{label}, gym.make", single, 1, substeps, peer=found[0].name))
+    single = partial(step_single, ENV_ID, **DISTURBED)
     batch = partial(step_batch, ENV_ID, PEER_BATCH, max_episode_steps=sys.maxsize, **DISTURBED)
-    peer = Contender(f"{DIRECT}, gym.make_vec", batch, PEER_BATCH).name
-    found.append(Contender(f"{label}, gym.make_vec", batch, PEER_BATCH, substeps, peer=peer))
+    for function, num_envs, make in (("gym.make", 1, single), ("gym.make_vec", PEER_BATCH, batch)):
+        direct = next(contender for contender in found if contender.environments == num_envs)
+        found.append(replace(direct, label=f"{DIRECT}, disturbed, {function}", make=make, peer=direct.name))
     drawn = partial(step_single, ENV_ID, ACTION_SCALE, render_mode="rgb_array")
     found.append(Contender(f"{DIRECT}, drawn", drawn, peer=DRAWN_PEER))
     return found

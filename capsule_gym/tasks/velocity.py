@@ -256,5 +256,6 @@ def with_commands(low: float, high: float) -> Task:
     accepted = f"a number of m/s within {LARGEST:g} of 0"
     low = check_number("low", low, accepted, -LARGEST, LARGEST)
     high = check_number("high", high, f"{accepted} and not below low", low, LARGEST)
-    draws = (Draw(low, high),) * COMMANDS + (Draw(*LASTS),) * COMMANDS
-    return replace(TASK, options={"commands": Option(draws, parse_commands)})
+    commands = TASK.options["commands"]
+    draws = (Draw(low, high),) * COMMANDS + commands.draws[COMMANDS:]
+    return replace(TASK, options={"commands": commands._replace(draws=draws)})
