@@ -231,18 +231,29 @@ def stick_margin_rate(theta: float, theta_dot: float, u: float, p: Plant) -> flo
 
 @inlined
 def runge_kutta(
-    theta: float, theta_dot: float, x: float, x_dot: float, slip: float, mu: float, u: float, p: Plant, h: float
-) -> tuple[float, float, float, float, float, float, float]:
+    theta: float,
+    theta_dot: float,
+    x: float,
+    x_dot: float,
+    slip: float,
+    mu: float,
+    u: float,
+    p: Plant,
+    h: float,
+    first: tuple[float, float, float],
+) -> tuple[float, float, float, float, float]:
     """One classical Runge-Kutta step of h seconds inside one phase, with the friction coefficient mu.
 
+    `first` is `pressed_accelerations` at the start.
+
     Returns:
-        The state afterwards, x'' and N at the start, and the smallest N of the stages: where that is negative, the step
-        was none of a platform that presses on the floor.
+        The state afterwards, and the smallest N of the stages: where that is negative, the step was none of a platform
+        that presses on the floor.
     """
     # The accelerations do not depend on x, nor on a level floor of Coulomb's friction on x_dot: sums are enough.
     half = 0.5 * h
     theta_2 = theta + half * theta_dot
-    a1, b1, normal_1 = pressed_accelerations(theta, theta_dot, x_dot, slip, mu, u, p)
+    a1, b1, normal_1 = first
     a2, b2, normal_2 = pressed_accelerations(theta_2, theta_dot + half * a1, x_dot + half * b1, slip, mu, u, p)
     theta_3, theta_dot_3 = theta_2 + half * half * a1, theta_dot + half * a2
     a3, b3, normal_3 = pressed_accelerations(theta_3, theta_dot_3, x_dot + half * b2, slip, mu, u, p)
@@ -254,8 +265,6 @@ def runge_kutta(
         theta_dot + sixth * (a1 + 2.0 * (a2 + a3) + a4),
         x + h * x_dot + h * sixth * (b1 + b2 + b3),
         x_dot + sixth * (b1 + 2.0 * (b2 + b3) + b4),
-        b1,
-        normal_1,
         min(min(normal_1, normal_2), min(normal_3, normal_4)),
     )
 
@@ -282,7 +291,7 @@ def crosses(before: float, rate: float, after: float, h: float) -> bool:
 @inlined
 def smooth_step(
     theta: float, theta_dot: float, x: float, x_dot: float, slip: float, u: float, p: Plant, h: float, may_stick: bool
-) -> tuple[float, float, float, float, float, float, float, bool]:
+) -> tuple[float, float, float, float, float, float, float, float, bool]:
     """`step` where nothing happens: h seconds inside one phase, free of branches.
 
     Args:
@@ -297,11 +306,12 @@ def smooth_step(
         may_stick: False promises that slip is not 0.0; where the compiler knows it, that saves a third of the work.
 
     Returns:
-        What `runge_kutta` returns, and whether the phase lasts; if not, only `event_step` knows what happens.
+        The state afterwards; theta'', x'' and N at the start; the smallest N of the stages; and whether the phase
+        lasts: if not, only `event_step` knows what happens.
     """
-    theta_1, theta_dot_1, x_1, x_dot_1, x_ddot, normal, smallest = runge_kutta(
-        theta, theta_dot, x, x_dot, slip, kinetic_friction(slip, p), u, p, h
-    )
+    mu = kinetic_friction(slip, p)
+    theta_ddot, x_ddot, normal = first = pressed_accelerations(theta, theta_dot, x_dot, slip, mu, u, p)
+    theta_1, theta_dot_1, x_1, x_dot_1, smallest = runge_kutta(theta, theta_dot, x, x_dot, slip, mu, u, p, h, first)
     if may_stick:
         before, rate = boundary(theta, theta_dot, x_dot, x_ddot, slip, u, p)
         after = boundary(theta_1, theta_dot_1, x_dot_1, x_ddot, slip, u, p)[0]
@@ -310,11 +320,14 @@ def smooth_step(
         before, rate, after = slip * x_dot, slip * x_ddot, slip * x_dot_1
         stopped = x_dot_1 == 0.0
     lasts = not (crosses(before, rate, after, h) or stopped or smallest < 0.0)
-    return theta_1, theta_dot_1, x_1, x_dot_1, x_ddot, normal, smallest, lasts
+    return theta_1, theta_dot_1, x_1, x_dot_1, theta_ddot, x_ddot, normal, smallest, lasts
 
 
 class Phase(NamedTuple):
-    """A state in a phase of contact (slip +1.0, -1.0, or 0.0 for stick), the motor torque and the plant."""
+    """The start of a phase of contact: state, slip (+1.0, -1.0, or 0.0 for stick), motor torque, plant, accelerations.
+
+    theta'', x'' and N are those of `pressed_accelerations`.
+    """
 
     theta: float
     theta_dot: float
@@ -323,6 +336,9 @@ class Phase(NamedTuple):
     slip: float
     u: float
     p: Plant
+    theta_ddot: float
+    x_ddot: float
+    normal_force: float
 
 
 class Piece(NamedTuple):
@@ -345,9 +361,18 @@ class Piece(NamedTuple):
 
 
 @jitable
-def finish(end: Phase, tau: float, x_ddot: float, normal: float) -> Piece:
-    """The piece of tau seconds that has led to `end`; x_ddot and normal are those at its start."""
-    theta, theta_dot, x, x_dot, slip, u, p = end
+def begin(theta: float, theta_dot: float, x: float, x_dot: float, slip: float, u: float, p: Plant) -> Phase:
+    """The phase that starts in this state."""
+    first = pressed_accelerations(theta, theta_dot, x_dot, slip, kinetic_friction(slip, p), u, p)
+    return Phase(theta, theta_dot, x, x_dot, slip, u, p, *first)
+
+
+@jitable
+def finish(
+    start: Phase, tau: float, theta: float, theta_dot: float, x: float, x_dot: float, x_ddot: float, normal: float
+) -> Piece:
+    """The piece of tau seconds that has led from a start to this state; x_ddot and normal are those at its start."""
+    slip, u, p = start.slip, start.u, start.p
     theta_ddot, last_x_ddot, _ = accelerations(theta, theta_dot, x_dot, slip, u, p)
     value, rate = boundary(theta, theta_dot, x_dot, last_x_ddot, slip, u, p)
     return Piece(tau, theta, theta_dot, x, x_dot, value, rate, theta_ddot, last_x_ddot, x_ddot, max(0.0, normal))
@@ -360,16 +385,15 @@ def piece(start: Phase, tau: float) -> Piece:
     Always a full Runge-Kutta step from the phase's start, so that an event is as accurate as the integrator itself. A
     step in which the contact is lost is one without friction.
     """
-    theta, theta_dot, x, x_dot, slip, u, p = start
-    mu = kinetic_friction(slip, p)
+    theta, theta_dot, x, x_dot, slip, u, p = start[:7]
+    mu, first = kinetic_friction(slip, p), start[7:]
     for _ in range(2):
-        theta_1, theta_dot_1, x_1, x_dot_1, x_ddot, normal, smallest = runge_kutta(
-            theta, theta_dot, x, x_dot, slip, mu, u, p, tau
-        )
-        if smallest >= 0.0:
+        end = runge_kutta(theta, theta_dot, x, x_dot, slip, mu, u, p, tau, first)
+        if end[4] >= 0.0:
             break
         mu = 0.0
-    return finish(Phase(theta_1, theta_dot_1, x_1, x_dot_1, slip, u, p), tau, x_ddot, normal)
+        first = pressed_accelerations(theta, theta_dot, x_dot, slip, mu, u, p)
+    return finish(start, tau, *end[:4], first[1], first[2])
 
 
 @jitable
@@ -474,16 +498,16 @@ def swept(start: float, end: float, turned: float, h: float) -> float:
 @jitable
 def event_step(start: Phase, whole: Piece) -> Motion:
     """`step` from a phase and from what the whole step would be if that phase lasted."""
-    theta, theta_dot, x, x_dot, slip, u, p = start
+    theta, theta_dot, x, x_dot, slip, u, p = start[:7]
     forward = backward = stuck = turned = 0.0
     smallest_normal = math.inf
     events = 0
     h = whole.tau
     remaining = h
-    done = whole
+    phase, done = start, whole
     for count in range(EVENT_LIMIT):
-        phase = Phase(theta, theta_dot, x, x_dot, slip, u, p)
         if count > 0:
+            phase = begin(theta, theta_dot, x, x_dot, slip, u, p)
             done = piece(phase, remaining)
         before, rate = boundary(theta, theta_dot, x_dot, done.first_x_ddot, slip, u, p)
         # The last piece takes what is left of the step, so that no time is lost.
@@ -533,5 +557,5 @@ def step(theta: float, theta_dot: float, x: float, x_dot: float, u: float, p: Pl
     Returns:
         The state afterwards with the integrals of the step.
     """
-    start = Phase(theta, theta_dot, x, x_dot, contact_phase(theta, theta_dot, x_dot, u, p), u, p)
+    start = begin(theta, theta_dot, x, x_dot, contact_phase(theta, theta_dot, x_dot, u, p), u, p)
     return event_step(start, piece(start, h))

@@ -129,13 +129,13 @@ def step_smooth(block: np.ndarray, n: int, plant: Plant, h: float, may_stick: bo
         p = plant_of(block, j, plant)
         theta, theta_dot, x, x_dot = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x + j], block[AT.x_dot + j]
         slip, torque = block[AT.slip + j], block[AT.torque + j]
-        theta_1, theta_dot_1, x_1, x_dot_1, x_ddot, normal, smallest, lasts = dynamics.smooth_step(
+        theta_1, theta_dot_1, x_1, x_dot_1, theta_ddot, x_ddot, normal, smallest, lasts = dynamics.smooth_step(
             theta, theta_dot, x, x_dot, slip, torque, p, h, may_stick
         )
         block[AT.next_theta + j], block[AT.next_theta_dot + j] = theta_1, theta_dot_1
         block[AT.next_x + j], block[AT.next_x_dot + j] = x_1, x_dot_1
-        block[AT.x_ddot + j], block[AT.first_normal_force + j] = x_ddot, normal
-        block[AT.least_normal_force + j] = smallest
+        block[AT.theta_ddot + j], block[AT.x_ddot + j] = theta_ddot, x_ddot
+        block[AT.first_normal_force + j], block[AT.least_normal_force + j] = normal, smallest
         going = block[AT.halt + j] == UNDER_WAY
         smooth = lasts and task.continues(theta_1, normal)
         block[AT.eventful + j] = 1.0 if going and not smooth else 0.0
@@ -163,12 +163,12 @@ def step_with_events(block: np.ndarray, j: int, plant: Plant, h: float, elapsed:
     torque = block[AT.torque + j]
     theta, theta_dot, x, x_dot = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x + j], block[AT.x_dot + j]
     slip = block[AT.slip + j]
-    start = dynamics.Phase(theta, theta_dot, x, x_dot, slip, torque, p)
+    first = block[AT.theta_ddot + j], block[AT.x_ddot + j], block[AT.first_normal_force + j]
+    start = dynamics.Phase(theta, theta_dot, x, x_dot, slip, torque, p, *first)
     if block[AT.least_normal_force + j] >= 0.0:
         theta_1, theta_dot_1 = block[AT.next_theta + j], block[AT.next_theta_dot + j]
         x_1, x_dot_1 = block[AT.next_x + j], block[AT.next_x_dot + j]
-        end = dynamics.Phase(theta_1, theta_dot_1, x_1, x_dot_1, slip, torque, p)
-        whole = dynamics.finish(end, h, block[AT.x_ddot + j], block[AT.first_normal_force + j])
+        whole = dynamics.finish(start, h, theta_1, theta_dot_1, x_1, x_dot_1, first[1], first[2])
     else:
         whole = dynamics.piece(start, h)
     motion = dynamics.event_step(start, whole)

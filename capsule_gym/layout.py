@@ -68,11 +68,12 @@ class Quantities(NamedTuple):
     before_x: int
     slip: int
     eventful: int
-    # What `dynamics.runge_kutta` returned for the present substep.
+    # What `dynamics.smooth_step` returned for the present substep.
     next_theta: int
     next_theta_dot: int
     next_x: int
     next_x_dot: int
+    theta_ddot: int
     x_ddot: int
     first_normal_force: int
     least_normal_force: int
