@@ -50,7 +50,7 @@ listeners: list[Callable[[], None]] = []
 
 
 def jitable(function: Any, **options: Any) -> Any:
-    """Marks a plain function that compiled code may call."""
+    """Marks a plain function that compiled code may call; where its caller is `inlined`, so is it."""
     marked[function] = {**NO_WRAPPERS, **options}
     for listen in listeners:
         listen()
@@ -60,6 +60,11 @@ def jitable(function: Any, **options: Any) -> Any:
 def inlined(function: Any) -> Any:
     """Marks a plain function that compiled code does not call, but contains: what keeps a loop around it vectorised."""
     return jitable(function, forceinline=True)
+
+
+def called(function: Any) -> Any:
+    """Marks a plain function that compiled code may call, whether its caller is `inlined` or not."""
+    return jitable(function, forceinline=False)
 
 
 def intrinsic(define: Callable[..., Any], prefer_literal: bool = False) -> Callable[[Any], Any]:

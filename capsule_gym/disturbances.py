@@ -83,12 +83,16 @@ def begin(block: np.ndarray, n: int, settings: StepSettings) -> None:
 
 
 @inlined
-def drive(block: np.ndarray, j: int, command: float, going: bool) -> float:
+def drive(block: np.ndarray, j: int, command: float, going: bool, pushes: bool) -> float:
     """The motor's torque in N m from the present command on, and the push on the platform that acts then."""
     motor = block[AT.motor + j]
     command = rounded(command, block[AT.torque_resolution + j])
-    motor += block[AT.motor_share + j] * (command - motor) if going else 0.0
+    share = block[AT.motor_share + j]
+    motor += (share if going else 0.0) * (command - motor)
     block[AT.motor + j] = motor
+    if not pushes:
+        block[AT.push_force + j] = 0.0
+        return motor
     time = block[AT.duration + j] + ROUNDING_OF_TIME
     second = np.floor(time)
     since, size = uniforms(scramble(bits(block[AT.key + j]) + _PUSHES * bits(second + WHOLE)))

@@ -21,8 +21,8 @@ push the platform. The equations become
 with f = s mu (1 + (static_ratio - 1) / (1 + (x' / v_s)^2)) N in slip in the direction s.
 
 Every function is ordinary Python; `jitable` lets compiled code call it too. What a step does inside one phase is free
-of branches, so that compilers take several environments through it at once (`smooth_step`); `step` takes one
-environment through every change of phase. `fma(a, b, c)` is a b + c.
+of branches, so that compilers take several environments through it at once (`smooth_step`), and so is the commonest
+change of phase (`pass_rest`); `step` takes one environment through every change of phase. `fma(a, b, c)` is a b + c.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 from capsule_gym.compilation import inlined, jitable
 from capsule_gym.elementary import fma, sincos
-from capsule_gym.parameters import MOTOR_WIDTH, Plant
+from capsule_gym.parameters import LEVEL, MOTOR_WIDTH, Plant
 
 # No step holds anywhere near as many events. The cap only keeps a rounding accident from hanging compiled code.
 EVENT_LIMIT = 1000
@@ -107,7 +107,7 @@ def driving_force(theta: float, theta_dot: float, theta_ddot: float, p: Plant) -
     """Horizontal force in N with which the pendulum pushes a platform that does not accelerate; friction opposes it."""
     sin, cos = sincos(theta)
     force = p.m * p.l * (cos * theta_ddot - sin * theta_dot * theta_dot)
-    if p.extended != 0.0:
+    if 0.0 < p.extended < LEVEL:
         force += p.push - (p.M + p.m) * p.downhill
     return force
 
@@ -123,7 +123,9 @@ def stick_acceleration(theta: float, theta_dot: float, u: float, p: Plant) -> fl
     """theta'' in rad/s^2 on a platform at rest: the first row of Eq. (1) with x'' = 0."""
     inertia = p.m * p.l * p.l
     sin, cos = sincos(theta)
-    if p.extended != 0.0:
+    if p.extended == LEVEL:
+        u -= motor_friction(theta_dot, p)
+    elif p.extended != 0.0:
         u += p.m * p.l * p.downhill * cos - motor_friction(theta_dot, p)
     free = fma(-(p.k / inertia), theta, fma(-(p.c / inertia), theta_dot, u * (1.0 / inertia)))
     return fma(p.g / p.l, sin, free)
@@ -141,7 +143,7 @@ def pressed_accelerations(
     share = slip * slip * p.mass_ratio
     rough = slip * mu
     # Most floors have no such curve: a division less.
-    if p.extended != 0.0 and p.stribeck_excess != 0.0:
+    if 0.0 < p.extended < LEVEL and p.stribeck_excess != 0.0:
         rough *= stribeck(x_dot, p)
     squared = theta_dot * theta_dot
     weight = (p.M + p.m) * p.g
@@ -150,7 +152,7 @@ def pressed_accelerations(
         pivot = p.pivot_torque_on_contact * (p.k * theta + p.c * theta_dot) * sin  # Eq. (7)
         weight -= pivot
         brake -= rough * pivot / (p.M + p.m)
-    if p.extended != 0.0:
+    if 0.0 < p.extended < LEVEL:
         brake += slip * slip * (p.downhill + (p.viscous * x_dot - p.push) / (p.M + p.m))
     # The second row over M + m: x'' = rest + share l tilted theta''. N holds theta'' too, hence cos + slip mu sin.
     tilted = fma(rough, sin, cos)
@@ -195,16 +197,20 @@ def stick_margin(theta: float, theta_dot: float, u: float, p: Plant) -> tuple[fl
 
 
 @inlined
+def phase_at_rest(theta: float, theta_dot: float, u: float, p: Plant) -> float:
+    """The phase of the contact at rest: 0.0 below the static limit, else the load's direction."""
+    margin, force = stick_margin(theta, theta_dot, u, p)
+    return 0.0 if margin >= 0.0 else 1.0 if force > 0.0 else -1.0
+
+
+@inlined
 def contact_phase(theta: float, theta_dot: float, x_dot: float, u: float, p: Plant) -> float:
-    """The phase of the contact: the direction of motion, or at rest 0.0 below the static limit, else the load's."""
+    """The phase of the contact: the direction of motion, or `phase_at_rest`."""
     if x_dot > 0.0:
         return 1.0
     if x_dot < 0.0:
         return -1.0
-    margin, force = stick_margin(theta, theta_dot, u, p)
-    if margin >= 0.0:
-        return 0.0
-    return 1.0 if force > 0.0 else -1.0
+    return phase_at_rest(theta, theta_dot, u, p)
 
 
 @inlined
@@ -388,12 +394,14 @@ def piece(start: Phase, tau: float) -> Piece:
     theta, theta_dot, x, x_dot, slip, u, p = start[:7]
     mu, first = kinetic_friction(slip, p), start[7:]
     for _ in range(2):
-        end = runge_kutta(theta, theta_dot, x, x_dot, slip, mu, u, p, tau, first)
-        if end[4] >= 0.0:
+        theta_1, theta_dot_1, x_1, x_dot_1, smallest = runge_kutta(
+            theta, theta_dot, x, x_dot, slip, mu, u, p, tau, first
+        )
+        if smallest >= 0.0:
             break
         mu = 0.0
         first = pressed_accelerations(theta, theta_dot, x_dot, slip, mu, u, p)
-    return finish(start, tau, *end[:4], first[1], first[2])
+    return finish(start, tau, theta_1, theta_dot_1, x_1, x_dot_1, first[1], first[2])
 
 
 @jitable
@@ -405,7 +413,7 @@ def _dip(before: float, rate: float, after: float, h: float) -> float:
     return min(h, -0.5 * rate * h * h / curvature)
 
 
-@jitable
+@inlined
 def _first_guess(g_low: float, rate_low: float, g_high: float, rate_high: float, width: float) -> float:
     """Root in (0, width) of the cubic with those values and rates at its ends, the first positive, the last not."""
     # In s = tau / width: g_low + c s + d s^2 + e s^3.
@@ -539,6 +547,50 @@ def event_step(start: Phase, whole: Piece) -> Motion:
         if remaining <= 0.0:
             break
     return Motion(theta, theta_dot, x, x_dot, forward, backward, stuck, turned, smallest_normal, events)
+
+
+@inlined
+def pass_rest(start: Phase, theta_1: float, theta_dot_1: float, x_dot_1: float, h: float) -> tuple[Motion, float, bool]:
+    """`event_step` from slip through one moment of rest, free of branches, with the same bits.
+
+    Args:
+        start: the phase.
+        theta_1: the angle after h seconds if the phase lasted, rad.
+        theta_dot_1: its rate, rad/s.
+        x_dot_1: the platform's velocity, m/s.
+        h: length of the step, s.
+
+    Returns:
+        What `event_step` returns, the last phase, and whether that holds: if not, something else happens, or the moment
+        takes more than one trial to find.
+    """
+    theta, theta_dot, x, x_dot, slip, u, p, _, x_ddot, normal = start
+    mu = kinetic_friction(slip, p)
+    before, after = slip * x_dot, slip * x_dot_1
+    _, x_ddot_1, normal_1 = pressed_accelerations(theta_1, theta_dot_1, x_dot_1, slip, mu, u, p)
+    holds = (slip != 0.0) & (before > EVENT_TOLERANCE) & (after < 0.0) & (normal_1 >= 0.0)
+    tau = _first_guess(before, slip * x_ddot, after, slip * x_ddot_1, h)
+    first = start[7:]
+    theta_2, theta_dot_2, x_2, x_dot_2, smallest = runge_kutta(theta, theta_dot, x, x_dot, slip, mu, u, p, tau, first)
+    theta_ddot_2, x_ddot_2, normal_2 = pressed_accelerations(theta_2, theta_dot_2, x_dot_2, slip, mu, u, p)
+    correction = -(slip * x_dot_2) / (slip * x_ddot_2)
+    holds &= (smallest >= 0.0) & (normal_2 >= 0.0) & (slip * x_ddot_2 < 0.0) & (abs(correction) <= LAST_CORRECTION * h)
+    tau += correction
+    theta_2, theta_dot_2 = theta_2 + correction * theta_dot_2, theta_dot_2 + correction * theta_ddot_2
+    x_2 += correction * x_dot_2
+    slip = phase_at_rest(theta_2, theta_dot_2, u, p)
+    rest = h - tau
+    theta_3, theta_dot_3, x_3, x_dot_3, _, _, normal_2, _, lasts = smooth_step(
+        theta_2, theta_dot_2, x_2, 0.0, slip, u, p, rest, True
+    )
+    turned = swept(theta_dot, theta_dot_2, theta_2 - theta, tau)
+    turned += swept(theta_dot_2, theta_dot_3, theta_3 - theta_2, rest)
+    forward = max(0.0, x_2 - x) + max(0.0, x_3 - x_2)
+    backward = max(0.0, x - x_2) + max(0.0, x_2 - x_3)
+    stuck = rest if slip == 0.0 else 0.0
+    normal = min(normal, normal_2)
+    motion = Motion(theta_3, theta_dot_3, x_3, x_dot_3, forward, backward, stuck, turned, normal, 1)
+    return motion, slip, holds & lasts & (rest > 0.0)
 
 
 @jitable

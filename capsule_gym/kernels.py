@@ -2,7 +2,7 @@
 
 `step` is one agent step, from the action to the observation. `capsule_gym.layout` says where the numbers lie. Loops run
 over the environments of a block and are vectorised; an environment in which an event happens (a change of the contact
-phase, the end of the episode) is left out of the loop over its substep and integrated by itself.
+phase, the end of the episode) is left out of the loop over its substep and left to `capsule_gym.events`.
 
 The step is compiled once for each task (`capsule_gym.tasks`), for all laws. `build` compiles `evaluate_law` with a law
 in it, which takes about a second, and the step calls it once per law period and block by its address, which stands
@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import disturbances, dynamics, task
-from capsule_gym.compilation import compile_entry, inlined, intrinsic, jitable, rebound
+from capsule_gym.compilation import compile_entry, inlined, intrinsic, rebound
 from capsule_gym.elementary import clip
+from capsule_gym.events import handle_events
 from capsule_gym.layout import (
     AT,
     CONSTANTS,
-    ENDING,
     HALTED,
     HISTORY_ROWS,
     LANES,
@@ -39,15 +39,8 @@ from capsule_gym.layout import (
 )
 from capsule_gym.objects import Entry
 from capsule_gym.observation import write_observation
-from capsule_gym.parameters import VARIED, Plant
+from capsule_gym.parameters import LEVEL, VARIED, Plant
 from capsule_gym.tasks import speed
-
-# `task` itself imports nothing of the compiler's.
-for _function in (task.termination, task.continues, task.bounded):
-    inlined(_function)
-
-# As a plain integer, which numba takes for a constant.
-DIVERGED = int(task.Termination.diverged)
 
 
 def no_law(
@@ -100,12 +93,12 @@ def apply_torque(block: np.ndarray, n: int, plant: Plant, settings: StepSettings
         rest = clip(settings.torque_limit * action - law_torque, settings.residual_limit)
         residual = rest if settings.total_torque else settings.residual_limit * action
         torque = clip(law_torque + residual, settings.torque_limit)
-        if plant.extended == VARIED:
-            torque = disturbances.drive(block, j, torque, going)
+        if plant.extended >= VARIED:
+            torque = disturbances.drive(block, j, torque, going, plant.extended == VARIED)
         torque = torque if going else block[AT.torque + j]
         x_dot = block[AT.x_dot + j]
         block[AT.torque + j] = torque
-        block[AT.peak_torque + j] = max(block[AT.peak_torque + j], abs(torque))
+        block[AT.peak_torque + j] = max(abs(block[AT.peak_torque + j]), abs(torque))
         block[AT.elapsed + j] = period
         block[AT.slip + j] = -1.0 if x_dot < 0.0 else 1.0
         resting += going and x_dot == 0.0
@@ -114,8 +107,8 @@ def apply_torque(block: np.ndarray, n: int, plant: Plant, settings: StepSettings
     sticking = 0
     for j in range(n):
         p = plant_of(block, j, plant)
-        theta, theta_dot, x_dot = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x_dot + j]
-        slip = dynamics.contact_phase(theta, theta_dot, x_dot, block[AT.torque + j], p)
+        at_rest = dynamics.phase_at_rest(block[AT.theta + j], block[AT.theta_dot + j], block[AT.torque + j], p)
+        slip = at_rest if block[AT.x_dot + j] == 0.0 else block[AT.slip + j]
         slip = slip if block[AT.halt + j] == UNDER_WAY else 1.0
         block[AT.slip + j] = slip
         sticking += slip == 0.0
@@ -151,55 +144,35 @@ def step_smooth(block: np.ndarray, n: int, plant: Plant, h: float, may_stick: bo
         block[AT.backward + j] += max(0.0, -moved)
         if may_stick:
             block[AT.stuck + j] += h if commit and slip == 0.0 else 0.0
-        block[AT.normal_force + j] = min(block[AT.normal_force + j], normal if commit else math.inf)
-        block[AT.largest_theta + j] = max(block[AT.largest_theta + j], abs(theta_1) if commit else 0.0)
-        block[AT.largest_theta_dot + j] = max(block[AT.largest_theta_dot + j], abs(theta_dot_1) if commit else 0.0)
+        # None of these is negative. Without `abs` LLVM makes masked stores of them, of 40 instructions each on Zen.
+        block[AT.normal_force + j] = min(abs(block[AT.normal_force + j]), normal if commit else math.inf)
+        block[AT.largest_theta + j] = max(abs(block[AT.largest_theta + j]), abs(theta_1) if commit else 0.0)
+        block[AT.largest_theta_dot + j] = max(abs(block[AT.largest_theta_dot + j]), abs(theta_dot_1) if commit else 0.0)
 
 
-@jitable
-def step_with_events(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) -> int:
-    """Takes one environment through a substep in which something happens; returns by how many more stick afterwards."""
-    p = plant_of(block, j, plant)
-    torque = block[AT.torque + j]
-    theta, theta_dot, x, x_dot = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x + j], block[AT.x_dot + j]
-    slip = block[AT.slip + j]
-    first = block[AT.theta_ddot + j], block[AT.x_ddot + j], block[AT.first_normal_force + j]
-    start = dynamics.Phase(theta, theta_dot, x, x_dot, slip, torque, p, *first)
-    if block[AT.least_normal_force + j] >= 0.0:
-        theta_1, theta_dot_1 = block[AT.next_theta + j], block[AT.next_theta_dot + j]
-        x_1, x_dot_1 = block[AT.next_x + j], block[AT.next_x_dot + j]
-        whole = dynamics.finish(start, h, theta_1, theta_dot_1, x_1, x_dot_1, first[1], first[2])
-    else:
-        whole = dynamics.piece(start, h)
-    motion = dynamics.event_step(start, whole)
-    whole_motion = motion.theta + motion.x + motion.swept + motion.normal_force
-    if not (task.bounded(motion.theta_dot, motion.x_dot) and math.isfinite(whole_motion)):
-        # The substep is none: the environment stays where that has begun.
-        normal = dynamics.accelerations(theta, theta_dot, x_dot, slip, torque, p)[2]
-        block[AT.normal_force + j] = min(block[AT.normal_force + j], normal)
-        block[AT.termination + j] = DIVERGED
-        block[AT.halt + j] = ENDING
-        block[AT.elapsed + j] = elapsed - h
-        block[AT.slip + j] = 1.0
-        return -1 if slip == 0.0 else 0
-    block[AT.theta + j], block[AT.theta_dot + j] = motion.theta, motion.theta_dot
-    block[AT.x + j], block[AT.x_dot + j] = motion.x, motion.x_dot
-    block[AT.energy + j] += abs(torque) * motion.swept
-    block[AT.forward + j] += motion.forward
-    block[AT.backward + j] += motion.backward
-    block[AT.stuck + j] += motion.stuck
-    block[AT.normal_force + j] = min(block[AT.normal_force + j], motion.normal_force)
-    block[AT.largest_theta + j] = max(block[AT.largest_theta + j], abs(motion.theta))
-    block[AT.largest_theta_dot + j] = max(block[AT.largest_theta_dot + j], abs(motion.theta_dot))
-    ended = task.termination(motion.theta, motion.normal_force)
-    next_slip = dynamics.contact_phase(motion.theta, motion.theta_dot, motion.x_dot, torque, p)
-    if ended != 0:
-        block[AT.termination + j] = ended
-        block[AT.halt + j] = ENDING
-        block[AT.elapsed + j] = elapsed
-        next_slip = 1.0
-    block[AT.slip + j] = next_slip
-    return (1 if next_slip == 0.0 else 0) - (1 if slip == 0.0 else 0)
+@inlined
+def is_level(block: np.ndarray, n: int) -> bool:
+    """Whether every floor is level with Coulomb's friction alone, and nothing pushes."""
+    others = 0
+    for j in range(n):
+        level = block[AT.downhill + j] == 0.0 and block[AT.viscous + j] == 0.0 and block[AT.stribeck_excess + j] == 0.0
+        others += not (level and block[AT.push + j] == 0.0)
+    return others == 0
+
+
+@inlined
+def hold_torque(block: np.ndarray, n: int, plant: Plant, single: Plant, settings: StepSettings) -> None:
+    """One period of the law: the torque, and the substeps; `single` is as `handle_events` takes it."""
+    # u = clip(law torque + residual), constant until the law is called again.
+    sticking = apply_torque(block, n, plant, settings)
+    h = settings.physics_dt
+    for substep in range(settings.physics_steps):
+        # Where nothing sticks the compiler leaves out a third of the work.
+        if sticking > 0:
+            step_smooth(block, n, plant, h, True)
+        else:
+            step_smooth(block, n, plant, h, False)
+        sticking += handle_events(block, n, plant, single, h, (substep + 1) * h)
 
 
 @inlined
@@ -418,7 +391,6 @@ def step(
         settings: of the environment.
         observations: of the block's environments; written.
     """
-    h = settings.physics_dt
     cycle = (fixed.size - CONSTANTS) // settings.reference_size
     # Of the task's memory.
     end = block.size - HISTORY_ROWS * settings.history * LANES
@@ -429,20 +401,14 @@ def step(
         return
     if begin:
         start_task(block, n, end)
+    level = plant.extended == VARIED and is_level(block, n)
+    level_plant = Plant(*plant[:4], LEVEL, *plant[5:])
     for tick in range(1 if begin else settings.law_steps):
         if not begin:
-            # u = clip(law torque + residual), constant until the law is called again.
-            sticking = apply_torque(block, n, plant, settings)
-            for substep in range(settings.physics_steps):
-                # Where nothing sticks the compiler leaves out a third of the work.
-                if sticking > 0:
-                    step_smooth(block, n, plant, h, True)
-                else:
-                    step_smooth(block, n, plant, h, False)
-                for j in range(n):
-                    if block[AT.eventful + j] != 0.0:
-                        # Stick, slip, and the end of the episode (`task.termination`).
-                        sticking += step_with_events(block, j, plant, h, (substep + 1) * h)
+            if level:
+                hold_torque(block, n, level_plant, plant, settings)
+            else:
+                hold_torque(block, n, plant, plant, settings)
         if plant.extended == VARIED:
             # The sensors show a state of the past, with errors, to the law and to the agent.
             disturbances.measure(block, n, settings, begin, tick + 1 == settings.law_steps)

@@ -153,11 +153,42 @@ class Quantities(NamedTuple):
     true_x_dot: int
 
 
+# Constants of a plant from m on.
+PLANT_ROWS = len(Plant._fields) - 5
 # Each quantity's row of a block, and where that begins in the block's memory. numba takes plain integers in a tuple for
 # constants, the members of an enumeration not.
 Row = Quantities(*range(len(Quantities._fields)))
 AT = Quantities(*(LANES * row for row in Row))
-ROWS = len(Row)
+
+
+class Event(NamedTuple):
+    """An environment to which something happens in a substep: its place in the block, and quantities of `Row`."""
+
+    place: float
+    theta: float
+    theta_dot: float
+    x: float
+    x_dot: float
+    slip: float
+    torque: float
+    M: float
+    mu: float
+    mass_ratio: float
+    next_theta: float
+    next_theta_dot: float
+    next_x: float
+    next_x_dot: float
+    theta_ddot: float
+    x_ddot: float
+    first_normal_force: float
+    least_normal_force: float
+
+
+# Where `capsule_gym.events` puts these environments side by side, then the constants of their plants where those vary.
+EVENTS = LANES * len(Row)
+EVENT_ROWS = len(Event._fields)
+EVENT_PLANTS = EVENTS + EVENT_ROWS * LANES
+ROWS = len(Row) + EVENT_ROWS + PLANT_ROWS
 # Rows of a state in the history.
 HISTORY_ROWS = 3
 # Where the law's memory begins; its line of the reference follows, and the task's memory.
@@ -309,14 +340,10 @@ def unpack(fixed: np.ndarray, pivot_torque_on_contact: float, extended: float) -
     return plant, record(fixed, SETTINGS, StepSettings)
 
 
-# Constants of a plant from m on.
-PLANT_ROWS = len(Plant._fields) - 5
-
-
 @inlined
 def plant_of(block: np.ndarray, j: int, plant: Plant) -> Plant:
     """The plant of one environment."""
-    if plant.extended == VARIED:
+    if plant.extended >= VARIED:
         own = load(block, AT.m + j, LANES, PLANT_ROWS)
         return Plant(block[AT.M + j], block[AT.mu + j], block[AT.mass_ratio + j], *plant[3:5], *own)
     return Plant(block[AT.M + j], block[AT.mu + j], block[AT.mass_ratio + j], *plant[3:])

@@ -66,9 +66,10 @@ class Plant(NamedTuple):
     push: float
 
 
-# `Plant.extended` where the floor may slope, and its friction and the motor's may depend on the speed, and where the
-# constants from m on differ between the environments as well.
-EXTENDED, VARIED = 1.0, 2.0
+# `Plant.extended` where the floor may slope, and its friction and the motor's may depend on the speed; where the
+# constants from m on differ between the environments as well; and where they do so on a level floor with Coulomb's
+# friction alone, without pushes.
+EXTENDED, VARIED, LEVEL = 1.0, 2.0, 3.0
 
 # Subclasses of Python's and numpy's integers that are none.
 NO_NUMBERS = (bool, np.timedelta64)

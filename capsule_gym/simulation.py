@@ -283,6 +283,7 @@ class Simulation:
         self._due = np.full(self.num_envs, math.inf)
         # Whether `Row.active` is 1 everywhere.
         self._everyone = False
+        self.resets = 0
         # Whole blocks: two threads never write to one.
         count = min(options.threads, blocks)
         edges = [min(self.num_envs, LANES * (blocks * n // count)) for n in range(count + 1)]
@@ -435,6 +436,7 @@ class Simulation:
         if drawn is not None:
             self.world[rows[:, None] // LANES, self._drawn_rows, rows[:, None] % LANES] = drawn.T
         self._everyone = False
+        self.resets += 1
         self._run(begin=True)
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> None:

@@ -98,6 +98,9 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._started = False
         self._renderer: Renderer | None = None
         self._spec: EnvSpec | None = None
+        # What the running episodes have drawn, and the count of resets at which it was read.
+        self._drawn: tuple[dict[str, np.ndarray], dict[str, np.ndarray]] = {}, {}
+        self._drawn_at = 0
         self.closed = False
 
     def __getstate__(self) -> dict[str, Any]:
@@ -225,7 +228,12 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             add_task(info, simulation.task, simulation.rows(simulation.task_row, simulation.task_end))
         if simulation.settings.history:
             info["reading"] = simulation.rows(Row.read_theta, Row.true_theta).T
-            info["capsule"], info["disturbances"] = name_drawn(list(simulation.rows(Row.drawn_m, Row.key)))
+            # Until an episode begins these stay the same.
+            if simulation.resets != self._drawn_at:
+                self._drawn_at, drawn = simulation.resets, simulation.rows(Row.drawn_m, Row.key)
+                drawn.flags.writeable = False
+                self._drawn = name_drawn(list(drawn))
+            info["capsule"], info["disturbances"] = self._drawn
         return info
 
     def _begin_next(self, info: dict[str, Any], ended: np.ndarray) -> None:

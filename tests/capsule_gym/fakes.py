@@ -9,7 +9,8 @@ from capsule_gym.layout import Row
 
 # Orders, and scratch that every step begins anew; all other rows are the episode's.
 SCRATCH = {"action", "active", "mass_ratio", "before_x", "slip", "elapsed", "halt", "eventful"} | {
-    *("next_theta", "next_theta_dot", "next_x", "next_x_dot", "theta_ddot", "x_ddot", "first_normal_force", "least_normal_force")
+    *("next_theta", "next_theta_dot", "next_x", "next_x_dot"),
+    *("theta_ddot", "x_ddot", "first_normal_force", "least_normal_force"),
 }
 
 

@@ -1,0 +1,157 @@
+"""Substeps in which something happens, compiled: the platform sticks or slips, or the episode ends.
+
+`kernels.step_smooth` marks the environments. Most of them come to rest once and go on: these are taken through the
+substep several at once, the others one by one. Both ways give the same bits.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from capsule_gym import dynamics, task
+from capsule_gym.compilation import called, inlined, jitable, stay_apart
+from capsule_gym.layout import (
+    AT,
+    ENDING,
+    EVENT_PLANTS,
+    EVENT_ROWS,
+    EVENTS,
+    LANES,
+    PLANT_ROWS,
+    Event,
+    load,
+    plant_of,
+    store,
+)
+from capsule_gym.parameters import VARIED, Plant
+
+# `task` itself imports nothing of the compiler's.
+for _function in (task.termination, task.continues, task.bounded):
+    inlined(_function)
+
+# Environments that the widest registers hold.
+VECTOR = 8
+# As a plain integer, which numba takes for a constant.
+DIVERGED = int(task.Termination.diverged)
+
+
+@inlined
+def handle_events(block: np.ndarray, n: int, plant: Plant, single: Plant, h: float, elapsed: float) -> int:
+    """Takes the environments that are marked through a substep.
+
+    Args:
+        block: one block of `world`; changed.
+        n: environments in it.
+        plant: what their plants have in common.
+        single: the same for `step_with_events`, which is compiled once.
+        h: length of the substep, s.
+        elapsed: time under the present torque at its end, s.
+
+    Returns:
+        By how many more environments stick afterwards.
+    """
+    if n == 1:
+        return step_with_events(block, 0, single, h, elapsed) if block[AT.eventful] != 0.0 else 0
+    count = 0
+    for j in range(n):
+        block[EVENTS + count] = j
+        count += block[AT.eventful + j] != 0.0
+    sticking = pass_events(block, count, plant, h) if count > 1 else 0
+    for e in range(count):
+        j = int(block[EVENTS + e])
+        if block[AT.eventful + j] != 0.0:
+            sticking += step_with_events(block, j, single, h, elapsed)
+    return sticking
+
+
+@called
+def pass_events(block: np.ndarray, count: int, plant: Plant, h: float) -> int:
+    """Takes those environments through a substep that come to rest once in it, and unmarks them.
+
+    The first row of EVENTS holds their places in the block. Other arguments as of `handle_events`.
+
+    Returns:
+        How many of them stick afterwards.
+    """
+    # Inside the step it would take the registers of a single environment's loops.
+    stay_apart()
+    for e in range(count):
+        j = int(block[EVENTS + e])
+        state, end = load(block, AT.theta + j, LANES, 4), load(block, AT.next_theta + j, LANES, 8)
+        acting = block[AT.slip + j], block[AT.torque + j]
+        own = block[AT.M + j], block[AT.mu + j], block[AT.mass_ratio + j]
+        store(block, EVENTS + e, LANES, (float(j), *state, *acting, *own, *end))
+        if plant.extended >= VARIED:
+            store(block, EVENT_PLANTS + e, LANES, load(block, AT.m + j, LANES, PLANT_ROWS))
+    # Whole vectors: what lies behind the last environment is computed as well, and ignored.
+    for e in range((count + VECTOR - 1) // VECTOR * VECTOR):
+        event = Event(*load(block, EVENTS + e, LANES, EVENT_ROWS))
+        p = Plant(event.M, event.mu, event.mass_ratio, *plant[3:])
+        if plant.extended >= VARIED:
+            p = Plant(*p[:5], *load(block, EVENT_PLANTS + e, LANES, PLANT_ROWS))
+        start = dynamics.Phase(*event[1:7], p, event.theta_ddot, event.x_ddot, event.first_normal_force)
+        end = event.next_theta, event.next_theta_dot, event.next_x_dot
+        motion, slip, holds = dynamics.pass_rest(start, *end, h)
+        holds &= task.continues(motion.theta, motion.normal_force) & task.bounded(motion.theta_dot, motion.x_dot)
+        holds &= (abs(motion.x + motion.swept) < math.inf) & (event.least_normal_force >= 0.0)
+        store(block, EVENTS + e, LANES, (event.place, 1.0 if holds else 0.0, slip, *motion[:9], 1.0))
+    sticking = 0
+    for e in range(count):
+        result = load(block, EVENTS + e, LANES, 13)
+        if result[1] != 0.0:
+            j, slip = int(result[0]), result[2]
+            block[AT.eventful + j], block[AT.slip + j] = 0.0, slip
+            sticking += slip == 0.0
+            add_motion(block, j, dynamics.Motion(*result[3:]))
+    return sticking
+
+
+@inlined
+def add_motion(block: np.ndarray, j: int, motion: dynamics.Motion) -> None:
+    """Writes the state at the end of a substep, and adds what it contributes to the step and to the episode."""
+    store(block, AT.theta + j, LANES, motion[:4])
+    block[AT.energy + j] += abs(block[AT.torque + j]) * motion.swept
+    block[AT.forward + j] += motion.forward
+    block[AT.backward + j] += motion.backward
+    block[AT.stuck + j] += motion.stuck
+    block[AT.normal_force + j] = min(block[AT.normal_force + j], motion.normal_force)
+    block[AT.largest_theta + j] = max(block[AT.largest_theta + j], abs(motion.theta))
+    block[AT.largest_theta_dot + j] = max(block[AT.largest_theta_dot + j], abs(motion.theta_dot))
+
+
+@jitable
+def step_with_events(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) -> int:
+    """Takes one environment through a substep in which something happens; returns by how many more stick afterwards."""
+    p = plant_of(block, j, plant)
+    torque = block[AT.torque + j]
+    theta, theta_dot, x, x_dot = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x + j], block[AT.x_dot + j]
+    slip = block[AT.slip + j]
+    first = load(block, AT.theta_ddot + j, LANES, 3)
+    start = dynamics.Phase(theta, theta_dot, x, x_dot, slip, torque, p, *first)
+    if block[AT.least_normal_force + j] >= 0.0:
+        whole = dynamics.finish(start, h, *load(block, AT.next_theta + j, LANES, 4), first[1], first[2])
+    else:
+        whole = dynamics.piece(start, h)
+    motion = dynamics.event_step(start, whole)
+    whole_motion = motion.theta + motion.x + motion.swept + motion.normal_force
+    if not (task.bounded(motion.theta_dot, motion.x_dot) and math.isfinite(whole_motion)):
+        # The substep is none: the environment stays where that has begun.
+        normal = dynamics.accelerations(theta, theta_dot, x_dot, slip, torque, p)[2]
+        block[AT.normal_force + j] = min(block[AT.normal_force + j], normal)
+        block[AT.termination + j] = DIVERGED
+        block[AT.halt + j] = ENDING
+        block[AT.elapsed + j] = elapsed - h
+        block[AT.slip + j] = 1.0
+        return -1 if slip == 0.0 else 0
+    add_motion(block, j, motion)
+    ended = task.termination(motion.theta, motion.normal_force)
+    next_slip = dynamics.contact_phase(motion.theta, motion.theta_dot, motion.x_dot, torque, p)
+    if ended != 0:
+        block[AT.termination + j] = ended
+        block[AT.halt + j] = ENDING
+        block[AT.elapsed + j] = elapsed
+        next_slip = 1.0
+    block[AT.slip + j] = next_slip
+    return (1 if next_slip == 0.0 else 0) - (1 if slip == 0.0 else 0)
