@@ -266,6 +266,27 @@ def test_agreement_with_the_reference_after_ten_seconds(mu, name, torques, optio
     assert np.abs(swept - expected.swept).max() < 2e-6
 
 
+def test_coming_to_rest_once_has_the_bits_of_any_step():
+    rng = np.random.default_rng(0)
+    phases, passed = [], 0
+    for options in ({}, {"normal_force": "paper"}, ALL):
+        for mu in rng.uniform(0.01, 0.4, 200):
+            p = Capsule(mu=mu, **options).plant()
+            u, h = rng.uniform(-1.0, 1.0), rng.choice((0.001, 0.005)).item()
+            state = (rng.uniform(-1.0, 1.0, 4) * (1.0, 15.0, 1.0, 10.0 * h)).tolist()
+            start = dynamics.begin(*state, math.copysign(1.0, state[3]), u, p)
+            end = dynamics.piece(start, h)
+            motion, phase, holds = dynamics.pass_rest(start, end.theta, end.theta_dot, end.x_dot, h)
+            expected = dynamics.step(*state, u, p, h)
+            passed += expected.events == 1
+            if holds:
+                assert motion == expected
+                assert phase == dynamics.contact_phase(motion.theta, motion.theta_dot, motion.x_dot, u, p)
+                phases.append(phase)
+    assert set(phases) == {-1.0, 0.0, 1.0}
+    assert 50 < 0.5 * passed < len(phases) <= passed
+
+
 def test_fourth_order_through_dozens_of_events():
     hold = 0.024
     orders = []
