@@ -176,6 +176,19 @@ def hold_torque(block: np.ndarray, n: int, plant: Plant, single: Plant, settings
 
 
 @inlined
+def hold_varied(block: np.ndarray, n: int, plant: Plant, single: Plant, settings: StepSettings) -> None:
+    """`hold_torque` for varied plants, of which most have level floors: a tenth faster on these."""
+    if is_level(block, n):
+        hold_torque(block, n, Plant(*plant[:4], LEVEL, *plant[5:]), single, settings)
+    else:
+        hold_torque(block, n, plant, single, settings)
+
+
+# `step_of` gives this the value for varied plants. A branch in `step` would double what has to be compiled for others.
+hold = hold_torque
+
+
+@inlined
 def evaluate_law(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, torque_limit: float, tick: float) -> None:
     """Calls the law with the present state of a block's environments, `tick` rows further in its reference.
 
@@ -401,14 +414,9 @@ def step(
         return
     if begin:
         start_task(block, n, end)
-    level = plant.extended == VARIED and is_level(block, n)
-    level_plant = Plant(*plant[:4], LEVEL, *plant[5:])
     for tick in range(1 if begin else settings.law_steps):
         if not begin:
-            if level:
-                hold_torque(block, n, level_plant, plant, settings)
-            else:
-                hold_torque(block, n, plant, plant, settings)
+            hold(block, n, plant, plant, settings)
         if plant.extended == VARIED:
             # The sensors show a state of the past, with errors, to the law and to the agent.
             disturbances.measure(block, n, settings, begin, tick + 1 == settings.law_steps)
@@ -449,14 +457,14 @@ def advance(world: np.ndarray, first: int, last: int, begin: bool, fixed: np.nda
     return broken
 
 
-def step_of(own: task.Task) -> Any:
-    """`step` with a task's functions in it."""
+def step_of(own: task.Task, extended: float) -> Any:
+    """`step` with a task's functions in it, for plants of that kind."""
     bindings = {
         **{"begin_task": own.begin, "reward": own.reward, "observe_task": own.observe},
         **{"TaskMemory": own.memory, "TASK_ROWS": own.rows, "TASK_ENTRIES": len(own.entries)},
     }
     parts = {function.__name__: inlined(rebound(function, bindings)) for function in (start_task, finish_step, observe)}
-    return inlined(rebound(step, parts))
+    return inlined(rebound(step, {**parts, "hold": hold_varied if extended == VARIED else hold_torque}))
 
 
 @cache
@@ -470,8 +478,8 @@ def build_advance(pivot_torque_on_contact: float, extended: float, own: task.Tas
         own: the task.
     """
     bindings: dict[str, Any] = {"PIVOT_TORQUE_ON_CONTACT": pivot_torque_on_contact, "EXTENDED": extended}
-    if own.memory is not TaskMemory:
-        bindings["step"] = step_of(own)
+    if own.memory is not TaskMemory or extended == VARIED:
+        bindings["step"] = step_of(own, extended)
     return compile_entry(advance, SIGNATURE, f"the physics with the task {own.name}", bindings)
 
 

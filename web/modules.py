@@ -97,7 +97,7 @@ def call_linked_law(block: Any, n: int, fixed: Any, cycle: int, torque_limit: fl
 
 def step_entry(task: str, extended: float) -> Entry:
     """`advance`, which takes an environment a step further or begins its episode; it imports its law."""
-    step = inlined(rebound(kernels.step_of(find_task(task)), {"call_law": call_linked_law}))
+    step = inlined(rebound(kernels.step_of(find_task(task), extended), {"call_law": call_linked_law}))
     plant = NOMINAL.plant()
     bindings = {"step": step, "PIVOT_TORQUE_ON_CONTACT": plant.pivot_torque_on_contact, "EXTENDED": extended}
     compiled = jitable(rebound(kernels.advance, bindings))
