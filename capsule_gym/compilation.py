@@ -62,11 +62,6 @@ def inlined(function: Any) -> Any:
     return jitable(function, forceinline=True)
 
 
-def called(function: Any) -> Any:
-    """Marks a plain function that compiled code may call, whether its caller is `inlined` or not."""
-    return jitable(function, forceinline=False)
-
-
 def intrinsic(define: Callable[..., Any], prefer_literal: bool = False) -> Callable[[Any], Any]:
     """Marks a function whose instructions are generated; its body says what they do, and is what Python runs.
 

@@ -7,11 +7,12 @@ substep several at once, the others one by one. Both ways give the same bits.
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
 from capsule_gym import dynamics, task
-from capsule_gym.compilation import called, inlined, jitable, stay_apart
+from capsule_gym.compilation import inlined, jitable, stay_apart
 from capsule_gym.layout import (
     AT,
     ENDING,
@@ -38,14 +39,13 @@ DIVERGED = int(task.Termination.diverged)
 
 
 @inlined
-def handle_events(block: np.ndarray, n: int, plant: Plant, single: Plant, h: float, elapsed: float) -> int:
+def handle_events(block: np.ndarray, n: int, plant: Plant, h: float, elapsed: float) -> int:
     """Takes the environments that are marked through a substep.
 
     Args:
         block: one block of `world`; changed.
         n: environments in it.
         plant: what their plants have in common.
-        single: the same for `step_with_events`, which is compiled once.
         h: length of the substep, s.
         elapsed: time under the present torque at its end, s.
 
@@ -53,7 +53,7 @@ def handle_events(block: np.ndarray, n: int, plant: Plant, single: Plant, h: flo
         By how many more environments stick afterwards.
     """
     if n == 1:
-        return step_with_events(block, 0, single, h, elapsed) if block[AT.eventful] != 0.0 else 0
+        return step_with_events(block, 0, plant, h, elapsed) if block[AT.eventful] != 0.0 else 0
     count = 0
     for j in range(n):
         block[EVENTS + count] = j
@@ -62,11 +62,11 @@ def handle_events(block: np.ndarray, n: int, plant: Plant, single: Plant, h: flo
     for e in range(count):
         j = int(block[EVENTS + e])
         if block[AT.eventful + j] != 0.0:
-            sticking += step_with_events(block, j, single, h, elapsed)
+            sticking += step_with_events(block, j, plant, h, elapsed)
     return sticking
 
 
-@called
+@partial(jitable, forceinline=False)
 def pass_events(block: np.ndarray, count: int, plant: Plant, h: float) -> int:
     """Takes those environments through a substep that come to rest once in it, and unmarks them.
 

@@ -161,8 +161,8 @@ def is_level(block: np.ndarray, n: int) -> bool:
 
 
 @inlined
-def hold_torque(block: np.ndarray, n: int, plant: Plant, single: Plant, settings: StepSettings) -> None:
-    """One period of the law: the torque, and the substeps; `single` is as `handle_events` takes it."""
+def hold_torque(block: np.ndarray, n: int, plant: Plant, settings: StepSettings) -> None:
+    """One period of the law: the torque, and the substeps."""
     # u = clip(law torque + residual), constant until the law is called again.
     sticking = apply_torque(block, n, plant, settings)
     h = settings.physics_dt
@@ -172,16 +172,16 @@ def hold_torque(block: np.ndarray, n: int, plant: Plant, single: Plant, settings
             step_smooth(block, n, plant, h, True)
         else:
             step_smooth(block, n, plant, h, False)
-        sticking += handle_events(block, n, plant, single, h, (substep + 1) * h)
+        sticking += handle_events(block, n, plant, h, (substep + 1) * h)
 
 
 @inlined
-def hold_varied(block: np.ndarray, n: int, plant: Plant, single: Plant, settings: StepSettings) -> None:
+def hold_varied(block: np.ndarray, n: int, plant: Plant, settings: StepSettings) -> None:
     """`hold_torque` for varied plants, of which most have level floors: a tenth faster on these."""
     if is_level(block, n):
-        hold_torque(block, n, Plant(*plant[:4], LEVEL, *plant[5:]), single, settings)
+        hold_torque(block, n, Plant(*plant[:4], LEVEL, *plant[5:]), settings)
     else:
-        hold_torque(block, n, plant, single, settings)
+        hold_torque(block, n, plant, settings)
 
 
 # `step_of` gives this the value for varied plants. A branch in `step` would double what has to be compiled for others.
@@ -416,7 +416,7 @@ def step(
         start_task(block, n, end)
     for tick in range(1 if begin else settings.law_steps):
         if not begin:
-            hold(block, n, plant, plant, settings)
+            hold(block, n, plant, settings)
         if plant.extended == VARIED:
             # The sensors show a state of the past, with errors, to the law and to the agent.
             disturbances.measure(block, n, settings, begin, tick + 1 == settings.law_steps)
