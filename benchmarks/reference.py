@@ -56,7 +56,8 @@ def rates(theta: float, omega: float, v: float, slip: float, u: float, p: Plant)
     """theta'', x'' and the normal force in one phase of contact."""
     s = math.sin(theta)
     c = math.cos(theta)
-    u -= p.motor_friction * omega / math.hypot(omega, 0.5)
+    ratio = min(1.0, max(-1.0, omega))
+    u -= p.motor_friction * (35.0 * ratio - 35.0 * ratio**3 + 21.0 * ratio**5 - 5.0 * ratio**7) / 16.0
     internal = p.k * theta + p.c * omega
     # theta'' on a platform that does not accelerate
     free = (u - internal + p.m * p.l * (p.g * s + p.downhill * c)) / (p.m * p.l**2)

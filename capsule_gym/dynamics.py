@@ -15,10 +15,11 @@ is the viscous coefficient, v_s the speed of the Stribeck curve), the motor may 
 push the platform. The equations become
 
     m l^2 theta'' - m l cos(theta) x'' - m l (g sin(theta) + a cos(theta)) + k theta + c theta'
-        = u - u_f theta' / sqrt(theta'^2 + w^2)
+        = u - u_f (35 s - 35 s^3 + 21 s^5 - 5 s^7) / 16
     (M + m) (x'' + a) + b x' - m l cos(theta) theta'' + m l sin(theta) theta'^2 + f = F
 
-with f = s mu (1 + (static_ratio - 1) / (1 + (x' / v_s)^2)) N in slip in the direction s.
+with f = d mu (1 + (static_ratio - 1) / (1 + (x' / v_s)^2)) N in slip in the direction d, and s = theta' / w, clipped to
+[-1, 1].
 
 Every function is ordinary Python; `jitable` lets compiled code call it too. What a step does inside one phase is free
 of branches, so that compilers take several environments through it at once (`smooth_step`), and so is the commonest
@@ -31,7 +32,7 @@ import math
 from typing import NamedTuple
 
 from capsule_gym.compilation import inlined, jitable
-from capsule_gym.elementary import fma, sincos
+from capsule_gym.elementary import clip, fma, sincos
 from capsule_gym.parameters import LEVEL, MOTOR_WIDTH, Plant
 
 # No step holds anywhere near as many events. The cap only keeps a rounding accident from hanging compiled code.
@@ -114,8 +115,14 @@ def driving_force(theta: float, theta_dot: float, theta_ddot: float, p: Plant) -
 
 @inlined
 def motor_friction(theta_dot: float, p: Plant) -> float:
-    """Torque in N m with which the motor's own friction opposes its motion: 0.7 of Coulomb's at MOTOR_WIDTH."""
-    return p.motor_friction * theta_dot / math.sqrt(theta_dot * theta_dot + MOTOR_WIDTH * MOTOR_WIDTH)
+    """Torque in N m with which the motor's own friction opposes its motion: from MOTOR_WIDTH on Coulomb's.
+
+    Three times continuously differentiable, which leaves the integrator its order, without a root or a division.
+    """
+    ratio = theta_dot * (1.0 / MOTOR_WIDTH)
+    z = min(ratio * ratio, 1.0)
+    steep = fma(z * z, fma(-0.3125, z, 1.3125), fma(-2.1875, z, 2.1875))
+    return p.motor_friction * clip(ratio, 1.0) * steep
 
 
 @inlined
@@ -221,8 +228,9 @@ def stick_margin_rate(theta: float, theta_dot: float, u: float, p: Plant) -> flo
     a = stick_acceleration(theta, theta_dot, u, p)
     torque_rate = ml * p.g * cos * theta_dot - p.k * theta_dot - p.c * a
     if p.extended != 0.0:
-        width = theta_dot * theta_dot + MOTOR_WIDTH * MOTOR_WIDTH
-        slope = p.motor_friction * (MOTOR_WIDTH * MOTOR_WIDTH) / (width * math.sqrt(width))
+        s = clip(theta_dot * (1.0 / MOTOR_WIDTH), 1.0)
+        left = 1.0 - s * s
+        slope = p.motor_friction * (2.1875 / MOTOR_WIDTH) * (left * left * left)
         torque_rate -= ml * p.downhill * sin * theta_dot + slope * a
     jerk = torque_rate / (ml * p.l)
     force = driving_force(theta, theta_dot, a, p)
