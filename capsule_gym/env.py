@@ -19,7 +19,6 @@ from capsule_gym.simulation import SPEED, Simulation, check_seed
 
 Value = TypeVar("Value")
 RESET_OPTIONS = ("M", "mu", "state", "changes", "capsule", "disturbances")
-_CODES = {float(code): np.int64(code) for code in task.Termination}
 # Looking the rows of an info up in `Row` at every step takes a tenth of it.
 _STATE, _X_DOT, _REWARD, _TERMINATION = slice(Row.theta, Row.M), Row.x_dot, Row.reward, Row.termination
 _M, _MU, _TORQUE, _LAW_TORQUE, _NORMAL_FORCE, _ENERGY, _PROGRESS, _ENERGY_COST, _FAILURE = Row[Row.M : Row.reward]
@@ -27,7 +26,7 @@ _FIRST = np.zeros(1, np.int64)
 # Of what a task shows, the places on the floor, m: pictures mark them.
 _PLACES = ("goal", "target")
 # What a copy of an environment does not take over.
-_VIEWS = ("_rows", "_memory", "_reading", "_capsule", "_disturbances", "_observation", "_step", "_renderer")
+_VIEWS = ("_rows", "_state", "_memory", "_reading", "_drawn", "_observation", "_step", "_renderer")
 
 
 class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
@@ -197,6 +196,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     def _bind(self) -> None:
         """Makes views of the only environment: finding them takes a good part of a step."""
         self._rows = self.simulation.world[0, : Row.steps, 0]
+        self._state = self._rows[_STATE]
         # Of another task than speed, what `info` shows besides.
         memory = self.simulation.world[0, self.simulation.task_row :, 0]
         self._memory = None if self.simulation.task is SPEED else memory
@@ -244,7 +244,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         self._running = True
         if self.render_mode == "human":
             self.render()
-        return self._observation.copy(), self._info(self._rows.copy(), _CODES[0.0])
+        return self._observation.copy(), self._info(self._rows.tolist())
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
         """One agent step: `capsule_gym.kernels.step`, compiled with the control law.
@@ -268,28 +268,27 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         if array is None or array.shape != (1,) or not math.isfinite(value := array.item()):
             raise ValueError(f"action must be one finite number of shape (1,) in [-1, 1], got {written(action)}")
         self._step(value)
-        rows = self._rows.copy()
-        ended = rows.item(_TERMINATION)
-        self._running = ended == 0.0
+        values = self._rows.tolist()
+        self._running = values[_TERMINATION] == 0.0
         if self.render_mode == "human":
             self.render()
-        info = self._info(rows, _CODES[ended])
-        return self._observation.copy(), rows.item(_REWARD), not self._running, False, info
+        return self._observation.copy(), values[_REWARD], not self._running, False, self._info(values)
 
-    def _info(self, rows: np.ndarray, termination: np.int64) -> dict[str, Any]:
-        info = describe(rows, termination)
+    def _info(self, values: list[float]) -> dict[str, Any]:
+        """The info of a reset or a step, from the first values of `Row`."""
+        info = describe(values, self._state.copy(), int(values[_TERMINATION]))
         if self._memory is not None:
-            add_task(info, self.simulation.task, self._memory)
-        if self.simulation.settings.history:
+            add_task(info, self.simulation.task, self._memory.tolist())
+        if self._drawn:
             info["reading"] = self._reading.copy()
-            info["capsule"], info["disturbances"] = self._capsule.copy(), self._disturbances.copy()
+            for name, part in self._drawn.items():
+                info[name] = part.copy()
         return info
 
     def _bind_drawn(self) -> None:
         """Keeps what the episode has drawn: copies of dicts take less than those of arrays."""
-        if self.simulation.settings.history:
-            drawn = self.simulation.world[0, Row.drawn_m : Row.key, 0].tolist()
-            self._capsule, self._disturbances = name_drawn(drawn)
+        drawn = self.simulation.world[0, Row.drawn_m : Row.key, 0].tolist()
+        self._drawn = name_drawn(drawn) if self.simulation.settings.history else {}
 
     def episode_metrics(self, horizon: int | None = None) -> dict[str, float]:
         """The metrics of the episode so far: those of `capsule_gym.task.Metrics`, and those of the task.
@@ -338,38 +337,41 @@ def make_renderer(simulation: Simulation, mode: str) -> Renderer:
     return Renderer(simulation.capsule, mode, fps, simulation.settings.torque_limit)
 
 
-def describe(rows: np.ndarray, termination: Any) -> dict[str, Any]:
-    """The info of a reset or a step in the speed task, from the first rows of `Row`.
+def describe(values: Any, state: np.ndarray, termination: Any) -> dict[str, Any]:
+    """The info of a reset or a step in the speed task.
 
-    Rows and termination, int64, are those of one environment, shape (n,), or of a batch, shape (n, num_envs).
+    Args:
+        values: the first of `Row`: a list of floats for one environment, shape (n, num_envs) for a batch.
+        state: shape (4,) for one environment, (num_envs, 4) for a batch.
+        termination: an int for one environment, int64 of shape (num_envs,) for a batch.
     """
     return {
-        "state": rows[_STATE],
-        "stick": rows[_X_DOT] == 0.0,
-        "M": rows[_M],
-        "mu": rows[_MU],
-        "torque": rows[_TORQUE],
-        "law_torque": rows[_LAW_TORQUE],
-        "normal_force": rows[_NORMAL_FORCE],
-        "energy": rows[_ENERGY],
-        "reward_progress": rows[_PROGRESS],
-        "reward_energy": rows[_ENERGY_COST],
-        "reward_termination": rows[_FAILURE],
+        "state": state,
+        "stick": values[_X_DOT] == 0.0,
+        "M": values[_M],
+        "mu": values[_MU],
+        "torque": values[_TORQUE],
+        "law_torque": values[_LAW_TORQUE],
+        "normal_force": values[_NORMAL_FORCE],
+        "energy": values[_ENERGY],
+        "reward_progress": values[_PROGRESS],
+        "reward_energy": values[_ENERGY_COST],
+        "reward_termination": values[_FAILURE],
         "termination": termination,
     }
 
 
-def add_task(info: dict[str, Any], own: task.Task, memory: np.ndarray) -> None:
-    """Makes an info from `describe` that of another task than speed, with its memory; shapes as there."""
+def add_task(info: dict[str, Any], own: task.Task, memory: Any) -> None:
+    """Makes an info from `describe` that of another task than speed, with its memory: a list, or the rows of a batch."""
     info[own.term] = info.pop("reward_progress")
     for name, place in own.places:
         info[name] = memory[place]
 
 
-def name_drawn(drawn: Sequence[Value]) -> tuple[dict[str, Value], dict[str, Value]]:
+def name_drawn(drawn: Sequence[Value]) -> dict[str, dict[str, Value]]:
     """The constants of the plant and the disturbances by their names, from the rows `drawn_m` to `push` of `Row`."""
-    constants = dict(zip(CONSTANTS, drawn, strict=False))
-    return constants, dict(zip(DISTURBANCES, drawn[len(CONSTANTS) :], strict=True))
+    capsule = dict(zip(CONSTANTS, drawn, strict=False))
+    return {"capsule": capsule, "disturbances": dict(zip(DISTURBANCES, drawn[len(CONSTANTS) :], strict=True))}
 
 
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:

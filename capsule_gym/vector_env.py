@@ -98,8 +98,10 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._started = False
         self._renderer: Renderer | None = None
         self._spec: EnvSpec | None = None
-        # What the running episodes have drawn, and the count of resets at which it was read.
-        self._drawn: tuple[dict[str, np.ndarray], dict[str, np.ndarray]] = {}, {}
+        self._everyone = np.ones(self.num_envs, np.bool_)
+        self._everyone.flags.writeable = False
+        # What the running episodes have drawn, as infos hold it, and the count of resets at which it was read.
+        self._drawn: dict[str, dict[str, np.ndarray]] = {}
         self._drawn_at = 0
         self.closed = False
 
@@ -146,7 +148,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._ended[rows] = False
         # The mask of the first reset need not name every environment; one that has not begun has no mass.
         self._started = self._started or bool(self.simulation.row(Row.M).all())
-        return self.simulation.observations.copy(), _masked(self._info(self.simulation.rows(0, Row.start_x)), mask)
+        return self.simulation.observations.copy(), self._info(self.simulation.rows(0, Row.start_x), mask)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One agent step of every environment.
@@ -185,7 +187,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             terminated &= active
             truncated &= active
         ended = terminated | truncated
-        info = _masked(self._info(shown), np.ones(self.num_envs, np.bool_))
+        info = self._info(shown, self._everyone)
         if active is not None and self.autoreset_mode is AutoresetMode.DISABLED:
             info |= {f"_{name}": active for name in simulation.task.reward_terms}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
@@ -220,10 +222,10 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._renderer.close()
             self._renderer = None
 
-    def _info(self, rows: np.ndarray) -> dict[str, Any]:
-        """The infos of the first rows of `Row`, without their masks."""
-        info, simulation = describe(rows, rows[Row.termination].astype(np.int64)), self.simulation
-        info["state"] = info["state"].T
+    def _info(self, rows: np.ndarray, mask: np.ndarray) -> dict[str, Any]:
+        """The infos of the environments that the mask names, from the first rows of `Row`."""
+        simulation = self.simulation
+        info = describe(rows, rows[Row.theta : Row.M].T, rows[Row.termination].astype(np.int64))
         if simulation.task is not SPEED:
             add_task(info, simulation.task, simulation.rows(simulation.task_row, simulation.task_end))
         if simulation.settings.history:
@@ -232,8 +234,12 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             if simulation.resets != self._drawn_at:
                 self._drawn_at, drawn = simulation.resets, simulation.rows(Row.drawn_m, Row.key)
                 drawn.flags.writeable = False
-                self._drawn = name_drawn(list(drawn))
-            info["capsule"], info["disturbances"] = self._drawn
+                parts = name_drawn(list(drawn))
+                self._drawn = {name: _masked(part, self._everyone) for name, part in parts.items()}
+        info = _masked(info, mask)
+        for name, part in self._drawn.items():
+            info[name] = part.copy() if mask is self._everyone else _masked(part, mask)
+            info[f"_{name}"] = mask
         return info
 
     def _begin_next(self, info: dict[str, Any], ended: np.ndarray) -> None:
@@ -251,7 +257,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         info["final_info"] = _masked({**shared, "metrics": metrics}, ended)
         info["_final_obs"] = info["_final_info"] = ended
         simulation.reset(rows)
-        info |= self._info(self.simulation.rows(0, Row.start_x))
+        info |= self._info(simulation.rows(0, Row.start_x), self._everyone)
 
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
         """Hands the seeds out: environment i of seed s gets s + i."""
@@ -323,5 +329,5 @@ def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:
         if key.startswith("_"):
             continue
         info[key] = _masked(value, mask) if isinstance(value, dict) else value
-        info[f"_{key}"] = values.get(f"_{key}", mask)
+        info[f"_{key}"] = mask
     return info
