@@ -102,6 +102,14 @@ def use_widest_vectors() -> None:
     """
 
 
+@intrinsic(_attribute(objects.INTERLEAVED))
+def interleave_loops() -> None:
+    """Has what is compiled with the calling function take two vectors at a time, where these hold four numbers or two.
+
+    A Runge-Kutta step is a chain of operations of which each waits for the last; two of them fill each other's gaps.
+    """
+
+
 @intrinsic(_attribute("noinline"))
 def stay_apart() -> None:
     """Has the calling function called, and not copied into its callers."""

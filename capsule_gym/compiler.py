@@ -165,6 +165,9 @@ def compile_objects(
 
 
 def _emit(text: str, target: Target) -> bytes:
+    if objects.INTERLEAVED in text and not target.wide:
+        text = re.sub(r"^(  br i1 .*)$", r"\1, !llvm.loop !9998", text, flags=re.MULTILINE)
+        text += '\n!9998 = distinct !{!9998, !9999}\n!9999 = !{!"llvm.loop.interleave.count", i32 2}\n'
     machine = objects.target_machine(target)
     module = llvm.parse_assembly(text)
     module.triple, module.data_layout = machine.triple, str(machine.target_data)

@@ -122,7 +122,7 @@ def read_sensors(block: np.ndarray, n: int, settings: StepSettings) -> None:
     for j in range(n):
         entry = cursor - int(block[AT.delay + j])
         entry += settings.history if entry < 0 else 0
-        state = load(block, past + HISTORY_ROWS * LANES * entry + j, LANES, HISTORY_ROWS)
+        state = load(block, max(0, past + HISTORY_ROWS * LANES * entry) + j, LANES, HISTORY_ROWS)
         store(block, AT.late_theta + j, LANES, state)
     pause = time_between_readings(settings)
     for j in range(n):

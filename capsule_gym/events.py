@@ -21,6 +21,7 @@ from capsule_gym.layout import (
     EVENTS,
     LANES,
     PLANT_ROWS,
+    VECTOR,
     Event,
     load,
     plant_of,
@@ -32,8 +33,6 @@ from capsule_gym.parameters import VARIED, Plant
 for _function in (task.termination, task.continues, task.bounded):
     inlined(_function)
 
-# Environments that the widest registers hold.
-VECTOR = 8
 # As a plain integer, which numba takes for a constant.
 DIVERGED = int(task.Termination.diverged)
 
@@ -60,7 +59,7 @@ def handle_events(block: np.ndarray, n: int, plant: Plant, h: float, elapsed: fl
         count += block[AT.eventful + j] != 0.0
     sticking = pass_events(block, count, plant, h) if count > 1 else 0
     for e in range(count):
-        j = int(block[EVENTS + e])
+        j = max(0, int(block[EVENTS + e]))
         if block[AT.eventful + j] != 0.0:
             sticking += step_with_events(block, j, plant, h, elapsed)
     return sticking
@@ -78,7 +77,7 @@ def pass_events(block: np.ndarray, count: int, plant: Plant, h: float) -> int:
     # Inside the step it would take the registers of a single environment's loops.
     stay_apart()
     for e in range(count):
-        j = int(block[EVENTS + e])
+        j = max(0, int(block[EVENTS + e]))
         state, end = load(block, AT.theta + j, LANES, 4), load(block, AT.next_theta + j, LANES, 8)
         acting = block[AT.slip + j], block[AT.torque + j]
         own = block[AT.M + j], block[AT.mu + j], block[AT.mass_ratio + j]
@@ -101,7 +100,7 @@ def pass_events(block: np.ndarray, count: int, plant: Plant, h: float) -> int:
     for e in range(count):
         result = load(block, EVENTS + e, LANES, 13)
         if result[1] != 0.0:
-            j, slip = int(result[0]), result[2]
+            j, slip = max(0, int(result[0])), result[2]
             block[AT.eventful + j], block[AT.slip + j] = 0.0, slip
             sticking += slip == 0.0
             add_motion(block, j, dynamics.Motion(*result[3:]))

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from capsule_gym import disturbances, dynamics, task
-from capsule_gym.compilation import compile_entry, inlined, intrinsic, rebound
+from capsule_gym.compilation import compile_entry, inlined, interleave_loops, intrinsic, rebound
 from capsule_gym.elementary import clip
 from capsule_gym.events import handle_events
 from capsule_gym.layout import (
@@ -31,6 +31,7 @@ from capsule_gym.layout import (
     LAW,
     MEMORY,
     UNDER_WAY,
+    VECTOR,
     StepSettings,
     load,
     plant_of,
@@ -49,6 +50,9 @@ def no_law(
     """The law of the direct-torque task: none, so that the residual torque is the whole torque."""
     return 0.0, memory
 
+
+# In the place of a phase of contact: at rest under a torque that is new.
+AT_REST = 2.0
 
 # A table for a task without a law.
 NO_REFERENCE = np.zeros((1, 2))
@@ -84,7 +88,7 @@ def begin_step(block: np.ndarray, n: int, plant: Plant, begin: bool) -> int:
 
 @inlined
 def apply_torque(block: np.ndarray, n: int, plant: Plant, settings: StepSettings) -> int:
-    """Switches the torque and finds the phases of contact under it; returns how many environments stick."""
+    """Switches the torque; returns how many environments are at rest, whose phase of contact `step_smooth` finds."""
     period = settings.physics_steps * settings.physics_dt
     resting = 0
     for j in range(n):
@@ -100,28 +104,29 @@ def apply_torque(block: np.ndarray, n: int, plant: Plant, settings: StepSettings
         block[AT.torque + j] = torque
         block[AT.peak_torque + j] = max(abs(block[AT.peak_torque + j]), abs(torque))
         block[AT.elapsed + j] = period
-        block[AT.slip + j] = -1.0 if x_dot < 0.0 else 1.0
-        resting += going and x_dot == 0.0
-    if resting == 0:
-        return 0
-    sticking = 0
-    for j in range(n):
-        p = plant_of(block, j, plant)
-        at_rest = dynamics.phase_at_rest(block[AT.theta + j], block[AT.theta_dot + j], block[AT.torque + j], p)
-        slip = at_rest if block[AT.x_dot + j] == 0.0 else block[AT.slip + j]
-        slip = slip if block[AT.halt + j] == UNDER_WAY else 1.0
-        block[AT.slip + j] = slip
-        sticking += slip == 0.0
-    return sticking
+        rests = going and x_dot == 0.0
+        block[AT.slip + j] = AT_REST if rests else -1.0 if x_dot < 0.0 else 1.0
+        resting += rests
+    return resting
 
 
 @inlined
-def step_smooth(block: np.ndarray, n: int, plant: Plant, h: float, may_stick: bool) -> None:
-    """Takes every environment to which nothing happens through one substep, and marks the others."""
+def step_smooth(block: np.ndarray, n: int, plant: Plant, h: float, may_stick: bool) -> int:
+    """Takes every environment to which nothing happens through one substep, and marks the others.
+
+    Returns:
+        How many environments stick at its start.
+    """
+    sticking = 0
     for j in range(n):
         p = plant_of(block, j, plant)
         theta, theta_dot, x, x_dot = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x + j], block[AT.x_dot + j]
         slip, torque = block[AT.slip + j], block[AT.torque + j]
+        if may_stick:
+            at_rest = dynamics.phase_at_rest(theta, theta_dot, torque, p)
+            slip = at_rest if slip == AT_REST else slip
+            block[AT.slip + j] = slip
+            sticking += slip == 0.0
         theta_1, theta_dot_1, x_1, x_dot_1, theta_ddot, x_ddot, normal, smallest, lasts = dynamics.smooth_step(
             theta, theta_dot, x, x_dot, slip, torque, p, h, may_stick
         )
@@ -148,37 +153,38 @@ def step_smooth(block: np.ndarray, n: int, plant: Plant, h: float, may_stick: bo
         block[AT.normal_force + j] = min(abs(block[AT.normal_force + j]), normal if commit else math.inf)
         block[AT.largest_theta + j] = max(abs(block[AT.largest_theta + j]), abs(theta_1) if commit else 0.0)
         block[AT.largest_theta_dot + j] = max(abs(block[AT.largest_theta_dot + j]), abs(theta_dot_1) if commit else 0.0)
+    return sticking
 
 
 @inlined
-def is_level(block: np.ndarray, n: int) -> bool:
-    """Whether every floor is level with Coulomb's friction alone, and nothing pushes."""
+def is_level(block: np.ndarray, n: int) -> float:
+    """Whether every floor is level with Coulomb's friction alone, and nothing pushes: 1.0 or 0.0."""
     others = 0
     for j in range(n):
         level = block[AT.downhill + j] == 0.0 and block[AT.viscous + j] == 0.0 and block[AT.stribeck_excess + j] == 0.0
         others += not (level and block[AT.push + j] == 0.0)
-    return others == 0
+    return 1.0 if others == 0 else 0.0
 
 
 @inlined
 def hold_torque(block: np.ndarray, n: int, plant: Plant, settings: StepSettings) -> None:
     """One period of the law: the torque, and the substeps."""
     # u = clip(law torque + residual), constant until the law is called again.
-    sticking = apply_torque(block, n, plant, settings)
+    may_stick = apply_torque(block, n, plant, settings)
     h = settings.physics_dt
     for substep in range(settings.physics_steps):
         # Where nothing sticks the compiler leaves out a third of the work.
-        if sticking > 0:
-            step_smooth(block, n, plant, h, True)
+        if may_stick > 0:
+            may_stick = step_smooth(block, n, plant, h, True)
         else:
             step_smooth(block, n, plant, h, False)
-        sticking += handle_events(block, n, plant, h, (substep + 1) * h)
+        may_stick += handle_events(block, n, plant, h, (substep + 1) * h)
 
 
 @inlined
 def hold_varied(block: np.ndarray, n: int, plant: Plant, settings: StepSettings) -> None:
     """`hold_torque` for varied plants, of which most have level floors: a tenth faster on these."""
-    if is_level(block, n):
+    if block[AT.level] != 0.0:
         hold_torque(block, n, Plant(*plant[:4], LEVEL, *plant[5:]), settings)
     else:
         hold_torque(block, n, plant, settings)
@@ -407,16 +413,20 @@ def step(
     cycle = (fixed.size - CONSTANTS) // settings.reference_size
     # Of the task's memory.
     end = block.size - HISTORY_ROWS * settings.history * LANES
+    # Whole vectors: environments behind the last one are inactive. LLVM must know the bound: else it does not interleave.
+    width = n if n == 1 else min((n + VECTOR - 1) // VECTOR * VECTOR, LANES)
     if begin and plant.extended == VARIED:
         disturbances.begin(block, n, settings)
     # The action is clipped to [-1, 1].
-    if begin_step(block, n, plant, begin) == 0 and begin:
+    if begin_step(block, width, plant, begin) == 0 and begin:
         return
     if begin:
         start_task(block, n, end)
+    elif plant.extended == VARIED:
+        block[AT.level] = is_level(block, n)
     for tick in range(1 if begin else settings.law_steps):
         if not begin:
-            hold(block, n, plant, settings)
+            hold(block, width, plant, settings)
         if plant.extended == VARIED:
             # The sensors show a state of the past, with errors, to the law and to the agent.
             disturbances.measure(block, n, settings, begin, tick + 1 == settings.law_steps)
@@ -444,12 +454,12 @@ def advance(world: np.ndarray, first: int, last: int, begin: bool, fixed: np.nda
     Returns:
         Index of an environment whose law returned no finite torque, or -1.
     """
+    interleave_loops()
     plant, settings = unpack(fixed, PIVOT_TORQUE_ON_CONTACT, EXTENDED)
     broken = -1
     for b in range(first // LANES, (last + LANES - 1) // LANES):
         block = world[b]
-        n = last - b * LANES
-        n = n if n < LANES else LANES
+        n = min(max(last - b * LANES, 0), LANES)
         step(block, n, begin, fixed, plant, settings, observations[b * LANES :])
         for j in range(n):
             if block[AT.active + j] != 0.0 and not math.isfinite(block[AT.law_torque + j]):

@@ -20,6 +20,8 @@ from capsule_gym.parameters import VARIED, Plant
 # Environments that one loop takes through a step together. Their rows lie side by side at offsets that the compiler
 # knows, and one block stays in the first-level cache.
 LANES = 64
+# Environments that the widest registers hold, or two of the others.
+VECTOR = 8
 
 
 class Quantities(NamedTuple):
@@ -133,6 +135,8 @@ class Quantities(NamedTuple):
     # Entry of the history that was written last, in the first lane; readings so far.
     cursor: int
     readings: int
+    # 1.0 in the first lane where every floor is level with Coulomb's friction alone, and nothing pushes.
+    level: int
     # The motor's torque, N m; the drift of each sensor.
     motor: int
     drift_of_theta: int

@@ -16,6 +16,8 @@ import numpy as np
 
 # What has the compiler use the whole width of the registers.
 WIDEST_VECTORS = '"prefer-vector-width"="512"'
+# What has the compiler take two vectors at a time.
+INTERLEAVED = '"interleaved"'
 # The names of what an object file exports: the function, in numba's calling convention, and what Python calls.
 FUNCTION, PYTHON_FUNCTION = "function", "python_function"
 
@@ -35,6 +37,11 @@ class Target(NamedTuple):
     name: str
     cpu: str
     features: str
+
+    @property
+    def wide(self) -> bool:
+        """Whether registers hold eight numbers."""
+        return "avx512" in self.cpu or "+avx512f" in self.features
 
 
 def _levels() -> dict[Target, tuple[str, ...]]:
