@@ -179,7 +179,7 @@ class Capsule:
         stribeck_speed: speed in m/s at which the friction coefficient is half way between its static and its kinetic
             value (Hess and Soom's curve); 0 for a jump at the start of slip.
         slope: angle by which the floor rises forwards, rad.
-        motor_friction: Coulomb friction of the motor, N m, smooth below 0.5 rad/s.
+        motor_friction: Coulomb friction of the motor, N m, smooth below 1 rad/s.
         normal_force: "newton", from Newton's law, or "paper", which subtracts (k theta + c theta') sin(theta) as the
             paper's (7) does; that torque is internal, so the option serves the reproduction only.
 
