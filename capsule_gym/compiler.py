@@ -166,6 +166,7 @@ def compile_objects(
 
 def _emit(text: str, target: Target) -> bytes:
     if objects.INTERLEAVED in text and not target.wide:
+        # LLVM reads this where a branch closes a loop. On others it has no effect.
         text = re.sub(r"^(  br i1 .*)$", r"\1, !llvm.loop !9998", text, flags=re.MULTILINE)
         text += '\n!9998 = distinct !{!9998, !9999}\n!9999 = !{!"llvm.loop.interleave.count", i32 2}\n'
     machine = objects.target_machine(target)

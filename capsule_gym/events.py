@@ -77,6 +77,7 @@ def pass_events(block: np.ndarray, count: int, plant: Plant, h: float) -> int:
     # Inside the step it would take the registers of a single environment's loops.
     stay_apart()
     for e in range(count):
+        # An index that may be negative costs a comparison at every access.
         j = max(0, int(block[EVENTS + e]))
         state, end = load(block, AT.theta + j, LANES, 4), load(block, AT.next_theta + j, LANES, 8)
         acting = block[AT.slip + j], block[AT.torque + j]
