@@ -413,7 +413,7 @@ def step(
     cycle = (fixed.size - CONSTANTS) // settings.reference_size
     # Of the task's memory.
     end = block.size - HISTORY_ROWS * settings.history * LANES
-    # Whole vectors: environments behind the last one are inactive. LLVM must know the bound: else it does not interleave.
+    # Whole vectors: environments behind the last one are inactive. LLVM interleaves only where it knows the bound.
     width = n if n == 1 else min((n + VECTOR - 1) // VECTOR * VECTOR, LANES)
     if begin and plant.extended == VARIED:
         disturbances.begin(block, n, settings)
