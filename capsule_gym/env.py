@@ -276,19 +276,20 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
     def _info(self, values: list[float]) -> dict[str, Any]:
         """The info of a reset or a step, from the first values of `Row`."""
-        info = describe(values, self._state.copy(), int(values[_TERMINATION]))
+        info = describe(values, self._state.copy(), 0 if self._running else int(values[_TERMINATION]))
         if self._memory is not None:
             add_task(info, self.simulation.task, self._memory.tolist())
         if self._drawn:
+            capsule, disturbances = self._drawn
             info["reading"] = self._reading.copy()
-            for name, part in self._drawn.items():
-                info[name] = part.copy()
+            info["capsule"] = capsule.copy()
+            info["disturbances"] = disturbances.copy()
         return info
 
     def _bind_drawn(self) -> None:
         """Keeps what the episode has drawn: copies of dicts take less than those of arrays."""
         drawn = self.simulation.world[0, Row.drawn_m : Row.key, 0].tolist()
-        self._drawn = name_drawn(drawn) if self.simulation.settings.history else {}
+        self._drawn = name_drawn(drawn) if self.simulation.settings.history else ()
 
     def episode_metrics(self, horizon: int | None = None) -> dict[str, float]:
         """The metrics of the episode so far: those of `capsule_gym.task.Metrics`, and those of the task.
@@ -368,10 +369,10 @@ def add_task(info: dict[str, Any], own: task.Task, memory: Any) -> None:
         info[name] = memory[place]
 
 
-def name_drawn(drawn: Sequence[Value]) -> dict[str, dict[str, Value]]:
+def name_drawn(drawn: Sequence[Value]) -> tuple[dict[str, Value], dict[str, Value]]:
     """The constants of the plant and the disturbances by their names, from the rows `drawn_m` to `push` of `Row`."""
-    capsule = dict(zip(CONSTANTS, drawn, strict=False))
-    return {"capsule": capsule, "disturbances": dict(zip(DISTURBANCES, drawn[len(CONSTANTS) :], strict=True))}
+    constants = dict(zip(CONSTANTS, drawn, strict=False))
+    return constants, dict(zip(DISTURBANCES, drawn[len(CONSTANTS) :], strict=True))
 
 
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:

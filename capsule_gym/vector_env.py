@@ -234,8 +234,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             if simulation.resets != self._drawn_at:
                 self._drawn_at, drawn = simulation.resets, simulation.rows(Row.drawn_m, Row.key)
                 drawn.flags.writeable = False
-                parts = name_drawn(list(drawn))
-                self._drawn = {name: _masked(part, self._everyone) for name, part in parts.items()}
+                capsule, disturbances = (_masked(part, self._everyone) for part in name_drawn(list(drawn)))
+                self._drawn = {"capsule": capsule, "disturbances": disturbances}
         info = _masked(info, mask)
         for name, part in self._drawn.items():
             info[name] = part.copy() if mask is self._everyone else _masked(part, mask)
