@@ -206,22 +206,24 @@ def evaluate_law(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, torqu
         torque_limit: N m.
         tick: 1.0, or 0.0 for the first call of an episode.
     """
-    for j in range(n):
-        clock = block[AT.clock + j] + (tick if block[AT.halt + j] != HALTED else 0.0)
-        block[AT.clock + j] = clock if clock < cycle else 0.0
-    # Environments that began together read the same line of the reference; where they read different ones, no compiler
-    # vectorises the loop, which is therefore one of its own.
-    first, others = block[AT.clock], 0
-    for j in range(n):
-        others += block[AT.clock + j] != first
-    if others == 0:
-        line = load(fixed, CONSTANTS + np.int64(first) * REFERENCE_SIZE, 1, REFERENCE_SIZE)
+    # The only row of a reference stays where the first call has written it.
+    if cycle > 1 or tick == 0.0:
         for j in range(n):
-            store(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, line)
-    else:
+            clock = block[AT.clock + j] + (tick if block[AT.halt + j] != HALTED else 0.0)
+            block[AT.clock + j] = clock if clock < cycle else 0.0
+        # Environments that began together read the same line of the reference; where they read different ones, no
+        # compiler vectorises the loop, which is therefore one of its own.
+        first, others = block[AT.clock], 0
         for j in range(n):
-            line = load(fixed, CONSTANTS + np.int64(block[AT.clock + j]) * REFERENCE_SIZE, 1, REFERENCE_SIZE)
-            store(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, line)
+            others += block[AT.clock + j] != first
+        if others == 0:
+            line = load(fixed, CONSTANTS + np.int64(first) * REFERENCE_SIZE, 1, REFERENCE_SIZE)
+            for j in range(n):
+                store(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, line)
+        else:
+            for j in range(n):
+                line = load(fixed, CONSTANTS + np.int64(block[AT.clock + j]) * REFERENCE_SIZE, 1, REFERENCE_SIZE)
+                store(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, line)
     for j in range(n):
         # The task's memory lies behind the line.
         row = load(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, ROW_SIZE)

@@ -236,7 +236,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 drawn.flags.writeable = False
                 capsule, disturbances = (_masked(part, self._everyone) for part in name_drawn(list(drawn)))
                 self._drawn = {"capsule": capsule, "disturbances": disturbances}
-        info = _masked(info, mask)
+        info |= {f"_{name}": mask for name in info}
         for name, part in self._drawn.items():
             info[name] = part.copy() if mask is self._everyone else _masked(part, mask)
             info[f"_{name}"] = mask
