@@ -42,7 +42,7 @@ THREADS = (1, 2)
 SINGLE_PEER = "CartPole-v1"
 DRAWN_PEER = "Pendulum-v1, drawn"
 DIRECT, WITH_LAW = "capsule", "capsule with law"
-DISTURBED: dict[str, Any] = {"disturbances": "real", "randomization": "real", "scale": ACTION_SCALE}
+DISTURBED: dict[str, Any] = {"disturbances": "real", "randomization": "real"}
 INTEGRATOR = "implicitfast"
 CONDITIONS = (
     f"A step of ours and of MuJoCo's capsule is {1e3 * task.CONTROL_DT:g} ms; direct torque is uniform within "
@@ -197,11 +197,14 @@ def ours() -> list[Contender]:
                 batch = partial(step_batch, ENV_ID, num_envs, **endless, **kwargs)
                 peer = mujoco_contender(FRICTIONS[0], physics_dt, threads).name
                 found.append(Contender(f"{label}, gym.make_vec", batch, num_envs, substeps, threads, peer))
-    single = partial(step_single, ENV_ID, **DISTURBED)
-    batch = partial(step_batch, ENV_ID, PEER_BATCH, max_episode_steps=sys.maxsize, **DISTURBED)
-    for function, num_envs, make in (("gym.make", 1, single), ("gym.make_vec", PEER_BATCH, batch)):
-        direct = next(contender for contender in found if contender.environments == num_envs)
-        found.append(replace(direct, label=f"{DIRECT}, disturbed, {function}", make=make, peer=direct.name))
+    for label, physics_dt, kwargs in kinds:
+        single = partial(step_single, ENV_ID, **kwargs, **DISTURBED)
+        endless = {"physics_dt": physics_dt, "max_episode_steps": sys.maxsize}
+        batch = partial(step_batch, ENV_ID, PEER_BATCH, **endless, **kwargs, **DISTURBED)
+        for function, num_envs, make in (("gym.make", 1, single), ("gym.make_vec", PEER_BATCH, batch)):
+            names = (f"{label}, {function}", num_envs)
+            exact = next(contender for contender in found if (contender.label, contender.environments) == names)
+            found.append(replace(exact, label=f"{label}, disturbed, {function}", make=make, peer=exact.name))
     drawn = partial(step_single, ENV_ID, ACTION_SCALE, render_mode="rgb_array")
     found.append(Contender(f"{DIRECT}, drawn", drawn, peer=DRAWN_PEER))
     return found
