@@ -288,8 +288,8 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
     def _bind_drawn(self) -> None:
         """Keeps what the episode has drawn: copies of dicts take less than those of arrays."""
-        drawn = self.simulation.world[0, Row.drawn_m : Row.key, 0].tolist()
-        self._drawn = name_drawn(drawn) if self.simulation.settings.history else ()
+        drawn = self.simulation.world[0, Row.drawn_m : Row.key, 0]
+        self._drawn = name_drawn(drawn.tolist()) if self.simulation.settings.history else ()
 
     def episode_metrics(self, horizon: int | None = None) -> dict[str, float]:
         """The metrics of the episode so far: those of `capsule_gym.task.Metrics`, and those of the task.

@@ -250,11 +250,10 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         for name, values in simulation.metrics(rows, self.max_episode_steps).items():
             metrics[name] = np.zeros(self.num_envs)
             metrics[name][rows] = values
-        shared = {name: value for name, value in info.items() if not name.startswith("_")}
+        info["final_info"] = _masked({**info, "metrics": metrics}, ended)
         info["final_obs"] = np.full(self.num_envs, None, dtype=object)
         for i in rows:
             info["final_obs"][i] = simulation.observations[i].copy()
-        info["final_info"] = _masked({**shared, "metrics": metrics}, ended)
         info["_final_obs"] = info["_final_info"] = ended
         simulation.reset(rows)
         info |= self._info(simulation.rows(0, Row.start_x), self._everyone)
