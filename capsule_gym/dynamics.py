@@ -33,7 +33,7 @@ from typing import NamedTuple
 
 from capsule_gym.compilation import inlined, jitable
 from capsule_gym.elementary import clip, fma, sincos
-from capsule_gym.parameters import LEVEL, MOTOR_WIDTH, Plant
+from capsule_gym.parameters import LEVEL, MOTOR_SLOPE, MOTOR_WIDTH, Plant
 
 # No step holds anywhere near as many events. The cap only keeps a rounding accident from hanging compiled code.
 EVENT_LIMIT = 1000
@@ -121,7 +121,7 @@ def motor_friction(theta_dot: float, p: Plant) -> float:
     """
     ratio = theta_dot * (1.0 / MOTOR_WIDTH)
     z = min(ratio * ratio, 1.0)
-    steep = fma(z * z, fma(-0.3125, z, 1.3125), fma(-2.1875, z, 2.1875))
+    steep = fma(z * z, fma(-0.3125, z, 1.3125), fma(-MOTOR_SLOPE, z, MOTOR_SLOPE))
     return p.motor_friction * clip(ratio, 1.0) * steep
 
 
@@ -230,7 +230,7 @@ def stick_margin_rate(theta: float, theta_dot: float, u: float, p: Plant) -> flo
     if p.extended != 0.0:
         s = clip(theta_dot * (1.0 / MOTOR_WIDTH), 1.0)
         left = 1.0 - s * s
-        slope = p.motor_friction * (2.1875 / MOTOR_WIDTH) * (left * left * left)
+        slope = p.motor_friction * (MOTOR_SLOPE / MOTOR_WIDTH) * (left * left * left)
         torque_rate -= ml * p.downhill * sin * theta_dot + slope * a
     jerk = torque_rate / (ml * p.l)
     force = driving_force(theta, theta_dot, a, p)

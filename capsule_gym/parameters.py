@@ -34,6 +34,8 @@ SMALLEST, LARGEST = 1e-12, 1e12
 LARGEST_SLOPE = 1.5
 # Rate in rad/s below which the motor's Coulomb friction is smooth: a change of sign that the integrator resolves.
 MOTOR_WIDTH = 1.0
+# Its slope at rest, 35 / 16, in units of the friction over that rate.
+MOTOR_SLOPE = 2.1875
 
 
 class Plant(NamedTuple):
@@ -271,7 +273,7 @@ class Capsule:
         # The paper's normal force, which the pivot's torque changes, adds this share of that torque at most.
         pivot = 0.5 * mu * share * self.l if self.normal_force == "paper" else 0.0
         # The friction of the motor is steepest at rest, the Stribeck curve, which falls, at v_s / sqrt(3).
-        damping = (1.0 + pivot) * (self.c + 2.1875 * self.motor_friction / MOTOR_WIDTH) / inertia
+        damping = (1.0 + pivot) * (self.c + MOTOR_SLOPE * self.motor_friction / MOTOR_WIDTH) / inertia
         weight = self.m * self.g * self.l
         steepest = 0.65 * mu * (self.static_ratio - 1.0) * self.g / self.stribeck_speed if self.stribeck_speed else 0.0
         floor = self.viscous / M + steepest * (M + self.m) / M

@@ -57,7 +57,7 @@ class EpisodeMetrics(gym.Wrapper[Any, Any, Any, Any]):
         observation, reward, terminated, truncated, info = self.env.step(action)
         if terminated or truncated:
             steps = self.get_wrapper_attr("spec").max_episode_steps
-            info = {**info, "metrics": self.env.unwrapped.episode_metrics(steps)}  # type: ignore[attr-defined]
+            info = {**info, "metrics": self.env.unwrapped.episode_metrics(steps)}  # type: ignore[attr-defined]  # ours
         return observation, reward, terminated, truncated, info
 
 

@@ -132,7 +132,7 @@ def train(
         finally:
             callback.bar.close()
             model.logger.close()
-            model.get_env().close()  # type: ignore[union-attr]
+            model.get_env().close()  # type: ignore[union-attr]  # it has one
         callback.model = model
         save(run, model, callback.policy())
         return not stop.requested
