@@ -21,7 +21,8 @@ from benchmarks import accuracy
 from benchmarks.measurement import OutputArgs, available_cores, machine
 from capsule_gym import task
 from capsule_gym.command_line import parse, refuse
-from capsule_gym.parameters import DIRECT_PHYSICS_DT, Capsule, Plant
+from capsule_gym.config import DIRECT_PHYSICS_DT
+from capsule_gym.parameters import Capsule, Plant
 
 COMMAND = "python -m benchmarks.mujoco"
 XML = Path(__file__).with_name("capsule.xml")

@@ -29,7 +29,7 @@ from benchmarks.measurement import OutputArgs, machine
 from benchmarks.throughput import ACTION_SCALE, DRAWS, LAW, SEED, SINGLE_PEER, step_batch
 from capsule_gym import ENV_ID, Policy, load_policy
 from capsule_gym.command_line import parse
-from capsule_gym.parameters import LAW_PHYSICS_DT, EnvConfig
+from capsule_gym.config import LAW_PHYSICS_DT, EnvConfig
 
 if TYPE_CHECKING:
     from capsule_gym.simulation import Simulation

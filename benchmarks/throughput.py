@@ -26,7 +26,7 @@ from benchmarks.measurement import OutputArgs, available_cores, machine, spread,
 from benchmarks.mujoco import FRICTIONS, FrictionModel
 from capsule_gym import ENV_ID, task
 from capsule_gym.command_line import Count, parse
-from capsule_gym.parameters import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT
+from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT
 
 COMMAND = "python -m benchmarks.throughput"
 TURN_SECONDS, CALIBRATION_SECONDS = 0.2, 0.05

@@ -32,9 +32,9 @@ from numba.extending import register_jitable
 from numba.np.arrayobj import populate_array
 
 from capsule_gym import compilation, objects
+from capsule_gym.checks import first_cause
 from capsule_gym.compilation import NO_WRAPPERS, OPTIONS, fingerprint, locked, read_checked, rebound, write_checked
 from capsule_gym.objects import Target
-from capsule_gym.parameters import first_cause
 
 # Where CPython keeps the type of an object, and numpy the data, the number of dimensions and the shape of an array.
 _TYPE, _DATA, _NDIM, _SHAPE = 8, 16, 24, 32

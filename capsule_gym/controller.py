@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from capsule_gym.parameters import LAW_DT, check_number, find_task, first_cause, written
+from capsule_gym.checks import check_number, first_cause, written
+from capsule_gym.config import LAW_DT, find_task
 from capsule_gym.task import Task
 
 Law = Callable[..., tuple[float, tuple[float, ...]]]

@@ -13,9 +13,9 @@ from typing import Annotated, Any
 
 from gymnasium.error import DependencyNotInstalled
 
+from capsule_gym.checks import check_number, nearest
 from capsule_gym.command_line import Count, Positional, arg, check_output, parse, refuse
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, FURTHER_SET_NAMES, SET_NAMES, PlantSpec, load_set
-from capsule_gym.parameters import check_number, nearest
 from capsule_gym.policy import load_policy, policy_names, pretrained
 from capsule_gym.rendering import FRAME_SECONDS, Renderer, write_gif
 from capsule_gym.task import HORIZON, Termination

@@ -11,9 +11,11 @@ import numpy as np
 from gymnasium import spaces
 
 from capsule_gym import task
+from capsule_gym.checks import check_count, written
+from capsule_gym.config import RENDER_MODES, EnvConfig
 from capsule_gym.layout import Row
 from capsule_gym.observation import observation_bounds
-from capsule_gym.parameters import CONSTANTS, DISTURBANCES, RENDER_MODES, EnvConfig, check_count, written
+from capsule_gym.parameters import CONSTANTS, DISTURBANCES
 from capsule_gym.rendering import Renderer
 from capsule_gym.simulation import SPEED, Simulation, check_seed
 

@@ -13,18 +13,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from capsule_gym.checks import check_integer, check_number, nearest, written
+from capsule_gym.config import find_task
 from capsule_gym.files import canonical_hash
-from capsule_gym.parameters import (
-    CONSTANTS,
-    NOMINAL,
-    Capsule,
-    Disturbances,
-    check_integer,
-    check_number,
-    find_task,
-    nearest,
-    written,
-)
+from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule, Disturbances
 from capsule_gym.task import HORIZON, LARGEST_STATE, START_THETA, TASKS, THETA_LIMIT
 
 SET_NAMES = ("nominal", "paper", "wide", "extrapolation", "drift")

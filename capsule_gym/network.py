@@ -13,11 +13,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from capsule_gym import kernels
+from capsule_gym.checks import check_count
 from capsule_gym.compilation import cached_entry, inlined, jitable, stay_apart, use_widest_vectors
+from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.elementary import clip, fma, log, tanh
 from capsule_gym.layout import AT, LANES, load, record, store
 from capsule_gym.observation import CELLS, ESTIMATES, estimates, identify, observation_names
-from capsule_gym.parameters import Capsule, EnvConfig, check_count, find_task
+from capsule_gym.parameters import Capsule
 
 if TYPE_CHECKING:
     from capsule_gym.policy import Policy

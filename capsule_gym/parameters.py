@@ -1,35 +1,22 @@
-"""Arguments of the environments: constants of the plant, randomisation, disturbances and options, with their checks.
+"""The plant: its constants, their randomisation, and disturbances, with their checks."""
 
-The table of arguments in the docstring of `CapsuleEnv` lists the options of `EnvConfig`.
-"""
-
-# ruff: noqa: RUF009 (`_option` returns a field of the dataclass)
 from __future__ import annotations
 
-import difflib
-import importlib
 import math
-import re
-import sys
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from itertools import product
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-import numpy as np
-
-from capsule_gym import task
-from capsule_gym.task import Task
-
-if TYPE_CHECKING:
-    from capsule_gym.controller import Controller
+from capsule_gym.checks import check_name, check_number, written
 
 NormalForce = Literal["newton", "paper"]
 
 # Sizes of a plant's constants, in SI units: within these every force and acceleration is a floating-point number.
 SMALLEST, LARGEST = 1e-12, 1e12
+# s. Steps of more digits than these would not divide each other, whatever they are.
+SHORTEST_STEP, LONGEST_STEP = 1e-9, 1e6
 # rad: the floor stays a floor.
 LARGEST_SLOPE = 1.5
 # Rate in rad/s below which the motor's Coulomb friction is smooth: a change of sign that the integrator resolves.
@@ -72,90 +59,6 @@ class Plant(NamedTuple):
 # constants from m on differ between the environments as well; and where they do so on a level floor with Coulomb's
 # friction alone, without pushes.
 EXTENDED, VARIED, LEVEL = 1.0, 2.0, 3.0
-
-# Subclasses of Python's and numpy's integers that are none.
-NO_NUMBERS = (bool, np.timedelta64)
-# Characters of a value in a message.
-LONGEST = 1000
-
-
-def written(value: Any) -> str:
-    """A value as a message shows it, without the middle of a long one."""
-    try:
-        text = repr(value)
-    except ValueError:  # an integer of thousands of digits
-        return f"{type(value).__name__} of more digits than can be shown"
-    return text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} .. {text[-LONGEST // 2 :]}"
-
-
-def first_cause(error: Exception) -> str:
-    """An error in one line; of one of numba's, the first cause and the line of source that it is about."""
-    text = re.sub(r"\x1b\[\d*m", "", str(error))
-    lines = [line.strip() for line in text.splitlines() if line.strip() and "pipeline (step:" not in line]
-    cause = " ".join(lines[: 2 if lines and lines[0].endswith(":") else 1])
-    place = re.search(r'File "(.*)", line (\d+)', text) or re.search(r" at (\S+) \((\d+)\)", text)
-    return cause + (f" ({Path(place[1]).name}, line {place[2]})" if place else "")
-
-
-def nearest(given: str, names: Iterable[str]) -> str:
-    """The end of a message that refuses a name: the most similar one that there is, or nothing where none is."""
-    return "".join(f"; did you mean {name!r}?" for name in difflib.get_close_matches(given, list(names), n=1))
-
-
-def check_number(
-    name: str, value: Any, accepted: str, low: float = -math.inf, high: float = math.inf, *, open_low: bool = False
-) -> float:
-    """Returns `value` as a float, or says which argument is wrong, what it is and what would be accepted.
-
-    Args:
-        name: the argument's name, for the message.
-        value: what the caller gave.
-        accepted: the accepted range in words, for the message.
-        low: smallest accepted value.
-        high: largest accepted value.
-        open_low: whether `low` itself is refused.
-
-    Raises:
-        TypeError: if `value` is no real number.
-        ValueError: if it is not finite or outside the range.
-    """
-    if isinstance(value, NO_NUMBERS) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise TypeError(f"{name} must be {accepted}, got {written(value)} of type {type(value).__name__}")
-    try:
-        number = float(value)
-    except OverflowError:  # an integer beyond the largest float
-        number = math.inf
-    if not math.isfinite(number) or number < low or number > high or (open_low and number == low):
-        raise ValueError(f"{name} must be {accepted}, got {written(value)}")
-    return number
-
-
-def check_integer(name: str, value: Any, accepted: str, low: int, high: int) -> int:
-    """Returns `value` as an int, or says which argument is wrong, what it is and what would be accepted.
-
-    Raises:
-        TypeError: if it is no integer.
-        ValueError: if it is below `low` or above `high`.
-    """
-    if isinstance(value, NO_NUMBERS) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"{name} must be {accepted}, got {written(value)}")
-    if not low <= value <= high:
-        raise ValueError(f"{name} must be {accepted}, got {written(value)}")
-    return int(value)
-
-
-def check_count(name: str, value: Any, most: int = sys.maxsize) -> int:
-    """`check_integer` for a number of things, from 1 to `most`."""
-    accepted = f"an integer from 1 to {most}" if most < sys.maxsize else "an integer >= 1"
-    return check_integer(name, value, accepted, 1, most)
-
-
-def _check_name(argument: str, name: Any, kind: type, known: Iterable[str]) -> str:
-    """Returns one of the known names, or says what argument is wrong, which an instance of `kind` could be as well."""
-    if not isinstance(name, str) or name not in known:
-        error = ValueError if isinstance(name, str) else TypeError
-        raise error(f"{argument} must be a {kind.__name__} or one of {sorted(known)}, got {written(name)}")
-    return name
 
 
 def _check_size(name: str, value: Any, smallest: float) -> float:
@@ -416,7 +319,7 @@ class Randomization:
         """
         if isinstance(name, cls):
             return name
-        return RANDOMIZATIONS[_check_name("randomization", name, cls, RANDOMIZATIONS)]
+        return RANDOMIZATIONS[check_name("randomization", name, cls, RANDOMIZATIONS)]
 
     def corners(self, capsule: Capsule) -> Iterator[Capsule]:
         """The capsules at the ends of all ranges but those of M and mu, with the lightest platform and most friction.
@@ -586,24 +489,12 @@ class Disturbances:
         """
         if isinstance(name, cls):
             return name
-        return REAL if _check_name("disturbances", name, cls, ("none", "real")) == "real" else None
+        return REAL if check_name("disturbances", name, cls, ("none", "real")) == "real" else None
 
 
 DISTURBANCES = tuple(each.name for each in fields(Disturbances))[:-3]
 """The fields of `Disturbances` that are numbers or ranges."""
 
-DIRECT_PHYSICS_DT = 2e-3
-# Between the calls of a control law inside the step, s, unless its `Controller` says otherwise.
-LAW_DT = LAW_PHYSICS_DT = 1e-3
-# Steps of the integrator in a step of the agent: what takes a tenth of a second.
-MOST_SUBSTEPS = 1_000_000
-# N m, and cm: with these no sum of an episode leaves the floating-point numbers.
-LARGEST_TORQUE, LARGEST_COST = 1e6, 1e12
-# Energy weights that a policy can observe, cm/J: their logarithms are numbers.
-ENERGY_WEIGHTS = SMALLEST, LARGEST_COST
-ENERGY_WEIGHT_TEXT = f"a number of cm/J from {SMALLEST:g} to {LARGEST_COST:g}"
-# s. Steps of more digits than these would not divide each other, whatever they are.
-SHORTEST_STEP, LONGEST_STEP = 1e-9, 1e6
 REAL = Disturbances(
     theta_noise=0.01,
     theta_dot_noise=0.1,
@@ -619,173 +510,3 @@ REAL = Disturbances(
     motor_friction=0.05,
 )
 """What `disturbances="real"` is: cheap sensors, and the latency of a bus or a camera."""
-RENDER_MODES = ("human", "rgb_array")
-LARGEST_STACK = 100
-
-Check = Callable[[str, Any], Any]
-
-
-def _number(low: float, high: float, unit: str, *, open_low: bool = False) -> Check:
-    """A check of a number with that unit between two limits."""
-    bounds = f"> {low:g} ({unit})" if open_low else f">= {low:g} ({unit})"
-    return partial(
-        check_number, accepted=f"a finite number {bounds}, at most {high:g}", low=low, high=high, open_low=open_low
-    )
-
-
-def _or_none(check: Check) -> Check:
-    """A check that accepts None, too."""
-    return lambda name, value: None if value is None else check(name, value)
-
-
-def find_task(value: Any) -> Task:
-    """The task that the environment's argument `task` names; a `Task` is returned as it is.
-
-    Raises:
-        TypeError: if it is neither a string nor a `Task`.
-        ValueError: if there is no task of that name.
-    """
-    if isinstance(value, Task):
-        return value
-    # Which it is says what is imported, and compiled.
-    found: Task = importlib.import_module(f"capsule_gym.tasks.{_check_name('task', value, Task, task.TASKS)}").TASK
-    return found
-
-
-def _found_by(find: Callable[[Any], Any]) -> Check:
-    """A check of what a function resolves; it is kept as it was given."""
-
-    def check(name: str, value: Any) -> Any:
-        find(value)
-        return value
-
-    return check
-
-
-def _instance(accepted: str, *kinds: type) -> Check:
-    """A check of a value's type."""
-
-    def check(name: str, value: Any) -> Any:
-        if not isinstance(value, kinds):
-            raise TypeError(f"{name} must be {accepted}, got {written(value)}")
-        return bool(value) if bool in kinds else value
-
-    return check
-
-
-def _is_range(name: str, value: Any) -> tuple[float, float]:
-    """Half widths of the starts in theta and theta_dot; a policy's file knows lists only."""
-    largest, fastest = math.nextafter(task.THETA_LIMIT, 0.0), task.LARGEST_STATE[1]
-    accepted = f"None or (theta < pi/2 in rad, theta_dot <= {fastest:g} in rad/s), both >= 0"
-    if not isinstance(value, (tuple, list)) or len(value) != 2:
-        raise TypeError(f"{name} must be {accepted}, got {written(value)}")
-    theta, theta_dot = value
-    return check_number(name, theta, accepted, 0.0, largest), check_number(name, theta_dot, accepted, 0.0, fastest)
-
-
-def _is_render_mode(name: str, value: Any) -> str:
-    # Of an array, `in` has no answer.
-    if not isinstance(value, str) or value not in RENDER_MODES:
-        raise ValueError(f"{name} must be None or one of {RENDER_MODES}, got {written(value)}")
-    return value
-
-
-def _option(default: Any, doc: str, check: Check = lambda name, value: value) -> Any:
-    """A field of `EnvConfig`, with a line of documentation that names its unit.
-
-    `check` returns a value as it is kept, or raises a TypeError or ValueError that names the option. Without one the
-    value is checked where it is resolved.
-    """
-    return field(default=default, metadata={"doc": doc, "check": check})
-
-
-_IS_STEP = _number(SHORTEST_STEP, LONGEST_STEP, "s")
-_RANGES = "; ".join(f'"{name}": {ranges}' for name, ranges in RANDOMIZATIONS.items())
-
-
-@dataclass(frozen=True, kw_only=True, init=False)
-class EnvConfig:
-    """The options of an environment; None stands for a value that follows from the other options.
-
-    What is not given has the default of the task, and where that has none the field's, which is the speed task's.
-
-    Raises:
-        TypeError: if an option is unknown or of the wrong type.
-        ValueError: if an option is out of range.
-    """
-
-    controller: str | Controller | Callable[[], Controller] | None = _option(
-        None,
-        'control law inside the step: an import string "module:attribute", a `Controller`, or a function that '
-        "returns one",
-    )
-    residual_limit: float | None = _option(
-        None, "torque of an action of 1, N m", _or_none(_number(0.0, LARGEST_TORQUE, "N m"))
-    )
-    total_torque: bool = _option(
-        False,
-        "whether the action is the total torque, in units of torque_limit, kept within residual_limit of the law's "
-        "torque",
-        _instance("True or False", bool, np.bool_),
-    )
-    torque_limit: float = _option(
-        task.TORQUE_LIMIT, "largest motor torque, N m", _number(0.0, LARGEST_TORQUE, "N m", open_low=True)
-    )
-    randomization: str | Randomization = _option(
-        "paper",
-        f"distribution of the plant, drawn at every reset: {_RANGES}; or a `Randomization`",
-        _found_by(Randomization.named),
-    )
-    disturbances: str | Disturbances = _option(
-        "none",
-        'imperfect sensors and motor: "none"; "real": noise, bias and drift of the sensors, 5 to 15 ms of latency, lag '
-        "and friction of the motor; or a `Disturbances`",
-        _found_by(Disturbances.named),
-    )
-    capsule: Capsule | None = _option(None, "the plant's constants", _or_none(_instance("a Capsule or None", Capsule)))
-    observe_parameters: bool = _option(
-        False, "whether the observation ends with M and mu", _instance("True or False", bool, np.bool_)
-    )
-    stack_size: int = _option(
-        1,
-        "number of observations, the newest first, that one observation stacks",
-        partial(check_count, most=LARGEST_STACK),
-    )
-    energy_weight: float = _option(
-        task.ENERGY_WEIGHT, "weight of the energy in the reward, cm/J", _number(0.0, LARGEST_COST, "cm/J")
-    )
-    termination_penalty: float = _option(
-        task.TERMINATION_PENALTY, "penalty of a termination in the reward, cm", _number(0.0, LARGEST_COST, "cm")
-    )
-    initial_noise: float = _option(
-        0.0, "half width of the uniform noise on the initial angle, rad", _number(0.0, 0.5, "rad")
-    )
-    initial_range: tuple[float, float] | None = _option(
-        None,
-        "half widths (rad, rad/s) of uniform distributions around 0 of the initial theta and theta_dot; None starts at "
-        "rest at -pi/3",
-        _or_none(_is_range),
-    )
-    control_dt: float = _option(task.CONTROL_DT, "agent step, s", _IS_STEP)
-    physics_dt: float | None = _option(
-        None, "step of the fourth-order integrator, s; at most a million steps per agent step", _or_none(_IS_STEP)
-    )
-    threads: int = _option(
-        1,
-        "number of threads that step a batch, each at least 64 environments; results do not depend on it",
-        check_count,
-    )
-    render_mode: str | None = _option(None, '"human" or, also of a batch, "rgb_array"', _or_none(_is_render_mode))
-    task: str | Task = _option("speed", f"the task: {', '.join(task.TASKS)}, or a `Task`", _found_by(find_task))
-
-    def __init__(self, **options: Any) -> None:
-        known = {each.name: each for each in fields(self)}
-        if unknown := sorted(set(options) - set(known)):
-            raise TypeError(f"EnvConfig got an unexpected keyword argument {unknown[0]!r}{nearest(unknown[0], known)}")
-        given = {**find_task(options.get("task", known["task"].default)).defaults, **options}
-        for name, each in known.items():
-            object.__setattr__(self, name, each.metadata["check"](name, given.get(name, each.default)))
-
-
-DOCS: dict[str, str] = {each.name: each.metadata["doc"] for each in fields(EnvConfig)}
-"""The line of documentation of each option."""

@@ -10,10 +10,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from capsule_gym.checks import check_number
 from capsule_gym.command_line import arg, parse
 from capsule_gym.demo import TERMINATIONS, Episode, PlantArgs, errors_in_one_line, find_policy
 from capsule_gym.evaluation_sets import PlantSpec
-from capsule_gym.parameters import check_number
 from capsule_gym.rendering import FRAME_SECONDS
 
 PROG = "python -m capsule_gym.play"

@@ -36,20 +36,11 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from capsule_gym.checks import check_integer, check_number, nearest, written
+from capsule_gym.config import ENERGY_WEIGHT_TEXT, ENERGY_WEIGHTS, EnvConfig
 from capsule_gym.controller import is_own
 from capsule_gym.files import write_atomically
-from capsule_gym.parameters import (
-    ENERGY_WEIGHT_TEXT,
-    ENERGY_WEIGHTS,
-    Capsule,
-    Disturbances,
-    EnvConfig,
-    Randomization,
-    check_integer,
-    check_number,
-    nearest,
-    written,
-)
+from capsule_gym.parameters import Capsule, Disturbances, Randomization
 
 if TYPE_CHECKING:
     from capsule_gym.network import Layer

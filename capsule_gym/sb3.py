@@ -12,7 +12,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from capsule_gym.parameters import written
+from capsule_gym.checks import written
 from capsule_gym.vector_env import CapsuleVectorEnv
 
 

@@ -15,27 +15,20 @@ from typing import Any, TypeVar
 import numpy as np
 
 from capsule_gym import kernels, layout, resets, task
+from capsule_gym.checks import check_count, check_integer, check_number, written
+from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, EnvConfig, find_task
 from capsule_gym.controller import Controller, find_controller
 from capsule_gym.layout import LANES, Row
 from capsule_gym.observation import observation_names, parameter_bounds
 from capsule_gym.parameters import (
     CONSTANTS,
-    DIRECT_PHYSICS_DT,
     DISTURBANCES,
     LARGEST,
-    LAW_PHYSICS_DT,
-    MOST_SUBSTEPS,
     NOMINAL,
     VARIED,
     Capsule,
     Disturbances,
-    EnvConfig,
     Randomization,
-    check_count,
-    check_integer,
-    check_number,
-    find_task,
-    written,
 )
 
 Result = TypeVar("Result")

@@ -12,6 +12,8 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from capsule_gym.checks import check_count, written
+from capsule_gym.config import EnvConfig
 from capsule_gym.env import (
     RESET_OPTIONS,
     add_task,
@@ -25,7 +27,6 @@ from capsule_gym.env import (
     shown_state,
 )
 from capsule_gym.layout import Row
-from capsule_gym.parameters import EnvConfig, check_count, written
 from capsule_gym.rendering import Renderer
 from capsule_gym.simulation import SPEED, check_seed
 

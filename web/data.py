@@ -23,6 +23,7 @@ from baselines.dynamic_programming.policy import TORQUES
 from baselines.gaits.archive import GaitMap, encode_gaits, known_gaits, tolerant_nominal
 from baselines.policies import ALL_SCRIPTED
 from capsule_gym import Policy, load_policy, resets, task
+from capsule_gym.config import LARGEST_STACK, EnvConfig, find_task
 from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, TASK_SET_NAMES, EvaluationSet, load_set
 from capsule_gym.layout import HISTORY_ROWS, LANES, SETTINGS, Row, StepSettings, pack
 from capsule_gym.network import HEADER, Header
@@ -30,16 +31,13 @@ from capsule_gym.observation import CELLS, M_BOUND, MU_BOUND, observation_names
 from capsule_gym.parameters import (
     CONSTANTS,
     DISTURBANCES,
-    LARGEST_STACK,
     NOMINAL,
     RANDOMIZATIONS,
     REAL,
     Capsule,
     Disturbances,
-    EnvConfig,
     Plant,
     Randomization,
-    find_task,
 )
 from capsule_gym.simulation import LARGEST_KEY, NO_CONTROLLER, check_step, count_rows, make_settings
 from web.episodes import FILE, OVER, RECORDED, SEEDS, controller_names, env_kwargs, is_trained, known_recordings

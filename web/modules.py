@@ -33,13 +33,14 @@ from baselines.gaits import families
 from baselines.laws import TASK_LAWS
 from capsule_gym import kernels, layout, resets
 from capsule_gym.compilation import fingerprint, inlined, intrinsic, jitable, rebound
+from capsule_gym.config import find_task
 from capsule_gym.controller import Controller, find_controller
 from capsule_gym.elementary import log
 from capsule_gym.files import write_atomically
 from capsule_gym.layout import LANES
 from capsule_gym.network import act_lanes
 from capsule_gym.observation import CELLS, observation_names
-from capsule_gym.parameters import NOMINAL, VARIED, find_task
+from capsule_gym.parameters import NOMINAL, VARIED
 from capsule_gym.simulation import NO_CONTROLLER
 from capsule_gym.task import TASKS
 from web import assembly

@@ -13,9 +13,9 @@ import numpy as np
 from agents.analysis.data import Document
 from agents.evaluation.policies import Policy, find_candidate
 from baselines.drawing import BLUE, DPI, GREEN, INK, MUTED, VERMILION, new_figure, style
+from capsule_gym.config import DIRECT_PHYSICS_DT, EnvConfig
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, NOMINAL_PLANT, PlantSpec
 from capsule_gym.files import replacing
-from capsule_gym.parameters import DIRECT_PHYSICS_DT, EnvConfig
 from capsule_gym.rendering import FRAME_SECONDS, Renderer, write_gif
 from capsule_gym.task import CONTROL_DT, HORIZON
 

@@ -13,8 +13,8 @@ from tyro.conf import arg
 from agents.distillation.config import STUDENTS
 from agents.training.config import LARGEST_SEED, RunError
 from agents.training.signals import INTERRUPTED
+from capsule_gym.checks import check_integer
 from capsule_gym.command_line import Positional, parse, refuse
-from capsule_gym.parameters import check_integer
 
 PROG = "python -m agents.distillation"
 RUNS = Path("runs/distillation")

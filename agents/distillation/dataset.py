@@ -18,9 +18,10 @@ from agents.evaluation.policies import Act
 from baselines.dynamic_programming.policy import TORQUES, Oracle
 from capsule_gym import CapsuleVectorEnv
 from capsule_gym.compiler import compile_cached
+from capsule_gym.config import EnvConfig
 from capsule_gym.network import make_header, write_inputs
 from capsule_gym.observation import CELLS, ESTIMATES
-from capsule_gym.parameters import NOMINAL, EnvConfig, Randomization
+from capsule_gym.parameters import NOMINAL, Randomization
 from capsule_gym.resets import draw_plant
 from capsule_gym.task import CONTROL_DT
 

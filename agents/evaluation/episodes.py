@@ -18,8 +18,9 @@ from agents.evaluation.policies import Candidate, Policy, find_candidate, wrap_p
 from agents.evaluation.statistics import estimate
 from baselines.policies import ScriptedPolicy
 from capsule_gym import __version__
+from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import EvaluationSet, load_set
-from capsule_gym.parameters import NOMINAL, find_task
+from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
 
 Episode = dict[str, Any]

@@ -18,7 +18,7 @@ import numpy as np
 
 import capsule_gym
 from baselines.policies import SCRIPTED, TASK_SCRIPTED, ScriptedPolicy
-from capsule_gym.parameters import nearest
+from capsule_gym.checks import nearest
 from capsule_gym.task import TORQUE_LIMIT
 
 Act = Callable[[np.ndarray], np.ndarray]

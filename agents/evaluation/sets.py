@@ -52,9 +52,10 @@ import numpy as np
 
 from baselines.archive import STICKY_GRID
 from capsule_gym.command_line import parse
+from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, TASK_SET_NAMES, EvaluationSet, PlantSpec
 from capsule_gym.files import write_atomically
-from capsule_gym.parameters import CONSTANTS, NOMINAL, RANDOMIZATIONS, Capsule, Disturbances, Randomization, find_task
+from capsule_gym.parameters import CONSTANTS, NOMINAL, RANDOMIZATIONS, Capsule, Disturbances, Randomization
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
 
 PROG = "python -m agents.evaluation.sets"

@@ -37,9 +37,9 @@ from agents.evaluation.episodes import Episode, as_episodes, versions
 from agents.evaluation.episodes import evaluate as evaluate_policy
 from agents.evaluation.policies import Candidate, Policy
 from baselines.policies import SCRIPTED
+from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import NOMINAL_PLANT, EvaluationSet
 from capsule_gym.files import write_atomically
-from capsule_gym.parameters import find_task
 from capsule_gym.policy import POLICY
 from capsule_gym.task import CONTROL_DT, HORIZON, METRICS, TASKS
 

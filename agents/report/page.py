@@ -28,9 +28,9 @@ from agents.leaderboard.rows import RESULTS, Row, evaluate_run, load_row, make_r
 from agents.report import COMMAND
 from agents.training.config import BEST, EVALUATIONS, MODEL
 from baselines.drawing import DPI, VERMILION, add_note, style
+from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import NOMINAL_PLANT, SET_NAMES, TASK_SET_NAMES, EvaluationSet, load_set
 from capsule_gym.files import write_atomically
-from capsule_gym.parameters import find_task
 from capsule_gym.policy import POLICY
 from capsule_gym.rendering import write_gif
 from capsule_gym.task import CONTROL_DT

@@ -15,8 +15,8 @@ from agents.study.jobs import RESUME, plan, publish, results_table, train_all
 from agents.training.config import RunError
 from agents.training.presets import ROWS
 from agents.training.signals import INTERRUPTED
+from capsule_gym.checks import check_count
 from capsule_gym.command_line import Positional, parse, refuse
-from capsule_gym.parameters import check_count
 
 PROG = "python -m agents.study"
 

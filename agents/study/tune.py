@@ -22,9 +22,9 @@ from agents.study.jobs import RESUME, evaluations, score
 from agents.training.config import Algorithm, Config, OffPolicyConfig, RunError
 from agents.training.presets import PRESETS, ROWS, row_settings
 from agents.training.signals import INTERRUPTED
+from capsule_gym.checks import check_count
 from capsule_gym.command_line import Count, Positional, parse, refuse
 from capsule_gym.files import canonical_hash, to_json, write_atomically
-from capsule_gym.parameters import check_count
 
 if TYPE_CHECKING:
     from optuna import Study, Trial

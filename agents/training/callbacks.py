@@ -27,9 +27,9 @@ from agents.training.checkpoint import Progress
 from agents.training.config import BEST, EVALUATIONS, LOGS, Config, RunError
 from agents.training.export import export, normalisation, recurrent_policy, save
 from agents.training.signals import Stop
+from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, EvaluationSet
 from capsule_gym.files import canonical_hash, write_atomically
-from capsule_gym.parameters import EnvConfig, find_task
 
 # Far from the seeds 0, 1, .. of training runs and evaluation sets: models are selected on plants of their own.
 SELECTION_SEED = 1_000_000

@@ -16,17 +16,10 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 import tyro
 from tyro.conf import Fixed, Suppress
 
+from capsule_gym.checks import check_integer, check_number
 from capsule_gym.command_line import Count
-from capsule_gym.parameters import (
-    DOCS,
-    ENERGY_WEIGHT_TEXT,
-    ENERGY_WEIGHTS,
-    Capsule,
-    EnvConfig,
-    Randomization,
-    check_integer,
-    check_number,
-)
+from capsule_gym.config import DOCS, ENERGY_WEIGHT_TEXT, ENERGY_WEIGHTS, EnvConfig
+from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.task import CONTROL_DT, TASKS
 
 # The largest seed of numpy's generators, which SB3 seeds.

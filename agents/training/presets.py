@@ -17,7 +17,7 @@ from agents.training.config import (
     TD3Config,
     TQCConfig,
 )
-from capsule_gym.parameters import nearest
+from capsule_gym.checks import nearest
 
 # What the presets with a replay buffer share, and what those of the direct task do.
 OFF_POLICY: dict[str, Any] = {

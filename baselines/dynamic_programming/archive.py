@@ -27,7 +27,7 @@ from baselines.dynamic_programming.problem import (
     repeat,
 )
 from baselines.dynamic_programming.solver import GRIDS, Solution, solve_on_grids
-from capsule_gym.parameters import DIRECT_PHYSICS_DT
+from capsule_gym.config import DIRECT_PHYSICS_DT
 from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
 
 # cm: values are stored in steps of this size, or of the size that two bytes can count; an interval earns half a cm.

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from baselines.archive import GRID, STICKY_GRID, PlantGrid
+from capsule_gym.config import DIRECT_PHYSICS_DT, EnvConfig
 from capsule_gym.layout import LANES, Row
-from capsule_gym.parameters import DIRECT_PHYSICS_DT, NOMINAL, Capsule, EnvConfig
+from capsule_gym.parameters import NOMINAL, Capsule
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
 

@@ -11,8 +11,10 @@ from baselines.laws.adaptive_terms import MEMORY, Constants, adaptive_step, eta_
 from baselines.laws.gains import COMPLIANT, PUBLISHED, REGULARISED, UNREGULARISED, Choices, Gains, check_gains
 from baselines.laws.profiles import PROPOSED, Profile, optimal
 from baselines.laws.reference import COLUMNS, reference_table
+from capsule_gym.checks import check_count, check_number
+from capsule_gym.config import LAW_DT
 from capsule_gym.controller import Controller, Law
-from capsule_gym.parameters import LAW_DT, NOMINAL, Capsule, Plant, check_count, check_number
+from capsule_gym.parameters import NOMINAL, Capsule, Plant
 
 
 def adaptive_law(constants: Constants) -> Law:

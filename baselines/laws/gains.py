@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from capsule_gym.parameters import check_number
+from capsule_gym.checks import check_number
 
 
 class Gains(NamedTuple):

@@ -15,11 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from capsule_gym.checks import check_number, written
 from capsule_gym.compilation import inlined
+from capsule_gym.config import LAW_DT
 from capsule_gym.controller import Controller, Law
 from capsule_gym.elementary import clip, sincos
 from capsule_gym.observation import CELLS, estimates, identify
-from capsule_gym.parameters import LAW_DT, NOMINAL, RANDOMIZATIONS, check_number, written
+from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
 from capsule_gym.task import TORQUE_LIMIT
 
 FILE = Path(__file__).with_name("gait.json")

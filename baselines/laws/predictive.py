@@ -15,11 +15,12 @@ from baselines.laws.adaptive_terms import adaptive_step
 from baselines.laws.gains import PUBLISHED, REGULARISED
 from baselines.laws.gait import LIGHTEST, NO_REFERENCE, guarded_torque, known_parameters
 from capsule_gym.compilation import inlined
+from capsule_gym.config import LAW_DT
 from capsule_gym.controller import Controller, Law
 from capsule_gym.dynamics import pressed_accelerations
 from capsule_gym.elementary import clip, sincos
 from capsule_gym.observation import HIGH_M, LOW_M, THETA_DOT_BOUND, X_DOT_BOUND
-from capsule_gym.parameters import LAW_DT, NOMINAL, Plant
+from capsule_gym.parameters import NOMINAL, Plant
 from capsule_gym.task import THETA_LIMIT, TORQUE_LIMIT
 
 # Assumed: calls from a measurement to its torque, the time constant of the motor in s, and its friction in N m.

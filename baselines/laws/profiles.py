@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from capsule_gym.checks import check_number
 from capsule_gym.elementary import arccos, sincos, sines_and_cosines
-from capsule_gym.parameters import check_number
 from capsule_gym.task import START_THETA
 
 # What `python -m baselines.paper.optimal_profiles` has found.

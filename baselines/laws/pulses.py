@@ -21,10 +21,11 @@ from typing import Any
 from baselines.laws.gait import NO_REFERENCE, guarded_torque, known_parameters
 from baselines.laws.strokes import CREEP, NEAR, STROKE, held_back, stroke_torque
 from capsule_gym.compilation import inlined
+from capsule_gym.config import LAW_DT
 from capsule_gym.controller import Controller
 from capsule_gym.elementary import clip, exp
 from capsule_gym.observation import CELLS, estimates, identify
-from capsule_gym.parameters import LAW_DT, NOMINAL
+from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import TORQUE_LIMIT
 from capsule_gym.tasks import goal, velocity
 

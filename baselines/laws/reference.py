@@ -8,9 +8,11 @@ import numpy as np
 
 from baselines.laws.profiles import Profile
 from capsule_gym import dynamics
+from capsule_gym.checks import check_number
 from capsule_gym.compilation import cached_entry, jitable
+from capsule_gym.config import LAW_DT
 from capsule_gym.layout import record
-from capsule_gym.parameters import LAW_DT, Plant, check_number
+from capsule_gym.parameters import Plant
 
 # The nominal platform is integrated in steps of about this length, s; the error is then below 1e-8 m.
 FINE_DT = 2e-5

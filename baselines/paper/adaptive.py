@@ -19,9 +19,10 @@ from baselines.laws.profiles import PROPOSED
 from baselines.paper.published import M_RANGE, MU_RANGE
 from baselines.paper.tracking import CYCLES, UNLIMITED, Trajectory, make_simulation, simulate
 from capsule_gym.compilation import jitable
+from capsule_gym.config import LAW_DT
 from capsule_gym.controller import Controller
 from capsule_gym.layout import ROWS, Row
-from capsule_gym.parameters import LAW_DT, NOMINAL, Plant
+from capsule_gym.parameters import NOMINAL, Plant
 from capsule_gym.task import TORQUE_LIMIT
 
 REGULARISED_LAW, CORRECTED_LAW = "regularised", "corrected, unregularised"

@@ -40,7 +40,8 @@ from baselines.paper.proofs import swing_envelope
 from baselines.paper.selection import ROMAN
 from baselines.paper.tracking import CYCLES, PROFILES, Trajectory, grid, simulate, speed_map, speed_ratio
 from baselines.tables import printed_above
-from capsule_gym.parameters import LAW_DT, NOMINAL
+from capsule_gym.config import LAW_DT
+from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import TORQUE_LIMIT
 
 Quantity = Callable[[Trajectory], np.ndarray]

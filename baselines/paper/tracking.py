@@ -20,8 +20,9 @@ from baselines.laws.reference import COLUMNS, slide
 from baselines.paper import published
 from capsule_gym import Capsule, Controller, dynamics
 from capsule_gym.compiler import compile_cached
+from capsule_gym.config import LAW_DT, EnvConfig
 from capsule_gym.layout import ROWS, Row
-from capsule_gym.parameters import LAW_DT, NOMINAL, EnvConfig, NormalForce, Plant
+from capsule_gym.parameters import NOMINAL, NormalForce, Plant
 from capsule_gym.simulation import Simulation
 
 PROFILES = (PROPOSED, EPC)

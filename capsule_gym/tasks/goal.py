@@ -60,9 +60,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from capsule_gym.checks import check_number
 from capsule_gym.compilation import inlined
 from capsule_gym.elementary import clip, decay, tanh
-from capsule_gym.parameters import check_number
 from capsule_gym.task import LARGEST_STATE, TASKS, Draw, Option, Task
 from capsule_gym.tasks import DEFAULTS, ROUNDING
 

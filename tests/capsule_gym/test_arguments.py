@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Randomization
-from capsule_gym.parameters import EnvConfig
+from capsule_gym.config import EnvConfig
 from capsule_gym.simulation import CHANGE, MOST_ENVS
 
 # numpy may warn of imaginary parts, and of numbers beyond float32, before an action is refused.

@@ -15,8 +15,8 @@ from gymnasium.utils.env_checker import check_env
 
 import baselines
 from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization, dynamics
+from capsule_gym.config import EnvConfig
 from capsule_gym.layout import Row
-from capsule_gym.parameters import EnvConfig
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import ENV_ID, METRICS, Termination
 from tests.capsule_gym.fakes import layout, picky_controller

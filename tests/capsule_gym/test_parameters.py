@@ -11,14 +11,8 @@ import numpy as np
 import pytest
 
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, dynamics
-from capsule_gym.parameters import (
-    DOCS,
-    RANDOMIZATIONS,
-    Capsule,
-    EnvConfig,
-    Plant,
-    Randomization,
-)
+from capsule_gym.config import DOCS, EnvConfig
+from capsule_gym.parameters import RANDOMIZATIONS, Capsule, Plant, Randomization
 from capsule_gym.simulation import Simulation
 
 POSITIVE = ("M", "m", "l", "g", "backward_ratio")

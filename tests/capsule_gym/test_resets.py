@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from capsule_gym import Capsule, Randomization
+from capsule_gym.config import EnvConfig
 from capsule_gym.layout import Row
-from capsule_gym.parameters import EnvConfig
 from capsule_gym.resets import Stream, draw_plant, plant_at, plant_ranges, random_stream
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import START_THETA

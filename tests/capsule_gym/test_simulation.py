@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from capsule_gym import Capsule, Controller, Randomization, dynamics
+from capsule_gym.config import EnvConfig
 from capsule_gym.layout import ROWS, Row
-from capsule_gym.parameters import EnvConfig
 from capsule_gym.simulation import STABLE, Simulation
 from capsule_gym.task import Termination
 from tests.capsule_gym.fakes import EPISODE_ROWS, picky_controller

@@ -17,8 +17,8 @@ from stable_baselines3.common.env_checker import check_env as check_sb3
 
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Controller
 from capsule_gym.compilation import inlined
+from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.env import shown_state
-from capsule_gym.parameters import EnvConfig, find_task
 from capsule_gym.resets import Stream, random_stream
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.task import METRICS, TASKS, Draw, Option, Task

@@ -26,9 +26,10 @@ from baselines.laws.predictive import (
     predict,
 )
 from capsule_gym import CapsuleVectorEnv, Controller, dynamics
+from capsule_gym.config import LAW_DT
 from capsule_gym.elementary import clip
 from capsule_gym.layout import ROWS
-from capsule_gym.parameters import LAW_DT, NOMINAL
+from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import HORIZON, START_THETA, TORQUE_LIMIT
 
 PLANT = NOMINAL.plant()
