@@ -1,4 +1,4 @@
-"""An independent reference for the plant, and compiled loops around `dynamics.step` to compare with it.
+"""An independent reference for the plant, and compiled loops around `contact.step` to compare with it.
 
 The reference shares no equation with `capsule_gym`. They are typed again from the paper, corrected, and solved in
 another arrangement: the first row of Eq. (1) gives theta'' in terms of x'', the normal force follows as a straight line
@@ -21,7 +21,7 @@ from numba import njit
 from scipy.integrate import DOP853
 from scipy.optimize import brentq, minimize_scalar
 
-from capsule_gym import dynamics
+from capsule_gym import contact
 from capsule_gym.parameters import Plant
 
 RTOL = 2e-13
@@ -223,9 +223,9 @@ def _phase(
     return end, solver.y.copy(), normal, False, swept
 
 
-# --- compiled loops around `dynamics.step` ---
+# --- compiled loops around `contact.step` ---
 
-step = njit(dynamics.step)
+step = njit(contact.step)
 
 
 class Run(NamedTuple):

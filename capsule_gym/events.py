@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from capsule_gym import dynamics, task
+from capsule_gym import contact, dynamics, task
 from capsule_gym.compilation import inlined, jitable, stay_apart
 from capsule_gym.layout import (
     AT,
@@ -91,9 +91,9 @@ def pass_events(block: np.ndarray, count: int, plant: Plant, h: float) -> int:
         p = Plant(event.M, event.mu, event.mass_ratio, *plant[3:])
         if plant.extended >= VARIED:
             p = Plant(*p[:5], *load(block, EVENT_PLANTS + e, LANES, PLANT_ROWS))
-        start = dynamics.Phase(*event[1:7], p, event.theta_ddot, event.x_ddot, event.first_normal_force)
+        start = contact.Phase(*event[1:7], p, event.theta_ddot, event.x_ddot, event.first_normal_force)
         end = event.next_theta, event.next_theta_dot, event.next_x_dot
-        motion, slip, holds = dynamics.pass_rest(start, *end, h)
+        motion, slip, holds = contact.pass_rest(start, *end, h)
         holds &= task.continues(motion.theta, motion.normal_force) & task.bounded(motion.theta_dot, motion.x_dot)
         holds &= (abs(motion.x + motion.swept) < math.inf) & (event.least_normal_force >= 0.0)
         store(block, EVENTS + e, LANES, (event.place, 1.0 if holds else 0.0, slip, *motion[:9], 1.0))
@@ -104,12 +104,12 @@ def pass_events(block: np.ndarray, count: int, plant: Plant, h: float) -> int:
             j, slip = max(0, int(result[0])), result[2]
             block[AT.eventful + j], block[AT.slip + j] = 0.0, slip
             sticking += slip == 0.0
-            add_motion(block, j, dynamics.Motion(*result[3:]))
+            add_motion(block, j, contact.Motion(*result[3:]))
     return sticking
 
 
 @inlined
-def add_motion(block: np.ndarray, j: int, motion: dynamics.Motion) -> None:
+def add_motion(block: np.ndarray, j: int, motion: contact.Motion) -> None:
     """Writes the state at the end of a substep, and adds what it contributes to the step and to the episode."""
     store(block, AT.theta + j, LANES, motion[:4])
     block[AT.energy + j] += abs(block[AT.torque + j]) * motion.swept
@@ -129,12 +129,12 @@ def step_with_events(block: np.ndarray, j: int, plant: Plant, h: float, elapsed:
     theta, theta_dot, x, x_dot = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x + j], block[AT.x_dot + j]
     slip = block[AT.slip + j]
     first = load(block, AT.theta_ddot + j, LANES, 3)
-    start = dynamics.Phase(theta, theta_dot, x, x_dot, slip, torque, p, *first)
+    start = contact.Phase(theta, theta_dot, x, x_dot, slip, torque, p, *first)
     if block[AT.least_normal_force + j] >= 0.0:
-        whole = dynamics.finish(start, h, *load(block, AT.next_theta + j, LANES, 4), first[1], first[2])
+        whole = contact.finish(start, h, *load(block, AT.next_theta + j, LANES, 4), first[1], first[2])
     else:
-        whole = dynamics.piece(start, h)
-    motion = dynamics.event_step(start, whole)
+        whole = contact.piece(start, h)
+    motion = contact.event_step(start, whole)
     whole_motion = motion.theta + motion.x + motion.swept + motion.normal_force
     if not (task.bounded(motion.theta_dot, motion.x_dot) and math.isfinite(whole_motion)):
         # The substep is none: the environment stays where that has begun.

@@ -16,7 +16,7 @@ import numpy as np
 
 from baselines.paper import published
 from baselines.paper.selection import bisect
-from capsule_gym import dynamics
+from capsule_gym import contact, dynamics
 from capsule_gym.compilation import jitable
 from capsule_gym.compiler import compile_cached
 from capsule_gym.parameters import Capsule, NormalForce, Plant
@@ -256,7 +256,7 @@ def torque_enough(velocity: float, low: float, high: float) -> float:
     def fails(torque: float) -> bool:
         theta, theta_dot, x, x_dot = low, 0.0, 0.0, 0.0
         for _ in range(LONGEST_SWING):
-            theta, theta_dot, x, x_dot = dynamics.step(theta, theta_dot, x, x_dot, torque, p, 1e-3)[:4]
+            theta, theta_dot, x, x_dot = contact.step(theta, theta_dot, x, x_dot, torque, p, 1e-3)[:4]
             if theta_dot >= velocity or theta_dot <= 0.0 or theta >= high:
                 break
         return theta_dot < velocity

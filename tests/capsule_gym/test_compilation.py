@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import pytest
 
-from capsule_gym import Capsule, compilation, dynamics, elementary, kernels, layout, observation, task
+from capsule_gym import Capsule, compilation, contact, elementary, kernels, layout, observation, task
 from capsule_gym.compilation import OPTIONS, compile_entry, fingerprint
 from capsule_gym.compiler import compile_cached
 from capsule_gym.layout import StepSettings, pack, unpack
@@ -38,7 +38,7 @@ def set_variable(monkeypatch, name: str, value: object) -> None:
     ("module", "name"),
     [
         *((elementary, name) for name in ("TURN", "S_3", "C_7")),
-        *((dynamics, name) for name in ("EVENT_TOLERANCE", "EVENT_LIMIT")),
+        *((contact, name) for name in ("EVENT_TOLERANCE", "EVENT_LIMIT")),
         *((task, name) for name in ("THETA_LIMIT", "RATE_LIMIT")),
         *((observation, name) for name in ("THETA_DOT_BOUND", "X_DOT_BOUND")),
         *((kernels, name) for name in ("LANES", "HALTED", "LAW", "PIVOT_TORQUE_ON_CONTACT")),

@@ -10,7 +10,7 @@ from numba import njit
 
 from benchmarks import reference
 from benchmarks.reference import step, torque_for_load
-from capsule_gym import dynamics
+from capsule_gym import contact, dynamics
 from capsule_gym.parameters import Capsule, Plant
 
 START = (-math.pi / 3, 0.0, 0.0, 0.0)
@@ -274,10 +274,10 @@ def test_coming_to_rest_once_has_the_bits_of_any_step():
             p = Capsule(mu=mu, **options).plant()
             u, h = rng.uniform(-1.0, 1.0), rng.choice((0.001, 0.005)).item()
             state = (rng.uniform(-1.0, 1.0, 4) * (1.0, 15.0, 1.0, 10.0 * h)).tolist()
-            start = dynamics.begin(*state, math.copysign(1.0, state[3]), u, p)
-            end = dynamics.piece(start, h)
-            motion, phase, holds = dynamics.pass_rest(start, end.theta, end.theta_dot, end.x_dot, h)
-            expected = dynamics.step(*state, u, p, h)
+            start = contact.begin(*state, math.copysign(1.0, state[3]), u, p)
+            end = contact.piece(start, h)
+            motion, phase, holds = contact.pass_rest(start, end.theta, end.theta_dot, end.x_dot, h)
+            expected = contact.step(*state, u, p, h)
             passed += expected.events == 1
             if holds:
                 assert motion == expected
@@ -338,9 +338,9 @@ def test_a_step_reports_that_the_contact_is_lost():
     p = Capsule(mu=0.1).plant()
     upright = math.sqrt((p.M + p.m) * p.g / (p.m * p.l))  # the ball's centripetal force carries the whole weight
     for x_dot in (0.1, -0.1):
-        assert dynamics.step(0.0, 0.999 * upright, 0.0, x_dot, 0.0, p, 1e-4).normal_force > 0.0
-        assert dynamics.step(0.0, 1.001 * upright, 0.0, x_dot, 0.0, p, 1e-4).normal_force == 0.0
-    resting = dynamics.step(-0.2, 0.0, 0.0, 0.0, 0.0, p, 1e-3).normal_force
+        assert contact.step(0.0, 0.999 * upright, 0.0, x_dot, 0.0, p, 1e-4).normal_force > 0.0
+        assert contact.step(0.0, 1.001 * upright, 0.0, x_dot, 0.0, p, 1e-4).normal_force == 0.0
+    resting = contact.step(-0.2, 0.0, 0.0, 0.0, 0.0, p, 1e-3).normal_force
     assert resting == pytest.approx(reference.rates(-0.2, 0.0, 0.0, 0.0, 0.0, Capsule().plant())[2], rel=1e-12)
 
 
@@ -385,7 +385,7 @@ def test_python_and_compiled_steps_are_equal_bit_for_bit():
         if x_dot == 0.0 and rng.random() < 0.5:
             u = torque_for_load(rng.choice([-1, 1]) * rng.uniform(0.95, 1.05), theta, theta_dot, p)
         h = float(rng.choice([5e-4, 1e-3, 5e-3, 2e-2]))
-        interpreted = dynamics.step(theta, theta_dot, 0.3, x_dot, u, p, h)
+        interpreted = contact.step(theta, theta_dot, 0.3, x_dot, u, p, h)
         compiled = step(theta, theta_dot, 0.3, x_dot, u, p, h)
         assert interpreted == compiled
         events += interpreted.events

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from capsule_gym import Capsule, Controller, Randomization, dynamics
+from capsule_gym import Capsule, Controller, Randomization, contact
 from capsule_gym.config import EnvConfig
 from capsule_gym.layout import ROWS, Row
 from capsule_gym.simulation import STABLE, Simulation
@@ -59,7 +59,7 @@ def test_a_substep_in_which_contact_is_lost_is_that_of_the_plant():
     state = (-0.4, 18.0, 0.0, 2.0)
     simulation.reset(np.array([0]), [capsule.M], [capsule.mu], np.array([state]))
     simulation.step_one(0.0)
-    motion = dynamics.step(*state, 0.0, capsule.plant(), 0.002)
+    motion = contact.step(*state, 0.0, capsule.plant(), 0.002)
     assert motion.normal_force == 0.0
     rows = (Row.theta, Row.theta_dot, Row.x, Row.x_dot)
     assert simulation.columns(np.array([0]))[list(rows), 0].tolist() == list(motion[:4])

@@ -25,7 +25,7 @@ from baselines.laws.predictive import (
     model_step,
     predict,
 )
-from capsule_gym import CapsuleVectorEnv, Controller, dynamics
+from capsule_gym import CapsuleVectorEnv, Controller, contact, dynamics
 from capsule_gym.config import LAW_DT
 from capsule_gym.elementary import clip
 from capsule_gym.layout import ROWS
@@ -53,7 +53,7 @@ def advance(state, motor, torque, plant, steps=1):
     for _ in range(steps):
         motor = torque + (motor - torque) * math.exp(-h / LAG)
         u = motor - MOTOR_FRICTION * min(1.0, max(-1.0, state[1] / MOTOR_WIDTH))
-        state = dynamics.step(*state, u, plant, h)[:4]
+        state = contact.step(*state, u, plant, h)[:4]
     return state, motor
 
 
