@@ -17,7 +17,8 @@ from capsule_gym.layout import Row
 from capsule_gym.observation import observation_bounds
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES
 from capsule_gym.rendering import Renderer
-from capsule_gym.simulation import SPEED, Simulation, check_seed
+from capsule_gym.settings import SPEED
+from capsule_gym.simulation import Simulation, check_seed
 
 Value = TypeVar("Value")
 RESET_OPTIONS = ("M", "mu", "state", "changes", "capsule", "disturbances")

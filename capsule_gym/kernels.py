@@ -446,7 +446,7 @@ def advance(world: np.ndarray, first: int, last: int, begin: bool, fixed: np.nda
     """`step` of the environments first..last-1 that `Row.active` names; the others stand still.
 
     Args:
-        world: shape (blocks, rows LANES), float64, with the rows of `simulation.count_rows`; changed.
+        world: shape (blocks, rows LANES), float64, with the rows of `settings.count_rows`; changed.
         first: first environment, a multiple of LANES.
         last: one past the last environment.
         begin: begin an episode instead of taking a step: the law is called for its first torque.

@@ -202,7 +202,7 @@ UNDER_WAY, ENDING, HALTED = 0.0, 1.0, 2.0
 
 
 class StepSettings(NamedTuple):
-    """The settings of the compiled step; SI units. `simulation.make_settings` derives them from an `EnvConfig`."""
+    """The settings of the compiled step; SI units. `settings.make_settings` derives them from an `EnvConfig`."""
 
     torque_limit: float
     residual_limit: float

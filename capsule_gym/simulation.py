@@ -16,8 +16,8 @@ import numpy as np
 
 from capsule_gym import kernels, layout, resets, task
 from capsule_gym.checks import check_count, check_integer, check_number, written
-from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, EnvConfig, find_task
-from capsule_gym.controller import Controller, find_controller
+from capsule_gym.config import EnvConfig, find_task
+from capsule_gym.controller import find_controller
 from capsule_gym.layout import LANES, Row
 from capsule_gym.observation import observation_names, parameter_bounds
 from capsule_gym.parameters import (
@@ -30,20 +30,13 @@ from capsule_gym.parameters import (
     Disturbances,
     Randomization,
 )
+from capsule_gym.settings import DEFAULTS, NO_CONTROLLER, SPEED, check_step, count_rows, ends, make_settings
 
 Result = TypeVar("Result")
 
 # Whole numbers up to this are floating-point numbers: the keys of an episode's noise.
 LARGEST_KEY = 2.0**53
 
-DEFAULTS = EnvConfig()
-SPEED = find_task(DEFAULTS.task)
-
-# What acts where no controller does.
-NO_CONTROLLER = Controller("none", kernels.no_law, kernels.NO_REFERENCE)
-# The half of the disc of this radius that lies to the left of the imaginary axis is in the region of stability of the
-# classical Runge-Kutta method (Hairer and Wanner, Solving Ordinary Differential Equations II, Sect. IV.2).
-STABLE = 2.6
 # Environments in a batch: some 15 GB.
 MOST_ENVS = 2**24
 
@@ -62,103 +55,6 @@ def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None", c
         ValueError: if it, or the last of the environments' seeds, is negative or has more bits than a stream's key.
     """
     return check_integer("seed", seed, accepted, 0, 2**128 - count)
-
-
-def divide(name: str, whole: float, part_name: str, part: float) -> int:
-    """How often `part` fits into `whole`; both in seconds.
-
-    Raises:
-        ValueError: if it does not fit a whole number of times, or too often.
-    """
-    ratio = whole / part
-    if ratio > MOST_SUBSTEPS:
-        raise ValueError(
-            f"{part_name} must divide {name}={whole!r} s at most {MOST_SUBSTEPS} times, got {part!r} s, which does "
-            f"{ratio:.6g} times"
-        )
-    count = round(ratio)
-    if count < 1 or abs(count * part - whole) > 1e-9 * whole:
-        raise ValueError(f"{part_name} must divide {name}={whole!r} s a whole number of times, got {part!r} s")
-    return count
-
-
-def check_step(capsule: Capsule, M: float, mu: float, settings: layout.StepSettings) -> None:
-    """Refuses a plant, with its M in kg and mu, that is too stiff for the integrator's step.
-
-    Raises:
-        ValueError: if the step is longer than the integrator's stability allows.
-    """
-    h, rate = settings.physics_dt, capsule.fastest_rate(M, mu)
-    if rate * h <= STABLE:
-        return
-    held, longest = settings.physics_steps * h, STABLE / rate
-    enough = held * rate / STABLE * (1.0 + 1e-9)
-    fits = enough * settings.law_steps < MOST_SUBSTEPS
-    would_do = f"physics_dt={held / math.ceil(enough)!r} would do" if fits else "no step would do"
-    raise ValueError(
-        f"physics_dt must be at most {longest:.4g} s for this capsule with M={M:.6g} kg and mu={mu:.6g}, whose fastest "
-        f"rate is {rate:.4g} 1/s: beyond {STABLE} / rate the integrator is unstable; {would_do}, got {h!r} s"
-    )
-
-
-def make_settings(options: EnvConfig, controller: Controller | None) -> layout.StepSettings:
-    """The settings of the compiled step, with the values that follow from other options.
-
-    Raises:
-        ValueError: if the steps of the integrator, the law and the agent do not divide each other, or are too many.
-    """
-    torque_limit, residual_limit = options.torque_limit, options.residual_limit
-    physics_dt = options.physics_dt
-    if physics_dt is None:
-        physics_dt = LAW_PHYSICS_DT if controller else DIRECT_PHYSICS_DT
-    disturbed = Disturbances.named(options.disturbances)
-    # The plants differ in more than M and mu, or are disturbed.
-    varied = disturbed is not None or bool(Randomization.named(options.randomization).drawn)
-    # A latency, and a motor's lag, need more instants than an agent's steps have.
-    law_dt = controller.dt if controller else physics_dt if varied else options.control_dt
-    if options.control_dt / physics_dt > MOST_SUBSTEPS:
-        raise ValueError(
-            f"control_dt must be at most {MOST_SUBSTEPS} times physics_dt={physics_dt!r} s, "
-            f"got {options.control_dt!r} s"
-        )
-    settings = layout.StepSettings(
-        torque_limit=torque_limit,
-        residual_limit=torque_limit if residual_limit is None else residual_limit,
-        total_torque=options.total_torque,
-        physics_dt=physics_dt,
-        physics_steps=divide("the law's step" if controller else "control_dt", law_dt, "physics_dt", physics_dt),
-        law_steps=divide(
-            "control_dt", options.control_dt, "the controller's dt" if controller else "physics_dt", law_dt
-        ),
-        energy_weight=options.energy_weight,
-        termination_penalty=options.termination_penalty,
-        with_reference=controller is not None,
-        with_parameters=options.observe_parameters,
-        reference_size=(controller or NO_CONTROLLER).reference.shape[1],
-        stack_size=options.stack_size,
-    )
-    if disturbed is None:
-        return settings._replace(history=int(varied))
-    return settings._replace(
-        history=round(_ends(disturbed.latency)[1] / law_dt) + 1,
-        law_reads=controller is not None and disturbed.controls != "agent",
-        agent_reads=disturbed.controls != "law",
-        stick_threshold=0.0 if disturbed.controls == "law" else disturbed.stick_threshold,
-        with_theta="theta" not in disturbed.unmeasured,
-        with_theta_dot="theta_dot" not in disturbed.unmeasured,
-        with_x_dot="x_dot" not in disturbed.unmeasured,
-    )
-
-
-def _ends(value: float | tuple[float, float]) -> tuple[float, float]:
-    """A range, or the one that holds a number alone."""
-    return value if isinstance(value, tuple) else (value, value)
-
-
-def count_rows(controller: Controller | None, own: task.Task = SPEED) -> int:
-    """The rows of `Simulation.world` down to the task's memory: `Row`, the law's memory, its line of the reference."""
-    acting = controller or NO_CONTROLLER
-    return layout.ROWS + len(acting.memory) + acting.reference.shape[1] + own.rows
 
 
 def episode_metrics(world: np.ndarray, horizon: float | None, own: task.Task = SPEED) -> dict[str, np.ndarray]:
@@ -246,7 +142,7 @@ class Simulation:
         disturbed = Disturbances.named(options.disturbances) or Disturbances()
         # The lightest platform on the roughest floor is the stiffest plant.
         for corner in self.randomization.corners(self.capsule):
-            stiffest = replace(corner, motor_friction=corner.motor_friction + _ends(disturbed.motor_friction)[1])
+            stiffest = replace(corner, motor_friction=corner.motor_friction + ends(disturbed.motor_friction)[1])
             check_step(stiffest, corner.M, corner.mu, self.settings)
         blocks = -(-self.num_envs // LANES)
         # One past the last row of the task's memory, and the first one.
@@ -257,7 +153,7 @@ class Simulation:
         if self.settings.history:
             own = [getattr(self.randomization, name) or getattr(self.capsule, name) for name in CONSTANTS]
             ranges = [*own, *(getattr(disturbed, name) for name in DISTURBANCES), (0.0, LARGEST_KEY)]
-            draws = [task.Draw(*_ends(each)) for each in ranges]
+            draws = [task.Draw(*ends(each)) for each in ranges]
             tables.append(resets.draw_table(Row.drawn_m, resets.Stream.variation, draws))
         self.draw_table = np.concatenate(tables)
         switches = self.settings.with_reference, self.settings.with_parameters

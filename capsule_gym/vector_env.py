@@ -28,7 +28,8 @@ from capsule_gym.env import (
 )
 from capsule_gym.layout import Row
 from capsule_gym.rendering import Renderer
-from capsule_gym.simulation import SPEED, check_seed
+from capsule_gym.settings import SPEED
+from capsule_gym.simulation import check_seed
 
 
 class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):

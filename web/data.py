@@ -39,7 +39,8 @@ from capsule_gym.parameters import (
     Plant,
     Randomization,
 )
-from capsule_gym.simulation import LARGEST_KEY, NO_CONTROLLER, check_step, count_rows, make_settings
+from capsule_gym.settings import NO_CONTROLLER, check_step, count_rows, make_settings
+from capsule_gym.simulation import LARGEST_KEY
 from web.episodes import FILE, OVER, RECORDED, SEEDS, controller_names, env_kwargs, is_trained, known_recordings
 from web.modules import COMMON, DIRECT, ENTRIES, LAWS, STARTS, STEPS, build, find_law
 

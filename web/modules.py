@@ -41,7 +41,7 @@ from capsule_gym.layout import LANES
 from capsule_gym.network import act_lanes
 from capsule_gym.observation import CELLS, observation_names
 from capsule_gym.parameters import NOMINAL, VARIED
-from capsule_gym.simulation import NO_CONTROLLER
+from capsule_gym.settings import NO_CONTROLLER
 from capsule_gym.task import TASKS
 from web import assembly
 from web.assembly import Entry, assemble, optimise

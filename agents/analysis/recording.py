@@ -93,7 +93,8 @@ def record(
     # Imported here, since numba takes most of a second to import.
     from capsule_gym.env import shown_state
     from capsule_gym.layout import Row
-    from capsule_gym.simulation import Simulation, divide
+    from capsule_gym.settings import divide
+    from capsule_gym.simulation import Simulation
 
     name = name or policy.name
     names = {each.name for each in fields(EnvConfig)}

@@ -11,7 +11,8 @@ import pytest
 from capsule_gym import Capsule, Controller, Randomization, contact
 from capsule_gym.config import EnvConfig
 from capsule_gym.layout import ROWS, Row
-from capsule_gym.simulation import STABLE, Simulation
+from capsule_gym.settings import STABLE
+from capsule_gym.simulation import Simulation
 from capsule_gym.task import Termination
 from tests.capsule_gym.fakes import EPISODE_ROWS, picky_controller
 
