@@ -1,8 +1,8 @@
 """PPO's update by compiled code: both networks forward and backward, each in a thread of its own, and Adam.
 
 A sample is a lane. Minibatches are taken LANES samples at a time, whose numbers lie side by side, row by row, in the
-processor's nearest caches. The three products that take nearly all time (a layer forward, back to its inputs,
-and the gradients of its weights) are made of tiles that keep their sums in registers.
+processor's nearest caches. Three products take nearly all time: a layer forward, back to its inputs, and the gradients
+of its weights.
 
 Arithmetic is float32, and the compiler may fuse and reorder it: like torch's, an update is the same for the same start
 on one machine, not from one kind of processor to another.
@@ -15,18 +15,25 @@ from collections import namedtuple
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
-from itertools import product
 from typing import Any
 
 import numpy as np
-from llvmlite import binding as llvm
-from llvmlite import ir
-from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic
 
+from agents.fast_ppo.arithmetic import (
+    F32,
+    HALF,
+    LARGEST,
+    ONE,
+    TILE,
+    WIDEST_SPAN,
+    ZERO,
+    exponential,
+    multiply,
+    span,
+    tanh,
+)
 from agents.training.algorithms import HALF_LOG_2_PI
-from capsule_gym.compilation import inlined, jitable, use_widest_vectors
+from capsule_gym.compilation import jitable, use_widest_vectors
 from capsule_gym.compiler import compile_allocating
 from capsule_gym.network import Layer
 
@@ -34,31 +41,10 @@ from capsule_gym.network import Layer
 LANES = 160
 # Of a cache line, in float32.
 LINE = 16
-# float32 in the widest register. Where they are narrower the compiler takes several.
-WIDTH = 16
-# Rows whose sums are made together; widths of layers are filled up to a multiple.
-TILE = 6
-# Entries of these rows whose sums are made together, at most.
-WIDEST_SPAN = 2 * WIDTH
-
-F32 = np.float32
-ZERO, HALF, ONE, TWO = F32(0.0), F32(0.5), F32(1.0), F32(2.0)
 NORMAL = F32(HALF_LOG_2_PI)
-LOG2_E = F32(1.0 / math.log(2.0))
-# The logarithm of 2, of which a first part so short that its multiples are exact.
-LN_2 = F32(355.0 / 512.0)
-LN_2_REST = F32(math.log(2.0) - float(LN_2))
-# Adding it rounds to a whole number, which the lowest digits of the sum hold.
-ROUNDING = F32(1.5 * 2.0**23)
-# Taylor's coefficients of exp.
-E_2, E_3, E_4, E_5, E_6, E_7 = (F32(1.0 / math.factorial(n)) for n in range(2, 8))
 # Adam's constants, SB3's defaults.
 BETA_1, BETA_2, EPS = 0.9, 0.999, F32(1e-5)
 DECAY_1, DECAY_2 = F32(1.0 - BETA_1), F32(1.0 - BETA_2)
-# Exponents that are taken as they are: beyond, 2^n is no normal number.
-LARGEST = F32(87.0)
-# From here on the tangent is 1 to the last digit.
-FLAT = F32(10.0)
 # Rows of a sample's numbers besides those of the networks.
 Rows = namedtuple("Rows", "aim old_log_prob advantage log_std_slope gain squared_error divergence clipped")
 ROW = Rows(*range(len(Rows._fields)))
@@ -100,130 +86,6 @@ def unpack(packed: np.ndarray, layers: list[Layer], log_std: np.ndarray) -> None
     for matrix, (weights, bias) in zip(matrices(packed, layers), layers, strict=True):
         weights[:], bias[:] = matrix[:, :-1], matrix[:, -1]
     log_std[:] = packed[-1:]
-
-
-FLOAT, INTEGER = ir.FloatType(), ir.IntType(32)
-VECTOR = ir.VectorType(FLOAT, WIDTH)
-
-
-def _vector_at(builder: Any, pointer: Any) -> Any:
-    """That address as one of a vector."""
-    return builder.bitcast(pointer, VECTOR.as_pointer())
-
-
-def _spread(builder: Any, value: Any) -> Any:
-    """A vector of the same number everywhere."""
-    first = builder.insert_element(ir.Constant(VECTOR, [0.0] * WIDTH), value, INTEGER(0))
-    return builder.shuffle_vector(first, first, ir.Constant(ir.VectorType(INTEGER, WIDTH), [0] * WIDTH))
-
-
-def vectors(target_machine: Any) -> int:
-    """Vectors of a row whose sums are made together: as many as the registers of a processor hold for TILE rows.
-
-    With registers of 512 bits one holds a vector, and there are 32; else there are 16 of which a vector takes two.
-    """
-    vector, wide = f"<{WIDTH} x float>", '"prefer-vector-width"="512"'
-    module = f"define {vector} @f({vector} %a) {wide} {{ %b = fadd {vector} %a, %a\n ret {vector} %b }}"
-    return 2 if "zmm" in target_machine.emit_assembly(llvm.parse_assembly(module)) else 1
-
-
-@intrinsic
-def span(typing_context: Any) -> Any:
-    """Entries of TILE rows that `multiply` writes."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return context.get_constant(types.intp, vectors(context.codegen()._tm) * WIDTH)
-
-    return types.intp(), generate
-
-
-def _data(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
-    """The address of an entry of a contiguous array."""
-    return builder.gep(context.make_array(kind)(context, builder, array).data, [at])
-
-
-@intrinsic
-def multiply(
-    typing_context: Any,
-    weights: Any,
-    at: Any,
-    row: Any,
-    column: Any,
-    count: Any,
-    given: Any,
-    first: Any,
-    pitch: Any,
-    sums: Any,
-    target: Any,
-    distance: Any,
-) -> Any:
-    """Writes TILE rows of a matrix times the rows of `given`, `span` of their entries; unchecked.
-
-    The matrix begins at `weights[at]`; `row` and `column` are the distances of its rows and its columns, `count` is the
-    number of its columns. `given` has a row for each column, from `first` on, and `pitch` is their distance. The
-    products are written to `sums`, from `target` on, in rows with that `distance`.
-    """
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        kinds = signature.args
-        _, at, row, column, count, _, first, pitch, _, target, distance = arguments
-        matrix = _data(context, builder, kinds[0], arguments[0], at)
-        source = _data(context, builder, kinds[5], arguments[5], first)
-        out = _data(context, builder, kinds[8], arguments[8], target)
-        whole = row.type
-        starts = [builder.gep(matrix, [builder.mul(row, whole(p))]) for p in range(TILE)]
-        places = range(0, vectors(context.codegen()._tm) * WIDTH, WIDTH)
-        # Sums that the compiler keeps in registers.
-        totals = {place: cgutils.alloca_once(builder, VECTOR) for place in product(range(TILE), places)}
-        for pointer in totals.values():
-            builder.store(ir.Constant(VECTOR, [0.0] * WIDTH), pointer)
-        # llvmlite's own takes scalars only.
-        kind = ir.FunctionType(VECTOR, [VECTOR] * 3)
-        fma = cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{WIDTH}f32")
-        with cgutils.for_range(builder, count) as loop:
-            line = builder.gep(source, [builder.mul(loop.index, pitch)])
-            x = {v: builder.load(_vector_at(builder, builder.gep(line, [whole(v)])), align=4) for v in places}
-            offset = builder.mul(loop.index, column)
-            w = [_spread(builder, builder.load(builder.gep(start, [offset]))) for start in starts]
-            for (p, v), pointer in totals.items():
-                builder.store(builder.call(fma, [w[p], x[v], builder.load(pointer)]), pointer)
-        for (p, v), pointer in totals.items():
-            place = builder.gep(out, [builder.add(builder.mul(distance, whole(p)), whole(v))])
-            builder.store(builder.load(pointer), _vector_at(builder, place), align=4)
-        return context.get_dummy_value()
-
-    where = types.intp
-    return types.void(weights, *[where] * 4, given, where, where, sums, where, where), generate
-
-
-@intrinsic
-def power_of_two(typing_context: Any, shifted: Any) -> Any:
-    """2^n from n + ROUNDING: the lowest digits of that sum become the exponent; |n| must not exceed 126."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        exponent = builder.shl(builder.bitcast(arguments[0], INTEGER), INTEGER(23))
-        return builder.bitcast(builder.add(exponent, INTEGER(127 << 23)), FLOAT)
-
-    return types.float32(types.float32), generate
-
-
-@inlined
-def exponential(x: float) -> float:
-    """e^x, to float32's rounding; |x| must not exceed LARGEST."""
-    shifted = x * LOG2_E + ROUNDING
-    n = shifted - ROUNDING
-    r = x - n * LN_2 - n * LN_2_REST
-    p = (((((E_7 * r + E_6) * r + E_5) * r + E_4) * r + E_3) * r + E_2) * (r * r) + r + ONE
-    return p * power_of_two(shifted)
-
-
-@inlined
-def tanh(x: float) -> float:
-    """The hyperbolic tangent, to float32's rounding of 1."""
-    # NaN stays NaN.
-    x = FLAT if x > FLAT else x
-    x = -FLAT if x < -FLAT else x
-    return ONE - TWO / (exponential(TWO * x) + ONE)
 
 
 def _inner(*flags: str) -> Any:

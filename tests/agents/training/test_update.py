@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from llvmlite import binding as llvm
 
-from agents.fast_ppo import update
-from agents.fast_ppo.update import exponential, pack, tanh, unpack
+from agents.fast_ppo import arithmetic, update
+from agents.fast_ppo.arithmetic import TILE, exponential, multiply, span, tanh, vectors
+from agents.fast_ppo.update import LANES, pack, unpack
 from capsule_gym.compilation import fingerprint
 from capsule_gym.network import Layer
 
@@ -101,20 +102,20 @@ def test_the_width_of_a_tile_suits_the_processor_and_gives_the_same_bits(monkeyp
     llvm.initialize_all_asmprinters()
     target = llvm.Target.from_triple("x86_64-unknown-linux-gnu")
     machines = [target.create_target_machine(cpu=cpu) for cpu in ("skylake-avx512", "haswell")]
-    counts = [update.vectors(machine) for machine in machines]
+    counts = [vectors(machine) for machine in machines]
     assert counts == [2, 1]
     random = np.random.default_rng(0)
-    weights, rows = normal(random, update.TILE, 7), normal(random, 7, update.LANES)
+    weights, rows = normal(random, TILE, 7), normal(random, 7, LANES)
     found = []
     for count in counts:
-        monkeypatch.setattr(update, "vectors", lambda machine, count=count: count)
+        monkeypatch.setattr(arithmetic, "vectors", lambda machine, count=count: count)
 
         @numba.njit
         def product(weights, rows, sums):
-            for lane in range(0, update.LANES, update.span()):
-                update.multiply(weights, 0, 7, 1, 7, rows, lane, update.LANES, sums, lane, update.LANES)
+            for lane in range(0, LANES, span()):
+                multiply(weights, 0, 7, 1, 7, rows, lane, LANES, sums, lane, LANES)
 
-        sums = np.zeros((update.TILE, update.LANES), np.float32)
+        sums = np.zeros((TILE, LANES), np.float32)
         product(*(array.ravel() for array in (weights, rows, sums)))
         np.testing.assert_allclose(sums, weights @ rows, atol=1e-5)
         found.append(sums.tobytes())
