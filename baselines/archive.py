@@ -1,4 +1,4 @@
-"""What the gait search and the dynamic programming share: the grid of plants, the archive format and the search loop.
+"""Shared by gait search and dynamic programming: the grid of plants, the archive format and the search loop.
 
 An archive is a folder with `archive.json`, an object whose lists hold one result a line, and with `arrays.npz` where
 results have arrays.

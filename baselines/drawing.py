@@ -45,7 +45,7 @@ _STYLE: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Pen:
-    """How one of the compared things is drawn wherever it appears."""
+    """The style of one of the compared items in all figures."""
 
     colour: str
     dashes: str | tuple[float, tuple[float, ...]] = "-"

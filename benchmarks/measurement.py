@@ -1,4 +1,4 @@
-"""What the benchmarks share: output files, the description of the machine, and rates that are measured in turns.
+"""Shared by the benchmarks: output files, the description of the machine, and rates that are measured in turns.
 
 Absolute numbers do not carry from machine to machine; the ratios of one run do. Contenders take turns, so that other
 work of the machine affects all of them alike, and the median of the turns counts.

@@ -30,7 +30,7 @@ SAMPLES = 9
 
 
 class Trajectory(NamedTuple):
-    """What `simulate` returns; row i of the arrays belongs to the time i * hold.
+    """The result of `simulate`; row i of the arrays belongs to the time i * hold.
 
     Attributes:
         states: theta, theta_dot, x, x_dot.
@@ -79,7 +79,7 @@ def rates(theta: float, omega: float, v: float, slip: float, u: float, p: Plant)
 
 
 def margins(theta: float, omega: float, u: float, p: Plant) -> tuple[float, float]:
-    """How far the load on a platform at rest is from the static limit, forwards and backwards, in N."""
+    """The margins between the load on a platform at rest and the static limit, forwards and backwards, in N."""
     alpha, _, normal = rates(theta, omega, 0.0, 0.0, u, p)
     load = p.m * p.l * (alpha * math.cos(theta) - omega**2 * math.sin(theta)) - (p.M + p.m) * p.downhill
     limit = p.static_ratio * p.mu * max(0.0, normal)

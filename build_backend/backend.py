@@ -33,7 +33,7 @@ sys.dont_write_bytecode = False
 
 
 def get_requires_for_build_wheel(config_settings=None):
-    """What the package itself needs, since it is run to see what it compiles."""
+    """The requirements of the package itself, which the build runs to compile its kernels."""
     dependencies = read_configuration("pyproject.toml")["project"]["dependencies"]
     return [*build_meta.get_requires_for_build_wheel(config_settings), *dependencies]
 

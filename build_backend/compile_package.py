@@ -13,7 +13,7 @@ from capsule_gym.network import rollout
 from capsule_gym.objects import LEVELS
 from capsule_gym.task import TASKS
 
-# What an earlier build has left.
+# Left by an earlier build.
 shutil.rmtree(compilation.SHIPPED, ignore_errors=True)
 compilation.SHIPPED.mkdir()
 compilation.shipping = tuple(LEVELS)

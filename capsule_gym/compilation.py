@@ -1,4 +1,4 @@
-"""How plain functions become compiled ones, and where their machine code is kept.
+"""Compilation of plain functions, and the cache of their machine code.
 
 The functions of the step are ordinary Python, which decorators of this module mark for the compiler. `compile_entry`
 looks for the machine code of one among those that came with the package and those that this machine has compiled
@@ -158,7 +158,7 @@ def fingerprint(function: Callable[..., Any]) -> str | None:
             add(free, cell.cell_contents, names)
 
     def add(name: str, value: Any, names: set[str]) -> None:
-        # What numba has compiled, and what its own decorator of intrinsics has made.
+        # Functions that numba has compiled, and intrinsics.
         if hasattr(value, "py_func") and hasattr(value, "targetoptions"):
             put(sorted(value.targetoptions.items()))
         value = getattr(value, "py_func", getattr(value, "_defn", value))

@@ -125,7 +125,7 @@ def lower(function: Callable[..., Any], signature: Any, bindings: dict[str, Any]
     source = rebound(function, own)
     # numba's exceptions contain the path of the source, which differs between builds.
     source.__code__ = source.__code__.replace(co_filename=Path(source.__code__.co_filename).name)
-    # What is compiled here owns no memory, and so counts no references.
+    # The functions compiled here own no memory: reference counts are left out.
     dispatcher = numba.njit(source, _nrt=False, **OPTIONS, **NO_WRAPPERS)
     try:
         with _scalar():
@@ -200,7 +200,7 @@ def _python_function(result: Any) -> ir.Module:
         return builder.load(builder.bitcast(builder.gep(value, [_WORD(offset)]), kind.as_pointer()))
 
     def constant(n: int) -> Any:
-        """What `objects.load` keeps at place n."""
+        """The entry n of the table that `objects.load` fills."""
         return call("PyTuple_GetItem", _POINTER, itself, _WORD(n))
 
     def fail(condition: Any, n: int) -> None:
@@ -289,7 +289,7 @@ def compile_cached(function: Callable[..., Any]) -> Any:
 
 
 def compile_allocating(function: Callable[..., Any], signature: str, what: str) -> Any:
-    """What Python calls of a function that allocates memory or returns several numbers; see `compile_entry`."""
+    """The Python entry of a function that allocates memory or returns several numbers; see `compile_entry`."""
     compiled = _dispatcher(function, what)
     folder = compiled.stats.cache_path
     with locked(Path(folder, f"{compiled.py_func.__name__}.lock")) if folder else nullcontext():

@@ -128,7 +128,7 @@ def is_own(controller: str | None) -> bool:
 
 
 def _hidden_baselines(controller: str) -> str:
-    """What to do where an import string names a law of this package, but `baselines` is another one; "" otherwise."""
+    """Advice where an import string names a law of this package, but `baselines` is another package; "" otherwise."""
     module = sys.modules.get("baselines")
     if not is_own(controller) or module is None or hasattr(module, "LAWS"):
         return ""

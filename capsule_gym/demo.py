@@ -138,7 +138,7 @@ class PlantArgs:
     """Friction coefficient, instead of the set's."""
 
     def settings(self) -> dict[str, Any]:
-        """What the episodes of the set have in common, as `Episode` takes it."""
+        """The arguments of `Episode` that the episodes of the set share."""
         return load_set(self.set).env_kwargs
 
     def plants(self) -> tuple[PlantSpec, ...]:

@@ -1,6 +1,6 @@
-"""What sensors, motor and floor do to an ideal plant, compiled; `kernels.step` calls it where plants are varied.
+"""Disturbances of sensors, motor and platform, compiled; `kernels.step` calls them where plants are varied.
 
-`parameters.Disturbances` says what there is. The history, the last `StepSettings.history` states of each environment
+`parameters.Disturbances` documents them. The history, the last `StepSettings.history` states of each environment
 as (theta, theta_dot, x_dot), ends a block of `world`. The random numbers are hashes of the episode's key and a counter
 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014), so that a reading is the same alone and
 in a batch.
@@ -16,11 +16,11 @@ from capsule_gym.compilation import inlined
 from capsule_gym.elementary import ROUNDING, bits, decay, normals, scramble, sincos, uniforms
 from capsule_gym.layout import AT, HALTED, HISTORY_ROWS, LANES, StepSettings, load, store
 
-# The same 52 lowest bits as the whole number that is added has.
+# Added to a whole number: the lowest 52 bits of the sum are those of the number.
 WHOLE = 2.0**52
-# The odd number nearest to 2^64 over the golden ratio; words that a reading may take, and what sets the pushes apart.
+# The odd number nearest to 2^64 over the golden ratio; random words of a reading; the factor of the pushes' counter.
 _GOLDEN, _WORDS, _PUSHES = np.uint64(0x9E3779B97F4A7C15), np.uint64(8), np.uint64(0x5851F42D4C957F2D)
-# How long a push acts in every second, s, and what the duration's rounding may lack.
+# Duration of the push in every second, and tolerance of the episode's time, s.
 PUSH_TIME, ROUNDING_OF_TIME = 0.1, 1e-9
 
 
@@ -39,14 +39,14 @@ def rounded(value: float, resolution: float) -> float:
 
 @inlined
 def time_between_readings(settings: StepSettings) -> float:
-    """In s: the period of the law, or where there is none the agent's step."""
+    """The time between readings, s: the period of the law, or without a law the agent's step."""
     period = settings.physics_steps * settings.physics_dt
     return period if settings.with_reference else period * settings.law_steps
 
 
 @inlined
 def begin(block: np.ndarray, n: int, settings: StepSettings) -> None:
-    """Gives what an episode has drawn to the plants of the environments that begin one, and fills their history."""
+    """Sets the drawn constants of the plants that begin an episode, and fills their history."""
     past = block.size - HISTORY_ROWS * LANES * settings.history
     period, pause = settings.physics_steps * settings.physics_dt, time_between_readings(settings)
     for j in range(n):
@@ -68,7 +68,7 @@ def begin(block: np.ndarray, n: int, settings: StepSettings) -> None:
         block[AT.delay + j] = (block[AT.latency + j] / period + ROUNDING) - ROUNDING
         block[AT.drift_share + j] = decay(pause / block[AT.drift_time + j])
         block[AT.motor_share + j] = 1.0 - decay(period / lag) if lag > 0.0 else 1.0
-        # A drift that has gone on for ever.
+        # The drift begins in its stationary distribution.
         key = block[AT.key + j]
         first, second = normals(word_of(key, 0.0, np.uint64(6)))
         third, _ = normals(word_of(key, 0.0, np.uint64(7)))
@@ -160,7 +160,7 @@ def read_sensors(block: np.ndarray, n: int, settings: StepSettings) -> None:
 
 @inlined
 def measure(block: np.ndarray, n: int, settings: StepSettings, begins: bool, last: bool) -> None:
-    """Lets the sensors read where law or agent ask for it, and puts the readings where the law looks for the state.
+    """Reads the sensors where law or agent need it, and replaces the state by the reading for the law.
 
     `begins`: whether episodes begin, whose history `begin` has filled; `last`: whether the step of the agent ends.
     """
@@ -176,7 +176,7 @@ def measure(block: np.ndarray, n: int, settings: StepSettings, begins: bool, las
 
 @inlined
 def restore_state(block: np.ndarray, n: int, settings: StepSettings) -> None:
-    """Puts the state back in its place, after a call of the law."""
+    """Restores the state after a call of the law."""
     if settings.law_reads:
         for j in range(n):
             store(block, AT.theta + j, LANES, load(block, AT.true_theta + j, LANES, 4))

@@ -243,7 +243,7 @@ def runge_kutta(
 def boundary(
     theta: float, theta_dot: float, x_dot: float, x_ddot: float, slip: float, u: float, p: Plant
 ) -> tuple[float, float]:
-    """What must stay positive for the phase to last, and its time derivative: m/s in slip, N in stick."""
+    """The quantity that stays positive while the phase lasts, and its time derivative: m/s in slip, N in stick."""
     if slip == 0.0:
         return stick_margin(theta, theta_dot, u, p)[0], stick_margin_rate(theta, theta_dot, u, p)
     return slip * x_dot, slip * x_ddot

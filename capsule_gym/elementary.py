@@ -207,7 +207,7 @@ def decay(x: float) -> float:
 def tanh(x: float) -> float:
     """The hyperbolic tangent, within 4.3e-16 of the exact value relative to it."""
     size = abs(x)
-    # What is no number stays none.
+    # NaN stays NaN.
     size = FLAT if size > FLAT else size
     scale, rest = _exponential(-2.0 * size)
     # exp(-2 |x|) - 1

@@ -22,13 +22,13 @@ from capsule_gym.simulation import Simulation, check_seed
 
 Value = TypeVar("Value")
 RESET_OPTIONS = ("M", "mu", "state", "changes", "capsule", "disturbances")
-# Looking the rows of an info up in `Row` at every step takes a tenth of it.
+# Constants: looking them up in `Row` takes a tenth of a step.
 _STATE, _X_DOT, _REWARD, _TERMINATION = slice(Row.theta, Row.M), Row.x_dot, Row.reward, Row.termination
 _M, _MU, _TORQUE, _LAW_TORQUE, _NORMAL_FORCE, _ENERGY, _PROGRESS, _ENERGY_COST, _FAILURE = Row[Row.M : Row.reward]
 _FIRST = np.zeros(1, np.int64)
-# Of what a task shows, the places on the floor, m: pictures mark them.
+# Entries of a task's info that are places on the floor, m; renderings mark them.
 _PLACES = ("goal", "target")
-# What a copy of an environment does not take over.
+# Attributes that a copy of an environment does not take over.
 _VIEWS = ("_rows", "_state", "_memory", "_reading", "_drawn", "_observation", "_step", "_renderer")
 
 
@@ -189,7 +189,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         self._bind()
 
     def __getstate__(self) -> dict[str, Any]:
-        """The episode, with which a copy goes on, without the window."""
+        """The state of the episode, without the window."""
         return {name: value for name, value in vars(self).items() if name not in _VIEWS}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -200,10 +200,10 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         """Makes views of the only environment: finding them takes a good part of a step."""
         self._rows = self.simulation.world[0, : Row.steps, 0]
         self._state = self._rows[_STATE]
-        # Of another task than speed, what `info` shows besides.
+        # Further entries of `info` in tasks other than speed.
         memory = self.simulation.world[0, self.simulation.task_row :, 0]
         self._memory = None if self.simulation.task is SPEED else memory
-        # Of varied plants, what it shows besides.
+        # Further entries of `info` for varied plants.
         self._reading = self.simulation.world[0, Row.read_theta : Row.true_theta, 0]
         self._bind_drawn()
         self._observation = self.simulation.observations[0]
@@ -290,7 +290,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         return info
 
     def _bind_drawn(self) -> None:
-        """Keeps what the episode has drawn: copies of dicts take less than those of arrays."""
+        """Keeps the drawn values of the episode as dicts, which are copied faster than arrays."""
         drawn = self.simulation.world[0, Row.drawn_m : Row.key, 0]
         self._drawn = name_drawn(drawn.tolist()) if self.simulation.settings.history else ()
 
@@ -366,7 +366,7 @@ def describe(values: Any, state: np.ndarray, termination: Any) -> dict[str, Any]
 
 
 def add_task(info: dict[str, Any], own: task.Task, memory: Any) -> None:
-    """Makes an info from `describe` that of another task than speed, with its memory: a list, or the rows of a batch."""
+    """Adds the entries of a task other than speed to an info; `memory` is a list, or the rows of a batch."""
     info[own.term] = info.pop("reward_progress")
     for name, place in own.places:
         info[name] = memory[place]

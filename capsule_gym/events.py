@@ -1,4 +1,4 @@
-"""Substeps in which something happens, compiled: the platform sticks or slips, or the episode ends.
+"""Substeps with an event, compiled: the platform sticks or slips, or the episode ends.
 
 `kernels.step_smooth` marks the environments. Most of them come to rest once and go on: these are taken through the
 substep several at once, the others one by one. Both ways give the same bits.
@@ -39,7 +39,7 @@ DIVERGED = int(task.Termination.diverged)
 
 @inlined
 def handle_events(block: np.ndarray, n: int, plant: Plant, h: float, elapsed: float) -> int:
-    """Takes the environments that are marked through a substep.
+    """Takes the marked environments through a substep.
 
     Args:
         block: one block of `world`; changed.
@@ -85,7 +85,7 @@ def pass_events(block: np.ndarray, count: int, plant: Plant, h: float) -> int:
         store(block, EVENTS + e, LANES, (float(j), *state, *acting, *own, *end))
         if plant.extended >= VARIED:
             store(block, EVENT_PLANTS + e, LANES, load(block, AT.m + j, LANES, PLANT_ROWS))
-    # Whole vectors: what lies behind the last environment is computed as well, and ignored.
+    # Whole vectors: lanes behind the last environment are computed and ignored.
     for e in range((count + VECTOR - 1) // VECTOR * VECTOR):
         event = Event(*load(block, EVENTS + e, LANES, EVENT_ROWS))
         p = Plant(event.M, event.mu, event.mass_ratio, *plant[3:])
@@ -123,7 +123,7 @@ def add_motion(block: np.ndarray, j: int, motion: contact.Motion) -> None:
 
 @jitable
 def step_with_events(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) -> int:
-    """Takes one environment through a substep in which something happens; returns by how many more stick afterwards."""
+    """Takes one environment through a substep with an event; returns by how many more stick afterwards."""
     p = plant_of(block, j, plant)
     torque = block[AT.torque + j]
     theta, theta_dot, x, x_dot = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x + j], block[AT.x_dot + j]
@@ -137,7 +137,7 @@ def step_with_events(block: np.ndarray, j: int, plant: Plant, h: float, elapsed:
     motion = contact.event_step(start, whole)
     whole_motion = motion.theta + motion.x + motion.swept + motion.normal_force
     if not (task.bounded(motion.theta_dot, motion.x_dot) and math.isfinite(whole_motion)):
-        # The substep is none: the environment stays where that has begun.
+        # The substep is discarded: the environment keeps the state at its start.
         normal = dynamics.accelerations(theta, theta_dot, x_dot, slip, torque, p)[2]
         block[AT.normal_force + j] = min(block[AT.normal_force + j], normal)
         block[AT.termination + j] = DIVERGED

@@ -51,17 +51,18 @@ def no_law(
     return 0.0, memory
 
 
-# In the place of a phase of contact: at rest under a torque that is new.
+# Stands for the phase of a platform at rest until `step_smooth` has found it.
 AT_REST = 2.0
 
 # A table for a task without a law.
 NO_REFERENCE = np.zeros((1, 2))
 
-# `build` gives these the values of a law. A row is a line of the reference and, if the law reads it, the task's memory.
+# `build` replaces these by the values of a law. A row is a line of the reference and, if the law reads it, the task's
+# memory.
 law: Callable[..., Any] = no_law
 MEMORY_SIZE = 1
 REFERENCE_SIZE = ROW_SIZE = NO_REFERENCE.shape[1]
-# `build_advance` gives these the values of a plant and of a task.
+# `build_advance` replaces these by the values of a plant and of a task.
 PIVOT_TORQUE_ON_CONTACT = EXTENDED = 0.0
 begin_task, reward, observe_task = speed.begin, speed.reward, speed.observe
 TaskMemory = speed.Memory
@@ -112,7 +113,7 @@ def apply_torque(block: np.ndarray, n: int, plant: Plant, settings: StepSettings
 
 @inlined
 def step_smooth(block: np.ndarray, n: int, plant: Plant, h: float, may_stick: bool) -> int:
-    """Takes every environment to which nothing happens through one substep, and marks the others.
+    """Takes every environment without an event through one substep, and marks the others.
 
     Returns:
         How many environments stick at its start.
@@ -190,7 +191,7 @@ def hold_varied(block: np.ndarray, n: int, plant: Plant, settings: StepSettings)
         hold_torque(block, n, plant, settings)
 
 
-# `step_of` gives this the value for varied plants. A branch in `step` would double what has to be compiled for others.
+# `step_of` replaces this for varied plants: a branch in `step` would double the code that is compiled for others.
 hold = hold_torque
 
 
@@ -211,8 +212,8 @@ def evaluate_law(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, torqu
         for j in range(n):
             clock = block[AT.clock + j] + (tick if block[AT.halt + j] != HALTED else 0.0)
             block[AT.clock + j] = clock if clock < cycle else 0.0
-        # Environments that began together read the same line of the reference; where they read different ones, no
-        # compiler vectorises the loop, which is therefore one of its own.
+        # Environments that began together read the same line of the reference. The loop over different lines is not
+        # vectorised, and therefore separate.
         first, others = block[AT.clock], 0
         for j in range(n):
             others += block[AT.clock + j] != first
@@ -225,7 +226,7 @@ def evaluate_law(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, torqu
                 line = load(fixed, CONSTANTS + np.int64(block[AT.clock + j]) * REFERENCE_SIZE, 1, REFERENCE_SIZE)
                 store(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, line)
     for j in range(n):
-        # The task's memory lies behind the line.
+        # The task's memory follows the line.
         row = load(block, MEMORY + MEMORY_SIZE * LANES + j, LANES, ROW_SIZE)
         memory = load(block, MEMORY + j, LANES, MEMORY_SIZE)
         torque, renewed = law(
@@ -244,7 +245,7 @@ def evaluate_law(block: np.ndarray, n: int, fixed: np.ndarray, cycle: int, torqu
         block[AT.halt + j] = UNDER_WAY if halt == UNDER_WAY and clipped == clipped else HALTED
 
 
-# What compiled functions take, as numba writes it: `evaluate_law` and `advance`.
+# numba signatures of `evaluate_law` and `advance`.
 LAW_SIGNATURE = "void(float64[::1], int64, float64[::1], int64, float64, float64)"
 SIGNATURE = "int64(float64[:, ::1], int64, int64, boolean, float64[::1], float32[:, ::1])"
 
@@ -363,7 +364,7 @@ def observe(
     entries = observations.shape[1] // settings.stack_size
     for j in range(n):
         if block[AT.active + j] != 0.0:
-            # The observations before move on; those before an episode are its first.
+            # Shifts the stacked observations; at the start of an episode all of them are the first.
             for entry in range(observations.shape[1] - 1, entries - 1, -1):
                 observations[j, entry] = observations[j, entry - entries]
             state = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x_dot + j]
@@ -413,7 +414,7 @@ def step(
         observations: of the block's environments; written.
     """
     cycle = (fixed.size - CONSTANTS) // settings.reference_size
-    # Of the task's memory.
+    # The end of the task's memory.
     end = block.size - HISTORY_ROWS * settings.history * LANES
     # Whole vectors: environments behind the last one are inactive. LLVM interleaves only where it knows the bound.
     width = n if n == 1 else min((n + VECTOR - 1) // VECTOR * VECTOR, LANES)
@@ -430,7 +431,7 @@ def step(
         if not begin:
             hold(block, width, plant, settings)
         if plant.extended == VARIED:
-            # The sensors show a state of the past, with errors, to the law and to the agent.
+            # Law and agent observe a past state with sensor errors.
             disturbances.measure(block, n, settings, begin, tick + 1 == settings.law_steps)
         # `evaluate_law`: the torque until the next call.
         call_law(block, n, fixed, cycle, settings.torque_limit, 0.0 if begin else 1.0)
@@ -443,7 +444,7 @@ def step(
 
 
 def advance(world: np.ndarray, first: int, last: int, begin: bool, fixed: np.ndarray, observations: np.ndarray) -> int:
-    """`step` of the environments first..last-1 that `Row.active` names; the others stand still.
+    """`step` of the environments first..last-1 that `Row.active` names; the others do not change.
 
     Args:
         world: shape (blocks, rows LANES), float64, with the rows of `settings.count_rows`; changed.

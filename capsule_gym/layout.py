@@ -25,9 +25,9 @@ VECTOR = 8
 
 
 class Quantities(NamedTuple):
-    """A whole number for each quantity of one environment in `world`, in their order there."""
+    """The index of each quantity of one environment in `world`."""
 
-    # What `info` shows, under these names.
+    # Shown in `info` under these names.
     theta: int
     theta_dot: int
     x: int
@@ -41,11 +41,11 @@ class Quantities(NamedTuple):
     reward_progress: int
     reward_energy: int
     reward_termination: int
-    # How the agent step has ended.
+    # The result of the agent step.
     reward: int
     termination: int
     steps: int
-    # The episode's, down to `largest_theta_dot`.
+    # Sums and extreme values of the episode, down to `largest_theta_dot`.
     start_x: int
     duration: int
     episode_energy: int
@@ -70,7 +70,7 @@ class Quantities(NamedTuple):
     before_x: int
     slip: int
     eventful: int
-    # What `dynamics.smooth_step` returned for the present substep.
+    # The result of `dynamics.smooth_step` for the present substep.
     next_theta: int
     next_theta_dot: int
     next_x: int
@@ -95,7 +95,7 @@ class Quantities(NamedTuple):
     stribeck_rate: int
     total_motor_friction: int
     push_force: int
-    # What the episode has drawn: `CONSTANTS`,
+    # Drawn by the episode: `CONSTANTS`,
     drawn_m: int
     drawn_l: int
     drawn_g: int
@@ -128,7 +128,7 @@ class Quantities(NamedTuple):
     push: int
     # and the key of its noise.
     key: int
-    # What follows from them: the latency in periods, and what a period leaves of the drift and lets the motor follow.
+    # Derived: the latency in periods, and the shares of drift and of motor lag after one period.
     delay: int
     drift_share: int
     motor_share: int
@@ -150,23 +150,23 @@ class Quantities(NamedTuple):
     read_theta_dot: int
     read_x: int
     read_x_dot: int
-    # The state itself, while the law is called with the reading in its place.
+    # The true state, while the reading replaces it for the law.
     true_theta: int
     true_theta_dot: int
     true_x: int
     true_x_dot: int
 
 
-# Constants of a plant from m on.
+# Number of the plant's constants from m on.
 PLANT_ROWS = len(Plant._fields) - 5
-# Each quantity's row of a block, and where that begins in the block's memory. numba takes plain integers in a tuple for
-# constants, the members of an enumeration not.
+# The row of each quantity in a block, and the offset of that row. numba treats plain integers in a tuple as constants,
+# members of an enumeration not.
 Row = Quantities(*range(len(Quantities._fields)))
 AT = Quantities(*(LANES * row for row in Row))
 
 
 class Event(NamedTuple):
-    """An environment to which something happens in a substep: its place in the block, and quantities of `Row`."""
+    """An environment with an event in a substep: its place in the block, and quantities of `Row`."""
 
     place: float
     theta: float
@@ -188,14 +188,14 @@ class Event(NamedTuple):
     least_normal_force: float
 
 
-# Where `capsule_gym.events` puts these environments side by side, then the constants of their plants where those vary.
+# Offsets at which `capsule_gym.events` stores these environments, and the constants of their plants if these vary.
 EVENTS = LANES * len(Row)
 EVENT_ROWS = len(Event._fields)
 EVENT_PLANTS = EVENTS + EVENT_ROWS * LANES
 ROWS = len(Row) + EVENT_ROWS + PLANT_ROWS
-# Rows of a state in the history.
+# Number of rows of a state in the history.
 HISTORY_ROWS = 3
-# Where the law's memory begins; its line of the reference follows, and the task's memory.
+# Offset of the law's memory; its line of the reference follows, then the task's memory.
 MEMORY = ROWS * LANES
 # The values of `Row.halt`: under way; stopped in the present substep, with one call of the law left; and halted.
 UNDER_WAY, ENDING, HALTED = 0.0, 1.0, 2.0
@@ -217,8 +217,8 @@ class StepSettings(NamedTuple):
     # Columns of the controller's table.
     reference_size: int
     stack_size: int = 1
-    # Of disturbances: states that are remembered, who sees the sensors, which of them there are, and the measured
-    # velocity up to which the observation says that the platform sticks.
+    # Disturbances: number of states in the history, whether law and agent observe the sensors, the sensors that exist,
+    # and the measured velocity up to which the observation's `stick` is 1.
     history: int = 0
     law_reads: bool = False
     agent_reads: bool = False
@@ -233,13 +233,13 @@ def pack(plant: Plant, settings: StepSettings, reference: np.ndarray, law: int =
 
     Numbers in a tuple, and every array more, would take longer to enter compiled code than a substep takes.
     """
-    # Named, since numpy makes objects of integers that fit none of its own: to the kernel these would be addresses.
+    # With an explicit dtype: numpy makes objects of larger integers, which the kernel would read as addresses.
     constants = np.array([*plant, *settings, 0.0], np.float64)
     constants.view(np.int64)[LAW] = law
     return np.concatenate([constants, reference.ravel()], dtype=np.float64)
 
 
-# Where `pack` begins with the settings, with the bits of the law's address, and with the controller's table.
+# Offsets in the array of `pack`: the settings, the bits of the law's address, and the controller's table.
 SETTINGS = len(Plant._fields)
 LAW = SETTINGS + len(StepSettings._fields)
 CONSTANTS = LAW + 1
@@ -338,7 +338,7 @@ def record(array: np.ndarray, start: int, kind: Any) -> Any:
 
 @jitable
 def unpack(fixed: np.ndarray, pivot_torque_on_contact: float, extended: float) -> tuple[Plant, StepSettings]:
-    """Plant and settings out of what `pack` has packed, but for the constants that the compiler is to know."""
+    """Plant and settings from an array of `pack`, with two fields that are constants of the compiler."""
     plant = record(fixed, 0, Plant)
     plant = Plant(plant.M, plant.mu, plant.mass_ratio, pivot_torque_on_contact, extended, *plant[5:])
     return plant, record(fixed, SETTINGS, StepSettings)

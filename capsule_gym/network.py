@@ -37,7 +37,7 @@ Layer = tuple[np.ndarray, np.ndarray]
 
 
 class Header(NamedTuple):
-    """What a packed network begins with; SI units."""
+    """The header of a packed network; SI units."""
 
     layers: int  # how many
     relu: bool  # whether max(0, .) follows the hidden layers, else tanh
@@ -340,7 +340,7 @@ def run_episodes(
                 going += active
             actions = lanes[act_lanes(network, observations, start, n, memory, inputs, lanes)]
             for j in range(n):
-                # As coarse as an action that is handed to the environment.
+                # Rounded to float32 like an action of the environment.
                 block[AT.action + j] = np.float32(actions[j])
             for k in range(len(changes)):
                 j = int(changes[k, 0]) - start
@@ -349,7 +349,7 @@ def run_episodes(
             broken = kernels.call_advance(advance, world, start, start + n, False, fixed, observations)
             if broken >= 0:
                 return broken
-            # One step more than they need: it leaves what a loop in Python leaves.
+            # One more step than needed, after which the state is that of a loop in Python.
             if going == 0:
                 break
     return -1

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import llvmlite.binding as llvm
 import numpy as np
 
-# What has the compiler use the whole width of the registers.
+# Marks functions for which the compiler uses the whole width of the registers.
 WIDEST_VECTORS = '"prefer-vector-width"="512"'
-# What has the compiler take two vectors at a time.
+# Marks functions whose loops take two vectors at a time.
 INTERLEAVED = '"interleaved"'
 # The names of what an object file exports: the function, in numba's calling convention, and what Python calls.
 FUNCTION, PYTHON_FUNCTION = "function", "python_function"
@@ -111,7 +111,7 @@ class _MethodDefinition(ctypes.Structure):
 
 # Arguments come as an array of objects and their number.
 _METH_FASTCALL = 0x80
-# What the functions of an object file call of the interpreter.
+# Functions of the interpreter that an object file calls.
 _PYTHON_API = (
     "PyErr_Occurred",
     "PyErr_SetObject",

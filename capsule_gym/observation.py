@@ -104,7 +104,7 @@ def write_observation(
 
 
 # Identification of M and mu: see `identify`.
-# Before anything is seen, M in kg and log(mu): a little wider than `randomization="wide"`.
+# Prior of M in kg and log(mu): a little wider than `randomization="wide"`.
 PRIOR_M, PRIOR_LOG_MU = 0.55, -3.25
 DEVIATION_M, DEVIATION_LOG_MU = 0.2, 1.5
 # The estimates' range.
@@ -113,7 +113,7 @@ LOW_M, HIGH_M, LOW_LOG_MU, HIGH_LOG_MU = 0.15, 2.0, -7.0, 0.0
 NOISE = 1e-3
 # Gauss-Newton steps for a pair, what is left of the information after it, and the deviations at which it contradicts.
 ITERATIONS, RETAINED, DOUBT = 3, 0.95, 5.0
-# m/s; slower, the platform may have stuck in between.
+# m/s: below this speed the platform may have stuck in between.
 SLOWEST = 0.02
 
 # Cells of the memory: 1.0 once begun; M, log(mu) and their covariance; cos(theta) theta', sin(theta) theta' and x' of
@@ -179,7 +179,7 @@ def identify(
             M = min(HIGH_M, max(LOW_M, before_M + gain_M * surprise))
             log_mu = min(HIGH_LOG_MU, max(LOW_LOG_MU, before_log_mu + gain_f * surprise))
         P_MM, P_Mf, P_ff = P_MM - gain_M * to_M, P_Mf - gain_M * to_f, P_ff - gain_f * to_f
-        # Never less certain than before anything was seen.
+        # Never less certain than the prior.
         fading = max(RETAINED, P_MM / (DEVIATION_M * DEVIATION_M), P_ff / (DEVIATION_LOG_MU * DEVIATION_LOG_MU))
         P_MM, P_Mf, P_ff = P_MM / fading, P_Mf / fading, P_ff / fading
     return begun, M, log_mu, P_MM, P_Mf, P_ff, across, along, x_dot
@@ -187,6 +187,6 @@ def identify(
 
 @inlined
 def estimates(memory: Memory) -> tuple[float, float, float, float]:
-    """What `ESTIMATES` names."""
+    """The estimates that `ESTIMATES` names."""
     _, M, log_mu, P_MM, _, P_ff, _, _, _ = memory
     return M, log_mu, math.sqrt(max(0.0, P_MM)), math.sqrt(max(0.0, P_ff))

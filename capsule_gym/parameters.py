@@ -169,7 +169,7 @@ class Capsule:
         """
         mu *= max(1.0, self.backward_ratio)
         share = self.m / (M + self.m)
-        # What a platform that slips leaves of the inertia at the worst angle; Painleve's condition keeps it positive.
+        # The share of the inertia that remains in slip at the worst angle; Painleve's condition keeps it positive.
         inertia = self.m * self.l * self.l * (1.0 - share * (1.0 + math.sqrt(1.0 + mu * mu)) / 2.0)
         if inertia <= 0.0:  # by rounding
             return math.inf
@@ -232,7 +232,7 @@ def _check_pair(name: str, value: Any, accepted: str, check: Callable[..., float
     return low, high
 
 
-# What the package's own exponential can take.
+# Limit of `elementary.exp`.
 LARGEST_RATIO = 1e300
 # The constants that a `Randomization` draws besides M and mu, in the order of their draws.
 CONSTANTS = (
@@ -509,4 +509,4 @@ REAL = Disturbances(
     lag=0.005,
     motor_friction=0.05,
 )
-"""What `disturbances="real"` is: cheap sensors, and the latency of a bus or a camera."""
+"""The disturbances of `disturbances="real"`: cheap sensors, and the latency of a bus or a camera."""

@@ -46,13 +46,13 @@ if TYPE_CHECKING:
     from capsule_gym.network import Layer
 
 POLICY = "policy.safetensors"
-# A wheel carries the pretrained policies in the package; in a checkout they lie with the training commands.
+# The folder of the pretrained policies: in a wheel part of the package, in a checkout beside the training commands.
 FOLDERS = (Path(__file__).with_name("checkpoints"), Path(__file__).parents[1] / "agents" / "checkpoints")
 FORMAT, FORMAT_VERSION = "capsule_gym policy", "2"
 # The entries of a file's metadata that are text as it is, and those that are JSON; `Policy` checks the values.
 TEXTS = ("algorithm", "activation", "squashing", "output", "revision")
 VALUES = ("identifies", "told_energy_weight", "clip", "epsilon", "env_kwargs", "training_seed")
-# The algorithm whose policies copy others, and learn from no reward.
+# The algorithm of policies that imitate others, without a reward.
 IMITATION = "dagger"
 CHOICES: dict[str, tuple[Any, ...]] = {
     **{"activation": ("tanh", "relu"), "squashing": ("clip", "tanh"), "output": ("action", "torque")},
@@ -60,9 +60,9 @@ CHOICES: dict[str, tuple[Any, ...]] = {
 }
 # No float32 weights give a sum beyond float64 in so many layers of so many units, and no finite observation a NaN.
 MOST_LAYERS, MOST_UNITS, LARGEST_CLIP = 6, 1024, 1e6
-# Nothing larger is read, bytes: more than the layers above can fill, many times what a policy takes.
+# Largest file that is read, bytes: more than the layers above can fill, many times what a policy takes.
 LARGEST_FILE = 32 * 2**20
-# The options of the environment that change what a policy meets.
+# The options of the environment that change the task of a policy.
 ENV_ARGUMENTS = tuple(each.name for each in fields(EnvConfig) if each.name not in ("threads", "render_mode"))
 
 
@@ -141,7 +141,7 @@ class Policy:
     _network: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        # With it comes LLVM, which takes time to import; the names of policies need none of it.
+        # Imported here: LLVM, which takes time, is not needed for the names of policies.
         from capsule_gym import network
 
         for name, choices in CHOICES.items():

@@ -239,7 +239,7 @@ class Renderer:
             self._pygame.display.quit()
 
     def _draw_background(self, M: float, mu: float, note: str) -> Any:
-        """What stays from frame to frame: title and plant, the names of the figures, and the note."""
+        """Draws the static part of the frames: title, plant, labels and note."""
         self._box(0, 0, WIDTH, HEIGHT, WHITE)
         for column, (label, _, unit) in enumerate(FIGURES):
             left = COLUMN * column

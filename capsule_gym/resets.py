@@ -1,4 +1,4 @@
-"""How an episode begins: what is drawn for it, and the first values of all that an environment holds, compiled."""
+"""The start of an episode: random draws and initial values of all quantities, compiled."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from capsule_gym.task import Draw
 
 
 class Stream(IntEnum):
-    """The purposes that random numbers are drawn for: one stream each, so that none shifts another."""
+    """The purposes of random numbers. Each has its own stream, so that draws for one do not shift another."""
 
     parameters = 0
     initial_state = 1
@@ -29,7 +29,7 @@ WORD = 2**64
 
 
 def make_key(seed: int) -> tuple[int, int]:
-    """The two words that a seed, any integer >= 0, is to the generator."""
+    """The key of the generator, two words, for a seed, any integer >= 0."""
     return seed % WORD, (seed >> 64) % WORD
 
 
@@ -88,7 +88,7 @@ def draw_two(key_0: np.uint64, key_1: np.uint64, stream: np.uint64, episode: np.
 
 
 def plant_ranges(randomization: Randomization, capsule: Capsule) -> np.ndarray:
-    """Where M (kg) and mu begin and how much they grow, in pairs, and how much log(mu) grows; float64, shape (5,)."""
+    """Lower ends and widths of the ranges of M (kg) and mu, in pairs, and the width of that of log(mu); float64, shape (5,)."""
     M, mu = randomization.M or (capsule.M, capsule.M), randomization.mu or (capsule.mu, capsule.mu)
     growth_of_log = log(mu[1] / mu[0]) if randomization.mu and randomization.log_mu else 0.0
     return np.array([M[0], M[1] - M[0], mu[0], mu[1] - mu[0], growth_of_log])
@@ -120,7 +120,7 @@ def draw_plant(randomization: Randomization, capsule: Capsule, rng: np.random.Ge
 def draw(
     ranges: np.ndarray, start: np.ndarray, rows: np.ndarray, keys: np.ndarray, episodes: np.ndarray, starts: np.ndarray
 ) -> None:
-    """Draws how the next episodes of some environments start.
+    """Draws the initial states and the plants of the next episodes of some environments.
 
     Args:
         ranges: from `plant_ranges`.
@@ -149,7 +149,7 @@ def draw(
 
 
 def draw_table(first: int, stream: Stream, draws: Sequence[Draw]) -> np.ndarray:
-    """What `draw_rows` reads: a line for each number that an episode draws from a stream, in their order.
+    """The table that `draw_rows` reads: a line for each number that an episode draws from a stream, in their order.
 
     Returns:
         Float64 of shape (n, 6): the row of the world, from `first` on, the stream, the number's place in it, its lowest
@@ -161,7 +161,7 @@ def draw_table(first: int, stream: Stream, draws: Sequence[Draw]) -> np.ndarray:
 
 @jitable
 def draw_rows(table: np.ndarray, rows: np.ndarray, keys: np.ndarray, episodes: np.ndarray, values: np.ndarray) -> None:
-    """Draws what else is drawn for the next episodes of some environments; arguments as of `draw`.
+    """Draws the other values of the next episodes of some environments; arguments as of `draw`.
 
     `table` is from `draw_table`; `values`, of shape (lines of the table, n), are written.
     """
@@ -172,7 +172,7 @@ def draw_rows(table: np.ndarray, rows: np.ndarray, keys: np.ndarray, episodes: n
             counter = np.uint64(1 + place // _WORDS)
             share = draw_four(keys[i, 0], keys[i, 1], stream, np.uint64(episodes[i]), counter)[place % _WORDS]
             low, growth, signed = table[k, 3], table[k, 4], table[k, 5] != 0.0
-            # Where the sign is drawn, the two halves of [0, 1) are those of either sign.
+            # Where the sign is drawn, each half of [0, 1) stands for one sign.
             twice = 2.0 * share - 1.0
             values[k, n] = math.copysign(low + growth * abs(twice), twice) if signed else low + growth * share
 
@@ -187,7 +187,7 @@ def renew(
     starts: np.ndarray,
     episodes: np.ndarray,
 ) -> None:
-    """Gives some environments the first values of their next episodes, and leaves the others out of the next step.
+    """Writes the initial values of the next episodes of some environments, and deactivates the others for one step.
 
     Args:
         world: as `kernels.advance` takes it; changed.
@@ -202,7 +202,7 @@ def renew(
         world[b, AT.active : AT.active + LANES] = 0.0
     for n in range(rows.size):
         block, j = world[rows[n] // LANES], rows[n] % LANES
-        # What is varied begins with `disturbances.begin`.
+        # Varied plants begin with `disturbances.begin`.
         block[j : AT.m : LANES] = 0.0
         block[MEMORY + j :: LANES] = 0.0
         for row in range(len(starts)):

@@ -12,7 +12,7 @@ from capsule_gym.parameters import Capsule, Disturbances, Randomization
 DEFAULTS = EnvConfig()
 SPEED = find_task(DEFAULTS.task)
 
-# What acts where no controller does.
+# Stands for a controller where there is none.
 NO_CONTROLLER = Controller("none", kernels.no_law, kernels.NO_REFERENCE)
 # The half of the disc of this radius that lies to the left of the imaginary axis is in the region of stability of the
 # classical Runge-Kutta method (Hairer and Wanner, Solving Ordinary Differential Equations II, Sect. IV.2).
@@ -20,7 +20,7 @@ STABLE = 2.6
 
 
 def divide(name: str, whole: float, part_name: str, part: float) -> int:
-    """How often `part` fits into `whole`; both in seconds.
+    """The whole number of times that `part` fits into `whole`; both in seconds.
 
     Raises:
         ValueError: if it does not fit a whole number of times, or too often.

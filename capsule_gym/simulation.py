@@ -43,7 +43,7 @@ MOST_ENVS = 2**24
 # The arrays of a simulation's episodes, which a copy takes over; what is compiled it binds itself.
 COPIED_ATTRIBUTES = ("world", "observations", "_keys", "_episodes", "_due")
 
-# What a change of the plant within an episode says.
+# Keys of a change of the plant within an episode.
 CHANGE = ("t", "M", "mu")
 
 
@@ -183,7 +183,7 @@ class Simulation:
         self._bind()
 
     def __getstate__(self) -> dict[str, Any]:
-        """What the episodes need to go on: no code, no threads."""
+        """The state of the episodes, without code and threads."""
         names = ("num_envs", "options", "_changes", *COPIED_ATTRIBUTES)
         return {name: getattr(self, name) for name in names}
 
@@ -200,7 +200,7 @@ class Simulation:
         self._take_over(state)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
-        # The very law: a function that returns one need not return the same a second time.
+        # The same controller: a function that returns one may return another the second time.
         twin = memo[id(self)] = type(self)(self.num_envs, replace(self.options, controller=self.controller))
         twin.options = self.options
         twin._take_over(self.__getstate__())
@@ -298,7 +298,7 @@ class Simulation:
                 f"other than 'none', or with a Randomization of constants besides M and mu"
             )
         schedules = [self._schedule(changes[n]) for n in range(len(rows))] if changes is not None else None
-        # Compiled code believes that it is given these.
+        # Compiled code checks neither dtype nor contiguity.
         rows = np.ascontiguousarray(rows, np.int64)
         starts = np.empty((Row.torque, len(rows)))
         try:
@@ -427,7 +427,7 @@ class Simulation:
         capsule: Sequence[Any] | None,
         disturbances: Sequence[Any] | None,
     ) -> np.ndarray:
-        """What the episodes of some environments are given, or else draw; shape (lines of `draw_table`, n)."""
+        """The given or drawn values of the episodes of some environments; shape (lines of `draw_table`, n)."""
         drawn = np.empty((len(self.draw_table), len(rows)))
         resets.compiled_rows()(self.draw_table, rows, self._keys, self._episodes, drawn)
         first = 0
@@ -455,7 +455,7 @@ class Simulation:
         """The smallest and the largest value of a disturbance that an episode may be given."""
         low, high = Disturbances.limits(name)
         if name == "latency":
-            # As far as the history reaches.
+            # The length of the history.
             high = (self.settings.history - 1) * self.settings.physics_steps * self.settings.physics_dt
         return low, high
 

@@ -102,7 +102,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._spec: EnvSpec | None = None
         self._everyone = np.ones(self.num_envs, np.bool_)
         self._everyone.flags.writeable = False
-        # What the running episodes have drawn, as infos hold it, and the count of resets at which it was read.
+        # The drawn values of the running episodes, in the form of infos, and the count of resets at which they were read.
         self._drawn: dict[str, dict[str, np.ndarray]] = {}
         self._drawn_at = 0
         self.closed = False

@@ -26,7 +26,7 @@ Act = Callable[[np.ndarray], np.ndarray]
 
 
 def actor(quality: str) -> Act:
-    """What acts in a batch: observations of shape (n, entries) to actions of shape (n, 1)."""
+    """A policy for a batch: observations of shape (n, entries) to actions of shape (n, 1)."""
     rng = np.random.default_rng(0)
     if quality == "random":
         return lambda observations: rng.uniform(-1.0, 1.0, (len(observations), 1)).astype(np.float32)

@@ -17,11 +17,11 @@ from capsule_gym.compiler import lower
 from web.fused import fused
 
 TRIPLE = "wasm32-unknown-unknown"
-# What every engine has had since 2021.
+# Features of every engine since 2021.
 FEATURES = "+bulk-memory,+mutable-globals,+nontrapping-fptoint,+sign-ext"
 LLVM_TYPES = {types.float64: "double", types.int32: "i32", types.int64: "i64", types.uint64: "i64"}
 
-# What numba takes from a library of its own, for positive, normal numbers.
+# Functions that numba takes from a library of its own, for positive, normal numbers.
 RUNTIME = f"""
 define double @numba_frexp(double %x, ptr %exponent) {{
   %bits = bitcast double %x to i64
@@ -94,7 +94,7 @@ def assemble(module: Any, names: Sequence[str]) -> bytes:
     """
     _hide(module, names)
     built = _machine().emit_object(module)
-    # What only a linker reads goes. Without data all indices in an object are final.
+    # Sections for linkers are removed. Without data all indices in an object are final.
     sections = dict(pair for pair in _sections(built) if pair[0] != CUSTOM)
     if DATA in sections:
         raise RuntimeError("the functions must need no data")

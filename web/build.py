@@ -31,7 +31,7 @@ PLACE = 'const ARCHIVE = "";'
 LINK = '<a id="documentation"'
 PAGE = SOURCES / "page"
 MODULE = "capsule.mjs"
-# What the page draws as `capsule_gym.rendering` does: names of its lengths, and of its colours.
+# Names of lengths and colours that the page shares with `capsule_gym.rendering`.
 LENGTHS = (
     *("ROD", "BALL", "PIVOT", "SHELL_HEIGHT", "SHELL_HALF", "PLATFORM_HALF", "PLATFORM_HEIGHT", "GAUGE"),
     *("SPRING_INNER", "SPRING_OUTER", "SPRING_TURNS"),

@@ -1,4 +1,4 @@
-"""What the JavaScript is given besides the modules: drivers, settings, tables, networks, plants and episodes.
+"""Data for the JavaScript besides the modules: drivers, settings, tables, networks, plants and episodes.
 
 Everything is one archive: the length of a header in four bytes, the header as JSON, and behind it what the header says
 the place of. Arrays of float64 lie there column by column, and of each column first the lowest bytes of all numbers,
@@ -47,7 +47,7 @@ from web.modules import COMMON, DIRECT, ENTRIES, LAWS, STARTS, STEPS, build, fin
 # The smallest mass of the platform with which friction up to the largest is accepted, kg, and the motor's largest
 # friction, N m, the capsule's as that of disturbances.
 LIGHTEST, LARGEST_MOTOR_FRICTION = 0.2, 0.2
-# What is accepted of the other constants.
+# Accepted values of the other constants.
 RANGES = Randomization(
     M=(LIGHTEST, M_BOUND * NOMINAL.M),
     mu=(0.0, MU_BOUND),
@@ -140,7 +140,7 @@ def layout() -> dict[str, Any]:
 
 
 def describe_task(name: str) -> dict[str, Any]:
-    """What an environment has of its task: rows of its memory, what `info` shows of them, and what is drawn there."""
+    """The task of an environment: rows of its memory, those shown in `info`, and those drawn at a reset."""
     own = find_task(name)
     return {
         "memory": own.memory._fields,
@@ -152,7 +152,7 @@ def describe_task(name: str) -> dict[str, Any]:
 
 
 def variation() -> dict[str, Any]:
-    """What a varied plant draws, and what is accepted of it."""
+    """The constants that a varied plant draws, and their accepted values."""
     draws = [task.Draw(0.0, 0.0)] * (len(CONSTANTS) + len(DISTURBANCES)) + [task.Draw(0.0, LARGEST_KEY)]
     limits = {name: Disturbances.limits(name) for name in DISTURBANCES}
     return {
@@ -248,7 +248,7 @@ def describe_policy(name: str, policy: Policy) -> dict[str, Any]:
 
 
 def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
-    """What acts, for the page and for the step; of a trained policy the run with the lowest seed."""
+    """The drivers of page and step; of a trained policy the run with the lowest seed."""
     if is_trained(name):
         described, row = describe_policy(name, load_policy(name)), ROWS.get(name)
         weights = row.energy_weights if isinstance(row, PPOConfig) else None

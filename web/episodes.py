@@ -65,7 +65,7 @@ def env_kwargs(name: str) -> dict[str, Any]:
 
 
 def episodes() -> Iterator[Episode]:
-    """What has a hash: which driver on which plant, and the random actions where there are any."""
+    """An episode with a hash: driver, plant, and random actions where there are any."""
 
     def held(seed: int, scale: float) -> Episode:
         actions = np.random.default_rng(seed).uniform(-scale, scale, ACTIONS).round(4).tolist()
@@ -84,7 +84,7 @@ def episodes() -> Iterator[Episode]:
 
 
 def compute(episode: Episode) -> tuple[int, str]:
-    """How many steps an episode takes, and its hash, by Python's environment."""
+    """The number of steps of an episode and its hash, by Python's environment."""
     name, found = episode["driver"], load_set(episode["set"])
     plant, kwargs = found.plants[episode["plant"]], {**env_kwargs(name), **found.env_kwargs}
     env = capsule_gym.CapsuleEnv(**kwargs)

@@ -113,7 +113,7 @@ def step_entry(task: str, extended: float) -> Entry:
 
 
 def law_entry(law: Controller | None) -> Entry:
-    """What `call_linked_law` calls."""
+    """The function that `call_linked_law` calls."""
     controller = law or NO_CONTROLLER
     columns = controller.reference.shape[1]
     row = columns + (find_task(controller.task).rows if controller.task else 0)
@@ -130,7 +130,7 @@ def law_entry(law: Controller | None) -> Entry:
 
 
 def common_entries() -> list[Entry]:
-    """What the module that all share exports.
+    """The exports of the module that all share.
 
     `renew` gives an environment the first values of an episode, `draw` draws what else it begins with, `act` is one
     action of a policy, `log` the logarithm of the energy weight that it observes, and `gait` one action of a gait with
@@ -169,7 +169,7 @@ def common_entries() -> list[Entry]:
 
 
 def entries_of(name: str) -> list[Entry]:
-    """What the module of that name exports."""
+    """The exports of the module of that name."""
     if name == COMMON:
         return common_entries()
     return [step_entry(*STEPS[name]) if name in STEPS else law_entry(find_law(name))]

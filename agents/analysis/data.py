@@ -25,7 +25,7 @@ Learning = dict[int, tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class Document:
-    """What the analysis writes for a page of the documentation.
+    """The output of the analysis for one page of the documentation.
 
     Attributes:
         sections: Markdown by the name that the page includes it by.
@@ -54,7 +54,7 @@ class Results:
 
     @property
     def criteria(self) -> Criteria:
-        """How they are compared."""
+        """The criteria of the task."""
         return CRITERIA[self.task]
 
     @property

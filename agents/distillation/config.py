@@ -13,7 +13,7 @@ from capsule_gym.parameters import NOMINAL
 
 @dataclass(frozen=True)
 class Student:
-    """What a student observes, the episodes it is trained on, and the size of its training.
+    """The observations of a student, its training episodes, and the size of its training.
 
     Attributes:
         randomization: the distribution of M and mu.

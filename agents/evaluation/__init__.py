@@ -1,1 +1,1 @@
-"""What a policy is worth: frozen sets, episodes, statistics, and the tables they stand in."""
+"""Evaluation of policies: frozen sets, episodes, statistics and tables."""

@@ -1,4 +1,4 @@
-"""What a policy of each task is judged by: a metric, a score, a baseline and a set."""
+"""The criteria of each task: metric, score, baseline and evaluation set."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _OF_TASKS = {metric.name: metric for metric in TASK_METRICS}
 
 @dataclass(frozen=True)
 class Criteria:
-    """How policies of a task are compared.
+    """The criteria by which policies of a task are compared.
 
     Attributes:
         metric: the one that learning curves show.
@@ -43,7 +43,7 @@ class Criteria:
         return self.weights[self.metric.name] < 0.0
 
     def rank(self, value: float, name: str) -> tuple[float, str]:
-        """What policies are sorted by, from the interquartile mean of the metric and the policy's name."""
+        """The sort key of a policy, from the interquartile mean of the metric and the policy's name."""
         return (value if self.ascending else -value), name
 
     def score(self, means: Mapping[str, float]) -> float:

@@ -33,7 +33,7 @@ PACKAGES = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
 
 @dataclass(frozen=True)
 class TableMetric:
-    """How tables show a metric.
+    """The format of a metric in tables.
 
     Attributes:
         name: of the metric, as in results.

@@ -31,7 +31,7 @@ EXTERNAL = "a policy of another project"
 
 
 class Policy(Protocol):
-    """What can be evaluated: scripted policies and trained ones alike."""
+    """Policies that can be evaluated, scripted and trained."""
 
     @property
     def name(self) -> str:

@@ -118,7 +118,7 @@ def _draw_task_set(name: str) -> EvaluationSet:
 
 
 def _constants_at(randomization: Randomization, shares: Sequence[float]) -> dict[str, float]:
-    """What a plant has of the constants that are drawn, at these shares of their ranges."""
+    """The drawn constants of a plant, at these fractions of their ranges."""
     ranges = {constant: getattr(randomization, constant) for constant in randomization.drawn}
     return {n: low + (high - low) * share for (n, (low, high)), share in zip(ranges.items(), shares, strict=True)}
 

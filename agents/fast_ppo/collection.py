@@ -23,7 +23,7 @@ from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.simulation import episode_metrics
 
 DISTURBANCES = np.uint64(Stream.disturbances)
-# What a privileged critic observes besides M and log(mu) where plants are varied.
+# Inputs of a privileged critic besides M and log(mu), for varied plants.
 PRIVILEGED = (
     *(Row.theta, Row.theta_dot, Row.x_dot, Row.motor, Row.latency),
     *(Row.theta_bias, Row.theta_dot_bias, Row.x_dot_bias),

@@ -102,7 +102,7 @@ def check(
     jobs: int = 1,
     horizon: float | None = None,
 ) -> list[str]:
-    """What is stale, one line each.
+    """Lists stale files, one line each.
 
     Args:
         root: the project's folder, with leaderboard.json, LEADERBOARD.md, README.md and the results.
@@ -114,7 +114,7 @@ def check(
         horizon: length of an episode in s; None takes that of the task.
     """
     names = [candidate.name for candidate in candidates]
-    # What needs no evaluation comes first: it takes no time.
+    # Checks without an evaluation come first: they take no time.
     stale = [
         f"{path.stem}: has results and does not exist"
         for path in sorted((root / RESULTS).glob("*.npz"))

@@ -1,4 +1,4 @@
-"""What is made of the rows: leaderboard.json, LEADERBOARD.md and the table in the README.
+"""Output of the rows: leaderboard.json, LEADERBOARD.md and the table in the README.
 
 Both texts use nothing but the content of leaderboard.json, so that they can be checked without a simulation.
 """
@@ -23,7 +23,7 @@ from capsule_gym.files import to_json, without_nonfinite
 RANKING_SET = "paper"
 # Sets whose speeds stand side by side in the head, and how many of the fastest on each it has.
 HEAD_SETS = {RANKING_SET: 11, "real": 3, "sticky": 3}
-# What is shown of the speed task's further sets.
+# Columns for the other sets of the speed task.
 BRIEF = ("mean_speed", "stuck_fraction", "share_of_optimum")
 COMMAND = "python -m agents.leaderboard"
 # As mkdocs includes a part of a file: docs/index.md does.
@@ -140,7 +140,7 @@ def _interval(metric: TableMetric, summary: Mapping[str, Any]) -> str:
 
 
 def _difference(row: Mapping[str, Any], set_name: str) -> str:
-    """What a row has on its base on a set, with its interval."""
+    """The difference of a row to its base on a set, with its interval."""
     found = row.get("minus_base", {}).get(set_name)
     return SPEED.with_interval(found, sign=True).replace(", ", ",\N{NO-BREAK SPACE}") if found else "-"
 

@@ -42,7 +42,7 @@ ANIMATION_START, ANIMATION_SECONDS = 10.0, 6.0
 
 
 class Data(NamedTuple):
-    """What a report shows: the rows, the entries of leaderboard.json by row and set, and GIFs by the row's name."""
+    """The data of a report: the rows, the entries of leaderboard.json by row and set, and GIFs by the row's name."""
 
     results: Results
     summaries: dict[str, dict[str, Any]]
@@ -191,7 +191,7 @@ def draw_plants(rows: Sequence[Row], sets: Sequence[EvaluationSet], metric: Tabl
 
 
 def _sentence(data: Data, row: Row) -> str:
-    """What a policy is, its metric next to the baseline's, and how often it fails on each set."""
+    """The description of a policy, its metric next to the baseline's, and its failure rate on each set."""
     criteria = data.results.criteria
     metric, chosen = criteria.metric, criteria.ranking_set
     own, theirs = (data.summaries[name][chosen] for name in (row.name, criteria.baseline))

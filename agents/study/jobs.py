@@ -144,7 +144,7 @@ def evaluations(run: Path) -> list[dict[str, float]]:
 
 
 def score(evaluation: dict[str, float]) -> float:
-    """What selects the best policy of a run."""
+    """The criterion that selects the best policy of a run."""
     return next(value for name, value in evaluation.items() if name.startswith("score_"))
 
 

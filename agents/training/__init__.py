@@ -1,1 +1,1 @@
-"""How an agent is trained with Stable-Baselines3, and what a run's folder holds."""
+"""Training of agents with Stable-Baselines3, and the contents of a run's folder."""

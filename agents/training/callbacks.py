@@ -1,4 +1,4 @@
-"""What happens while a run trains: its log, its evaluations and its progress bar, as callbacks of Stable-Baselines3."""
+"""Callbacks of Stable-Baselines3 for a run: its log, its evaluations and its progress bar."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ DIGEST_SIZE = hashlib.sha256().digest_size
 
 @dataclass
 class Progress:
-    """How far a run is."""
+    """The progress of a run."""
 
     settings: dict[str, Any]  # the hyperparameters of the run, but for its length
     core_seconds: float = 0.0  # processor seconds of training
@@ -143,7 +143,7 @@ def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | No
             "action_noise": getattr(model, "action_noise", None),
             # Of RecurrentPPO, whose loading clears it.
             "lstm_states": getattr(model, "_last_lstm_states", None),
-            # What the log has not written yet.
+            # Values that the log has not written yet.
             "log": (dict(log.name_to_value), dict(log.name_to_count), dict(log.name_to_excluded)),
         }
     )

@@ -30,7 +30,7 @@ def archive(model: BaseAlgorithm) -> bytes:
 
 
 def normalisation(model: BaseAlgorithm) -> VecNormalize:
-    """What normalises the observations of an agent's environments."""
+    """The normalisation of the observations of an agent's environments."""
     env = model.get_vec_normalize_env()
     assert isinstance(env, VecNormalize)
     return env

@@ -19,7 +19,7 @@ from agents.training.config import (
 )
 from capsule_gym.checks import nearest
 
-# What the presets with a replay buffer share, and what those of the direct task do.
+# Shared by the presets with a replay buffer, and by those of the direct task.
 OFF_POLICY: dict[str, Any] = {
     "total_steps": 400_000,
     "num_envs": 32,
@@ -72,7 +72,7 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ),
 }
 
-# What training on the other tasks shares. Many validation episodes, since few fail.
+# Shared by the presets of the other tasks. Many validation episodes, since few fail.
 ON_GRIP = PPOConfig(
     task="direct",
     controller=None,

@@ -39,7 +39,7 @@ SCALES = np.array([0.1, 1.0, np.inf, 0.05])
 
 @dataclass(frozen=True, kw_only=True)
 class Result(Problem):
-    """What is known of one problem.
+    """The solution of one problem.
 
     Attributes:
         grids: nodes along theta, s and w of every grid, from coarse to fine.

@@ -1,4 +1,4 @@
-"""What the page about the optimum shows: a figure of the solution on the nominal plant, and tables of the archive."""
+"""The figure of the solution on the nominal plant, and the tables of the archive, for the page about the optimum."""
 
 from __future__ import annotations
 

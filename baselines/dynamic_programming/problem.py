@@ -31,7 +31,7 @@ NOMINAL_MARGIN = 1.6
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """What is optimised: the mean speed, less a weight times the energy.
+    """The objective: the mean speed, less a weight times the energy.
 
     Attributes:
         M: mass of the platform, kg.

@@ -93,7 +93,7 @@ class GaitMap:
 
 @dataclass
 class Archive:
-    """What the search has found.
+    """The results of the search.
 
     Attributes:
         gaits: fastest and tolerant gaits by `Gait.key`.

@@ -44,7 +44,7 @@ MAP_M, MAP_MU = (0.25, 1.2, 20), (0.002, 0.6, 16)
 
 
 class Purpose(NamedTuple):
-    """What an iteration looks for.
+    """The objective of an iteration.
 
     Attributes:
         generations: of its CMA-ES runs.
@@ -133,7 +133,7 @@ def sensitivity(results: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def score(results: dict[str, np.ndarray], horizon: float, goals: np.ndarray | None = None) -> np.ndarray:
-    """What the search maximises: the mean speed, cm/s, or less cost of transport at a required speed.
+    """The objective of the search: the mean speed, cm/s, or the negative cost of transport at a required speed.
 
     The episodes last `horizon` s; `goals` are the required speeds of the front, cm/s, one per candidate.
 

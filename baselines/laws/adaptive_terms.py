@@ -77,7 +77,7 @@ class Sliding(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """What the law computes at one call.
+    """The quantities that the law computes at one call.
 
     Attributes:
         e_x: x - x_d, m.

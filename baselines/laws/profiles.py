@@ -18,7 +18,7 @@ from capsule_gym.checks import check_number
 from capsule_gym.elementary import arccos, sincos, sines_and_cosines
 from capsule_gym.task import START_THETA
 
-# What `python -m baselines.paper.optimal_profiles` has found.
+# Results of `python -m baselines.paper.optimal_profiles`.
 OPTIMA = Path(__file__).parents[1] / "paper" / "optimal_profiles.json"
 
 

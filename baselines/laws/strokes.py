@@ -86,6 +86,6 @@ def stroke_torque(
         brakes = velocity * max(0.0, velocity) > 2.0 * GRIP * mu * g * max(0.0, way + shift * REACH - centre)
         force = clip((M + m) * velocity / END_TIME, limit) if way <= NEAR else limit if brakes else -mu * normal
         force -= (M + m) * x_dot / REST_TIME
-    # What pushes the platform with this force.
+    # The acceleration that pushes the platform with this force.
     swing = (force / (m * l) + sin * theta_dot * theta_dot) / cos
     return held_back(theta, theta_dot, swing, GUARD) - m * l * cos * acceleration, phase

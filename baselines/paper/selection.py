@@ -153,7 +153,7 @@ def eq_31_t7(P2: float, P3: float, t: Times) -> float:
 
 
 def evaluate_selection() -> list[dict[str, Any]]:
-    """What each equation gives, what Table 1 implies, and whether the one follows from the other.
+    """The result of each equation, the value that Table 1 implies, and whether they agree.
 
     Returns:
         By row: the `equation`, the `quantity` that it determines and its `unit`; the value that it `gives` and the one
@@ -189,7 +189,7 @@ def evaluate_selection() -> list[dict[str, Any]]:
 
 
 def boundary_condition() -> dict[str, float]:
-    """What theta(t3) = +theta_0, on which (23) rests, would take with the times of Table 1.
+    """The condition theta(t3) = +theta_0, on which (23) rests, with the times of Table 1.
 
     Returns:
         The peak velocity that reaches +theta_0 at t3 (`V1`, rad/s) and the `largest_angle` of its cycle (rad);

@@ -171,7 +171,7 @@ def judge_claims(runs: Results, study: Results) -> list[Results]:
 
 
 def _errors(study: Results, quantity: str) -> str:
-    """How the largest value of an error changes over the cycles."""
+    """The change of the largest value of an error over the cycles."""
     first, later, last = (_range(cycle_errors(study, quantity, n)) for n in (1, LONG, LONGEST))
     return (
         f"regularised, off the nominal plant: the largest of a cycle is {first} rad/s in the first, {later} in the "

@@ -74,7 +74,7 @@ TOLERANCE, HOLD = 0.002, 1.0
 
 
 class Memory(NamedTuple):
-    """What the task remembers; SI units."""
+    """The memory of the task; SI units."""
 
     # Its position.
     goal: float
@@ -89,14 +89,14 @@ class Memory(NamedTuple):
 
 @inlined
 def begin(x: float, memory: Memory) -> Memory:
-    """The goal is as far from the platform as drawn."""
+    """Places the goal at the drawn displacement from the platform."""
     displacement = memory.displacement
     return Memory(x + displacement, displacement, 0.0, 0.0, 0.0, displacement)
 
 
 @inlined
 def reward(x: float, x_dot: float, moved: float, dt: float, memory: Memory) -> tuple[float, Memory]:
-    """How near the platform is to the goal, and whether it rests there."""
+    """The reward for the distance to the goal and for rest there, and the renewed memory."""
     goal, _, time, held, reached, displacement = memory
     time += dt
     error = goal - x
@@ -131,7 +131,7 @@ def parse_goal(name: str, value: Any) -> list[float]:
 
 
 def metrics(memory: Any, whole: np.ndarray) -> dict[str, np.ndarray]:
-    """What `Task.metrics` returns."""
+    """The metrics of `Task.metrics`."""
     success = memory.reached > 0.0
     return {"success": success.astype(np.float64), "goal_time": np.where(success, memory.reached, whole)}
 

@@ -79,7 +79,7 @@ LASTS = (4.0, 8.0)
 # How far the target may be away, m, and the time constant of the observed velocity, s, with its bound, m/s.
 LEAD = 0.3
 FILTER, SPEED_BOUND = 0.25, 2.0
-# What the metrics leave out after a change, and how long a command must have been measured to count, s.
+# Time that the metrics leave out after a change, and the shortest measured time of a command that counts, s.
 SETTLING, MEASURED = 1.5, 1.0
 # Within this of the target a command is settled, m.
 SETTLED = 0.02
@@ -87,7 +87,7 @@ FOREVER = (math.inf,)
 
 
 class Memory(NamedTuple):
-    """What the task remembers; SI units."""
+    """The memory of the task; SI units."""
 
     command: float
     target: float
@@ -139,7 +139,7 @@ def begin(x: float, memory: Memory) -> Memory:
 
 @inlined
 def reward(x: float, x_dot: float, moved: float, dt: float, memory: Memory) -> tuple[float, Memory]:
-    """How close the platform is to the target; then the target moves on, and the command changes where it is time."""
+    """The reward for the distance to the target; moves the target, and changes the command when that is due."""
     command, target, _, speed, since, lasts, measured_from, measured_x, settled = memory[:9]
     missed, commanded, measured, unsettled = memory[9:FIRST]
     commands, times = memory[FIRST:TIMES], memory[TIMES:]
@@ -210,7 +210,7 @@ def parse_commands(name: str, value: Any) -> list[float]:
 
 
 def metrics(memory: Any, whole: np.ndarray) -> dict[str, np.ndarray]:
-    """What `Task.metrics` returns: the sums with the present command, where it has been measured for long enough."""
+    """The metrics of `Task.metrics`: the sums with the present command, where it has been measured for long enough."""
     duration = np.where(memory.measured_from > 0.0, memory.since - memory.measured_from, 0.0)
     counts = duration >= MEASURED - ROUNDING
     moved = memory.target - memory.error - memory.measured_x
