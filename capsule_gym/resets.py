@@ -88,7 +88,7 @@ def draw_two(key_0: np.uint64, key_1: np.uint64, stream: np.uint64, episode: np.
 
 
 def plant_ranges(randomization: Randomization, capsule: Capsule) -> np.ndarray:
-    """Lower end and width of the ranges of M (kg) and mu, and the width of the range of log(mu); float64, shape (5,)."""
+    """Lower end and width of the ranges of M (kg) and mu, and the width of that of log(mu); float64, shape (5,)."""
     M, mu = randomization.M or (capsule.M, capsule.M), randomization.mu or (capsule.mu, capsule.mu)
     growth_of_log = log(mu[1] / mu[0]) if randomization.mu and randomization.log_mu else 0.0
     return np.array([M[0], M[1] - M[0], mu[0], mu[1] - mu[0], growth_of_log])
