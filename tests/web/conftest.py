@@ -1,0 +1,17 @@
+"""The built site, which the tests of the module and of the page share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from web import build
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that `make web` writes, in another place."""
+    folder = tmp_path_factory.mktemp("site") / "live"
+    build.main(["--output", str(folder)])
+    return folder

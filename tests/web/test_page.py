@@ -1,0 +1,405 @@
+"""The live page in a browser: controls by mouse and keyboard, links, and the layout on screens of any width."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs
+
+import pytest
+
+from web import episodes
+
+Open = Callable[..., Any]
+COMMITTED = json.loads(episodes.FILE.read_text(encoding="utf-8"))
+# .ci/run installs the first where there is none.
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+
+LAW = "#driver=adaptive&M=0.5&mu=0.01"
+PAUSED = f"{LAW}&t=0.1"
+# Milliseconds that a machine with other work may take over anything here, but for the check.
+PATIENCE = 60_000
+MINUS = "\N{MINUS SIGN}"
+SIZE = {"width": 1280, "height": 800}
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A headless browser. A user's machine may have none, CI must."""
+    executable = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if executable is None and "CI" not in os.environ:
+        pytest.skip(f"needs a browser: one of {', '.join(BROWSERS)}")
+    assert executable, f"CI must have one of {', '.join(BROWSERS)}"
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=executable, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def open_page(browser: Any, site: Path) -> Iterator[Open]:
+    """Opens the page with a hash; at the end no page may have written to the console or asked for another file."""
+    live = (site / "index.html").as_uri()
+    contexts: list[Any] = []
+    said: list[str] = []
+
+    def opened(scene: str = "", **settings: Any) -> Any:
+        context = browser.new_context(**{"viewport": SIZE, **settings})
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(PATIENCE)
+        page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
+        page.on("pageerror", lambda error: said.append(f"error: {error}"))
+        page.on("request", lambda request: said.extend([request.url] if not _own(request.url, live) else []))
+        page.goto(live + scene)
+        page.wait_for_function("document.getElementById('driver').value && location.hash.length > 1")
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+    assert said == []
+
+
+def _own(url: str, live: str) -> bool:
+    return url.startswith((live, "data:", "blob:"))
+
+
+def figure(page: Any, name: str) -> float:
+    """One of the numbers above the stage."""
+    return float(page.locator(f"#figure-{name}").text_content().replace(MINUS, "-"))
+
+
+def reaches(page: Any, time: float) -> None:
+    """Waits until that time is shown, or a later one."""
+    page.wait_for_function("time => Number(document.getElementById('figure-time').textContent) >= time", arg=time)
+
+
+def shows(page: Any, name: str, text: str, patience: int = PATIENCE) -> None:
+    """Waits until an element holds that text."""
+    holds = "([id, text]) => document.getElementById(id).textContent.includes(text)"
+    page.wait_for_function(holds, arg=[name, text], timeout=patience)
+
+
+def link(page: Any) -> dict[str, str]:
+    """What the address says behind the #."""
+    return {key: values[0] for key, values in parse_qs(page.evaluate("location.hash.slice(1)")).items()}
+
+
+def measures(page: Any) -> list[str]:
+    """The table of measures, row by row."""
+    return page.locator("#rows tr").all_inner_texts()
+
+
+def playing(page: Any) -> bool:
+    """Whether time goes on."""
+    return page.locator("#play").get_attribute("aria-label") == "Pause"
+
+
+def test_page_fits_any_width_and_every_control_has_a_name(open_page: Open) -> None:
+    page = open_page("#driver=yourself&rival=adaptive&view=lane", color_scheme="dark")
+    for width in (360, 1280, 2560):
+        page.set_viewport_size({"width": width, "height": 800})
+        assert page.evaluate("document.documentElement.scrollWidth") == width
+        outside = page.evaluate(
+            """() => [...document.querySelectorAll("button, input, select, canvas, table")].filter((node) => {
+                const { left, right, width } = node.getBoundingClientRect();
+                return width > 0 && (left < 0 || right > innerWidth + 0.5);
+            }).map((node) => node.id || node.tagName)"""
+        )
+        assert outside == []
+    nameless = page.evaluate(
+        """() => [...document.querySelectorAll("button, input, select, [role]")].filter((node) =>
+            !node.labels?.length && !node.ariaLabel && !node.textContent.trim() && !node.hasAttribute("aria-labelledby")
+            && !["status", "alert"].includes(node.role)).map((node) => node.outerHTML)"""
+    )
+    assert nameless == []
+
+
+def test_plays_pauses_steps_and_scrubs_by_mouse_and_keyboard(open_page: Open) -> None:
+    page = open_page(LAW)
+    assert playing(page)
+    reaches(page, 0.3)
+    page.click("#play")
+    assert not playing(page)
+    before = figure(page, "time")
+    page.wait_for_timeout(200)
+    assert figure(page, "time") == before
+    page.click("#play")
+    reaches(page, before + 0.2)
+    page.click("#play")
+    page.focus("#scrub")
+    page.keyboard.press("Home")
+    for _ in range(5):
+        page.keyboard.press("ArrowRight")
+    shows(page, "figure-time", "0.10")
+    rows = measures(page)
+    page.keyboard.press("End")
+    shows(page, "figure-time", "33.00")
+    assert measures(page) != rows
+    page.keyboard.press("Home")
+    shows(page, "figure-time", "0.00")
+    for _ in range(5):
+        page.keyboard.press("ArrowRight")
+    shows(page, "figure-time", "0.10")
+    assert measures(page) == rows
+    page.click("#step")
+    shows(page, "figure-time", "0.12")
+    page.focus("#stage")
+    page.keyboard.press(".")
+    shows(page, "figure-time", "0.14")
+    page.focus("#back")
+    page.keyboard.press("Enter")
+    shows(page, "figure-time", "0.12")
+
+
+def test_every_driver_drives_and_is_the_rival(open_page: Open) -> None:
+    page = open_page(PAUSED)
+    for control in ("driver", "rival"):
+        for value in page.locator(f"#{control} option").evaluate_all("options => options.map((one) => one.value)"):
+            page.select_option(f"#{control}", value)
+            if control == "driver":
+                page.click("#play") if playing(page) else None
+            page.focus("#step")
+            page.keyboard.press("Enter")
+            page.wait_for_function("Number(document.getElementById('figure-time').textContent) > 0")
+            assert page.locator("#trouble").is_hidden(), page.locator("#trouble").text_content()
+            assert link(page).get(control, "") == value
+
+
+def test_plants_of_a_set(open_page: Open) -> None:
+    page = open_page(PAUSED)
+    page.select_option("#set", "paper")
+    first = page.input_value("#M-number")
+    page.fill("#plant", "7")
+    page.keyboard.press("Tab")
+    page.wait_for_function("first => document.getElementById('M-number').value !== first", arg=first)
+    assert (link(page)["set"], link(page)["plant"]) == ("paper", "7")
+    assert page.locator("#trouble").is_hidden()
+    page.fill("#plant", "1000")
+    page.keyboard.press("Tab")
+    page.wait_for_function("document.getElementById('plant').value === '99'")
+    shows(page, "trouble", "Plant must be a whole number from 0 to 99: 99 is taken")
+    page.select_option("#set", "")
+    page.wait_for_function("document.getElementById('plant').disabled")
+
+
+def test_with_reduced_motion_it_waits_and_keeps_the_mass_within_its_range(open_page: Open) -> None:
+    page = open_page(LAW, reduced_motion="reduce")
+    page.wait_for_timeout(300)
+    assert not playing(page) and figure(page, "time") == 0.0
+    page.fill("#M-number", "9")
+    page.keyboard.press("Enter")
+    shows(page, "trouble", "M must be a number from 0.25 to 1.2: 1.2 is taken")
+    assert page.input_value("#M-number") == "1.2"
+    page.wait_for_function("location.hash.includes('M=1.2')")
+    for key in ("Home", "End"):
+        page.focus("#mu")
+        page.keyboard.press(key)
+        shows(page, "trouble", "")
+        assert page.locator("#trouble").is_hidden()
+
+
+def test_a_hand_that_failed_stands_still_until_space_begins_again(open_page: Open) -> None:
+    page = open_page("#driver=yourself&rival=adaptive&M=0.5&mu=0.01")
+    page.uncheck("#help")
+    page.focus("#stage")
+    page.keyboard.down("ArrowRight")
+    shows(page, "banner-text", "Space begins again.")
+    page.keyboard.up("ArrowRight")
+    page.wait_for_function("document.getElementById('play').getAttribute('aria-label') === 'Play'")
+    assert 0.1 < figure(page, "time") < 1.0
+    page.keyboard.press(" ")
+    page.wait_for_function("document.getElementById('banner').hidden")
+    assert playing(page)
+
+
+def test_disturbances_act_on_who_drives(open_page: Open) -> None:
+    page = open_page("#driver=gait-guarded&M=0.5&mu=0.01&t=2")
+    shows(page, "figure-time", "2.00")
+    ideal = measures(page)
+    page.select_option("#disturbances", "real")
+    page.wait_for_function("location.hash.includes('disturbances=real')")
+    page.fill("#scrub", "2")
+    shows(page, "figure-time", "2.00")
+    assert measures(page) != ideal
+    page.focus("#latency")
+    page.keyboard.press("ArrowRight")
+    page.wait_for_function("location.hash.includes('latency=0.001&noise=0')")
+    page.focus("#slope")
+    page.keyboard.press("End")
+    page.wait_for_function("location.hash.includes('slope=3')")
+    page.select_option("#driver", "dp-nominal")
+    page.wait_for_function("document.getElementById('slope').disabled && document.getElementById('set').value")
+    assert "slope" not in link(page) and page.locator("#trouble").is_hidden()
+
+
+def test_every_task_has_drivers_measures_and_sets_of_its_own(open_page: Open) -> None:
+    page = open_page(PAUSED)
+    for task, driver, end, row in (
+        ("goal", "goal-pulses", "15.00", "Goal reached"),
+        ("velocity", "velocity-pulses", "20.00", "Velocity error"),
+        ("speed", "residual-ppo", "33.00", ""),
+    ):
+        page.select_option("#task", task)
+        page.wait_for_function("name => document.getElementById('driver').value === name", arg=driver)
+        page.click("#play") if playing(page) else None
+        page.focus("#scrub")
+        page.keyboard.press("End")
+        shows(page, "figure-time", end)
+        rows = page.locator("#rows tr:visible").all_inner_texts()
+        assert rows[0].startswith(row or "Mean speed") and len(rows) == (8 if row else 7)
+        assert page.locator("#trouble").is_hidden(), page.locator("#trouble").text_content()
+
+
+def test_plant_jumps_while_it_runs(open_page: Open) -> None:
+    page = open_page(LAW)
+    reaches(page, 0.5)
+    page.fill("#mu-number", "0.2")
+    page.keyboard.press("Tab")
+    shows(page, "jumps", "0.2000")
+    assert playing(page)
+    t, mass, friction = (float(part) for part in link(page)["jumps"].split(":"))
+    assert (mass, friction) == (0.5, 0.2)
+    assert t >= 0.5
+    assert abs(t / 0.02 - round(t / 0.02)) < 1e-6
+    page.click("#jump")
+    page.wait_for_function("location.hash.split(',').length === 2")
+    page.click("#clear")
+    shows(page, "jumps", "No changes.")
+
+
+SCENES = [
+    "#driver=epc&rival=adaptive&view=lane&set=drift&plant=3&speed=0.5&t=7.5",
+    "#driver=adaptive&M=0.45&mu=0.02&jumps=1:0.5:0.01,2.5:0.6:0.1&t=3",
+    "#driver=yourself&rival=epc&M=0.5&mu=0.01&t=0.8&hand=10uK20z9u",
+    "#driver=dp-nominal&rival=random&set=paper&plant=9&t=2",
+    "#driver=gait-predictive&rival=gait-guarded&M=0.5&mu=0.01&seed=3&disturbances=real&t=0.5",
+    "#driver=gait-predictive&M=0.5&mu=0.01&latency=0.005&noise=0.5&motor=0.05&slope=-2&t=0.5",
+    "#driver=gait-predictive&set=real&plant=7&t=0.5",
+    "#driver=goal-pulses&set=goal&plant=3&t=1",
+    "#driver=yourself&task=velocity&rival=velocity-pulses&M=0.5&mu=0.2&seed=4&t=0.4&hand=10uK9u",
+]
+WRONG = [
+    ("#driver=nobody", 'driver must be one of .* got "nobody"'),
+    ("#driver=goal-pulses&rival=epc", 'rival must be one of .* got "epc"'),
+    ("#driver=epc&disturbances=all", 'disturbances must be real, got "all"'),
+    ("#driver=epc&latency=1", 'latency must be a number from 0 to 0.03, got "1"'),
+    ("#driver=epc&set=moon", 'set must be one of .* got "moon"'),
+    ("#driver=epc&M=heavy", 'M must be a number from .* got "heavy"'),
+    ("#driver=epc&jumps=1:2", 'jumps must be t:M:mu.* got "1:2"'),
+    ("#driver=epc&t=99", 'a number from 0 to 33, got "99"'),
+    ("#driver=yourself&hand=!", "hand must be letters"),
+    ("#driver=dp-oracle&M=0.6&t=1", "recorded on the plants of the sets"),
+]
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_links_hold_the_whole_scene(open_page: Open, scene: str) -> None:
+    page = open_page(scene)
+    page.wait_for_function("scene => location.hash === scene", arg=scene)
+
+
+def test_what_is_wrong_in_a_link_is_shown(open_page: Open) -> None:
+    page = open_page(PAUSED)
+    # The scene before may write its own address before the page reads the new one.
+    follow = "scene => { location.hash = scene; history.replaceState(null, '', '#driver=epc'); }"
+    for scene, words in WRONG:
+        page.evaluate(follow, scene)
+        page.wait_for_function("words => RegExp(words).test(document.getElementById('trouble').textContent)", arg=words)
+        assert page.locator("#trouble").is_visible()
+
+
+# Seconds that each key is held in turn: 1 is the left one, 0 is none. All begin with what the reader sees first.
+PATTERNS = {
+    "hold left": [(1, 9)],
+    "hold right": [(-1, 9)],
+    "quick": [(1, 0.1), (-1, 0.1)],
+    "even": [(1, 0.26), (-1, 0.26)],
+    "slow": [(1, 0.5), (-1, 0.5)],
+    "slower": [(1, 1), (-1, 1)],
+    "taps": [(1, 0.2), (0, 0.4)],
+    "the rule": [(1, 0.3), (-1, 0.9)],
+}
+# Follows the pattern, or without one the helper's light as late as a reader, for 10 s; distance in cm.
+FOLLOW = """async ([pattern, late]) => {
+    const { Lane } = await import("lane.js");
+    const { readScene } = await import("scene.js");
+    const lane = await Lane.open("yourself", readScene("#driver=yourself").scene, null);
+    lane.hand.helped = true;
+    const keys = pattern?.flatMap(([key, seconds]) => Array(Math.round(seconds / lane.dt)).fill(key));
+    const seen = Array(late).fill(0);
+    while (!lane.ended && lane.time < 10) {
+        seen.push(keys ? keys[lane.steps % keys.length] : lane.hand.turn);
+        const key = seen.shift();
+        lane.hand.live = key > 0 ? 0.4 : 0.1 * key;
+        lane.advance();
+    }
+    return [lane.failure, 100 * lane.capsule.state.x];
+}"""
+
+
+def test_no_naive_pattern_fails_with_the_helper_and_its_light_leads_forwards(open_page: Open) -> None:
+    page = open_page("#driver=yourself")
+    moved = {}
+    for name, pattern in PATTERNS.items():
+        failure, moved[name] = page.evaluate(FOLLOW, [pattern, 0])
+        assert failure == "", name
+    assert sum(distance > 10.0 for distance in moved.values()) >= 5 and moved["the rule"] > 50.0
+    assert min(moved.values()) > -5.0
+    for late in (0, 5, 15):
+        failure, distance = page.evaluate(FOLLOW, [None, late])
+        assert failure == "" and distance > 40.0, late
+
+
+def test_a_reader_who_follows_the_light_moves_forwards_and_the_distance_is_kept(open_page: Open) -> None:
+    page = open_page("#driver=yourself&speed=0.5", accept_downloads=True)
+    page.focus("#stage")
+    lit = "() => document.querySelector('.push.now').dataset.key"
+    key = page.evaluate(lit)
+    page.keyboard.down(key)
+    while figure(page, "time") < 4.0:
+        page.wait_for_function("key => document.querySelector('.push.now').dataset.key !== key", arg=key)
+        page.keyboard.up(key)
+        key = page.evaluate(lit)
+        page.keyboard.down(key)
+    assert page.locator("#banner").is_hidden() and figure(page, "x") > 10.0
+    page.keyboard.up(key)
+    page.click("#play")
+    with page.expect_download() as download:
+        page.click("#share")
+    assert download.value.suggested_filename == "capsule.png"
+    best = page.locator("#best").text_content()
+    assert float(best.removesuffix(" cm")) >= figure(page, "x")
+    page.reload()
+    shows(page, "best", best)
+
+
+def test_keys_turn_the_motor_while_they_are_held(open_page: Open) -> None:
+    page = open_page("#driver=yourself&speed=0.1")
+    page.uncheck("#help")
+    page.focus("#stage")
+    for key, torque in (("ArrowLeft", "0.60"), ("d", f"{MINUS}0.60")):
+        page.keyboard.down(key)
+        page.wait_for_function("torque => document.getElementById('figure-torque').textContent === torque", arg=torque)
+        page.keyboard.up(key)
+        shows(page, "torque-value", "0.00")
+    assert page.input_value("#torque") == "0"
+
+
+def test_check_replays_the_committed_episodes(open_page: Open) -> None:
+    page = open_page(PAUSED)
+    page.focus("#check")
+    page.keyboard.press("Enter")
+    shows(page, "verdict", "equal, bit for bit", 5 * PATIENCE)
+    bits = page.locator("#check-rows td:last-child").all_inner_texts()
+    assert bits == ["equal"] * len(COMMITTED)
+    page.keyboard.press("Escape")
+    assert page.locator("#checks").is_hidden()
+    assert page.evaluate("document.activeElement.id") == "check"
