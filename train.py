@@ -16,7 +16,7 @@ from agents.training.signals import INTERRUPTED, QuietExit
 
 QUIET_EXIT = QuietExit()
 if __name__ == "__main__":
-    # Before imports that take seconds.
+    # Installed before the imports, which take seconds.
     QUIET_EXIT.install()
 
 import tyro  # noqa: E402
@@ -99,9 +99,9 @@ def read_args(arguments: Sequence[str] | None = None) -> Args:
     """Reads the command line.
 
     Returns:
-        The arguments; `hyperparameters` are those of the new run or, with --resume, of the run that is resumed.
+        The arguments; `hyperparameters` are those of the new run or, with --resume, of the resumed run.
     """
-    # The options that decide which others there are.
+    # These options decide which other options exist.
     choice, _ = tyro.cli(
         Choice, prog=PROG, args=arguments, config=NO_NEGATIONS, return_unknown_args=True, add_help=False
     )
@@ -122,7 +122,7 @@ def read_args(arguments: Sequence[str] | None = None) -> Args:
 
 
 def _read_resumed(run: Path, arguments: Sequence[str] | None) -> Args:
-    """The arguments of a run that is resumed."""
+    """Reads the arguments of a resumed run."""
     try:
         before = read_config(run)
     except RunError as error:
@@ -145,7 +145,7 @@ def _read_resumed(run: Path, arguments: Sequence[str] | None) -> Args:
 
 
 def _check_same_kind(before: Args, args: Args, chosen_by: str) -> None:
-    """Ends the command if it names another environment, task or algorithm than the run or the row that decides them."""
+    """Ends the command if its environment, task or algorithm differs from that of the resumed run or the row."""
     for name in ("env", "task", "algo"):
         was, given = getattr(before, name), getattr(args, name)
         if was != given:
@@ -153,13 +153,13 @@ def _check_same_kind(before: Args, args: Args, chosen_by: str) -> None:
 
 
 def _report(failure: threading.ExceptHookArgs) -> None:
-    """Prints no traceback of a full disk in TensorBoard's thread, which raises the error again at the next write."""
+    """Hides the traceback of an OSError in TensorBoard's thread, which raises the error again at the next write."""
     if not isinstance(failure.exc_value, OSError):
         threading.__excepthook__(failure)
 
 
 def compile_beside() -> None:
-    """Compiles what PPO needs later in a process beside this one, which has other things to compile and to import."""
+    """Compiles PPO's functions in a second process, while this process compiles and imports other code."""
     command = [sys.executable, "-W", "ignore", "-c", COMPILATIONS]
     run = partial(subprocess.run, command, cwd=AGENTS.parent, stderr=subprocess.DEVNULL)
     threading.Thread(target=run, daemon=True).start()
@@ -171,7 +171,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     threading.excepthook = _report
     if args.algo == "ppo" and not any(AGENTS.glob("fast_ppo/__pycache__/*.nbc")):
         compile_beside()
-    # After the command line is known to be right: importing torch takes seconds.
+    # Imported after the command line is checked, since torch takes seconds to import.
     from agents.report.page import compare
     from agents.training import algorithms, loop
 

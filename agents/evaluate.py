@@ -67,7 +67,7 @@ class Args:
 
 
 def comparison_table(name: str, episodes: Sequence[Episode], reference: str, others: Sequence[Episode]) -> str:
-    """Metrics as rows; the policy, the reference and the paired difference, on the same set, as columns."""
+    """A table of metrics (rows) for the policy, the reference and their paired difference on one set (columns)."""
     own, theirs = summarise(episodes), summarise(others)
     rows = [["", name, reference, "difference"]]
     of_task = [metric for metric in TASK_METRICS if metric.name in own]
@@ -95,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     episodes = evaluate(candidate, evaluation_set)
     others = episodes if candidate.name == reference.name else evaluate(reference, evaluation_set)
     summary = summarise(episodes)
-    # Written before anything is printed: a closed pipe must not lose the result.
+    # Written before printing, so that a closed pipe does not lose the result.
     if args.json is not None:
         result: dict[str, Any] = {"policy": candidate.name, "set": evaluation_set.name, "set_hash": evaluation_set.hash}
         result |= {"versions": versions(), "episodes": episodes, "summary": summary}

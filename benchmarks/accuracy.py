@@ -1,9 +1,9 @@
 """Error of the plant's step against an independent reference of eighth order: `python -m benchmarks.accuracy`.
 
-Each trajectory starts at theta = -pi/3 at rest and is driven for ten seconds by a random torque, uniform within the
-amplitude, held for 20 ms. A trajectory in which the ball meets the platform (|theta| >= pi/2) or contact is lost ends
-at the last torque change before that, as an episode of the environment would. The error is the largest deviation of
-theta (rad), theta' (rad/s), x (m) or x' (m/s) from the reference at the end of the trajectory.
+Each trajectory starts at theta = -pi/3 at rest. A random torque drives it for ten seconds; the torque is uniform within
+the amplitude and held for 20 ms. If the ball meets the platform (|theta| >= pi/2) or contact is lost, the trajectory
+ends at the last torque change before this event. The error is the largest deviation of theta (rad), theta' (rad/s),
+x (m) or x' (m/s) from the reference at the end of the trajectory.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ START = (task.START_THETA, 0.0, 0.0, 0.0)
 SECONDS = 10.0
 FRICTION = (0.01, 0.1, 0.3)
 AMPLITUDES = (0.2, 0.5, 1.0, 1.5)
-# For each friction coefficient and amplitude.
+# Number of trajectories for each friction coefficient and amplitude.
 TRAJECTORIES = 16
-# Plants that differ in every constant, each with a trajectory of its own.
+# Number of plants that differ in every constant, each with its own trajectory, and the amplitude of the torque, N m.
 PLANTS, AMPLITUDE = 40, 0.7
 STEPS = (0.00025, 0.0005, 0.001, 0.002, 0.005, 0.01)
 
@@ -46,10 +46,10 @@ class Expected(NamedTuple):
     """One trajectory of the reference.
 
     Attributes:
-        plant: what moves.
-        torques: of every control interval, N m, also after the last valid one.
-        intervals: number of intervals until the ball meets the platform or contact is lost.
-        state: theta, theta_dot, x, x_dot at the end of these.
+        plant: the plant.
+        torques: torque in every control interval, N m, also after the last valid interval.
+        intervals: number of valid intervals, before the ball meets the platform or contact is lost.
+        state: theta, theta_dot, x, x_dot at the end of the valid intervals.
     """
 
     plant: Plant
@@ -59,7 +59,7 @@ class Expected(NamedTuple):
 
 
 def random_capsule(seed: int) -> Capsule:
-    """A plant with a slope, Stribeck's curve, and friction of all kinds."""
+    """A random plant with a slope, a Stribeck curve, and all kinds of friction."""
     rng = np.random.default_rng(seed)
     return Capsule(
         M=rng.uniform(0.3, 1.0),
@@ -78,8 +78,8 @@ def random_capsule(seed: int) -> Capsule:
 
 
 def expected_trajectories(capsules: Sequence[Capsule], amplitude: float) -> list[Expected]:
-    """A trajectory of the reference for each plant; its torque is seeded by its index."""
-    # scipy's solvers take a second to import, which --help need not wait for.
+    """Computes a trajectory of the reference for each plant; the index of the plant is the seed of its torque."""
+    # Imported here, since scipy's solvers take a second to import and --help does not need them.
     from benchmarks import reference
 
     solved = []

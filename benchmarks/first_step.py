@@ -1,6 +1,6 @@
-"""Seconds from the start of a process to the first step, of an installed wheel without caches.
+"""Seconds from the start of a process to the first step, with an installed wheel and without caches.
 
-The wheel is built and installed in an environment of its own, with the versions of `constraints.txt`.
+The wheel is built and installed in a new virtual environment, with the versions in `constraints.txt`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ WORKERS = ", vectorization_mode='async', vector_kwargs={'context': 'spawn'}, con
 POLICY = "policy = capsule_gym.load_policy('residual-ppo'); {}; policy(env.reset(seed=0)[0])"
 ROLLOUT = "; capsule_gym.network.rollout(env.unwrapped.simulation, policy, 1)"
 IMPORTS = "import capsule_gym.network, gymnasium\nID = 'capsule_gym:CapsuleStickSlip-v0'\n"
-# The program after its imports.
+# Programs without their imports.
 PROGRAMS = {
     "direct": ONE.format(""),
     **{name: ONE.format(f", controller='baselines:{name}'") for name in baselines.__all__},
@@ -50,7 +50,7 @@ class Args(OutputArgs):
 
 
 def seconds(python: Path, program: str, folder: str) -> float:
-    """The time of a program with its caches in a folder."""
+    """The wall time of a program in seconds, with its caches in a folder."""
     script = Path(folder, "program.py")
     script.write_text(f"{IMPORTS}if __name__ == '__main__':\n    {program}\n", encoding="utf-8")
     start = time.perf_counter()

@@ -1,7 +1,7 @@
-"""Shared by the benchmarks: output files, the description of the machine, and rates that are measured in turns.
+"""Shared functions of the benchmarks: output files, the description of the machine, and measurements in turns.
 
-Absolute numbers do not carry from machine to machine; the ratios of one run do. Contenders take turns, so that other
-work of the machine affects all of them alike, and the median of the turns counts.
+Ratios within one run are comparable between machines; absolute numbers are not. Contenders take turns, so that other
+processes affect all of them equally, and the median over the turns is used.
 """
 
 from __future__ import annotations
@@ -47,16 +47,16 @@ class OutputArgs:
                 raise ValueError(f"--{name.replace('_', '-')} must be above 0, got 0")
 
     def report(self, command: str, *parts: str | Rows, left: int | None = None) -> None:
-        """Prints paragraphs and tables, with `left` as `text_table` takes it; writes the page, if it was asked for."""
+        """Prints paragraphs and tables (`left` as in `text_table`), and writes the page if it was requested."""
         print(*(part if isinstance(part, str) else text_table(part, left=left) for part in parts), sep="\n\n")
         self.write(command, *(part if isinstance(part, str) else markdown_table(part) for part in parts))
 
     def write(self, command: str, *paragraphs: str) -> None:
-        """Writes the page, if it was asked for.
+        """Writes the page if it was requested.
 
         Args:
-            command: named in its first line.
-            *paragraphs: its content.
+            command: the command, for the first line.
+            *paragraphs: the content.
         """
         if self.markdown is not None:
             header = f"<!-- Written by {command}: do not edit. -->"
@@ -69,7 +69,7 @@ def available_cores() -> int:
 
 
 def machine(*packages: str) -> str:
-    """Processor with its widest vectors, cores and versions, also of these packages if installed, in one line."""
+    """One line with the processor, its widest vectors, cores and versions, also of `packages` if installed."""
     versions = []
     for package in (*PACKAGES, *packages):
         try:
@@ -88,7 +88,7 @@ def machine(*packages: str) -> str:
 
 
 def take_turns(contenders: Mapping[Name, Callable[[], float]], turns: int) -> dict[Name, list[float]]:
-    """The rates of all contenders, which take turns and return their rate, by name, one number per turn."""
+    """Runs all contenders in turns; returns their rates by name, one number per turn."""
     rates: dict[Name, list[float]] = {name: [] for name in contenders}
     for _ in tqdm(range(turns), desc="turns"):
         for name, turn in contenders.items():
@@ -97,6 +97,6 @@ def take_turns(contenders: Mapping[Name, Callable[[], float]], turns: int) -> di
 
 
 def spread(rates: Sequence[float]) -> float:
-    """The interquartile range over the median."""
+    """The interquartile range divided by the median."""
     low, median, high = statistics.quantiles(rates, n=4, method="inclusive") if len(rates) > 1 else [*rates] * 3
     return (high - low) / median

@@ -1,7 +1,7 @@
 """Error and creep of the same capsule in MuJoCo, compared with this package: `python -m benchmarks.mujoco`.
 
-Without friction and with MuJoCo's RK4 it follows `capsule_gym` to 1e-8 over two seconds: friction alone differs. The
-constraints of MuJoCo are soft, so that a platform creeps below the friction limit.
+Without friction and with RK4, MuJoCo agrees with `capsule_gym` to 1e-8 over two seconds: only friction differs. The
+constraints of MuJoCo are soft, so that the platform creeps below the friction limit.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from capsule_gym.parameters import Capsule, Plant
 COMMAND = "python -m benchmarks.mujoco"
 XML = Path(__file__).with_name("capsule.xml")
 INTEGRATORS = ("implicitfast", "RK4")
-# MuJoCo's own limits of stiffness: the largest impedance, and the time constant in steps below which it clips.
+# MuJoCo's limits of stiffness: the largest impedance, and the smallest time constant in steps.
 STIFF_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 STIFF_STEPS = 2.0
 NOSLIP_ITERATIONS = 10
-# A platform on a contact sinks into the floor first, s.
+# Time in which a platform on a contact sinks into the floor, s.
 SETTLING_SECONDS = 1.0
-# Friction coefficient and amplitude of the random torque (N m) of the compared trajectories.
+# Friction coefficients and amplitudes of the random torque (N m) of the compared trajectories.
 CASES = ((0.01, 0.5), (0.1, 1.0))
-# Shares of the friction limit.
+# Loads, relative to the friction limit.
 LOADS = (0.2, 0.5, 0.9)
 CREEP_SECONDS = 10.0
 # The motor swings the pendulum about this angle, rad.
@@ -44,14 +44,14 @@ CENTRE, SWING = -0.6, 0.1
 
 @dataclass(frozen=True)
 class FrictionModel:
-    """One of MuJoCo's ways to model the floor.
+    """A model of the floor's friction in MuJoCo.
 
     Attributes:
-        name: for tables.
-        contact: a sphere on a plane, elliptic cone, whose normal force acts; else the constant mu (M + m) g on the
-            joint x (`frictionloss`).
-        stiff: constraints as stiff as MuJoCo allows at the step; else its default solver parameters.
-        noslip: with MuJoCo's no-slip solver after the main one.
+        name: name in tables.
+        contact: whether the friction is that of a sphere on a plane, with an elliptic cone and the actual normal force;
+            else the joint x has the constant friction mu (M + m) g (`frictionloss`).
+        stiff: whether constraints are as stiff as MuJoCo allows at the step; else solver parameters are the defaults.
+        noslip: whether MuJoCo's no-slip solver runs after the main solver.
     """
 
     name: str
@@ -77,11 +77,11 @@ def build_model(friction: FrictionModel, integrator: str, timestep: float, capsu
     """Compiles the model.
 
     Args:
-        friction: how the floor is modelled.
+        friction: model of the floor's friction.
         integrator: one of `INTEGRATORS`.
         timestep: s.
-        capsule: the plant, by default the paper's; MuJoCo has one friction coefficient for both directions, at rest and
-            in motion.
+        capsule: the plant; None takes the paper's plant. MuJoCo has a single friction coefficient for both directions,
+            at rest and in motion.
     """
     import mujoco
 
@@ -106,7 +106,7 @@ def build_model(friction: FrictionModel, integrator: str, timestep: float, capsu
 
 
 def start_data(model: Any, theta: float) -> Any:
-    """MuJoCo's data of a capsule at rest at the angle theta; a platform on a contact has sunk into the floor before."""
+    """MuJoCo's data of a capsule at rest at the angle theta, after a platform on a contact has sunk into the floor."""
     import mujoco
 
     data = mujoco.MjData(model)
@@ -125,9 +125,9 @@ class Batch:
     Args:
         model: from `build_model`.
         num_envs: number of copies.
-        threads: number of threads that share them.
+        threads: number of threads that share the copies.
         substeps: integration steps in one step.
-        restarts: whether a copy whose ball meets the platform starts again.
+        restarts: whether a copy restarts when its ball meets the platform.
     """
 
     def __init__(self, model: Any, num_envs: int, threads: int, substeps: int, *, restarts: bool = True) -> None:
@@ -135,7 +135,7 @@ class Batch:
         from mujoco import rollout
 
         self.model, self.substeps, self.restarts = model, substeps, restarts
-        # The time, positions, velocities.
+        # The state contains time, positions and velocities.
         kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
         self._start = np.empty(mujoco.mj_stateSize(model, kind))
         mujoco.mj_getState(model, start_data(model, task.START_THETA), self._start, kind)
@@ -148,7 +148,7 @@ class Batch:
         self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)
 
     def step(self, torques: np.ndarray) -> np.ndarray:
-        """One step with the torques held, N m; returns theta, theta_dot, x, x_dot, a row for each copy."""
+        """Makes one step with constant torques, N m; returns theta, theta_dot, x, x_dot, one row per copy."""
         controls = torques[:, None, None]
         self._rollout.rollout(self.model, self._data, self._states, controls, nstep=self.substeps, state=self._trace)
         self._states[:] = self._trace[:, -1]
@@ -162,7 +162,7 @@ class Batch:
 
 
 def simulate(model: Any, torques: np.ndarray) -> np.ndarray:
-    """Trajectories from theta = -pi/3 at rest under torques in N m, one row each, held for `task.CONTROL_DT`.
+    """Simulates trajectories from theta = -pi/3 at rest under torques in N m (rows), each held for `task.CONTROL_DT`.
 
     Returns:
         theta, theta_dot, x, x_dot at the end of each interval: shape (trajectories, intervals, 4).
@@ -174,14 +174,14 @@ def simulate(model: Any, torques: np.ndarray) -> np.ndarray:
 
 
 def load_torque(load: float, theta: float, theta_dot: float, plant: Plant) -> float:
-    """The motor torque that loads a platform at rest with a share of its friction limit and swings the pendulum."""
+    """The motor torque that loads a platform at rest with a fraction of its friction limit and swings the pendulum."""
     from benchmarks import reference
 
     return reference.torque_for_load(-load if theta > CENTRE else load, theta, theta_dot, plant)
 
 
 def largest_creep(load: float, timestep: float) -> float:
-    """Largest |x'| of `capsule_gym` in `CREEP_SECONDS` under `load_torque`, m/s."""
+    """The largest |x'| in `capsule_gym` in `CREEP_SECONDS` under `load_torque`, m/s."""
     from benchmarks import reference
 
     plant = Capsule().plant()
@@ -194,7 +194,7 @@ def largest_creep(load: float, timestep: float) -> float:
 
 
 def median_creep(model: Any, load: float) -> float:
-    """Median |x'| of MuJoCo in `CREEP_SECONDS` under `load_torque`, m/s."""
+    """The median |x'| in MuJoCo in `CREEP_SECONDS` under `load_torque`, m/s."""
     import mujoco
 
     data, plant = start_data(model, CENTRE - SWING), Capsule().plant()
@@ -207,10 +207,10 @@ def median_creep(model: Any, load: float) -> float:
 
 
 def measure() -> dict[str, list[float]]:
-    """This package and every friction model and integrator of MuJoCo, at the default step.
+    """Measures this package and every friction model and integrator of MuJoCo, at the default step.
 
     Returns:
-        By name: the largest error in any state of each case, and the creep in m/s at each share of the limit.
+        By name, the largest error in any state for each case, and the creep in m/s for each load.
     """
     step = DIRECT_PHYSICS_DT
     count = accuracy.TRAJECTORIES

@@ -1,13 +1,12 @@
 """An independent reference for the plant, and compiled loops around `contact.step` to compare with it.
 
-The reference shares no equation with `capsule_gym`. They are typed again from the paper, corrected, and solved in
-another arrangement: the first row of Eq. (1) gives theta'' in terms of x'', the normal force follows as a straight line
-in x'', and the second row is left with x'' alone. `simulate` integrates one smooth phase of contact (slip = +1, -1 or 0
-for stick) after another with SciPy's DOP853, of eighth order. The end of a phase is looked for on the dense output of
-every step, which is sampled first, so that a phase that leaves and re-enters its domain inside one step is found as
-well.
+The reference does not use the equations of `capsule_gym`. Its equations are typed again from the paper, corrected, and
+solved differently: the first row of Eq. (1) gives theta'' in terms of x'', the normal force is linear in x'', and the
+second row then contains only x''. `simulate` integrates the smooth phases of contact (slip = +1, -1 or 0 for stick) one
+after another with SciPy's DOP853, of eighth order. It searches for the end of a phase on samples of the dense output of
+every step, so that it also finds a phase that leaves and re-enters its domain within one step.
 
-The compiled loops are not cached on disk: numba's cache does not notice edits in the modules it compiles from.
+The compiled loops are not cached on disk, since numba's cache does not notice edits in imported modules.
 """
 
 from __future__ import annotations
@@ -38,9 +37,9 @@ class Trajectory(NamedTuple):
         backward: distance moved backwards so far, m.
         stuck: time in stick so far, s.
         swept: integral of |theta_dot| so far, rad.
-        normal: smallest normal force at the integrator's own points within the hold that ends at that time, N; the
+        normal: smallest normal force at the integrator's points in the control interval that ends at that time, N; the
             first row is infinite.
-        events: (time, phase before, phase after) of every change of phase that lies inside a hold.
+        events: (time, phase before, phase after) of every change of phase within a control interval.
     """
 
     states: np.ndarray
@@ -53,7 +52,7 @@ class Trajectory(NamedTuple):
 
 
 def rates(theta: float, omega: float, v: float, slip: float, u: float, p: Plant) -> tuple[float, float, float]:
-    """theta'', x'' and the normal force in one phase of contact."""
+    """Computes theta'', x'' and the normal force in one phase of contact."""
     s = math.sin(theta)
     c = math.cos(theta)
     ratio = min(1.0, max(-1.0, omega))
@@ -68,7 +67,7 @@ def rates(theta: float, omega: float, v: float, slip: float, u: float, p: Plant)
         return free, 0.0, normal_rest
     mu = p.mu if slip > 0.0 else p.mu * p.backward_ratio
     mu *= 1.0 + p.stribeck_excess / (1.0 + (v * p.stribeck_rate) ** 2)
-    # theta'' = free + cos x'' / l, hence N = normal_rest - m sin cos x'': only x'' is left.
+    # theta'' = free + cos x'' / l and N = normal_rest - m sin cos x'', so that x'' is the only unknown.
     inertia = p.M + p.m * s**2
     x_ddot = (load - slip * mu * normal_rest) / (inertia - slip * mu * p.m * s * c)
     normal = normal_rest - p.m * s * c * x_ddot
@@ -79,7 +78,7 @@ def rates(theta: float, omega: float, v: float, slip: float, u: float, p: Plant)
 
 
 def margins(theta: float, omega: float, u: float, p: Plant) -> tuple[float, float]:
-    """The margins between the load on a platform at rest and the static limit, forwards and backwards, in N."""
+    """The margins between the static limit and the load on a platform at rest, forwards and backwards, in N."""
     alpha, _, normal = rates(theta, omega, 0.0, 0.0, u, p)
     load = p.m * p.l * (alpha * math.cos(theta) - omega**2 * math.sin(theta)) - (p.M + p.m) * p.downhill
     limit = p.static_ratio * p.mu * max(0.0, normal)
@@ -87,7 +86,7 @@ def margins(theta: float, omega: float, u: float, p: Plant) -> tuple[float, floa
 
 
 def phase_at_rest(theta: float, omega: float, u: float, p: Plant) -> float:
-    """Stick below the static limit, otherwise slip in the direction of the load."""
+    """The phase of a platform at rest: stick below the static limit, otherwise slip in the direction of the load."""
     forwards, backwards = margins(theta, omega, u, p)
     if forwards < 0.0:
         return 1.0
@@ -115,7 +114,7 @@ def _first_crossing(
         return None
     left, right = times[negative - 1], times[negative]
     if values[negative - 1] <= 0.0:
-        # The phase starts on its boundary, so the bracket is void until g has left zero.
+        # The phase starts on its boundary: the bracket is valid only after g has left zero.
         for _ in range(60):
             middle = 0.5 * (left + right)
             if g(middle) > 0.0:
@@ -129,7 +128,7 @@ def _first_crossing(
 
 def _swept(y0: np.ndarray, y1: np.ndarray, dense: Callable | None, t0: float, t1: float) -> float:
     """Integral of |theta_dot| over one step of the integrator, in which theta_dot changes sign once at most."""
-    # Judged on the dense output itself: without friction the pendulum turns exactly where the platform reverses.
+    # Signs are from the dense output: without friction the pendulum turns exactly when the platform reverses.
     if dense is None or dense(t0)[1] * dense(t1)[1] >= 0.0:
         return abs(y1[0] - y0[0])
     turn = dense(brentq(lambda t: dense(t)[1], t0, t1, xtol=1e-17))[0]
@@ -137,7 +136,7 @@ def _swept(y0: np.ndarray, y1: np.ndarray, dense: Callable | None, t0: float, t1
 
 
 def simulate(torques: Sequence[float] | np.ndarray, state: Sequence[float], p: Plant, hold: float = 0.02) -> Trajectory:
-    """Integrates the plant under a torque in N m that is held for `hold` seconds per entry.
+    """Integrates the plant under torques in N m, each held for `hold` seconds.
 
     Returns:
         States and integrals at every multiple of `hold`; a state is theta, theta_dot, x, x_dot.
@@ -177,7 +176,7 @@ def simulate(torques: Sequence[float] | np.ndarray, state: Sequence[float], p: P
 def _phase(
     t: float, y: np.ndarray, end: float, slip: float, u: float, p: Plant
 ) -> tuple[float, np.ndarray, float, bool, float]:
-    """Integrates one phase until it or the hold ends: time, state, smallest N, whether it ended, swept angle."""
+    """Integrates one phase, at most until `end`: time, state, smallest N, whether the phase ended, swept angle."""
 
     def f(_: float, y: np.ndarray) -> tuple[float, float, float, float]:
         theta, omega, _x, v = y.tolist()
@@ -199,14 +198,14 @@ def _phase(
         normal = min(normal, normal_1)
         crossing = None
         dense: Any = None
-        # While the platform is much faster than it could brake within the step there is nothing to look for.
+        # A platform that is too fast to stop within the step cannot end its phase.
         slow = min(slip * y_0[3], slip * y_1[3]) < 3.0 * (t_1 - t_0) * max(abs(accel), abs(accel_1)) + 1e-6
         if slip == 0.0 or slow or y_0[1] * y_1[1] < 0.0:
             dense = solver.dense_output()
         if slip == 0.0 or slow:
             crossing = _first_crossing(g, dense, t_0, t_1)
         if crossing is not None and crossing < t_1:
-            # The dense output is one order poorer than the steps: take the step again, up to the event.
+            # Steps again up to the event, since the dense output has a lower order than the steps.
             again = DOP853(f, t_0, y_0, crossing, rtol=RTOL, atol=ATOL, first_step=crossing - t_0)
             while again.status == "running":
                 again.step()
@@ -229,12 +228,12 @@ step = njit(contact.step)
 
 
 class Run(NamedTuple):
-    """States at every multiple of the hold (rows), and the step's own integrals added up to there (rows).
+    """The result of `run`; row i of the arrays belongs to the time i * hold.
 
     Attributes:
         states: theta, theta_dot, x, x_dot.
-        sums: forward, backward, stuck, swept.
-        normal: the smallest `Motion.normal_force` of each hold, row i for the hold that ends there.
+        sums: sums of the step's integrals so far: forward, backward, stuck, swept.
+        normal: the smallest `Motion.normal_force` in the control interval that ends at that time.
         events: number of events so far.
         most_events: the most events in any one step.
     """
@@ -276,7 +275,8 @@ def run(torques: np.ndarray, state: tuple, p: Plant, hold: float, steps: int) ->
 def torque_for_load(ratio: float, theta: float, theta_dot: float, p: Plant) -> float:
     """The torque at which the load on a platform at rest is `ratio` times mu N (negative: backwards).
 
-    Row two of Eq. (1) with x'' = 0 gives theta'', row one then the torque; mu is the coefficient forwards.
+    With x'' = 0, the second row of Eq. (1) gives theta'' and the first row then the torque; mu is the forward
+    coefficient.
     """
     s, c = math.sin(theta), math.cos(theta)
     rough = ratio * p.mu

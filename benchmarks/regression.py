@@ -1,14 +1,13 @@
 """Ratios of speeds that the kernels must reach: `python -m benchmarks.regression`.
 
-Absolute times say nothing on another machine, ratios do. A ratio below its floor most often means that the compiler no
-longer vectorises a loop. The two sides of a ratio take turns, the processor's time counts and of the turns the median,
-so that other processes disturb both or neither; a ratio that misses its floor is measured again before it counts.
+Unlike absolute times, ratios are comparable between machines. A ratio below its floor usually means that the compiler
+no longer vectorises a loop. The two sides of a ratio are measured in turns, in processor time, and the median is used,
+so that other processes affect both sides. A ratio below its floor is measured again.
 
-Each floor is two thirds, or a little less, of the lowest ratio that was measured on processors with AVX2 and with
-AVX-512: 3.0, 0.84 and 0.65 for the first, third and fourth. Where no loop is vectorised the lanes are 1.2 to 1.3 times
-as fast as one environment at a time. The law's floor is nearer to its lowest ratio, 0.56: where the law's loop alone is
-not vectorised the ratio falls to 0.41 to 0.44. The last two were measured on one machine, without
-AVX-512.
+Each floor is at most about two thirds of the lowest ratio that was measured on processors with AVX2 and with AVX-512:
+3.0, 0.84 and 0.65 for the first, third and fourth ratio. Without any vectorised loop, the lanes are 1.2 to 1.3 times as
+fast as one environment at a time. The law's floor is closer to its lowest ratio, 0.56: if only the law's loop is not
+vectorised, the ratio is 0.41 to 0.44. The last two ratios were measured on one machine, without AVX-512.
 """
 
 from __future__ import annotations
@@ -36,14 +35,14 @@ if TYPE_CHECKING:
 
 COMMAND = "python -m benchmarks.regression"
 NUM_ENVS = 1024
-# As many episodes as an evaluation set holds.
+# Number and length of the episodes in the measurement of evaluations.
 EVALUATED, EVALUATED_STEPS = 100, 100
 EVALUATED_POLICY = "direct-ppo"
 TURNS = 9
 TURN_SECONDS = 0.04
 ATTEMPTS = 5
 
-# Takes one turn; returns its steps of environments per second of the processor.
+# Runs one turn and returns the environment steps per second of processor time.
 Turn = Callable[[], float]
 
 
@@ -52,10 +51,10 @@ class Guard:
     """A ratio of two rates.
 
     Attributes:
-        name: what it is.
+        name: description of the ratio.
         floor: the smallest allowed ratio.
-        one: the rate above the line.
-        other: the rate below.
+        one: the rate in the numerator.
+        other: the rate in the denominator.
     """
 
     name: str
@@ -64,7 +63,7 @@ class Guard:
     other: Turn
 
     def measure(self) -> float:
-        """The median over turns, the two sides one after the other; measured again while it misses the floor."""
+        """The median ratio over turns; measured again while it is below the floor, up to `ATTEMPTS` times."""
         best = 0.0
         for _ in range(ATTEMPTS):
             best = max(best, statistics.median(self.one() / self.other() for _ in range(TURNS)))
@@ -74,8 +73,8 @@ class Guard:
 
 
 def seeded(num_envs: int, **options: Any) -> Simulation:
-    """Environments with a seed each, so that no two have the same plant."""
-    # numba takes most of a second to import, which --help need not wait for.
+    """Creates environments with different seeds, so that their plants differ."""
+    # Imported here, since numba takes most of a second to import and --help does not need it.
     from capsule_gym.simulation import Simulation
 
     simulation = Simulation(num_envs, EnvConfig(**options))
@@ -86,13 +85,13 @@ def seeded(num_envs: int, **options: Any) -> Simulation:
 
 
 def kernel_steps(held: bool = False, **options: Any) -> Turn:
-    """Agent steps of `NUM_ENVS` environments by the kernel alone, under random torques.
+    """Agent steps of `NUM_ENVS` environments in the kernel alone, under random torques.
 
-    `held` keeps each environment's first torque, so that the platform seldom reverses.
+    With `held`, each environment keeps its first torque, so that the platform rarely reverses.
     """
     from capsule_gym.layout import Row
 
-    # These go on from turn to turn; one that has ended is reset.
+    # Episodes continue from turn to turn; an environment whose episode has ended is reset.
     simulation = seeded(NUM_ENVS, **options)
     draws = cycle(ACTION_SCALE * np.random.default_rng(SEED).uniform(-1.0, 1.0, (1 if held else DRAWS, NUM_ENVS)))
 
@@ -114,11 +113,11 @@ def kernel_steps(held: bool = False, **options: Any) -> Turn:
 
 
 def single_kernel_steps() -> Turn:
-    """A single environment, without the cost of the call from Python: a block with one lane in use."""
+    """Steps of a single environment (a block with one lane in use), without the overhead of the call from Python."""
     from capsule_gym.layout import Row
 
     simulation = seeded(1)
-    # Short enough that the episode runs on under every one of the torques.
+    # Few enough calls that no torque ends the episode.
     calls, torques = 200, cycle(ACTION_SCALE * np.linspace(-1.0, 1.0, 9))
 
     def turn() -> float:
@@ -139,7 +138,7 @@ def single_kernel_steps() -> Turn:
 
 
 def repeated(work: Callable[[], Any], steps: int) -> Turn:
-    """Calls of a function that takes so many steps."""
+    """Repeated calls of a function that makes `steps` steps."""
 
     def turn() -> float:
         start, done = time.process_time(), 0
@@ -152,7 +151,7 @@ def repeated(work: Callable[[], Any], steps: int) -> Turn:
 
 
 def resets(env_id: str) -> Turn:
-    """The `reset` of a single environment through gymnasium's default wrappers."""
+    """Calls of `reset` of a single environment with gymnasium's default wrappers."""
     env = gym.make(env_id)
     env.reset(seed=SEED)
     return repeated(lambda: [env.reset() for _ in range(100)], 100)
@@ -172,7 +171,7 @@ def episodes(policy: Policy) -> Turn:
 
 
 def updates(*, stock: bool) -> Turn:
-    """Samples of PPO's updates, by this project's compiled code or by Stable-Baselines3's."""
+    """Samples in PPO's updates, by this project's compiled code or by Stable-Baselines3."""
     import torch
 
     from agents.training.algorithms import make_env, make_model
@@ -183,15 +182,15 @@ def updates(*, stock: bool) -> Turn:
     config = replace(PRESETS["direct", "ppo"], stock=stock, **options)
     samples = options["num_envs"] * options["n_steps"]
     model: Any = make_model(config, make_env(config, SEED))
-    # Fills the buffer that `train` goes through.
+    # Fills the buffer for `train`.
     model.learn(samples)
     return repeated(model.train, samples)
 
 
 def guards() -> list[Guard]:
-    """Everything that is measured here."""
+    """All ratios of this benchmark."""
     direct, at_1_ms = kernel_steps(), kernel_steps(physics_dt=LAW_PHYSICS_DT)
-    # A native batch, with everything that it returns.
+    # A native batch, including observations, rewards and infos.
     step, _ = step_batch(ENV_ID, NUM_ENVS, ACTION_SCALE, max_episode_steps=sys.maxsize)
     whole = repeated(lambda: step(DRAWS), DRAWS * NUM_ENVS)
     evaluated = episodes(load_policy(EVALUATED_POLICY))
@@ -216,7 +215,7 @@ class Args(OutputArgs):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns 1 where a ratio misses its floor."""
+    """The command line; returns 1 if a ratio is below its floor."""
     args = parse(Args, COMMAND, arguments)
     rows, missed = [["", "ratio", "floor", ""]], False
     for guard in guards():

@@ -1,7 +1,7 @@
 """Environment steps per second, compared with other environments: `python -m benchmarks.throughput`.
 
-All actions are drawn beforehand. A single environment plays whole episodes, resets included. A batch of this package
-does not truncate, so that batches of every size are measured alike: an environment that fails is reset within the step.
+All actions are drawn beforehand. A single environment runs whole episodes, including resets. A batch of this package
+does not truncate episodes, so that all batch sizes are comparable; an environment that fails is reset within the step.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT
 COMMAND = "python -m benchmarks.throughput"
 TURN_SECONDS, CALIBRATION_SECONDS = 0.2, 0.05
 SEED = 0
-# Random torques up to the limit would mostly measure resets; the paper's torques are rarely above this share.
+# With random torques up to the limit, resets would dominate. The paper's torques rarely exceed this fraction.
 ACTION_SCALE = 0.2
 LAW: dict[str, Any] = {"controller": "baselines:adaptive", "residual_limit": ACTION_SCALE * task.TORQUE_LIMIT}
-# Distinct actions that are repeated.
+# Number of distinct actions, which are repeated.
 DRAWS = 16
 BATCHES = (64, 1024, 16384)
 PEER_BATCH = 1024
@@ -68,7 +68,7 @@ class Args(OutputArgs):
     """Turns of every contender."""
 
 
-# Takes a number of steps of all environments; frees them.
+# Functions that make a number of steps in all environments, and that free the environments.
 Stepper = tuple[Callable[[int], None], Callable[[], None]]
 
 
@@ -77,13 +77,13 @@ class Contender:
     """A way to step environments whose rate is measured.
 
     Attributes:
-        label: for the tables.
-        make: makes the environments.
+        label: label in tables.
+        make: function that creates the environments.
         environments: number of environments.
         substeps: integration steps in one step of the environment.
         threads: number of threads that share the environments.
-        peer: name of the contender that the ratio refers to.
-        package: what must be installed besides this package.
+        peer: name of the contender in the denominator of the ratio.
+        package: package that must be installed in addition to this package.
     """
 
     label: str
@@ -96,13 +96,13 @@ class Contender:
 
     @property
     def name(self) -> str:
-        """The label with batch and threads: unique among the contenders."""
+        """The label with batch size and threads, unique among the contenders."""
         batch = f", {self.environments} environments" if self.environments > 1 else ""
         return f"{self.label}{batch}{f', {self.threads} threads' if self.threads > 1 else ''}"
 
 
 def step_single(env_id: str, scale: float = 1.0, **kwargs: Any) -> Stepper:
-    """One environment with gymnasium's default wrappers; with a render mode, each step with its frame."""
+    """One environment with gymnasium's default wrappers; with a render mode, each step also renders a frame."""
     env = gym.make(env_id, **kwargs)
     env.action_space.seed(SEED)
     samples = [env.action_space.sample() for _ in range(256)]
@@ -123,7 +123,7 @@ def step_single(env_id: str, scale: float = 1.0, **kwargs: Any) -> Stepper:
 def _step_repeatedly(
     step: Callable[[np.ndarray], Any], actions: Sequence[np.ndarray] | np.ndarray
 ) -> Callable[[int], None]:
-    """Takes a number of steps, with the actions again and again."""
+    """Returns a function that makes a number of steps and repeats the actions."""
 
     def repeat(count: int) -> None:
         for n in range(count):
@@ -181,7 +181,7 @@ def mujoco_contender(friction: FrictionModel, physics_dt: float, threads: int = 
 
 
 def ours() -> list[Contender]:
-    """The environments of this package, without and with a law inside the step."""
+    """The contenders of this package, without and with a law inside the step."""
     found = []
     kinds: tuple[tuple[str, float, dict[str, Any]], ...] = (
         (DIRECT, DIRECT_PHYSICS_DT, {"scale": ACTION_SCALE}),
@@ -211,7 +211,7 @@ def ours() -> list[Contender]:
 
 
 def peers() -> list[Contender]:
-    """Tasks of gymnasium and EnvPool of about this size, and the same capsule in MuJoCo."""
+    """Tasks of similar size from gymnasium and EnvPool, and the same capsule in MuJoCo."""
     inverted = "InvertedPendulum-v5"
     found = [
         Contender(SINGLE_PEER, partial(step_single, SINGLE_PEER)),
@@ -231,7 +231,7 @@ def peers() -> list[Contender]:
 
 
 def select_available(contenders: Sequence[Contender]) -> tuple[list[Contender], list[str]]:
-    """The contenders that this machine can measure, and a line for each one that is left out, with the reason."""
+    """The contenders that this machine can measure, and a line with the reason for each omitted contender."""
     found, left_out = [], []
     for contender in contenders:
         if find_spec(contender.package) is None:
@@ -245,7 +245,7 @@ def select_available(contenders: Sequence[Contender]) -> tuple[list[Contender], 
 
 
 def measure(contenders: Sequence[Contender], turns: int) -> dict[str, list[float]]:
-    """Environment steps per second of all contenders, by name, one number per turn."""
+    """Measures the environment steps per second of all contenders; returns them by name, one number per turn."""
     with ExitStack() as stack:
         ready: dict[str, Callable[[], float]] = {}
         for contender in tqdm(contenders, desc="preparing"):
@@ -261,14 +261,14 @@ def measure(contenders: Sequence[Contender], turns: int) -> dict[str, list[float
 
 
 def _rate(step: Callable[[int], None], count: int) -> float:
-    """Takes so many steps; returns how many it takes per second."""
+    """Makes `count` steps; returns the steps per second."""
     start = time.perf_counter()
     step(count)
     return count / (time.perf_counter() - start)
 
 
 def table(measured: Sequence[Contender], rates: Mapping[str, Sequence[float]]) -> list[list[str]]:
-    """The table of rates; a ratio only where its peer was measured."""
+    """The table of rates; a ratio is shown only if its peer was measured."""
     rows = [["", "envs", "threads", "substeps", "env-steps/s", "IQR", "ratio", "to"]]
     labels = {contender.name: contender.label for contender in measured}
     for contender in measured:

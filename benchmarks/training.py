@@ -1,7 +1,7 @@
 """Learning and speed of PPO, compared with Stable-Baselines3's own: `python -m benchmarks.training`.
 
-All agents command the whole torque on the paper's plants, and take turns; seconds are of processor time, without the
-evaluations. Learning curves are evaluated on plants that are drawn for this alone, no frozen set.
+All agents command the whole torque on the paper's plants, and are trained in turns. Seconds are processor time without
+the evaluations. Learning curves are evaluated on separate plants, not on a frozen set.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from capsule_gym.files import replacing
 
 COMMAND = "python -m benchmarks.training"
 EVALUATIONS = 16
-# Seed of the plants of the evaluations: no run selects on them, no frozen set holds them.
+# Seed of the plants for evaluations, which no run uses for selection and no frozen set contains.
 PLANTS_SEED = 4_000
-# Points of the learning curve that the table shows, as parts of the whole.
+# Points of the learning curve in the table, as fractions of the total steps.
 SHOWN = (0.25, 0.5, 0.75, 1.0)
-# The preset of the release before rollouts and updates were compiled; today's preset may change.
+# The preset of the release before rollouts and updates were compiled, copied since the current preset may change.
 TUNED: dict[str, Any] = {
     **{"num_envs": 64, "n_steps": 256, "batch_size": 2048, "n_epochs": 6},
     **{"learning_rate": 1e-3, "final_learning_rate": 1e-4, "gamma": 0.995, "gae_lambda": 0.98, "ent_coef": 0.0},
@@ -69,7 +69,7 @@ class Args(OutputArgs):
     """Draw the learning curves into this PNG file."""
 
     def check(self) -> None:
-        """Raises an error for what cannot be measured or written."""
+        """Raises an error if a file cannot be written or a number is out of range."""
         super().check()
         if self.seeds < 2:
             raise ValueError(f"--seeds must be at least 2, for an interval over them, got {self.seeds}")
@@ -80,12 +80,12 @@ class Run:
     """A learning curve.
 
     Attributes:
-        name: of its settings in `LEARNERS`.
-        seed: of the training.
-        steps: environment steps until each evaluation of the deterministic policy.
-        seconds: of processor time until then, without the evaluations.
+        name: name of the settings in `LEARNERS`.
+        seed: training seed.
+        steps: environment steps before each evaluation of the deterministic policy.
+        seconds: processor time before each evaluation, without the evaluations.
         mean_speed: interquartile mean over the episodes of each evaluation, cm/s.
-        failed: share of these episodes that failed.
+        failed: share of failed episodes in each evaluation.
     """
 
     name: str
@@ -101,13 +101,13 @@ class Run:
         return self.steps[-1] / self.seconds[-1]
 
     def speed_at(self, part: float) -> float:
-        """The mean speed at the evaluation that is nearest to that part of the steps."""
+        """The mean speed at the evaluation that is nearest to a fraction of the steps."""
         return self.mean_speed[int(np.abs(np.array(self.steps) - part * self.steps[-1]).argmin())]
 
 
 def learn(name: str, config: PPOConfig) -> Run:
-    """Trains for `total_steps`; the deterministic policy is evaluated about `EVALUATIONS` times, between updates."""
-    # torch takes seconds to import, which --help need not wait for.
+    """Trains for `total_steps` and evaluates the deterministic policy about `EVALUATIONS` times, between updates."""
+    # Imported here, since torch takes seconds to import and --help does not need it.
     import torch
     from stable_baselines3.common.callbacks import BaseCallback
 
@@ -150,7 +150,7 @@ def learn(name: str, config: PPOConfig) -> Run:
 
 
 def learning(seeds: int, total_steps: int) -> dict[str, list[Run]]:
-    """The learning curves of `LEARNERS` by name, a list over seeds."""
+    """Trains `LEARNERS`; returns the learning curves over seeds, by name."""
     runs: dict[str, list[Run]] = {name: [] for name in LEARNERS}
     with tqdm(total=seeds * len(LEARNERS), desc="learning", unit=" trainings") as bar:
         for name, config in LEARNERS.items():  # compiles before a clock runs
@@ -185,7 +185,7 @@ def learning_table(runs: Mapping[str, Sequence[Run]]) -> list[list[str]]:
 
 
 def difference(runs: Mapping[str, Sequence[Run]]) -> str:
-    """The difference of the preset's mean speed from its peer's over the whole curve, in a sentence."""
+    """A sentence with the difference in mean speed over the whole curve between the preset and its peer."""
     own, other = (np.array([[statistics.mean(run.mean_speed)] for run in runs[name]]) for name in (PRESET, PEER))
     found = paired_difference(own, other)
     return (
@@ -195,7 +195,7 @@ def difference(runs: Mapping[str, Sequence[Run]]) -> str:
 
 
 def draw(runs: Mapping[str, Sequence[Run]], note: str) -> Any:
-    """The learning curves over environment steps and over seconds, to be called in `drawing.style`."""
+    """Draws the learning curves over environment steps and over seconds; call it in `drawing.style`."""
     figure = drawing.new_figure(3.1)
     left, right = figure.subplots(1, 2, sharey=True)
     for (name, own), colour in zip(runs.items(), COLOURS, strict=False):
@@ -220,7 +220,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     note = f"Interquartile means with 95 % intervals over seeds; {args.total_steps:,} steps. {found}."
     if args.figure is not None:
         with drawing.style(), replacing(args.figure) as temporary:
-            # Half as many bytes as at the resolution of the paper's figures.
+            # At this resolution, the file is half as large as at that of the paper's figures.
             draw(runs, note).savefig(temporary, format="png", dpi=130, metadata={"Software": None})
     args.report(COMMAND, table, words, note)
     return 0

@@ -1,7 +1,7 @@
 """Speed of the module for browsers, compared with the native environment: `python -m benchmarks.web`.
 
-Whole episodes of one capsule in closed loop, in this process and in node on the same machine, take turns. All times are
-the processor's, so that a busy machine changes little.
+Whole episodes of one capsule in closed loop run in this process and in node on the same machine, in turns. All times
+are processor times, so that other processes have little effect.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from web import build
 from web.episodes import env_kwargs, is_trained
 
 COMMAND = "python -m benchmarks.web"
-# Nothing in the step, a law, a network, and both with a filter.
+# No control law, a law, a network, and a law with a network and a filter.
 CONTROLLERS = ("zero", "adaptive", "direct-ppo", "residual-identifying")
-# Runs an episode for every line of its input; prints its seconds.
+# Runs an episode for every line of its input and prints the episode's seconds.
 SCRIPT = """
 import { createInterface } from "node:readline";
 const [path, name] = process.argv.slice(1);
@@ -59,7 +59,7 @@ class Args(OutputArgs):
 
 
 def native_episode(name: str) -> float:
-    """A nominal episode of Python's environment, as a user steps it; returns its steps per second."""
+    """Runs a nominal episode in Python's environment, as a user does; returns the steps per second."""
     env = capsule_gym.CapsuleEnv(**env_kwargs(name))
     policy = capsule_gym.load_policy(name) if is_trained(name) else None
     nothing, nominal = np.zeros(1, np.float32), {"M": env.simulation.capsule.M, "mu": env.simulation.capsule.mu}
@@ -75,7 +75,7 @@ def native_episode(name: str) -> float:
 
 @contextmanager
 def node_process(name: str, module: Path) -> Iterator[Callable[[], float]]:
-    """A process of node; yields the function that runs a nominal episode in it and returns its steps per second."""
+    """Starts node; yields a function that runs a nominal episode in it and returns the steps per second."""
     command = ["node", "--input-type=module", "--eval", SCRIPT, module.as_uri(), name]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None and process.stdout is not None

@@ -1,7 +1,7 @@
-"""From functions to a WebAssembly module: numba's intermediate code, LLVM's optimiser and backend, and an export list.
+"""Compiles functions to a WebAssembly module: numba's intermediate code, LLVM's optimiser and backend, an export list.
 
-Whatever the processor and its features, the same versions of Python, numba and LLVM make the same bytes: numba's own
-optimiser, which looks at them, must be off (`NUMBA_OPT=0`), and loops stay scalar.
+The same versions of Python, numba and LLVM give the same bytes on every processor. Numba's own optimiser, which depends
+on the processor's features, must therefore be off (`NUMBA_OPT=0`), and loops stay scalar.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from capsule_gym.compiler import lower
 from web.fused import fused
 
 TRIPLE = "wasm32-unknown-unknown"
-# Features of every engine since 2021.
+# Features that every engine supports since 2021.
 FEATURES = "+bulk-memory,+mutable-globals,+nontrapping-fptoint,+sign-ext"
 LLVM_TYPES = {types.float64: "double", types.int32: "i32", types.int64: "i64", types.uint64: "i64"}
 
-# Functions that numba takes from a library of its own, for positive, normal numbers.
+# Replacements of functions in numba's runtime library, for positive, normal numbers.
 RUNTIME = f"""
 define double @numba_frexp(double %x, ptr %exponent) {{
   %bits = bitcast double %x to i64
@@ -36,11 +36,11 @@ define double @numba_frexp(double %x, ptr %exponent) {{
 }}
 """
 
-# Of a WebAssembly module: how many bytes it begins with, and the numbers of its sections and of what they name.
+# Length of a WebAssembly module's preamble in bytes, numbers of its sections, and the kind of an exported function.
 PREAMBLE = 8
 CUSTOM, EXPORT, DATA = 0, 7, 11
 FUNCTION_KIND = 0
-# Of an object's section "linking": its symbol table, and the flag of a symbol that is an import.
+# In an object's section "linking": the number of the symbol table, and the flag of an imported symbol.
 SYMBOL_TABLE, UNDEFINED = 8, 16
 
 
@@ -48,10 +48,10 @@ class Entry(NamedTuple):
     """A function that a module exports.
 
     Attributes:
-        name: under which it does.
-        function: plain; it takes and returns numbers, and takes arrays as pointers.
-        result: numba's type of what it returns.
-        arguments: of what it takes.
+        name: name of the export.
+        function: an uncompiled function; it takes and returns numbers, and takes arrays as pointers.
+        result: numba's type of the result.
+        arguments: numba's types of the arguments.
     """
 
     name: str
@@ -61,7 +61,7 @@ class Entry(NamedTuple):
 
 
 def optimise(entries: Sequence[Entry]) -> Any:
-    """LLVM's module of these functions, optimised for WebAssembly; all else in it is internal.
+    """Compiles functions to an LLVM module, optimised for WebAssembly; all other functions in it are internal.
 
     Raises:
         RuntimeError: if numba's optimiser is on.
@@ -73,12 +73,12 @@ def optimise(entries: Sequence[Entry]) -> Any:
     for entry in entries:
         linked.link_in(_lower(entry))
     machine = _machine()
-    # The instruction becomes a call, since WebAssembly lacks it; the declaration of what is defined must go.
+    # WebAssembly lacks the instruction, so it becomes a call of `fused`, whose definition must not be declared again.
     text = str(linked).replace("declare double @llvm.fma.f64(", "declare double @unused(")
     module = llvm.parse_assembly(text.replace("@llvm.fma.f64(", "@fused("))
     module.triple, module.data_layout = TRIPLE, str(machine.target_data)
     _hide(module, [entry.name for entry in entries])
-    # No vectors are made of loops.
+    # Loops are not vectorised.
     options = llvm.create_pipeline_tuning_options(speed_level=3)
     options.loop_vectorization = options.slp_vectorization = False
     builder = llvm.create_pass_builder(machine, options)
@@ -87,14 +87,14 @@ def optimise(entries: Sequence[Entry]) -> Any:
 
 
 def assemble(module: Any, names: Sequence[str]) -> bytes:
-    """The WebAssembly module that exports these functions. It imports memory, the stack pointer, and what is undefined.
+    """The WebAssembly module that exports these functions; it imports memory, the stack pointer and undefined symbols.
 
     Raises:
         RuntimeError: if the functions need data.
     """
     _hide(module, names)
     built = _machine().emit_object(module)
-    # Sections for linkers are removed. Without data all indices in an object are final.
+    # Sections for linkers are removed. Without data, all indices in an object are final.
     sections = dict(pair for pair in _sections(built) if pair[0] != CUSTOM)
     if DATA in sections:
         raise RuntimeError("the functions must need no data")
@@ -119,13 +119,13 @@ def _hide(module: Any, names: Sequence[str]) -> None:
 
 
 def _lower(entry: Entry) -> Any:
-    """LLVM's module of a function, under the entry's name with plain arguments and result."""
+    """The LLVM module of a function, with the entry's name and with plain arguments and result."""
     module, result = lower(entry.function, entry.result(*entry.arguments), {})
     kinds = [LLVM_TYPES.get(kind, "ptr") for kind in entry.arguments]
     given = ", ".join(f"{kind} %{n}" for n, kind in enumerate(kinds))
     kind, inner = LLVM_TYPES[entry.result], result.fndesc.llvm_func_name
-    # numba's functions return whether they have raised an exception, which none of these does, and the result through
-    # a pointer. Inlined at each of its calls, the multiply-add would make the step many times as long.
+    # numba's functions return a status (none of these raises an exception), and the result through a pointer. They are
+    # not inlined, since inlining the multiply-add at each call would make the step many times as long.
     wrapper = (
         f'declare i32 @"{inner}"(ptr, ptr, {", ".join(kinds)})\n'
         f"define {kind} @{entry.name}({given}) noinline {{\n"
@@ -139,7 +139,7 @@ def _lower(entry: Entry) -> Any:
 
 
 def _number(value: int) -> bytes:
-    """An unsigned number as WebAssembly writes it: seven bits a byte."""
+    """Encodes an unsigned number for WebAssembly, with seven bits per byte."""
     out = bytearray()
     while value > 127:
         out.append(value & 127 | 128)
@@ -148,7 +148,7 @@ def _number(value: int) -> bytes:
 
 
 def _read_number(content: bytes, at: int) -> tuple[int, int]:
-    """A number at that place, and the place behind it."""
+    """Reads the number at a position; returns it and the position after it."""
     value = shift = 0
     while True:
         byte = content[at]
@@ -159,7 +159,7 @@ def _read_number(content: bytes, at: int) -> tuple[int, int]:
 
 
 def _sections(content: bytes) -> Iterator[tuple[int, bytes]]:
-    """The sections of a module: their numbers and contents."""
+    """Yields the numbers and contents of a module's sections."""
     at = PREAMBLE
     while at < len(content):
         size, start = _read_number(content, at + 1)
@@ -183,7 +183,7 @@ def _functions(built: bytes) -> dict[str, int]:
         kind = content[at]
         flags, at = _read_number(content, at + 1)
         index, at = _read_number(content, at)
-        # An import has no name of its own.
+        # An import has no name.
         if flags & UNDEFINED:
             continue
         size, at = _read_number(content, at)

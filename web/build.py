@@ -1,7 +1,7 @@
 """Writes the live page and its module: `python -m web.build`, which `make web` runs.
 
-Into the folder of the site go the page `index.html`, out of the page's template, style and modules, and the module
-`capsule.mjs`, neither of which needs another file or a server; and the module's types `capsule.d.mts`.
+The command writes three files to the folder of the site: the page `index.html`, from the page's template, style and
+modules; the module `capsule.mjs`; and its types `capsule.d.mts`. Page and module need no other file and no server.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from capsule_gym.files import write_atomically
 PROG = "python -m web.build"
 FOLDER = Path("site/live")
 SOURCES = Path(__file__).parent
-# The line of web/capsule.mjs that the archive takes the place of.
+# The line of web/capsule.mjs that is replaced by the archive.
 PLACE = 'const ARCHIVE = "";'
 LINK = '<a id="documentation"'
 PAGE = SOURCES / "page"
 MODULE = "capsule.mjs"
-# Names of lengths and colours that the page shares with `capsule_gym.rendering`.
+# Lengths and colours that the page shares with `capsule_gym.rendering`.
 LENGTHS = (
     *("ROD", "BALL", "PIVOT", "SHELL_HEIGHT", "SHELL_HALF", "PLATFORM_HALF", "PLATFORM_HEIGHT", "GAUGE"),
     *("SPRING_INNER", "SPRING_OUTER", "SPRING_TURNS"),
@@ -43,14 +43,14 @@ COLOURS = (
 
 
 def build_module(archive: str) -> str:
-    """The text of capsule.mjs with the archive in it."""
+    """The text of capsule.mjs with the archive inserted."""
     source = (SOURCES / "capsule.mjs").read_text(encoding="utf-8")
     before, after = source.split(PLACE)
     return f'{before}const ARCHIVE = "{archive}";{after}'
 
 
 def build_page(module: str) -> str:
-    """The text of the page, one HTML file: an import map holds every JavaScript module, in its text, by its name."""
+    """The text of the page, one HTML file; an import map contains the text of every JavaScript module by its name."""
     lengths = {name: getattr(rendering, name) for name in LENGTHS}
     sources = {MODULE: module, "figure.js": f"export const figure = {json.dumps(lengths)};\n"}
     sources |= {path.name: path.read_text("utf-8") for path in sorted(PAGE.glob("*.js"))}
@@ -61,12 +61,12 @@ def build_page(module: str) -> str:
     }
     template = (PAGE / "index.html").read_text("utf-8")
     page = re.sub(r"/\* (style|import map) \*/", lambda match: parts[match[1]], template)
-    # A preview's address must be whole: known where the site is deployed, as in mkdocs.yml.
+    # The address of the preview image must be absolute. SITE_URL is set when the site is deployed, as in mkdocs.yml.
     return page.replace("../media/", (os.environ.get("SITE_URL") or "../") + "media/", 1)
 
 
 def palette() -> str:
-    """The colours of the robot and of the figures as properties of CSS, --ink for INK."""
+    """The colours of the robot and the figures as CSS properties, for example --ink for INK."""
     robot = {name: "#" + "".join(f"{part:02x}" for part in getattr(rendering, name)) for name in COLOURS}
     colours = {**robot, "RIVAL": drawing.PURPLE, "ACCENT": drawing.BLUE, "WARNING": drawing.VERMILION}
     lines = (f"  --{name.lower().replace('_', '-')}: {value};\n" for name, value in colours.items())
@@ -89,7 +89,7 @@ class Args:
 def main(arguments: Sequence[str] | None = None) -> None:
     """The command line."""
     args = parse(Args, PROG, arguments)
-    # After the command line is known to be right: the help needs none of it.
+    # Imported after the command line is checked: --help does not need it.
     from web.data import pack_data
 
     try:
@@ -103,7 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     module = build_module(archive)
     page = build_page(module)
     if not (args.output.parent / "index.html").is_file():
-        # There is no documentation in the folder above, which the page links to.
+        # Hides the link to the documentation, which does not exist in the folder above.
         page = page.replace(LINK, f"{LINK} hidden", 1)
     for name, text in (
         ("index.html", page),

@@ -1,8 +1,8 @@
-"""Data for the JavaScript besides the modules: drivers, settings, tables, networks, plants and episodes.
+"""Data for the JavaScript: modules, drivers, settings, tables, networks, plants and episodes.
 
-Everything is one archive: the length of a header in four bytes, the header as JSON, and behind it what the header says
-the place of. Arrays of float64 lie there column by column, and of each column first the lowest bytes of all numbers,
-then the next: neighbours are alike, which makes them a third smaller.
+All data are in one archive: the length of a header in four bytes, the header as JSON, and the content, whose positions
+are in the header. Float64 arrays are stored column by column; for each column, the lowest bytes of all numbers come
+first, then the next bytes. Neighbouring bytes are then similar, which reduces the compressed size by a third.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ from capsule_gym.simulation import LARGEST_KEY
 from web.episodes import FILE, OVER, RECORDED, SEEDS, controller_names, env_kwargs, is_trained, known_recordings
 from web.modules import COMMON, DIRECT, ENTRIES, LAWS, STARTS, STEPS, build, find_law
 
-# The smallest mass of the platform with which friction up to the largest is accepted, kg, and the motor's largest
-# friction, N m, the capsule's as that of disturbances.
+# Smallest accepted mass of the platform, kg, at which the largest friction is also accepted; and largest friction of
+# the motor, N m, for the capsule and for disturbances.
 LIGHTEST, LARGEST_MOTOR_FRICTION = 0.2, 0.2
 # Accepted values of the other constants.
 RANGES = Randomization(
@@ -71,18 +71,18 @@ RANDOM = "random"
 
 
 class Archive:
-    """Arrays and bytes, each kept once."""
+    """Arrays and bytes; equal contents are stored once."""
 
     def __init__(self) -> None:
         self._content = b""
         self._known: dict[tuple[str, bytes], dict[str, int]] = {}
 
     def add(self, content: bytes) -> dict[str, int]:
-        """Keeps bytes; returns what the header says of them."""
+        """Stores bytes; returns their entry in the header."""
         return self._keep("bytes", content, {"size": len(content)})
 
     def add_array(self, array: np.ndarray) -> dict[str, int]:
-        """Keeps a float64 array of one or two dimensions; returns what the header says of it."""
+        """Stores a float64 array of one or two dimensions; returns its entry in the header."""
         table = np.ascontiguousarray(array, "<f8").reshape(len(array), -1)
         rows, columns = table.shape
         content = table.view(np.uint8).reshape(rows, columns, 8).transpose(1, 2, 0).tobytes()
@@ -96,13 +96,13 @@ class Archive:
         return self._known[key]
 
     def pack(self, header: dict[str, Any]) -> str:
-        """The archive behind its header, deflated, in base64."""
+        """The header and the content, compressed with zlib, in base64."""
         text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
         return base64.b64encode(zlib.compress(len(text).to_bytes(4, "little") + text + self._content, 9)).decode()
 
 
 def pack_data() -> str:
-    """All that the JavaScript is given."""
+    """The archive with all data for the JavaScript."""
     archive, modules = Archive(), build([COMMON, *STEPS, *LAWS])
     return archive.pack(
         {
@@ -123,7 +123,7 @@ def pack_data() -> str:
 
 
 def layout() -> dict[str, Any]:
-    """Where what lies in the arrays that the modules take."""
+    """The layout of the arrays that the modules take."""
     return {
         "lanes": LANES,
         "quantities": Row._fields,
@@ -140,7 +140,7 @@ def layout() -> dict[str, Any]:
 
 
 def describe_task(name: str) -> dict[str, Any]:
-    """The task of an environment: rows of its memory, those shown in `info`, and those drawn at a reset."""
+    """A task: the rows of its memory, the values shown in `info`, and the draws at a reset."""
     own = find_task(name)
     return {
         "memory": own.memory._fields,
@@ -165,7 +165,7 @@ def variation() -> dict[str, Any]:
 
 
 def describe_controller(name: str, archive: Archive) -> dict[str, Any]:
-    """A law, the table that it follows, and the settings of the step by the tasks that it acts in."""
+    """A law, its reference table, and the settings of the step for each of its tasks."""
     law = find_law(name)
     acting = law or NO_CONTROLLER
     tasks = [acting.task] if acting.task else list(task.TASKS)
@@ -179,10 +179,10 @@ def describe_controller(name: str, archive: Archive) -> dict[str, Any]:
 
 
 def controller_of(options: EnvConfig) -> str:
-    """Which of `LAWS` an environment has.
+    """The name of an environment's law in `LAWS`.
 
     Raises:
-        ValueError: if its law is none of `baselines`.
+        ValueError: if the law is not from `baselines`.
     """
     if options.controller is None:
         return DIRECT
@@ -194,7 +194,7 @@ def controller_of(options: EnvConfig) -> str:
 
 @cache
 def _corners(capsule: Capsule) -> list[Capsule]:
-    """The stiffest plants that the page accepts, with the motor's friction of the disturbances."""
+    """The stiffest plants that the page accepts, including the motor friction of disturbances."""
     return list(replace(RANGES, motor_friction=(0.0, 2.0 * LARGEST_MOTOR_FRICTION)).corners(capsule))
 
 
@@ -202,7 +202,7 @@ def describe_settings(options: EnvConfig) -> dict[str, Any]:
     """The arguments of the compiled step for an environment, plain and varied, and the length of its episodes.
 
     Raises:
-        ValueError: if its capsule has what only a varied one has, or its law is none of `baselines`.
+        ValueError: if the capsule needs the varied step, or the law is not from `baselines`.
     """
     capsule, own, law = options.capsule or NOMINAL, find_task(options.task), find_law(controller_of(options))
     plant = capsule.plant()
@@ -211,7 +211,7 @@ def describe_settings(options: EnvConfig) -> dict[str, Any]:
     fixed = {}
     for name, disturbed in (("fixed", "none"), ("varied", Disturbances())):
         settings = make_settings(replace(options, randomization="none", disturbances=disturbed), law)
-        # For all plants that the page accepts.
+        # The step must be valid for all plants that the page accepts.
         for corner in _corners(capsule):
             check_step(corner, corner.M, corner.mu, settings)
         fixed[name] = pack(plant, settings, np.zeros((0, 0))).tolist()
@@ -227,10 +227,10 @@ def describe_settings(options: EnvConfig) -> dict[str, Any]:
 
 
 def describe_policy(name: str, policy: Policy) -> dict[str, Any]:
-    """A trained policy as the browser runs it, under that name; its network is an array of float64.
+    """The description of a trained policy for the browser; the network is a float64 array.
 
     Raises:
-        ValueError: as `describe_settings`, of the policy's environment.
+        ValueError: as in `describe_settings`, for the policy's environment.
     """
     options = EnvConfig(**policy.env_kwargs)
     network = policy._network
@@ -248,7 +248,7 @@ def describe_policy(name: str, policy: Policy) -> dict[str, Any]:
 
 
 def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
-    """The drivers of page and step; of a trained policy the run with the lowest seed."""
+    """The description of a driver for the page and the step; a trained policy is the run with the lowest seed."""
     if is_trained(name):
         described, row = describe_policy(name, load_policy(name)), ROWS.get(name)
         weights = row.energy_weights if isinstance(row, PPOConfig) else None
@@ -273,7 +273,7 @@ def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
         }
         return {**described, "kind": "recording", "recordings": recordings}
     if name == RANDOM:
-        # The generators of these seeds: state and increment, 16 bytes each.
+        # State and increment of each seed's generator, 16 bytes each.
         states = [np.random.default_rng([seed, 1]).bit_generator.state["state"] for seed in range(SEEDS)]
         content = b"".join(each[key].to_bytes(16, "little") for each in states for key in ("state", "inc"))
         return {**described, "kind": "none", "seeds": {**archive.add(content), "count": SEEDS}}
@@ -281,20 +281,20 @@ def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
 
 
 def describe_set(found: EvaluationSet) -> dict[str, Any]:
-    """A frozen set: its hash, what its environments have in common, and its first plants."""
+    """A frozen set: its hash, the common settings of its environments, and its first plants."""
     plants = [{key: value for key, value in plant.to_dict().items() if value != []} for plant in found.plants[:SEEDS]]
     given, capsule = found.env_kwargs["disturbances"], found.env_kwargs["capsule"] or NOMINAL
     common = {
         "task": found.task,
         "disturbances": asdict(given) if isinstance(given, Disturbances) else given,
-        # Also the default one: a driver may have been trained on another.
+        # Given also for the default capsule, since a driver may have been trained on another.
         "capsule": [getattr(capsule, name) for name in CONSTANTS],
     }
     return {"hash": found.hash, **common, "plants": plants}
 
 
 def constants() -> dict[str, Any]:
-    """The numbers of the task and of the plant, in SI units."""
+    """The constants of the task and the plant, in SI units."""
     return {
         "control_dt": task.CONTROL_DT,
         "steps": task.EPISODE_STEPS,

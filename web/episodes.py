@@ -1,12 +1,14 @@
 """Whole episodes that the module replays: `python -m web.episodes` compares Python's with the committed ones.
 
-Every driver has one, on a plant of the frozen set `drift`, whose M and mu jump twice, or of its task's set. Three are
-on disturbed plants, of the set `real`. Random torques that each hold for a while have two each, without a law and with
-one. A hash is over the bytes of all steps: each quantity of the environment, the law's memory, its line of the
-reference, the task's memory and the history, float64, and then the observation, float32.
+Every driver has one episode, on a plant of the frozen set `drift`, whose M and mu jump twice, or of its task's set.
+Each driver in `DISTURBED` has another one on a disturbed plant of the set `real`. Each driver in `SCALES` has two more
+with random torques that are held for several steps. The hash of an episode covers the bytes of all steps: each quantity
+of the environment, the law's memory, its line of the reference, the task's memory and the history, float64, and then
+the observation, float32.
 
-The tables of the optimum's policies are many times the module's size; their torques are few bytes. So the module has
-these instead: for every plant that it has the place in `TORQUES` of each action, which it acts out in its own step.
+The tables of the optimum's policies are many times as large as the module, but their torques take few bytes. The module
+therefore contains recordings: for each of its plants, the index in `TORQUES` of each action. It replays the actions in
+its own step.
 """
 
 from __future__ import annotations
@@ -31,17 +33,17 @@ from capsule_gym.files import write_atomically
 from capsule_gym.policy import policy_names
 from capsule_gym.task import CONTROL_DT, EPISODE_STEPS, TASKS
 
-# The module has as many plants of each frozen set, whose seeds are 0, 1, ..
+# Number of plants of each frozen set in the module; their seeds are 0, 1, ..
 SEEDS = 100
-# Run in the browser by their recorded actions, on these plants alone.
+# Policies that the browser runs from recorded actions, on these plants only.
 RECORDED = ("dp-nominal", "dp-oracle")
 FILE = Path(__file__).with_name("episodes.json")
 RECORDINGS = Path(__file__).with_name("recordings.npz")
-# In a recording, behind the last action of an episode.
+# Fills a recording after the last action of an episode.
 OVER = 255
-# Random actions and for how many steps each holds, or nothing would move.
+# Number of random actions, and steps for which each is held; otherwise the platform would not move.
 ACTIONS, HOLD = 97, 5
-# The scale of random actions, by the driver that they are added to.
+# Scale of random actions by driver.
 SCALES = {"zero": 0.15, "adaptive": 0.05, "gait-identifying": 0.05}
 DISTURBED = ("zero", "gait-predictive", "adaptive-predictive")
 
@@ -49,23 +51,23 @@ Episode = dict[str, Any]
 
 
 def is_trained(name: str) -> bool:
-    """Whether a policy of the browser is a trained one."""
+    """Whether a policy of the browser is trained."""
     return name in policy_names()
 
 
 def controller_names() -> list[str]:
-    """The policies that run in the browser; of a trained one the run with the lowest seed."""
-    # Those of other tasks last, where they shift no plants.
+    """The policies that run in the browser; a trained policy is the run with the lowest seed."""
+    # Policies of other tasks come last, so that they do not change the plants of the others.
     return [*ALL_SCRIPTED, *sorted(policy_names(), key=lambda name: "task" in env_kwargs(name))]
 
 
 def env_kwargs(name: str) -> dict[str, Any]:
-    """The arguments of the environment that a driver acts in."""
+    """The arguments of a driver's environment."""
     return capsule_gym.load_policy(name).env_kwargs if is_trained(name) else ALL_SCRIPTED[name].env_kwargs
 
 
 def episodes() -> Iterator[Episode]:
-    """An episode with a hash: driver, plant, and random actions where there are any."""
+    """Yields the definitions of the episodes: driver, plant, and random actions if any."""
 
     def held(seed: int, scale: float) -> Episode:
         actions = np.random.default_rng(seed).uniform(-scale, scale, ACTIONS).round(4).tolist()
@@ -84,7 +86,7 @@ def episodes() -> Iterator[Episode]:
 
 
 def compute(episode: Episode) -> tuple[int, str]:
-    """The number of steps of an episode and its hash, by Python's environment."""
+    """Runs an episode in Python's environment; returns the number of steps and the hash."""
     name, found = episode["driver"], load_set(episode["set"])
     plant, kwargs = found.plants[episode["plant"]], {**env_kwargs(name), **found.env_kwargs}
     env = capsule_gym.CapsuleEnv(**kwargs)
@@ -105,12 +107,12 @@ def compute(episode: Episode) -> tuple[int, str]:
 
 
 def record(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
-    """The actions of one of `RECORDED` on plants, as places in `TORQUES`.
+    """Records the actions of one of `RECORDED` on plants, as indices in `TORQUES`.
 
     Returns:
-        Shape (plants, `EPISODE_STEPS`), uint8; `OVER` behind the end of an episode.
+        Shape (plants, `EPISODE_STEPS`), uint8; `OVER` after the end of an episode.
     """
-    # Here, since numba comes with them, which takes most of a second to import.
+    # Imported here, since numba takes most of a second to import.
     from agents.evaluation.episodes import evaluate
     from baselines.dynamic_programming.policy import TORQUES
 
@@ -129,14 +131,14 @@ def record(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
     episodes = evaluate(replace(policy, start=start), EvaluationSet(name, tuple(plants)))
     places = np.full((len(plants), EPISODE_STEPS), OVER, np.uint8)
     for row, actions, episode in zip(places, np.array(taken).T, episodes, strict=True):
-        # An episode may end within its last step.
+        # Rounded up, since an episode may end within its last step.
         steps = math.ceil(episode["duration"] / CONTROL_DT - 1e-6)
         row[:steps] = np.searchsorted(TORQUES, actions[:steps])
     return places
 
 
 def known_recordings() -> dict[str, dict[str, np.ndarray]]:
-    """The committed recordings, by policy and set; each as of `record`."""
+    """Reads the committed recordings, by policy and set, in the format of `record`."""
     with np.load(RECORDINGS) as file:
         return {name: {each: file[f"{name} {each}"] for each in SET_NAMES} for name in RECORDED}
 

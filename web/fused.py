@@ -1,7 +1,7 @@
-"""The fused multiply-add out of sums and products, for processors that have none: WebAssembly is one.
+"""A fused multiply-add from sums and products, for targets without this instruction, such as WebAssembly.
 
 The algorithm is that of Boldo and Melquiond (Emulation of a FMA and correctly rounded sums, 2008): the rounding errors
-of a product and of two sums are exact, and their sum, rounded to odd, decides how the last sum is rounded.
+of a product and two sums are exact, and their sum, rounded to odd, determines the rounding of the last sum.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from numba import njit
 
 from capsule_gym.compilation import inlined
 
-# Cuts a significand of 53 bits in two (Veltkamp).
+# Splits a significand of 53 bits into two halves (Veltkamp).
 CUT = 2.0**27 + 1.0
 _ONE = np.uint64(1)
 
@@ -48,8 +48,8 @@ def _odd_sum(a: float, b: float) -> float:
 def fused(a: float, b: float, c: float) -> float:
     """a b + c, rounded once.
 
-    The same bits as the instruction of other processors, unless a number is above 2^995 in size, or both a b and c are
-    below 2^-900 and neither is 0; no episode has such numbers.
+    The result has the same bits as that of the processor instruction, unless the absolute value of a number exceeds
+    2^995, or those of both a b and c are below 2^-900 and not 0. Episodes do not contain such numbers.
     """
     if a == 0.0 or b == 0.0 or c == 0.0 or not np.isfinite(a * b + c):
         return a * b + c

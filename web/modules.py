@@ -1,8 +1,8 @@
-"""The functions of the package that go into WebAssembly: `build` returns their modules.
+"""The functions of the package that are compiled to WebAssembly: `build` returns their modules.
 
-A module holds the agent step of a task, another one a control law, which the step imports, and one what all share, the
-networks of trained policies and the beginning of an episode. All work in one memory that the page supplies: arrays are
-pointers.
+There is a module for the agent step of each task, one for each control law, which the step imports, and one for shared
+functions: networks of trained policies and the start of an episode. All modules work in one memory that the page
+supplies: arrays are pointers.
 """
 
 from __future__ import annotations
@@ -47,21 +47,21 @@ from web import assembly
 from web.assembly import Entry, assemble, optimise
 from web.fused import fused
 
-# No law; the other names are those of laws.
+# The name for no law; the other names are those of laws.
 DIRECT = "direct"
 LAWS = (DIRECT, *baselines.__all__, *TASK_LAWS)
-# The steps with their tasks and with `Plant.extended`: disturbed, and with further constants, the speed task alone.
+# Task and `Plant.extended` of each step. Only the speed task has a step for disturbances and further constants.
 STEPS = {**{task: (task, 0.0) for task in TASKS}, "speed-varied": ("speed", VARIED)}
-# The module that all need besides those of their step and their law.
+# The module that all drivers need, in addition to those of their step and their law.
 COMMON = "common"
 # The name under which the step imports a law.
 LAW = "evaluate_law"
 
 ROOT = Path(__file__).resolve().parents[1]
-# Modules that have been built before, each under a hash of all that it is made of.
+# Cache of built modules, each named by a hash of its sources and tools.
 CACHE = ROOT / "build" / "web"
 
-# The most entries that an observation can have. Of a single one only the first row is read, wherever the next begins.
+# Largest number of entries in an observation. Arrays with a single row may have this row length, whatever their size.
 ENTRIES = max(len(observation_names(True, True, find_task(task).entries)) for task in TASKS)
 STARTS = layout.Row.torque
 NUMBERS, FLOATS, INTEGERS = types.CPointer(types.float64), types.CPointer(types.float32), types.CPointer(types.int64)
@@ -72,7 +72,7 @@ array = get_cfarray_intrinsic("C", None)
 
 @lru_cache
 def find_law(name: str) -> Controller | None:
-    """One of `LAWS`; None for `DIRECT`."""
+    """The law of a name in `LAWS`; None for `DIRECT`."""
     return None if name == DIRECT else find_controller(f"baselines:{name}")
 
 
@@ -97,7 +97,7 @@ def call_linked_law(block: Any, n: int, fixed: Any, cycle: int, torque_limit: fl
 
 
 def step_entry(task: str, extended: float) -> Entry:
-    """`advance`, which takes an environment a step further or begins its episode; it imports its law."""
+    """The function `advance`, which steps an environment or begins its episode; it imports its law."""
     step = inlined(rebound(kernels.step_of(find_task(task), extended), {"call_law": call_linked_law}))
     plant = NOMINAL.plant()
     bindings = {"step": step, "PIVOT_TORQUE_ON_CONTACT": plant.pivot_torque_on_contact, "EXTENDED": extended}
@@ -130,11 +130,11 @@ def law_entry(law: Controller | None) -> Entry:
 
 
 def common_entries() -> list[Entry]:
-    """The exports of the module that all share.
+    """The exports of the shared module.
 
-    `renew` gives an environment the first values of an episode, `draw` draws what else it begins with, `act` is one
-    action of a policy, `log` the logarithm of the energy weight that it observes, and `gait` one action of a gait with
-    a clock.
+    `renew` sets an environment to the start of an episode, `draw` draws the episode's further values, `act` computes an
+    action of a policy, `log` the logarithm of the energy weight that a policy observes, and `gait` an action of a gait
+    with a clock.
     """
 
     def renew(world, size, memory, memory_size, m, g, starts, rows, episodes):  # type: ignore[no-untyped-def]
@@ -169,36 +169,37 @@ def common_entries() -> list[Entry]:
 
 
 def entries_of(name: str) -> list[Entry]:
-    """The exports of the module of that name."""
+    """The exports of a module, by its name."""
     if name == COMMON:
         return common_entries()
     return [step_entry(*STEPS[name]) if name in STEPS else law_entry(find_law(name))]
 
 
 def build(names: Sequence[str], cache: Path | None = CACHE) -> dict[str, bytes]:
-    """The modules of these names: `COMMON`, or of `STEPS` or `LAWS`. A cache holds modules that were built before.
+    """Builds modules by name (`COMMON`, or a key of `STEPS` or `LAWS`), or reads them from the cache.
 
     Raises:
-        subprocess.CalledProcessError: if one cannot be built; what the compiler says is on stderr, as is the progress.
+        subprocess.CalledProcessError: if a module cannot be built. The compiler's messages and the progress are on
+            stderr.
     """
     with tempfile.TemporaryDirectory() as temporary:
         folder = cache or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
-        # Laws that differ in their tables alone have one module.
+        # Laws that differ only in their tables share a module.
         files = {name: folder / f"{_digest(name)}.wasm" for name in names}
         missing = {file: name for name, file in files.items() if not file.is_file()}
         if missing:
             print(f"compiling {len(missing)} modules to WebAssembly, once; a minute or two:", file=sys.stderr)
-            # numba's optimiser looks at this processor.
+            # numba's optimiser depends on this processor.
             environment = {**os.environ, "NUMBA_OPT": "0"}
-            # Without the optimiser numba refuses to keep some functions on disk, and warns of each.
+            # Without the optimiser, numba does not cache some functions on disk, and warns about each.
             command = [sys.executable, "-W", "ignore", "-m", "web.modules", str(folder), *missing.values()]
             subprocess.run(command, cwd=ROOT, env=environment, check=True)
         return {name: file.read_bytes() for name, file in files.items()}
 
 
 def _digest(name: str) -> str:
-    """A hash of all that a module is made of, and made with."""
+    """A hash of a module's sources and of the tools that build it."""
     entries = entries_of(name)
     parts: list[Any] = [platform.python_version(), numba.__version__, llvmlite.__version__]
     parts += [Path(assembly.__file__).read_bytes(), fingerprint(fused)]
@@ -207,12 +208,12 @@ def _digest(name: str) -> str:
 
 
 def main() -> int:
-    """Builds modules in this process, in which numba's optimiser is off; its arguments are a folder and their names."""
+    """Builds modules in this process, without numba's optimiser; the arguments are a folder and the modules' names."""
     if len(sys.argv) < 3:
         print("web.modules: started by python -m web.build", file=sys.stderr)
         return 2
     folder, *names = sys.argv[1:]
-    # numba asks for the address of all that is called.
+    # numba looks up the address of every called function.
     llvm.add_symbol(LAW, ctypes.cast(ctypes.pythonapi.Py_IsInitialized, ctypes.c_void_p).value)
     for name in names:
         entries = entries_of(name)

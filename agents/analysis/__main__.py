@@ -19,7 +19,7 @@ COMMAND = "python -m agents.analysis"
 ROOT = Path(__file__).resolve().parents[2]
 
 
-# Each has a function `document`.
+# Each module has a function `document`.
 DOCUMENTS = {
     "statistics": statistics,
     "limit_cycle": limit_cycle,
@@ -52,7 +52,7 @@ class Args:
 
 
 def render(document: Document) -> str:
-    """A document's tables as Markdown, in sections that a page can include."""
+    """Renders a document's tables as Markdown, in sections that a page can include."""
     parts = [f"<!-- Written by {COMMAND}: do not edit. -->"]
     for name, text in document.sections.items():
         parts.append(f"<!-- --8<-- [start:{name}] -->\n{text}\n<!-- --8<-- [end:{name}] -->")

@@ -1,4 +1,4 @@
-"""The one-sided gait of SAC from the default start, and the learning curves of plain Stable-Baselines3."""
+"""The one-sided gait that SAC learns from the default start, and learning curves of unmodified Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from baselines.drawing import add_note, new_figure
 from baselines.tables import markdown_table
 from capsule_gym import load_policy
 
-# Trained from the default start; docs/algorithms.md has the command.
+# Policy trained from the default start; docs/algorithms.md contains the command.
 ONE_SIDED = Path(__file__).with_name("one_sided.safetensors")
 # Written by examples/plain_sb3.py: task, training seed, steps, speed (cm/s), share of episodes that failed.
 CURVES = Path(__file__).with_name("plain_sb3.csv")
 
 
 def document() -> Document:
-    """The cycles as a table and a figure, and the learning curves."""
+    """The table and figure of the limit cycles, and the figure of the learning curves."""
     one_sided = record(load_policy(ONE_SIDED), name="SAC from the default start")
     cycles = [find_cycle(each) for each in (one_sided, median_run(find_candidate("direct-ppo")))]
     figures = {
@@ -36,7 +36,7 @@ def document() -> Document:
 
 
 def table(cycles: Sequence[Recording]) -> str:
-    """Angles, period and speed of the cycles, as Markdown."""
+    """A Markdown table of the cycles' angles, periods and speeds."""
     lines = [["policy", "smallest theta (deg)", "largest theta (deg)", "period (s)", "speed (cm/s)"]]
     for cycle in cycles:
         low, high = np.degrees([cycle.theta.min(), cycle.theta.max()])
@@ -46,7 +46,7 @@ def table(cycles: Sequence[Recording]) -> str:
 
 
 def draw_cycles(cycles: Sequence[Recording]) -> Any:
-    """The rate of the pendulum over its angle."""
+    """Draws the angular velocity of the pendulum over its angle."""
     figure = new_figure(3.0, 4.6)
     axes = figure.subplots()
     for cycle, pen in zip(cycles, PENS, strict=True):
@@ -59,7 +59,7 @@ def draw_cycles(cycles: Sequence[Recording]) -> Any:
 
 
 def draw_curves(path: Path) -> Any:
-    """The mean speed over the steps of training, of one run per task."""
+    """Draws the mean speed over the training steps, for one run per task."""
     figure = new_figure(2.6, 4.6)
     axes = figure.subplots()
     with path.open(newline="", encoding="utf-8") as file:

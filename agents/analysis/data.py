@@ -17,9 +17,9 @@ from agents.training.config import EVALUATIONS
 from capsule_gym.evaluation_sets import EvaluationSet
 
 SPEED = "mean_speed"
-# The sets whose plants are drawn and constant: the paper's ranges and the wide ones.
+# Sets with random, constant plants: from the paper's ranges and from the wide ranges.
 SHOWN_SETS = ("paper", "wide")
-# The evaluations of a row's runs during training, on validation plants, by training seed: steps and the task's metric.
+# Evaluations on validation plants during training, by training seed: steps and the values of the task's metric.
 Learning = dict[int, tuple[np.ndarray, np.ndarray]]
 
 
@@ -28,8 +28,8 @@ class Document:
     """The output of the analysis for one page of the documentation.
 
     Attributes:
-        sections: Markdown by the name that the page includes it by.
-        figures: functions that write a file, by its path in docs/, which they are called with.
+        sections: Markdown by the name under which the page includes it.
+        figures: functions that write a figure to a path, by this path in docs/.
     """
 
     sections: dict[str, str] = field(default_factory=dict)
@@ -38,13 +38,13 @@ class Document:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """Rows of the leaderboard with what they are compared on.
+    """Rows of the leaderboard with the data of their comparison.
 
     Attributes:
-        rows: the best on the ranking set first.
-        sets: the sets that they were evaluated on.
-        learning: by the row's name; rows whose runs were committed without their evaluations are absent.
-        task: theirs.
+        rows: rows, the best on the ranking set first.
+        sets: the sets on which the rows were evaluated.
+        learning: evaluations during training, by the row's name; absent for rows without committed evaluations.
+        task: the task of the rows.
     """
 
     rows: tuple[Row, ...]
@@ -54,7 +54,7 @@ class Results:
 
     @property
     def criteria(self) -> Criteria:
-        """The criteria of the task."""
+        """The task's criteria."""
         return CRITERIA[self.task]
 
     @property
@@ -64,7 +64,7 @@ class Results:
 
     @property
     def shown_sets(self) -> list[str]:
-        """The sets of the comparisons."""
+        """The names of the sets in comparisons."""
         return [each.name for each in self.sets if each.name in SHOWN_SETS or self.task != "speed"]
 
 
@@ -72,10 +72,10 @@ def gather(rows: Sequence[Row], sets: Sequence[EvaluationSet], checkpoints: Path
     """Ranks rows and reads their learning curves.
 
     Args:
-        rows: in any order.
-        sets: the sets that they were evaluated on, among them the ranking set.
+        rows: rows in any order.
+        sets: the sets on which the rows were evaluated, including the ranking set.
         checkpoints: the folder with NAME/seed-N/evaluations.csv.
-        task: of the sets.
+        task: the task of rows and sets.
 
     Raises:
         ValueError: if a row was evaluated on other sets, or a run's evaluations cannot be read.
@@ -94,11 +94,11 @@ def read_learning(folder: Path, task: str = "speed") -> Learning:
     """Reads the committed evaluations of a checkpoint's runs.
 
     Args:
-        folder: of the checkpoint, with seed-0, seed-1, .. inside.
-        task: theirs.
+        folder: folder of the checkpoint, with seed-0, seed-1, .. inside.
+        task: the task of the runs.
 
     Raises:
-        ValueError: if a file is not what a training run writes.
+        ValueError: if a file is not the log of a training run.
     """
     paths = {int(path.parent.name.removeprefix("seed-")): path for path in folder.glob(f"seed-*/{EVALUATIONS}")}
     return {seed: read_evaluations(paths[seed], task) for seed in sorted(paths)}
@@ -108,11 +108,11 @@ def read_evaluations(path: Path, task: str = "speed") -> tuple[np.ndarray, np.nd
     """Reads the steps and the values of the task's metric of a run's evaluations.csv.
 
     Raises:
-        ValueError: if the file is not what a training run writes.
+        ValueError: if the file is not the log of a training run.
     """
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            # A run may be evaluated twice where a stage ends: the last line counts.
+            # A run may be evaluated twice at the end of a stage; the last line is used.
             lines = {int(line["steps"]): float(line[CRITERIA[task].column]) for line in csv.DictReader(file)}
         steps, values = np.array(sorted(lines.items()), np.float64).T
     except (KeyError, TypeError, ValueError) as error:
@@ -121,7 +121,7 @@ def read_evaluations(path: Path, task: str = "speed") -> tuple[np.ndarray, np.nd
 
 
 def fronts() -> dict[str, list[tuple[float, float]]]:
-    """Known Pareto fronts of the nominal plant: pairs of cost of transport and mean speed (cm/s), slowest first."""
+    """The known Pareto fronts of the nominal plant: pairs of cost of transport and mean speed (cm/s), slowest first."""
     # Imported here, since numba takes most of a second to import.
     from baselines.dynamic_programming.archive import optimal_front
     from baselines.gaits.archive import pareto_front

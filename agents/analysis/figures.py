@@ -1,4 +1,4 @@
-"""Figures of the leaderboard's analysis, for a dozen rows and more: a panel or a line per policy, no colour each."""
+"""Figures of the leaderboard's analysis, for many rows: a panel or a line per policy instead of a colour."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from agents.evaluation.statistics import Curve, estimate, learning_curve, perfor
 from agents.leaderboard.rows import Row
 from baselines.drawing import BLUE, GREEN, INK, MUTED, VERMILION, Pen, add_note, new_figure, save, style
 
-# By the order of the sets shown.
+# In the order of the sets.
 PENS = (Pen(BLUE), Pen(VERMILION, (0.0, (5.0, 1.6))))
 FRONT_PENS = (Pen(MUTED), Pen(GREEN, (0.0, (5.0, 1.6))))
 FAINT = "#c5ccd6"
-# Between the labels next to a scatter plot, in parts of its height.
+# Distance between labels next to a scatter plot, relative to its height.
 LABEL_SPACING = 0.048
-# Letters of a title that fit above a panel, with the blanks that break it behind its hyphens.
+# Largest number of characters per line of a panel's title, including the spaces added after hyphens to allow breaks.
 TITLE = 24
 
 
 def write_with(draw: Callable[..., Any], *arguments: Any) -> Callable[[Path], list[Path]]:
-    """The function that draws a figure and writes it as PNG and SVG, called with their path without suffix."""
+    """Returns a function that draws a figure and writes it as PNG and SVG to a path without suffix."""
 
     def write(stem: Path) -> list[Path]:
         with style():
@@ -38,43 +38,43 @@ def write_with(draw: Callable[..., Any], *arguments: Any) -> Callable[[Path], li
 
 
 def panels(names: Sequence[str], top: float, columns: int = 4, height: float = 1.3) -> tuple[Any, Iterator[Any]]:
-    """A figure with a panel per name, all with the same axes, and the panels in order.
+    """Creates a figure with a panel per name and shared axes; returns the figure and its panels in order.
 
     Args:
-        names: the panels' titles, which are broken behind hyphens.
-        top: height outside of the panels, in.
-        columns: the largest number of panels in a line.
-        height: of a line of panels, in.
+        names: titles of the panels; line breaks come after hyphens.
+        top: height outside the panels, inches.
+        columns: largest number of panels per row.
+        height: height of a row of panels, inches.
     """
     columns = min(columns, len(names))
     lines = math.ceil(len(names) / columns)
     figure = new_figure(top + height * lines)
     grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     for axes, name in zip(grid.flat, names, strict=False):
-        # The name of a run contains its date.
+        # Names can be long: the name of a run contains its date.
         title = "\n".join(textwrap.wrap(name.replace("-", "- "), TITLE)).replace("- ", "-")
         axes.set_title(title, parse_math=False)
     for n in range(len(names), grid.size):
         grid.flat[n].set_visible(False)
-        # The panel above an empty place has the numbers of the axis.
+        # The panel above an empty place shows the tick labels instead.
         grid.flat[n - columns].tick_params(labelbottom=True)
     return figure, iter(grid.flat)
 
 
 def plot_curve(axes: Any, curve: Curve, pen: Pen, **more: Any) -> None:
-    """A curve on its band."""
+    """Plots a curve and its interval as a band."""
     axes.fill_between(curve.x, curve.low, curve.high, color=pen.colour, alpha=0.18, linewidth=0.0)
     axes.plot(curve.x, curve.value, **pen.line(**more))
 
 
 def draw_profiles(rows: Sequence[Row], set_names: Sequence[str]) -> Any:
-    """Performance profiles: the share of episodes faster than a speed (cm/s), a panel per row.
+    """Draws performance profiles: the share of episodes faster than a speed (cm/s), one panel per row.
 
     Args:
-        rows: one or more.
-        set_names: at most two, each with a pen of its own.
+        rows: at least one row.
+        set_names: at most two sets, each drawn with its own pen.
     """
-    # A single line is as high as the label of its axis.
+    # A single row of panels is higher, for the label of its axis.
     figure, places = panels([row.name for row in rows], 0.9, height=1.3 if len(rows) > 4 else 1.8)
     fastest = max(float(row.score(name, SPEED).max()) for row in rows for name in set_names)
     for row, axes in zip(rows, places, strict=False):
@@ -98,17 +98,17 @@ def draw_learning(
     metric: TableMetric = TABLE_METRICS[SPEED],
     baseline: tuple[str, float] | None = None,
 ) -> Any:
-    """Learning curves: the metric of all seeds over steps, and their interquartile mean, a panel per row.
+    """Draws learning curves: the metric of all seeds over steps, and the interquartile mean, one panel per row.
 
     Args:
-        learning: by the row's name.
-        metric: what the curves show.
-        baseline: a policy to compare with, as the note names it, and its metric.
+        learning: evaluations during training, by the row's name.
+        metric: the metric of the curves.
+        baseline: description and metric of a policy to compare with.
     """
     figure, places = panels(list(learning), 0.75)
     for runs, axes in zip(learning.values(), places, strict=False):
         for steps, values in runs.values():
-            # A run that was evaluated once is a point.
+            # A run with a single evaluation is drawn as a point.
             axes.plot(steps / 1e6, values, "." if len(values) == 1 else "-", color=MUTED, linewidth=0.5, alpha=0.6)
         curve = learning_curve(list(runs.values()))
         plot_curve(axes, replace(curve, x=curve.x / 1e6), PENS[0])
@@ -126,17 +126,17 @@ def draw_learning(
 
 
 def plot_fronts(axes: Any) -> None:
-    """Known Pareto fronts of the nominal plant, cost of transport across and mean speed up."""
+    """Plots the known Pareto fronts of the nominal plant: mean speed over cost of transport."""
     for (name, points), pen in zip(fronts().items(), FRONT_PENS, strict=True):
         x, y = zip(*points, strict=True)
         axes.plot(x, y, **pen.line(marker=".", markersize=4.0, linewidth=1.0, label=f"front of the {name}"))
 
 
 def draw_transport(rows: Sequence[Row]) -> Any:
-    """Speed against cost of transport on the nominal plant, with the known fronts and a legend above.
+    """Draws speed against cost of transport on the nominal plant, with the known fronts and a legend above.
 
     Args:
-        rows: those that make no progress have no cost, and are named in the note.
+        rows: rows; those without progress have no cost, and the note lists them.
     """
     from matplotlib.ticker import LogLocator
 
@@ -160,14 +160,14 @@ def draw_transport(rows: Sequence[Row]) -> Any:
         marks.append((cost.value, speed.value, row.name, colour))
     axes.plot([], [], "o-", color=BLUE, markersize=4.0, linewidth=0.9, label="trained, 95 % over seeds")
     axes.plot([], [], "s", color=INK, markersize=4.0, label="scripted")
-    # A policy away from the plants of its training can need thirty times the cost of the others.
+    # Logarithmic: outside its training range, a policy can have thirty times the cost of the others.
     axes.set_xscale("log")
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter("")
     axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)", xlim=(0.1, None), ylim=(-0.5, None))
     _label_marks(axes, marks)
-    # Inside the axes every corner has a front, a policy or a label's line.
+    # Outside: every corner inside the axes contains a front, a policy or a label's line.
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=4)
     axes.set_title("Speed against cost of transport, the paper's plant from 100 starts")
     no_progress = f" Without forward progress, and so without a cost: {', '.join(absent)}." if absent else ""
@@ -180,18 +180,18 @@ def draw_transport(rows: Sequence[Row]) -> Any:
 
 
 def _label_marks(axes: Any, marks: Sequence[tuple[float, float, str, str]]) -> None:
-    """Names next to the axes in the order of the marks' heights, without overlap, with a thin line to each mark.
+    """Writes names next to the axes in the order of the marks' heights, without overlap, with a line to each mark.
 
     Args:
-        axes: with its final limits.
-        marks: x and y in units of the axes, name and colour of each.
+        axes: axes with their final limits.
+        marks: x and y in data coordinates, name and colour of each mark.
     """
     from matplotlib.patches import ConnectionPatch
 
     low, high = axes.get_ylim()
     spacing = min(LABEL_SPACING, 1.0 / max(1, len(marks)))
     place = 1.0 + spacing
-    # From the top down, with room for the names that follow.
+    # From top to bottom, with room for the following names.
     for n, (x, y, name, colour) in enumerate(sorted(marks, key=lambda mark: -mark[1]), start=1):
         place = min(max((y - low) / (high - low), (len(marks) - n) * spacing), place - spacing)
         text = {"xytext": (4.0, 0.0), "textcoords": "offset points", "va": "center", "fontsize": 7.5, "color": colour}

@@ -1,12 +1,12 @@
-"""The task `goal`: a lower bound on the time that any controller needs, next to the script's, and one episode of it.
+"""The task `goal`: a lower bound on the time of any controller, the scripted policy's time, and two of its episodes.
 
 Only friction changes the horizontal momentum of capsule and ball. With X and Y the position and the height of their
 centre of mass, Newton's law on the vertical gives the normal force, and so
 
     |X''| <= f (g + Y''), f = mu static_ratio,
 
-however the motor moves the ball. In U = X - f Y and V = X + f Y this reads U'' <= f g and V'' >= -f g. The ball is at
-most l from the pivot, so that X is within s = m l / (M + m) of the platform's position, and Y within s of 0.
+for any motion of the ball. With U = X - f Y and V = X + f Y, U'' <= f g and V'' >= -f g. The ball is at most l from
+the pivot, so that X is within s = m l / (M + m) of the platform's position, and Y within s of 0.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from capsule_gym.task import TORQUE_LIMIT
 from capsule_gym.tasks.goal import HOLD, TOLERANCE
 
 POLICY = "goal-pulses"
-# Of the episodes in the figure: on the floor in the middle of the task's, and on the paper's.
+# Plants of the figure's episodes: with mu in the middle of the task's range, and on the paper's floor.
 PLANTS = {"goal": TASK_POLICIES[POLICY][0], "goal-paper": PlantSpec(0.5, 0.01, seed=0, goal=0.3)}
 SHOWN = 4.0
-# Times before the rest at which the bound is taken, s; every one is valid, the best counts.
+# Times t before the rest, s. Each gives a valid bound, and the largest bound is used.
 TIMES = np.linspace(0.0, 15.0, 1501)
 
 
@@ -44,16 +44,16 @@ def document() -> Document:
 
 
 def least_time(plant: PlantSpec, capsule: Capsule) -> float:
-    """A lower bound on the time to the goal in s, the rest of 1 s included, on a level floor with Coulomb friction.
+    """A lower bound on the time to the goal in s, including the rest of 1 s, on a level floor with Coulomb friction.
 
-    Until the platform rests, at T, U has come from where it begins, at rest, to where it is with the ball behind. For
-    every t <= T it is also at most U(0) + f g (T - t)^2 / 2 at the time T - t, and there V is at least
-    V(T) - w t - f g t^2 / 2. While the platform then rests for 1 s, V stays within the reach of the ball, so that its
-    velocity w at T is at most the distance that it has left plus f g / 2.
+    The platform comes to rest at a time T. U starts at rest, and at T is at least its value with the ball behind the
+    platform. For every t <= T, U is at most U(0) + f g (T - t)^2 / 2 at the time T - t, and V is at least
+    V(T) - w t - f g t^2 / 2 at this time. V stays within the reach of the ball while the platform rests for 1 s, so
+    that its velocity w at T is at most the remaining distance / (1 s) + f g (1 s) / 2.
 
     Args:
-        plant: with a goal.
-        capsule: the constants that are not the plant's.
+        plant: a plant with a goal.
+        capsule: the constants that `plant` does not set.
     """
     f = plant.mu * capsule.static_ratio * max(1.0, capsule.backward_ratio)
     g, s = capsule.g, capsule.m * capsule.l / (plant.M + capsule.m)
@@ -70,7 +70,7 @@ def least_time(plant: PlantSpec, capsule: Capsule) -> float:
 
 
 def table(sets: Sequence[EvaluationSet]) -> str:
-    """The script's time to the goal and the bound, medians over the sets, as Markdown."""
+    """A Markdown table of the scripted policy's time to the goal and its lower bound, as medians over each set."""
     rows = [["set", "goals reached", "time to the goal (s)", "lower bound (s)", "time over bound"]]
     for each in sets:
         episodes = evaluate(POLICY, each)
@@ -82,10 +82,10 @@ def table(sets: Sequence[EvaluationSet]) -> str:
 
 
 def draw(plants: Mapping[str, PlantSpec]) -> Any:
-    """Position, velocity, angle and torque over time, a column per episode.
+    """Draws position, velocity, angle and torque over time, one column per episode.
 
     Args:
-        plants: with goals, by the set that the floor is from.
+        plants: plants with goals, by the set that defines the floor.
     """
     figure, policy = new_figure(5.4), TASK_SCRIPTED[POLICY]
     grid = figure.subplots(4, len(plants), sharex=True, sharey="row", squeeze=False)

@@ -19,26 +19,26 @@ from baselines.tables import markdown_table
 from capsule_gym.evaluation_sets import NOMINAL_PLANT
 from capsule_gym.parameters import NOMINAL
 
-# The paper's law, the fastest rows that learnt from reward, and the optimum.
+# The paper's law, the fastest policies that learned from reward, and the optimum.
 POLICIES = (BASELINE, "residual-on-gait", "residual-on-gait-wide", "residual-identifying", "dp-nominal")
-# Seconds at the end in which the cycle is sought: three of the paper's cycles of 6.6 s, and a little.
+# Length of the search window at the end of the episode, s: slightly more than three of the paper's cycles of 6.6 s.
 WINDOW = 20.0
 # Phases of the contact by the sign of the displacement.
 PHASES = {1: ("slips forward", "#dcebf5"), 0: ("sticks", "#c9ced6"), -1: ("slips backward", "#fbe3d3")}
-# Characters of a title in a panel of a fifth of the width.
+# Largest number of characters per line of a panel's title.
 TITLE = 17
 
 
 def find_cycle(recording: Recording) -> Recording:
-    """The cycle at the end of an episode that comes closest to closing, from the smallest theta on.
+    """Finds the cycle at the end of an episode that is closest to periodic; the result starts at the smallest theta.
 
     A cycle begins whenever theta rises through the middle of its range.
 
     Args:
-        recording: longer than `WINDOW`.
+        recording: a recording longer than `WINDOW`.
 
     Raises:
-        ValueError: if the episode failed, or does not hold two cycles in the window.
+        ValueError: if the episode failed, or does not contain two cycles in the window.
     """
     t = recording.t
     first = len(t) - 1 - round(WINDOW / (t[1] - t[0]))
@@ -46,11 +46,11 @@ def find_cycle(recording: Recording) -> Recording:
     middle = 0.5 * (theta.min() + theta.max())
     rises = first + 1 + np.flatnonzero((theta[:-1] < middle) & (theta[1:] >= middle))
     periods = np.diff(rises)
-    # The beginning is moved to the smallest theta in the cycle: the samples must reach further.
+    # The start is moved to the smallest theta in the cycle, so the recording must be longer by up to a period.
     fits = rises[1:] + periods < len(t)
     if recording.failed or not fits.any():
         raise ValueError(f"recording must contain two cycles in its last {WINDOW:g} s, got {recording.name}")
-    # The changes of the rates over a cycle, in their standard deviations.
+    # Changes of the velocities over a cycle, in units of their standard deviations.
     rates = np.array([recording.theta_dot, recording.x_dot])
     changes = np.abs(np.diff(rates[:, rises])) / rates[:, first:].std(axis=1, keepdims=True)
     i = int(np.where(fits, changes.max(axis=0), np.inf).argmin())
@@ -65,10 +65,10 @@ def document() -> Document:
 
 
 def median_run(candidate: Candidate) -> Recording:
-    """The recording of the training seed with the median speed; the lower of two.
+    """Records the training seed with the median speed, or the lower of the two middle ones.
 
     Args:
-        candidate: a policy, named with its seed where there are several.
+        candidate: a policy; if it has several seeds, the recording's name contains the chosen one.
     """
     found = [record(policy, name=candidate.name) for policy in candidate.policies]
     chosen = sorted(range(len(found)), key=lambda i: found[i].x[-1])[(len(found) - 1) // 2]
@@ -78,10 +78,10 @@ def median_run(candidate: Candidate) -> Recording:
 
 
 def table(cycles: Sequence[Recording]) -> str:
-    """The cycles in numbers, as Markdown.
+    """A Markdown table of the cycles.
 
     Args:
-        cycles: the first is the reference of the ratios.
+        cycles: recordings of one cycle each; the first is the reference of the ratios.
     """
     lines = [["policy", "period (s)", "step (cm)", "as often", "as far", "speed (cm/s)", "at the limit"]]
     first = cycles[0]
@@ -95,10 +95,10 @@ def table(cycles: Sequence[Recording]) -> str:
 
 
 def draw(cycles: Sequence[Recording]) -> Any:
-    """Cycles side by side: angle, speed, normal force and torque over time, and the phase portrait.
+    """Draws angle, speed, normal force and torque over time, and the phase portrait, one column per cycle.
 
     Args:
-        cycles: a column each, on the paper's plant.
+        cycles: recordings of one cycle each, on the paper's plant.
     """
     from matplotlib.patches import Patch
 

@@ -1,4 +1,4 @@
-"""One policy that observes its energy weight: speed and cost of transport over the weight, with the known fronts."""
+"""Speed and cost of transport of a policy that observes its energy weight, compared with the known fronts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from baselines.drawing import BLUE, add_note, new_figure
 from baselines.tables import markdown_table
 from capsule_gym.evaluation_sets import EvaluationSet, load_set
 
-# cm/J; from the default of the reward to where creeping pays.
+# Energy weights, cm/J: from the default of the reward to weights at which creeping is optimal.
 WEIGHTS = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0, 20.0)
 SPEED, COST = TABLE_METRICS["mean_speed"], TABLE_METRICS["cost_of_transport"]
 
@@ -40,9 +40,9 @@ def measure(name: str, evaluation_set: EvaluationSet, weights: Sequence[float] =
     """Evaluates all runs of a policy at every weight.
 
     Args:
-        name: of a policy that observes the energy weight.
-        evaluation_set: its episodes.
-        weights: cm/J.
+        name: name of a policy that observes the energy weight.
+        evaluation_set: the episodes.
+        weights: energy weights, cm/J.
 
     Raises:
         ValueError: if a run does not observe the weight.
@@ -57,10 +57,9 @@ def measure(name: str, evaluation_set: EvaluationSet, weights: Sequence[float] =
 
 
 def table(points: Sequence[Point]) -> str:
-    """The points as Markdown, with their cost over that of the best-known gaits at the same speed.
+    """A Markdown table of the points, with the ratio of their cost to that of the best-known gaits at the same speed.
 
-    Args:
-        points: the gaits' cost is linear in the speed between two gaits; beyond the fastest there is none.
+    The gaits' cost is interpolated linearly in the speed; the ratio is a dash outside the range of the gaits' speeds.
     """
     costs, speeds = zip(*fronts()["best-known gaits"], strict=True)
     measured = (f"{each.label} [95 %]" for each in (SPEED, COST))
@@ -73,14 +72,14 @@ def table(points: Sequence[Point]) -> str:
 
 
 def draw(points: Sequence[Point]) -> Any:
-    """Speed against cost of transport."""
+    """Draws speed against cost of transport."""
     figure = new_figure(4.2)
     axes = figure.subplots()
     plot_fronts(axes)
     x, y = np.array([(each.cost.value, each.speed.value) for each in points]).T
     axes.plot(x, y, "o-", color=BLUE, markersize=4.0, linewidth=1.2, label="one policy, which observes the weight")
     axes.set(xlabel="cost of transport", ylabel="mean speed (cm/s)", xlim=(0.0, None), ylim=(0.0, None))
-    # Perpendicular to the policy's line on its upper side, where neither front is near, on a patch that hides the grid.
+    # Labels on the upper side of the policy's line, away from the fronts, on a patch that hides the grid.
     direction = np.gradient(axes.transData.transform(np.column_stack((x, y))), axis=0)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     for each, (right, up) in zip(points[::2], direction[::2], strict=True):

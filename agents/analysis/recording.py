@@ -1,4 +1,4 @@
-"""Recordings of an episode: its time series, a figure that compares several, animations of the documentation."""
+"""Recordings of episodes: time series, a figure that compares recordings, and the documentation's animations."""
 
 from __future__ import annotations
 
@@ -19,35 +19,35 @@ from capsule_gym.files import replacing
 from capsule_gym.rendering import FRAME_SECONDS, Renderer, write_gif
 from capsule_gym.task import CONTROL_DT, HORIZON
 
-# The last seconds of torque, angle and contact in the figure of a comparison.
+# Length of the shown part of torque, angle and contact at the end of an episode, s.
 LAST = 6.6
 # Policies of the speed task with an animation.
 POLICIES = ("adaptive", "residual-on-gait")
-# Those of the other tasks: the plant, and the part of its episode, s.
+# Policies of the other tasks with an animation: the plant, and the start and length of the part shown, s.
 TASK_POLICIES = {
     "goal-pulses": (PlantSpec(0.5, 0.16, seed=0, goal=0.3), 0.0, 4.6),
     "velocity-pulses": (PlantSpec(0.5, 0.16, seed=21), 2.5, 7.0),
 }
-# The part of an episode that they show and the time between pictures, s: the paper's controller slips once in it.
+# Start and length of the part shown and time between frames, s; the paper's controller slips once in this part.
 BEGIN, SECONDS, ANIMATION_FRAME_SECONDS = 12.0, 3.4, 0.08
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One episode, a sample per period of the torque; the first is the start.
+    """One episode with a sample per period of the torque; the first sample is the start.
 
     Attributes:
-        name: of the policy.
+        name: name of the policy.
         t: s, shape (n,).
         theta: rad.
         theta_dot: rad/s.
         x: m.
         x_dot: m/s; exactly 0.0 in stick.
-        torque: the motor's in the period that ends at t, N m.
-        normal_force: the smallest in that period, N.
+        torque: the motor's torque in the period that ends at t, N m.
+        normal_force: the smallest normal force in that period, N.
         torque_limit: N m.
         failed: whether the episode was terminated.
-        frames: pictures, each (height, width, 3) uint8; empty unless asked for.
+        frames: frames, each (height, width, 3) uint8; empty if none were requested.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Recording:
     frames: tuple[np.ndarray, ...] = ()
 
     def cut(self, first: int, last: int) -> Recording:
-        """The samples from `first` to `last`, both included, with time and place counted from the first."""
+        """The samples from `first` to `last`, both included, with time and position relative to the first sample."""
         series = {name: getattr(self, name)[first : last + 1] for name in SERIES}
         return replace(self, **{**series, "t": series["t"] - self.t[first], "x": series["x"] - self.x[first]})
 
@@ -80,15 +80,15 @@ def record(
     frame_seconds: float = FRAME_SECONDS,
     name: str | None = None,
 ) -> Recording:
-    """Runs a policy on one plant and records every period of the torque: the motion is that of its episode.
+    """Runs a policy on one plant and records every period of the torque; the motion is that of an evaluation.
 
     Args:
-        policy: acts as often as in its own environment.
-        plant: with constant parameters.
+        policy: the policy; acts at the control interval of its environment.
+        plant: a plant with constant parameters.
         seconds: length of the recording.
-        frames_from: time of the first picture, s; None draws none.
-        frame_seconds: time between pictures.
-        name: of the recording; the policy's by default.
+        frames_from: time of the first frame, s; None draws no frames.
+        frame_seconds: time between frames.
+        name: name of the recording; None takes the policy's name.
     """
     # Imported here, since numba takes most of a second to import.
     from capsule_gym.env import shown_state
@@ -100,7 +100,7 @@ def record(
     names = {each.name for each in fields(EnvConfig)}
     settings = {key: value for key, value in {**policy.env_kwargs, **EPISODE_SETTINGS}.items() if key in names}
     controller = Simulation(1, EnvConfig(**settings)).controller
-    # The torque is constant for a period of the law or, without one, for many steps of the integrator.
+    # The torque is constant for a period of the law or, without a law, for many steps of the integrator.
     dt = controller.dt if controller else settings.get("physics_dt") or DIRECT_PHYSICS_DT
     periods = divide("control_dt", settings.get("control_dt", CONTROL_DT), "a period of the torque", dt)
     simulation = Simulation(1, EnvConfig(**{**settings, "control_dt": dt}))
@@ -135,9 +135,9 @@ def draw_comparison(recordings: Sequence[Recording], path: Path, plant: PlantSpe
     """Draws displacement over the episode, and torque, angle and contact over its last seconds, as one PNG.
 
     Args:
-        recordings: one to four on one plant, the baseline first.
+        recordings: one to four recordings on one plant, the baseline first.
         path: the PNG; written atomically.
-        plant: theirs.
+        plant: the plant of the recordings.
     """
     title = f"{'Nominal plant' if plant == NOMINAL_PLANT else 'Plant'} (M = {plant.M:g} kg, μ = {plant.mu:g})"
     with style():
@@ -152,7 +152,7 @@ def draw_comparison(recordings: Sequence[Recording], path: Path, plant: PlantSpe
             displacement.plot(recording.t, 100.0 * recording.x, color=colour, label=label)
             angle.plot(recording.t[shown], np.degrees(recording.theta[shown]), color=colour)
             torque.step(recording.t[shown], recording.torque[shown], color=colour, lw=1.0, where="pre")
-            # A lane that is dark where the platform sticks and pale where it slips.
+            # A lane that is dark while the platform sticks and pale while it slips.
             for where, alpha in ((shown, 0.2), (shown & (recording.x_dot == 0.0), 1.0)):
                 lane: dict[str, Any] = {"color": colour, "alpha": alpha, "linewidth": 0.0, "step": "post"}
                 contact.fill_between(recording.t, place - 0.35, place + 0.35, where=where, **lane)
@@ -177,7 +177,7 @@ def document() -> Document:
 
 
 def animate(name: str, plant: PlantSpec, begin: float, seconds: float, path: Path) -> None:
-    """Writes the animation of a policy as a GIF; of a trained one the first seed."""
+    """Writes the animation of a policy as a GIF; a trained policy is shown with its first seed."""
     policy, every = find_candidate(name).policies[0], ANIMATION_FRAME_SECONDS
     recording = record(policy, plant, seconds=begin + seconds, frames_from=begin, frame_seconds=every, name=name)
     write_gif(recording.frames, path, every, 480)

@@ -1,8 +1,8 @@
-"""Sweep over the residual limit: PPO on several laws, with more or less torque of its own.
+"""Sweep over the residual limit: PPO on several laws, with different limits on the agent's torque.
 
-`residual_limit.json` has a run per line: its `arm` (the fields of `Agent`), the training `seed` (null for a law
-alone), the `speeds` of its episodes in cm/s, the numbers of those that `failed`, `learning` (steps, mean speed in cm/s
-and share of failures of the evaluations during training) and the `revision` that it was trained at.
+`residual_limit.json` contains one run per line: `arm` (the fields of `Agent`), the training `seed` (null for a law
+alone), the `speeds` of the episodes in cm/s, the indices of episodes that `failed`, `learning` (steps, mean speed in
+cm/s and share of failures of the evaluations during training) and the git `revision` of the training.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from baselines.tables import markdown_table
 
 RESULTS = Path(__file__).with_name("residual_limit.json")
 SPEED = TABLE_METRICS["mean_speed"]
-# By the scripted policy that is the law alone. "" stands for no law.
+# Names of laws in the table, by the scripted policy that runs only the law; "" stands for no law.
 LAWS = {"adaptive": "stiff", "compliant": "compliant", "gait-guarded": "gait", "": "none (direct)"}
-# By the plants: the row whose settings agents without a law have.
+# The row with the settings of agents without a law, by the distribution of the plants.
 DIRECT_ROWS = {"paper": "direct-ppo", "wide": "direct-ppo-wide"}
 
 
@@ -31,8 +31,8 @@ class Agent(NamedTuple):
 
     Attributes:
         base: the scripted policy whose law runs inside the step; "" for none.
-        plants: the ranges of M and mu, in training and evaluation.
-        limit: of the agent's torque, N m; 0.0 for the law alone.
+        plants: the distribution of M and mu in training and evaluation.
+        limit: limit on the agent's torque, N m; 0.0 for the law alone.
         recipe: "cautious" or "bold"; "" for a law alone, or without a law.
     """
 
@@ -43,16 +43,16 @@ class Agent(NamedTuple):
 
     @property
     def alone(self) -> Agent:
-        """Its law without an agent."""
+        """The law without an agent."""
         return Agent(self.base, self.plants, 0.0)
 
 
-# By agent the speeds of its episodes (cm/s) and whether they failed (0.0 or 1.0), both of shape (runs, episodes).
+# Speeds of the episodes (cm/s) and failures (0.0 or 1.0) by agent, both of shape (runs, episodes).
 Results = dict[Agent, tuple[np.ndarray, np.ndarray]]
 
 
 def load(path: Path = RESULTS) -> Results:
-    """Reads the results by agent, its training seeds in order."""
+    """Reads the results by agent, with training seeds in order."""
     runs: dict[Agent, list[dict[str, Any]]] = {}
     for run in sorted(json.loads(path.read_text(encoding="utf-8"))["runs"], key=lambda run: run["seed"] or 0):
         runs.setdefault(Agent(**run["arm"]), []).append(run)
@@ -70,10 +70,10 @@ def document() -> Document:
 
 
 def table(results: Results) -> str:
-    """Every agent compared with its law alone; the stiff law first, no law last.
+    """A Markdown table of every agent compared with its law alone; agents without a law come last.
 
     Args:
-        results: of the agents and of every law alone; differences are taken plant by plant.
+        results: results of the agents and of every law alone; differences are taken plant by plant.
     """
     lines = [["law", "plants", "agent's limit (N m)", "learns", SPEED.label, "failed", "minus the law alone"]]
     for agent in sorted(results, key=lambda agent: (not agent.base, *agent[:3])):

@@ -1,4 +1,4 @@
-"""Sensitivity to disturbances: every row of the speed task under each disturbance alone, in four sizes."""
+"""Sensitivity to disturbances: every row of the speed task under each single disturbance, in four sizes."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from baselines.drawing import INK, VERMILION, add_note, new_figure
 from baselines.tables import markdown_table
 from capsule_gym.parameters import DISTURBANCES, REAL, SENSORS, Disturbances
 
-# In multiples of the sizes below.
+# Multiples of the sizes below.
 SIZES = (0.5, 1.0, 2.0, 4.0)
-# Of the episodes, whose plants are those of randomization="paper".
+# Number and first seed of the episodes, on plants of randomization="paper".
 EPISODES, FIRST_SEED = 50, 23_000_000
-# They do nothing, and fail without any disturbance.
+# Policies without progress or with failures even without disturbances.
 LEFT_OUT = ("zero", "random")
 
 
@@ -34,7 +34,7 @@ def _sized_as_real(*names: str) -> dict[str, Any]:
 
 ALL = 'all of "real"'
 _WHITE = _sized_as_real(*(f"{name}_noise" for name in SENSORS))
-# Each disturbance at the size 1, by its name in tables: that of "real" (of its latency the mean), where that has it.
+# Each disturbance at size 1, by its name in tables: as in "real" (mean latency), if "real" contains it.
 DISTURBED: dict[str, dict[str, Any]] = {
     "white noise": _WHITE,
     "bias": _sized_as_real(*(f"{name}_bias" for name in SENSORS)),
@@ -55,7 +55,7 @@ Cells = Mapping[tuple[str, float], tuple[float, int]]
 
 
 def conditions() -> dict[tuple[str, float], str | Disturbances]:
-    """The disturbances by their name and size; those without a size have the size 1."""
+    """The disturbances by name and size; disturbances without a size have size 1."""
     found: dict[tuple[str, float], str | Disturbances] = {(NONE, 1.0): "none"}
     for name, given in DISTURBED.items():
         for size in SIZES:
@@ -68,14 +68,14 @@ def conditions() -> dict[tuple[str, float], str | Disturbances]:
 
 
 def run(candidates: Sequence[Candidate], horizon: float | None = None) -> dict[str, Cells]:
-    """Evaluates policies under all conditions; of a trained one the first seed.
+    """Evaluates policies under all conditions; a trained policy is evaluated with its first seed.
 
     Args:
-        candidates: of the speed task.
-        horizon: length of an episode in s; None takes the task's.
+        candidates: policies of the speed task.
+        horizon: length of an episode in s; None takes that of the task.
 
     Returns:
-        The results by the policy's name, the fastest without disturbances first.
+        The results by the policy's name, sorted by the speed without disturbances, fastest first.
     """
     plants, found = validation_set("paper", "sensitivity", FIRST_SEED, EPISODES), {}
     for candidate in tqdm(candidates, "evaluating", file=sys.stderr, disable=None):
@@ -88,12 +88,12 @@ def run(candidates: Sequence[Candidate], horizon: float | None = None) -> dict[s
 
 
 def document() -> Document:
-    """The tables and the figure of all rows."""
+    """The tables and the figure for all rows."""
     return compose(run([each for each in all_candidates() if each.name not in LEFT_OUT]))
 
 
 def compose(results: Mapping[str, Cells]) -> Document:
-    """The document of these results."""
+    """The tables and the figure for the results."""
     fields = {name: ", ".join(f"`{each}={size}`" for each, size in given.items()) for name, given in DISTURBED.items()}
     fields[ALL] = '`disturbances="real"`'
     sizes = markdown_table([["disturbance", "at the size 1"], *([name, text] for name, text in fields.items())])
@@ -115,7 +115,7 @@ def table(results: Mapping[str, Cells]) -> str:
 
 
 def draw(results: Mapping[str, Cells]) -> Any:
-    """Every policy under every disturbance: its speed as a shade, its failures as a dot."""
+    """Draws every policy under every disturbance, with the speed as a shade and the failures as a dot."""
     names = list(dict.fromkeys(name for name, _ in conditions()))
     widths = [len([1 for name, _ in conditions() if name == each]) for each in names]
     figure = new_figure(1.5 + 0.155 * len(results))

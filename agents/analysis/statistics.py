@@ -20,14 +20,14 @@ METRIC = TABLE_METRICS[SPEED]
 
 
 def document() -> Document:
-    """Tables and figures of the leaderboard's results; nothing is evaluated."""
+    """Tables and figures of the leaderboard's stored results, without new evaluations."""
     rows = load_rows(ROOT / RESULTS, [candidate.name for candidate in evaluation_policies.all_candidates()])
     results = gather(rows, [load_set(name) for name in SET_NAMES], evaluation_policies.CHECKPOINTS)
     return Document({"learning": learning(results)}, figures_of(results))
 
 
 def figures_of(results: Results) -> dict[str, Callable[[Path], Any]]:
-    """The figures that there is data for, by their path in docs/."""
+    """The figures for which there is data, by their path in docs/."""
     trained, shown = results.trained, results.shown_sets
     found = {"transport": write_with(draw_transport, results.rows)}
     if trained:
@@ -38,7 +38,7 @@ def figures_of(results: Results) -> dict[str, Callable[[Path], Any]]:
 
 
 def learning(results: Results) -> str:
-    """Speed at the end of training, and the steps to nine tenths of it."""
+    """A Markdown table of the speed at the end of training, and the steps to 90 % of this speed."""
     table = [["policy", "training seeds", "steps", f"{METRIC.label} at the end", "steps to 90 % of that"]]
     for name, runs in results.learning.items():
         curve = learning_curve(list(runs.values()))

@@ -38,7 +38,7 @@ class Args:
     """Folder of the runs."""
 
     def check(self) -> None:
-        """Raises an error for students and seeds that do not exist."""
+        """Raises an error if the student is unknown or a seed is out of range."""
         if self.name not in STUDENTS:
             raise ValueError(f"NAME must be one of {', '.join(STUDENTS)}, got {self.name!r}")
         for seed in self.seeds:

@@ -17,25 +17,26 @@ class Student:
 
     Attributes:
         randomization: the distribution of M and mu.
-        grid: the plants that the expert's solutions are of, with the plants' static ratio.
-        identifies: whether it identifies them on line.
-        change_rate: how often M and mu are drawn anew within an episode, 1/s.
-        change_randomization: the distribution of M and mu after a change; `randomization` where it is None.
-        law: the name of a control law that its torque is added to, and the limit on its torque, N m.
-        margin: normal force below which a torque costs more, up to `max_regret` at 0 N: a student that does not know
-            M needs more than the expert.
-        deviations: standard deviations of the estimated weight of the platform that are added to `margin`.
-        max_regret: largest regret of a torque in the data, cm. The end of an episode costs more.
-        num_envs: episodes of a round.
-        steps: of each episode.
+        grid: the plants for which the expert is solved, with their static ratio.
+        identifies: whether the student observes online estimates of M and mu.
+        change_rate: mean number of changes of M and mu per second of an episode, 1/s.
+        change_randomization: the distribution of M and mu after a change; None takes `randomization`.
+        law: the name of the control law to which the student adds its torque, and the limit on that torque, N m;
+            None for direct torque.
+        margin: normal force (N) below which a torque costs more, up to `max_regret` at 0 N. A student that does not
+            know M needs a larger margin than the expert.
+        deviations: number of standard deviations of the platform's estimated weight that are added to `margin`.
+        max_regret: upper bound on the regret of a torque in the data, cm; the end of an episode would cost more.
+        num_envs: episodes in a round.
+        steps: control steps in an episode.
         rounds: rounds of DAgger.
         updates: gradient steps after a round.
-        final_updates: gradient steps at the end, in `final_parts`.
-        final_parts: evaluations in these.
+        final_updates: gradient steps of the final fit.
+        final_parts: parts of the final fit; an evaluation follows each.
         batch_size: states in a gradient step.
         learning_rate: step size of Adam; it falls to 0 at the end.
-        evaluation_episodes: of an evaluation.
-        failure_cost: cm/s that the share of failed episodes costs where the best policy is chosen.
+        evaluation_episodes: episodes in an evaluation.
+        failure_cost: weight of the share of failed episodes in the selection of the best policy, cm/s.
     """
 
     randomization: str
@@ -60,14 +61,14 @@ class Student:
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
-        """The arguments of the environment that it acts in."""
+        """The arguments of the student's environment."""
         own: dict[str, Any] = {"capsule": self.grid.capsule} if self.grid.capsule != NOMINAL else {}
         if self.law:
             own |= {"controller": self.law[0], "residual_limit": self.law[1]}
         return {"randomization": self.randomization, "observe_parameters": False, **own}
 
 
-# By the name of their rows on the leaderboard.
+# Keys are names of rows on the leaderboard.
 STUDENTS = {
     "dp-distilled": Student("paper"),
     "dp-distilled-wide": Student(

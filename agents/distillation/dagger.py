@@ -1,10 +1,10 @@
-"""Trains a student by DAgger: rounds of data in which it acts more and more, a fit after each, and a final longer fit.
+"""Trains a student by DAgger: rounds of data in which the student acts more often, each with a fit, and a final fit.
 
-The loss of a torque is its interpolated regret, not its distance from the expert's torque. A run's folder holds
+The loss of a torque is its interpolated regret, not its distance from the expert's torque. The folder of a run holds
 
     policy.safetensors   the best policy so far, by evaluations on validation plants
-    finished.json        once the run is finished: mean_speed (cm/s) and share of failed episodes of that evaluation,
-                         the processor time of the run (core_seconds) and the git revision that it ran at
+    finished.json        after the run: mean_speed (cm/s) and share of failed episodes of the best policy, processor
+                         time of the run (core_seconds) and git revision
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from capsule_gym.files import to_json, write_atomically
 from capsule_gym.policy import IMITATION, POLICY
 from capsule_gym.task import CONTROL_DT
 
-# First seed of the validation plants that select the best policy, far from other seeds.
+# First seed of the validation plants for selecting the best policy; far from other seeds.
 SELECTION_SEED = 6_000_000
-# The expert's share of the time in the first rounds; 0 afterwards.
+# Share of the time in which the expert acts, in the first rounds; 0 afterwards.
 EXPERT_SHARES = (1.0, 0.5, 0.3, 0.2, 0.1)
-# The step size at the end of the fit after a round, in parts of that at its start.
+# Step size at the end of a round's fit, relative to its start.
 FINAL_RATE = 0.3
 HIDDEN = 64
 FINISHED = "finished.json"
@@ -50,7 +50,7 @@ MAX_GRADIENT_NORM = 1.0
 
 
 def interpolated_regret(regrets: torch.Tensor, torques: torch.Tensor) -> torch.Tensor:
-    """The regrets of torques in [-1, 1], shape (n,), linear between those of `TORQUES`, shape (n, NUM_TORQUES)."""
+    """Interpolates the regrets at `TORQUES`, shape (n, NUM_TORQUES), linearly at torques in [-1, 1], shape (n,)."""
     positions = 0.5 * (NUM_TORQUES - 1) * (torques + 1.0)
     below = positions.detach().long().clamp(0, NUM_TORQUES - 2)
     low, high = (regrets.gather(1, (below + n)[:, None])[:, 0] for n in (0, 1))
@@ -58,7 +58,7 @@ def interpolated_regret(regrets: torch.Tensor, torques: torch.Tensor) -> torch.T
 
 
 class Network:
-    """The student's network: two hidden layers, tanh after each; normalises its inputs as they are in the dataset."""
+    """The student's network: two hidden layers, tanh after each layer, inputs normalised by a dataset's statistics."""
 
     def __init__(self, dataset: Dataset, seed: int) -> None:
         inputs = dataset.inputs.astype(np.float64)
@@ -83,10 +83,10 @@ class Network:
         Args:
             datasets: the data of all rounds.
             updates: number of gradient steps.
-            rates: step size of Adam at the first and at the last; linear in between.
+            rates: step sizes of Adam at the first and the last gradient step; linear in between.
             batch_size: states in each step.
-            rng: draws the batches.
-            callback: called after every step with the loss of its batch, cm/s; False ends the fit.
+            rng: random generator of the batches.
+            callback: called after every step with the loss of its batch (cm/s); returning False ends the fit.
         """
         raw = np.concatenate([dataset.inputs for dataset in datasets])
         scaled = np.clip((raw - self._mean) / np.sqrt(self._variance + EPSILON), -CLIP, CLIP)
@@ -127,8 +127,8 @@ class Network:
 def schedule(student: Student) -> list[tuple[float | None, int, tuple[float, float]]]:
     """The rounds of DAgger and the parts of the final fit.
 
-    Each is the expert's share of the time (None where no data is collected), the gradient steps, and the step sizes of
-    Adam at the first and at the last of them.
+    Each entry is the expert's share of the time (None if no data is collected), the number of gradient steps, and the
+    step sizes of Adam at the first and the last gradient step.
     """
     rate = student.learning_rate
     shares = (*EXPERT_SHARES, *[0.0] * student.rounds)[: student.rounds]
@@ -138,9 +138,9 @@ def schedule(student: Student) -> list[tuple[float | None, int, tuple[float, flo
 
 
 def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop) -> bool:
-    """Trains a student in a new folder and returns whether the run is finished; the same seed gives the same policy.
+    """Trains a student in a new folder and returns whether the run is finished. Equal seeds give equal policies.
 
-    `stop` ends it early; the folder then holds the best policy so far, if there is one.
+    `stop` ends the run early; the folder then holds the best policy so far, if any.
 
     Raises:
         FileExistsError: if the folder exists.
@@ -149,7 +149,7 @@ def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop) -> 
     torch.set_num_threads(1)
     began, revision = time.process_time(), git_revision(Path(__file__).parent)
     rng = np.random.default_rng(seed)
-    # Never a frozen set.
+    # Validation plants, never a frozen set.
     count = student.evaluation_episodes
     first = SELECTION_SEED + seed * count
     plants = validation_set(student.randomization, "validation plants", first, count, student.grid.capsule)
@@ -181,7 +181,7 @@ def distil(name: str, student: Student, seed: int, folder: Path, stop: Stop) -> 
 
 
 def distil_all(name: str, folders: dict[int, Path]) -> bool:
-    """Runs what is not finished; `folders` are by the seed. Returns whether all runs are.
+    """Trains the seeds whose runs are not finished; `folders` maps seeds to folders. Returns whether all finished.
 
     Raises:
         RunError: if a run was started before and is not finished.

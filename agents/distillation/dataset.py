@@ -1,8 +1,8 @@
-"""The data of distillation: states that expert and student visit, and the regret of every torque there.
+"""The data of distillation: states that expert and student visit, and the regret of every torque in these states.
 
 The expert is the optimum of the episode's plant, `baselines.dynamic_programming.policy.Oracle`. It observes M and mu.
-A student from which they are hidden learns what costs least over the plants that a state may belong to. A student that
-identifies them on line is also given the estimates of `capsule_gym.observation`.
+From a student, M and mu are hidden: it learns the torque with the least mean regret over the plants that a state may
+belong to. A student with `identifies=True` also observes the online estimates of `capsule_gym.observation`.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from capsule_gym.parameters import NOMINAL, Randomization
 from capsule_gym.resets import draw_plant
 from capsule_gym.task import CONTROL_DT
 
-# In every step: that the acting policy is drawn again, and that the action is random.
+# Probabilities per step that the acting policy is drawn again, and that the action is random.
 SWITCH_PROBABILITY, EXPLORATION_PROBABILITY = 0.02, 0.01
-# The input with the standard deviation of the estimate of M, from the end.
+# Index of the standard deviation of the estimate of M, counted from the end of the inputs.
 M_DEVIATION = ESTIMATES.index("M_deviation") - len(ESTIMATES)
 
 
@@ -35,9 +35,9 @@ class Dataset(NamedTuple):
     """The states of one round.
 
     Attributes:
-        inputs: of the student's network, shape (states, inputs), float32.
-        regrets: of each of `TORQUES` compared with the best, cm, shape (states, NUM_TORQUES), float32; those
-            that leave less normal force than the margin cost more.
+        inputs: inputs of the student's network, shape (states, inputs), float32.
+        regrets: regret of each of `TORQUES`, cm, shape (states, NUM_TORQUES), float32; torques that leave less normal
+            force than the margin cost more.
     """
 
     inputs: np.ndarray
@@ -47,9 +47,9 @@ class Dataset(NamedTuple):
 def collect(
     student: Student, rng: np.random.Generator, expert_share: float, act: Act | None, stopped: Callable[[], bool]
 ) -> Dataset:
-    """Runs a batch of episodes in which the expert acts in `expert_share` of the time, and else the student's `act`.
+    """Runs a batch of episodes in which the expert acts for `expert_share` of the time, and the student's `act` else.
 
-    `rng` draws plants, who acts, and exploration; without an `act` the expert acts alone.
+    `rng` draws the plants, the acting policy and the exploration. If `act` is None, only the expert acts.
     """
     count, none = student.num_envs, AutoresetMode.DISABLED
     env = CapsuleVectorEnv(num_envs=count, autoreset_mode=none, **{**student.env_kwargs, "observe_parameters": True})

@@ -16,13 +16,13 @@ class Criteria:
     """The criteria by which policies of a task are compared.
 
     Attributes:
-        metric: the one that learning curves show.
-        unit: of the metric and the score.
+        metric: the metric of learning curves.
+        unit: unit of the metric and the score.
         suffix: the unit in names of columns.
-        weights: by the metric's name, the main one first: the best model of a run has the largest sum of the
-            metrics' means times these.
-        baseline: the scripted policy that others are compared with.
-        ranking_set: the frozen set that policies are ranked on.
+        weights: weights of the score by metric, the main metric first; the best model of a run has the largest
+            weighted sum of the metrics' means.
+        baseline: the scripted policy to compare with.
+        ranking_set: the frozen set for ranking policies.
     """
 
     metric: TableMetric
@@ -34,12 +34,12 @@ class Criteria:
 
     @property
     def column(self) -> str:
-        """The name of the metric in the evaluations of a run."""
+        """The column of the metric in evaluations.csv."""
         return f"{self.metric.name}_{self.suffix}"
 
     @property
     def ascending(self) -> bool:
-        """Whether less of the metric is better."""
+        """Whether smaller values of the metric are better."""
         return self.weights[self.metric.name] < 0.0
 
     def rank(self, value: float, name: str) -> tuple[float, str]:
@@ -65,7 +65,7 @@ CRITERIA = {
         baseline=BASELINE,
         ranking_set="paper",
     ),
-    # A miss counts as the whole 15 s, and here as much again.
+    # A missed goal already counts as a time of 15 s; the weight of `success` adds 15 s.
     "goal": Criteria(
         metric=_OF_TASKS["goal_time"],
         unit="s",

@@ -25,7 +25,7 @@ from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
 
 Episode = dict[str, Any]
 
-# The fields of an episode that are no metrics.
+# Fields of an episode that are not metrics.
 LABELS = ("M", "mu", "seed", "theta", "goal", "changes", "capsule", "training_seed")
 NOISE_SEED = 1_000_000_007
 PACKAGES = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
@@ -36,10 +36,10 @@ class TableMetric:
     """The format of a metric in tables.
 
     Attributes:
-        name: of the metric, as in results.
-        label: its name in tables, with the unit.
-        digits: decimals.
-        share: whether it is a share of the episodes, of which no mean is trimmed: that would hide a few misses.
+        name: name of the metric in results.
+        label: name in tables, with the unit.
+        digits: number of decimals.
+        share: whether the metric is a share of the episodes. Its mean is not trimmed, which would hide a few misses.
     """
 
     name: str
@@ -48,14 +48,14 @@ class TableMetric:
     share: bool = False
 
     def format(self, value: float | None, *, sign: bool = False) -> str:
-        """The number; a dash for an infinite or undefined one, which means 'no forward progress'."""
+        """Formats a number; an infinite or undefined number, which means no forward progress, gives a dash."""
         if value is None or not math.isfinite(value):
             return "-"
         text = f"{value:{'+' if sign else ''}.{self.digits}f}"
         return text.replace("-", "") if float(text) == 0.0 else text
 
     def with_interval(self, summary: Mapping[str, Any], *, sign: bool = False) -> str:
-        """`value [low, high]` from what `Estimate.to_dict` gives; the value alone where there is no interval."""
+        """Formats the result of `Estimate.to_dict` as `value [low, high]`, or without an interval as `value`."""
         value = self.format(summary["mean" if self.share else "iqm"], sign=sign)
         low, high = (self.format(summary[end], sign=sign) for end in ("low", "high"))
         return value if low == high == "-" else f"{value} [{low}, {high}]"
@@ -70,7 +70,7 @@ _SHOWN = (
     TableMetric("stuck_fraction", "fraction of time stuck", 3),
 )
 TABLE_METRICS = {metric.name: metric for metric in _SHOWN}
-# Of the other tasks.
+# Metrics of the other tasks.
 TASK_METRICS = (
     TableMetric("success", "share of goals reached", 4, share=True),
     TableMetric("goal_time", "time to the goal (s)", 2),
@@ -78,7 +78,7 @@ TASK_METRICS = (
     TableMetric("unsettled", "share of commands never settled", 4, share=True),
 )
 SHARES = [metric.name for metric in TASK_METRICS if metric.share]
-# The mean speed over the optimum's for the episode's plant, on sets that the table of optima covers.
+# Mean speed divided by the optimal speed of the episode's plant, on sets that the table of optima covers.
 SHARE_OF_OPTIMUM = TableMetric("share_of_optimum", "share of optimum", 2)
 
 
@@ -92,26 +92,26 @@ def evaluate(
 ) -> list[Episode]:
     """Runs a policy once on every plant of a set, all plants at once, each from rest.
 
-    A trained policy runs in compiled code, `capsule_gym.network.rollout`; any other is called at every step, and so is
-    any with noise.
+    A trained policy without noise runs in compiled code, `capsule_gym.network.rollout`. Any other policy is called at
+    every step.
 
     Args:
-        policy: as for `wrap_policy`; or a candidate, or its name or path as for `find_candidate`: all its training
-            seeds, one after the other.
+        policy: as for `wrap_policy`; or a candidate, or a name or path as for `find_candidate`, of which all training
+            seeds are evaluated, one after the other.
         evaluation_set: a set, the name of a frozen one, or the path of one.
         env_kwargs: as for `wrap_policy`.
         horizon: length of an episode in s; None takes that of the set's task.
         action_noise: half width of uniform noise on every action, different in every episode.
 
     Returns:
-        One dict per plant, in order: M (kg), mu, seed, where it has them theta (rad) and changes, and the metrics of
-        `capsule_gym.task.Metrics`; on a set that the table of optima covers also `share_of_optimum`; of a trained
-        policy `training_seed`.
+        One dict per plant, in order, with M (kg), mu, seed, theta (rad) and changes if the plant has them, and the
+        metrics of `capsule_gym.task.Metrics`; `share_of_optimum` on a set that the table of optima covers; and
+        `training_seed` for a trained policy.
 
     Raises:
-        TypeError: if the policy is something else.
-        ValueError: if there is no such policy or set, the policy is for another task than the set, or the policy's
-            actions are not finite or of another shape.
+        TypeError: if the policy is of another type.
+        ValueError: if the policy or set does not exist, their tasks differ, or the policy's actions are not finite or
+            have another shape.
     """
     chosen = evaluation_set if isinstance(evaluation_set, EvaluationSet) else load_set(evaluation_set)
     if isinstance(policy, (str, Path)):
@@ -132,7 +132,7 @@ def evaluate(
 
 
 def check_task(candidate: Candidate, evaluation_set: EvaluationSet) -> str:
-    """The task of a set, in which scripted policies that are for no task in particular act as well.
+    """Checks that policies are for the task of a set, and returns it. Scripted policies without a task fit any set.
 
     Raises:
         ValueError: if a policy is for another task.
@@ -155,19 +155,19 @@ def as_episodes(
     training_seed: int | None = None,
     shared: bool = True,
 ) -> list[Episode]:
-    """The episodes of a set as `evaluate` returns them.
+    """Converts metrics to the episodes that `evaluate` returns.
 
     Args:
         evaluation_set: the plants.
-        metrics: by name, each of shape (plants,).
-        training_seed: of a trained policy; None for a scripted one.
+        metrics: metrics by name, each of shape (plants,).
+        training_seed: seed of a trained policy; None for a scripted policy.
         shared: whether the policy acts under the optimum's torque limit, so that its share of the optimum is defined.
     """
-    # Imported here, as in other functions: it imports numba, which takes most of a second.
+    # Imported here, as in other functions, since numba takes most of a second to import.
     from baselines.archive import find_grid
     from baselines.dynamic_programming.archive import optimal_speed
 
-    # The tables of optima cover the speed task, one start, their grids, and no changes of the plant.
+    # The tables of optima cover only the speed task, one start, the plants of their grids, and constant plants.
     plants, grid = evaluation_set.plants, find_grid(evaluation_set.capsule or NOMINAL)
     covered = grid and all(p.theta == START_THETA and not p.changes and (p.M, p.mu) in grid for p in plants)
     shared &= evaluation_set.task == "speed" and evaluation_set.env_kwargs["disturbances"] == "none"
@@ -187,7 +187,7 @@ def as_episodes(
 def _run(
     policy: Policy, settings: Mapping[str, Any], evaluation_set: EvaluationSet, steps: int, action_noise: float
 ) -> dict[str, np.ndarray]:
-    """The metrics of one episode per plant, all run in one batch; each of shape (plants,)."""
+    """Runs one episode per plant in one batch and returns their metrics, each of shape (plants,)."""
     plants = evaluation_set.plants
     seeds = [plant.seed for plant in plants]
     batch = {"num_envs": len(plants), "max_episode_steps": steps, "autoreset_mode": AutoresetMode.DISABLED}
@@ -218,7 +218,7 @@ def _run(
 def scores(episodes: Sequence[Episode], metric: str) -> np.ndarray:
     """The values of a metric in the episodes of one policy on one set, shape (training seeds, episodes of the set).
 
-    Those of a training seed are adjacent. None, which stands for infinity in files, becomes infinity again.
+    A row contains the episodes of one training seed. None, which files contain instead of infinity, becomes infinity.
     """
     runs: dict[Any, list[float]] = {}
     for episode in episodes:
@@ -228,17 +228,17 @@ def scores(episodes: Sequence[Episode], metric: str) -> np.ndarray:
 
 
 def failures(episodes: Sequence[Episode]) -> int:
-    """The number of episodes that were terminated."""
+    """Counts the episodes that were terminated."""
     return sum(int(episode["failed"]) for episode in episodes)
 
 
 def summarise(episodes: Sequence[Episode]) -> dict[str, Any]:
-    """The summary of a policy's episodes on one set.
+    """Summarises a policy's episodes on one set.
 
     Returns:
-        For every metric but `failed` its interquartile mean with interval, `{"iqm": .., "low": .., "high": ..}`, of
-        shares the mean, `{"mean": .., "low": .., "high": ..}`; then `episodes` and `failures` as counts over all
-        training seeds (a trimmed mean would hide a few failures), and `training_seeds`, empty for scripted policies.
+        For every metric but `failed` the interquartile mean with its interval, `{"iqm": .., "low": .., "high": ..}`;
+        for shares the mean, `{"mean": .., "low": .., "high": ..}`; `episodes` and `failures` as counts over all
+        training seeds (a trimmed mean would hide a few failures); and `training_seeds`, empty for scripted policies.
     """
     names = [name for name in episodes[0] if name not in LABELS and name != "failed"]
     training_seeds = list(dict.fromkeys(e["training_seed"] for e in episodes if "training_seed" in e))

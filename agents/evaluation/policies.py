@@ -35,13 +35,13 @@ class Policy(Protocol):
 
     @property
     def name(self) -> str:
-        """As it appears in results."""
+        """The name in results."""
 
     @property
     def env_kwargs(self) -> Mapping[str, Any]:
         """The arguments of the policy's `CapsuleVectorEnv`: controller, residual_limit, torque_limit and so on.
 
-        The evaluation sets `EPISODE_SETTINGS`, and the number and length of the episodes.
+        The evaluation overrides `EPISODE_SETTINGS`, and the number and length of the episodes.
         """
 
     def start(self, seeds: Sequence[int], /) -> Act:
@@ -57,17 +57,18 @@ class Policy(Protocol):
 
 
 def wrap_policy(policy: Any, *, name: str | None = None, env_kwargs: Mapping[str, Any] | None = None) -> Policy:
-    """Makes a policy of another project's object; returns a policy of this project as it is.
+    """Wraps an object of another project as a policy; returns a policy of this project unchanged.
 
     Args:
         policy: an object with `predict(observations, state=.., episode_start=.., deterministic=True)` that returns
-            actions and the next state, as Stable-Baselines3's algorithms and policies have; or a function from
+            actions and the next state, such as Stable-Baselines3's algorithms and policies; or a function from
             observations (n, entries), float32, to actions (n, 1) in [-1, 1].
-        name: as it appears in results; None takes the name of the function or of the object's class.
-        env_kwargs: the arguments of its `CapsuleVectorEnv`; None takes its attribute `env_kwargs`, or no arguments.
+        name: name in results; None takes the name of the function or of the object's class.
+        env_kwargs: arguments of the policy's `CapsuleVectorEnv`; None takes the attribute `env_kwargs` of the object,
+            if it has one.
 
     Raises:
-        TypeError: if it is something else.
+        TypeError: if the policy is of another type, or `env_kwargs` is given for a policy that has its own.
     """
     if hasattr(policy, "start") and hasattr(policy, "env_kwargs") and not isinstance(policy, type):
         if env_kwargs is not None:
@@ -105,8 +106,8 @@ class Candidate:
     """A named policy with all its training seeds.
 
     Attributes:
-        name: as it appears in results.
-        policies: one for a scripted policy, else one per training seed in order of the seed.
+        name: name in results.
+        policies: one policy per training seed, in order of the seed; a single one for a scripted policy.
         description: one sentence for tables.
         folder: the folder of the checkpoint; None for a scripted policy.
     """
@@ -118,7 +119,7 @@ class Candidate:
 
     @property
     def task(self) -> str:
-        """The task that it is for."""
+        """The task of the policies."""
         return str(self.policies[0].env_kwargs.get("task", "speed"))
 
     @property
@@ -133,7 +134,7 @@ def _scripted(name: str) -> Candidate:
 
 
 def _trained(name: str, folder: Path, trust_controller: bool = False) -> Candidate:
-    """A trained policy from a folder with the runs seed-0, seed-1, .., from one run's folder or from a policy file."""
+    """Loads a trained policy from a folder with runs seed-0, seed-1, .., from a run's folder or from a policy file."""
     paths = [path for path in sorted(folder.glob("seed-*")) if path.is_dir()] or [folder]
     loaded = [capsule_gym.load_policy(path, trust_controller=trust_controller) for path in paths]
     seeds = [policy.training_seed for policy in loaded]
@@ -172,14 +173,14 @@ def find_candidate(name_or_path: str, *, trust: bool = False, trust_controller: 
     """Finds a policy.
 
     Args:
-        name_or_path: a scripted policy; a checkpoint in agents/checkpoints, which means all its training seeds, or one
-            run of it as NAME/seed-0; the path of a folder with runs seed-0, seed-1, .. inside; the path of one run's
-            folder, or of a policy file; or "module:attribute", which is imported and passed to `wrap_policy`.
+        name_or_path: a scripted policy; a checkpoint in agents/checkpoints with all its training seeds, or one of its
+            runs as NAME/seed-0; the path of a folder with runs seed-0, seed-1, .. inside; the path of one run's folder
+            or of a policy file; or "module:attribute", which is imported and passed to `wrap_policy`.
         trust: accept "module:attribute": importing it runs its code.
         trust_controller: as for `capsule_gym.load_policy`.
 
     Raises:
-        ValueError: if there is no such policy, its folder is incomplete, or it or its law is not trusted.
+        ValueError: if the policy does not exist, its folder is incomplete, or the policy or its law is not trusted.
     """
     if REFERENCE.fullmatch(name_or_path):
         return _imported(name_or_path, trust)
@@ -198,11 +199,11 @@ def find_candidate(name_or_path: str, *, trust: bool = False, trust_controller: 
 
 
 def _imported(name: str, trust: bool) -> Candidate:
-    """The policy "module:attribute"."""
+    """Imports the policy "module:attribute"."""
     if not trust:
         raise ValueError(f"importing policy {name!r} runs its code; --trust allows it")
     module_name, _, attribute = name.partition(":")
-    # As for a script: modules in the current folder are found.
+    # Finds modules in the current folder, as for a script.
     sys.path.insert(0, "")
     try:
         module = importlib.import_module(module_name)

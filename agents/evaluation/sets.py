@@ -1,4 +1,4 @@
-"""The frozen evaluation sets: the plants that every policy is judged on, the same for all, and their hashes.
+"""The frozen evaluation sets: the same plants for the evaluation of every policy, and their hashes.
 
 `python -m agents.evaluation.sets` draws them anew and writes agents/evaluation/frozen/*.json.
 
@@ -16,29 +16,31 @@
 | `goal-paper` | 1000 | of the task `goal` on the paper's floor: M and mu as in `paper`, static friction as kinetic |
 | `velocity` | 1000 | of the task `velocity`: M and mu as the task draws them; commands from the plant's seed |
 
-`nominal` starts at rest as all do, but within 0.1 rad of the angle that the others start from (uniform, to a
-microradian); its first episode is the paper's own. From a single start a chaotic policy would show a single draw.
+`nominal`: as in all sets, episodes start at rest. The angles are uniform within 0.1 rad of the default start, to a
+microradian; the first episode has the paper's start. A single start would show a single sample of a policy that is
+sensitive to perturbations.
 
 `extrapolation`: a third of the plants leaves `wide` in M alone, a third in mu alone, a third in both. Outside means
 lighter or heavier (down to 0.25 kg, up to 1.2 kg; uniform), smoother or rougher (down to 0.002, up to 0.6;
-log-uniform), either side for half of the plants; what stays inside is as in `wide`. The lightest platform with the
+log-uniform), each side for half of the plants; a parameter inside is drawn as in `wide`. The lightest platform with the
 roughest floor is far from Painleve's paradox ((M + m) / m = 2.81, the bound is 1.08).
 
 `drift`: M and mu jump together at two times, the first in the middle third of the episode's first half (5.5 to 11 s),
-the second in that of its second half (22 to 27.5 s), so that no plant rules for less than 5.5 s. Times are multiples of
-the agent's step.
+the second in the middle third of its second half (22 to 27.5 s). M and mu are thus constant for at least 5.5 s. Times
+are multiples of the agent's step.
 
 The plants of the speed task follow a low-discrepancy sequence (Roberts's: multiples modulo 1 of the powers of 1 / phi,
-where phi^(d + 1) = phi + 1 for d numbers): a mean over a set is closer to that over its distribution than of random
-plants, and the first few plants cover the ranges as all do. The disturbances are drawn from the plants' seeds.
+where phi^(d + 1) = phi + 1 for d numbers). A mean over such a set is closer to the mean over the distribution than a
+mean over random plants, and the first few plants already cover the ranges. The disturbances are drawn from the plants'
+seeds.
 
 Numbers are rounded (M to 0.1 g, mu to five digits). `nominal` and the sets of the other tasks have a random seed each;
 the plants' own seeds are 0, 1, ..
 
 A set's hash (`EvaluationSet.hash`) is the sha256 of its name and plants as JSON with sorted keys and no white space:
-the file's layout does not matter, every number does. It stands in every result and in leaderboard.json; results
-compare only where it is the same. So a set of a release does not change: another one gets another name. In 0.1.0
-`nominal` was a single episode, and `paper`, `wide`, `extrapolation` and `drift` were 100 random plants each.
+it depends on every number but not on the file's layout. Every result and leaderboard.json contain it; results are
+comparable only if the hashes agree. A released set therefore never changes: a different set gets a different name. In
+0.1.0 `nominal` was a single episode, and `paper`, `wide`, `extrapolation` and `drift` were 100 random plants each.
 """
 
 from __future__ import annotations
@@ -60,25 +62,25 @@ from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
 
 PROG = "python -m agents.evaluation.sets"
 SETS_FOLDER = Path(__file__).with_name("frozen")
-# How many episodes each has; on sticky floors, under disturbances and in the other tasks failures are rare.
+# Episodes per set; more on sticky floors, under disturbances and in the other tasks, where failures are rare.
 EPISODES = (
     {name: 1000 for name in (*FURTHER_SET_NAMES, *TASK_SET_NAMES)} | dict.fromkeys(SET_NAMES, 400) | {"nominal": 100}
 )
-# Half the width of the angles that `nominal` starts from, rad.
+# Half width of the range of start angles in `nominal`, rad.
 STARTS = 0.1
 
 _WIDE = RANDOMIZATIONS["wide"]
 assert _WIDE.M is not None and _WIDE.mu is not None
 LIGHTER, HEAVIER = (0.25, _WIDE.M[0]), (_WIDE.M[1], 1.2)
 SMOOTHER, ROUGHER = (0.002, _WIDE.mu[0]), (_WIDE.mu[1], 0.6)
-# Of the sets' own random streams. Frozen: a different set needs a different name.
+# Seeds of the sets' random streams. Frozen: a different set needs a different name.
 SEEDS = {"nominal": 20180, "goal": 20190, "velocity": 20191, "goal-paper": 20192}
 CHANGE_WINDOWS = ((HORIZON / 6.0, HORIZON / 3.0), (HORIZON * 2.0 / 3.0, HORIZON * 5.0 / 6.0))
 
 
 def _sample(rng: np.random.Generator, randomization: str | Randomization) -> tuple[float, float]:
-    """M and mu from one of the environment's own distributions, rounded."""
-    # Imported here, as in other functions: it imports numba, which takes most of a second.
+    """Draws M and mu from one of the environment's distributions, rounded."""
+    # Imported here, as in other functions, since numba takes most of a second to import.
     from capsule_gym.resets import draw_plant
 
     return _rounded(*draw_plant(Randomization.named(randomization), NOMINAL, rng))
@@ -102,7 +104,7 @@ def draw_set(name: str) -> EvaluationSet:
 
 
 def _draw_task_set(name: str) -> EvaluationSet:
-    """The frozen set of another task than speed."""
+    """Draws the frozen set of another task than speed."""
     task_name, _, floor = name.partition("-")
     task, rng = find_task(task_name), np.random.default_rng(SEEDS[name])
     plants = []
@@ -118,13 +120,13 @@ def _draw_task_set(name: str) -> EvaluationSet:
 
 
 def _constants_at(randomization: Randomization, shares: Sequence[float]) -> dict[str, float]:
-    """The drawn constants of a plant, at these fractions of their ranges."""
+    """The values of a plant's drawn constants at the given fractions of their ranges."""
     ranges = {constant: getattr(randomization, constant) for constant in randomization.drawn}
     return {n: low + (high - low) * share for (n, (low, high)), share in zip(ranges.items(), shares, strict=True)}
 
 
 def _spread_set(name: str) -> EvaluationSet:
-    """A set whose plants are spread evenly over the randomisation of its name, or around and within `wide`."""
+    """Draws a set whose plants cover the randomisation of its name evenly, or the plants around and within `wide`."""
     from capsule_gym.resets import plant_at, plant_ranges
 
     capsule = STICKY_GRID.capsule if name == "sticky" else None
@@ -164,7 +166,7 @@ def _plant_outside(ranges: np.ndarray, shares: Sequence[float], seed: int) -> Pl
 
 
 def _changes_at(ranges: np.ndarray, shares: Sequence[float]) -> tuple[dict[str, float], ...]:
-    """The changes of a plant of `drift`: three shares each, behind the two of M and mu at the start."""
+    """The changes of a plant of `drift`; each uses three shares, after the two shares for M and mu at the start."""
     from capsule_gym.resets import plant_at
 
     changes = []
@@ -184,16 +186,16 @@ def validation_set(
     task: str = "speed",
     disturbances: str | Disturbances = "none",
 ) -> EvaluationSet:
-    """A set of plants that are drawn as the environment draws those of its episodes, for choices and studies.
+    """Draws a set of plants as the environment draws the plants of its episodes, for model selection and studies.
 
     Args:
-        randomization: of the environment.
-        name: of the set.
-        first_seed: the episodes' seeds are this and those that follow; far from 0, 1, .., which the frozen sets use.
-        count: how many.
-        capsule: of the environment.
-        task: of the environment; what its episodes draw besides follows from their seeds.
-        disturbances: of the environment.
+        randomization: distribution of the environment's plants.
+        name: name of the set.
+        first_seed: seed of the first episode; the others follow. Far from 0, 1, .., the seeds of the frozen sets.
+        count: number of plants.
+        capsule: constants of the environment's plant.
+        task: task of the environment; its further draws follow from the episodes' seeds.
+        disturbances: disturbances of the environment.
     """
     from capsule_gym.resets import Stream, draw_plant, random_stream
 

@@ -1,12 +1,12 @@
 """Interquartile means, profiles and learning curves, with 95 % intervals.
 
-Scores have the shape (training seeds, episodes): every seed is judged on the same episodes, those of a set of plants. A
-scripted policy has one row.
+Scores have the shape (training seeds, episodes): every seed is evaluated on the same episodes, those of a set of
+plants. A scripted policy has one row.
 
-One kind of interval everywhere: for another training run on other plants of the same distribution. The summary is
-linearised in the scores (by its influence function), the variances of the means over seeds and over plants are added,
-and Student's t has the degrees of freedom of Satterthwaite's approximation, four or more for five seeds. What has one
-value, seeds or plants, adds nothing: the interval of a single run says nothing about another one.
+All intervals are for another training run on other plants of the same distribution. The summary is linearised in the
+scores (by its influence function), the variances of the means over seeds and over plants are added, and Student's t has
+the degrees of freedom of Satterthwaite's approximation, four or more for five seeds. An axis with a single seed or
+plant adds no variance: the interval of a single run says nothing about another run.
 
 The percentile bootstrap over seeds, or over seeds and plants, covers less: with five seeds whose spread is 0.3 of the
 plants', 80 and 90 % instead of 95 % (`tests/agents/evaluation/test_statistics.py` measures the coverage of ours).
@@ -29,9 +29,9 @@ class Estimate:
 
     Attributes:
         value: the interquartile mean, or the mean.
-        low: lower end of the 95 % interval; NaN where there is a single score, or the value is not finite.
+        low: lower end of the 95 % interval; NaN if there is a single score or the value is not finite.
         high: upper end.
-        kind: of the summary, "iqm" or "mean".
+        kind: kind of the summary, "iqm" or "mean".
     """
 
     value: float
@@ -40,16 +40,15 @@ class Estimate:
     kind: str = "iqm"
 
     def to_dict(self) -> dict[str, float]:
-        """The numbers as they stand in results."""
+        """The numbers as in results."""
         return {self.kind: self.value, "low": self.low, "high": self.high}
 
 
 def interquartile_mean(scores: ArrayLike) -> np.ndarray:
     """The mean of the middle half along the last axis.
 
-    Of n sorted scores floor(n / 4) are dropped at either end and the rest weighs equally: exactly
-    `scipy.stats.trim_mean(scores, 0.25)`, which rliable uses; no score is weighted by a fraction. NaN sorts as the
-    largest score.
+    Of n sorted scores, floor(n / 4) are dropped at either end and the others have equal weights, as in
+    `scipy.stats.trim_mean(scores, 0.25)`, which rliable uses. NaN sorts as the largest score.
 
     Args:
         scores: shape (.., n) with n >= 1.
@@ -75,17 +74,17 @@ def estimate(scores: ArrayLike, *, mean: bool = False) -> Estimate:
 
     Args:
         scores: shape (training seeds, episodes).
-        mean: take the mean instead, of shares: the interval then ends where the scores do.
+        mean: take the mean instead, for shares; the interval is then limited to the range of the scores.
 
     Raises:
-        ValueError: if the scores are not of that shape.
+        ValueError: if the scores do not have that shape.
     """
     return _estimate(_checked("scores", scores), mean)
 
 
 def _estimate(scores: np.ndarray, mean: bool) -> Estimate:
-    """As `estimate`, for scores that differ along any number of axes."""
-    # Imported here, since it takes a tenth of a second.
+    """Computes `estimate` for scores with any number of axes."""
+    # Imported here, since the import takes a tenth of a second.
     from scipy.special import stdtrit
 
     kind = "mean" if mean else "iqm"
@@ -112,23 +111,23 @@ def _estimate(scores: np.ndarray, mean: bool) -> Estimate:
 def paired_difference(scores: ArrayLike, reference: ArrayLike, *, mean: bool = False) -> Estimate:
     """The interquartile mean of the differences, episode by episode, between two policies on the same episodes.
 
-    Differences are taken between every training seed of the one and every seed of the other. The interquartile mean
+    Differences are taken between every training seed of one policy and every seed of the other. The interquartile mean
     of differences is not the difference of interquartile means.
 
     Args:
         scores: shape (training seeds, episodes).
         reference: shape (training seeds of the reference, episodes), of the same episodes in the same order.
-        mean: take the mean of the differences instead, of shares.
+        mean: take the mean of the differences instead, for shares.
 
     Raises:
-        ValueError: if the scores are not of these shapes.
+        ValueError: if the scores do not have these shapes.
     """
     array, other = _checked("scores", scores), _checked("reference", reference)
     if array.shape[1] != other.shape[1]:
         raise ValueError(
             f"scores and reference must contain the same episodes, got {array.shape[1]} and {other.shape[1]}"
         )
-    # Infinite in both: undefined, and NaN says so.
+    # The difference of two infinite scores is NaN, without a warning.
     with np.errstate(invalid="ignore"):
         return _estimate(array[:, None, :] - other[None, :, :], mean)
 
@@ -153,27 +152,27 @@ class Curve:
 def performance_profile(scores: ArrayLike, thresholds: ArrayLike) -> Curve:
     """The share of all episodes of all training seeds that score more than a threshold, over the threshold.
 
-    Rliable's run-score distribution. The area under it, from 0 on, is the mean of scores that are not negative.
+    This is rliable's run-score distribution. For nonnegative scores, the area under it from 0 on is their mean.
 
     Args:
         scores: shape (training seeds, episodes).
         thresholds: ascending, shape (n,).
 
     Raises:
-        ValueError: if the scores are not of that shape.
+        ValueError: if the scores do not have that shape.
     """
     array, x = _checked("scores", scores), np.asarray(thresholds, dtype=np.float64)
     return _curve(x, [_estimate((array > threshold).astype(np.float64), mean=True) for threshold in x])
 
 
 def learning_curve(runs: Sequence[tuple[ArrayLike, ArrayLike]]) -> Curve:
-    """The interquartile mean over training seeds of their evaluations, over the steps of training.
+    """The interquartile mean of evaluations over training seeds, as a function of the training steps.
 
-    A run counts with its last evaluation so far, never with a later one; the curve starts where all runs have been
-    evaluated once, and ends with the shortest.
+    At each step, the value of a run is that of its last evaluation so far. The curve starts when all runs have been
+    evaluated once, and ends with the shortest run.
 
     Args:
-        runs: of each seed the steps of its evaluations, ascending, and their values; both of shape (evaluations,).
+        runs: for each seed the steps of its evaluations, ascending, and their values, both of shape (evaluations,).
 
     Raises:
         ValueError: if the runs have no steps in common.

@@ -1,7 +1,7 @@
-"""Proximal policy optimisation in compiled code; training works without this package, more slowly.
+"""Proximal policy optimisation in compiled code; without this package, training works but is slower.
 
-`collection` collects a rollout in one compiled call, `update` makes an update in another, and `ppo.FastPPO` is the
-algorithm, whose docstring names every difference to Stable-Baselines3's PPO.
+`collection` collects a rollout in one compiled call, `update` makes PPO's update in compiled code, and `ppo.FastPPO` is
+the algorithm. Its docstring lists all differences from Stable-Baselines3's PPO.
 """
 
 from agents.fast_ppo.collection import RolloutVecEnv

@@ -1,6 +1,6 @@
 """Compiled float32 arithmetic: products of matrices, exponential and hyperbolic tangent.
 
-The products are made of tiles that keep their sums in registers.
+Matrix products are computed in tiles whose sums stay in registers.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ from numba.extending import intrinsic
 
 from capsule_gym.compilation import inlined
 
-# float32 in the widest register. Where they are narrower the compiler takes several.
+# Number of float32 in the widest register. With narrower registers, the compiler uses several.
 WIDTH = 16
-# Rows whose sums are made together; widths of layers are filled up to a multiple.
+# Rows that a tile computes together; layer widths are padded to a multiple.
 TILE = 6
-# Entries of these rows whose sums are made together, at most.
+# Largest number of entries per row that a tile computes together.
 WIDEST_SPAN = 2 * WIDTH
 
 F32 = np.float32
 ZERO, HALF, ONE, TWO = F32(0.0), F32(0.5), F32(1.0), F32(2.0)
 LOG2_E = F32(1.0 / math.log(2.0))
-# The logarithm of 2, of which a first part so short that its multiples are exact.
+# log(2) in two parts; the first one is short enough that its multiples are exact.
 LN_2 = F32(355.0 / 512.0)
 LN_2_REST = F32(math.log(2.0) - float(LN_2))
-# Adding it rounds to a whole number, which the lowest digits of the sum hold.
+# Adding this number rounds to an integer, which the lowest bits of the sum contain.
 ROUNDING = F32(1.5 * 2.0**23)
-# Taylor's coefficients of exp.
+# Taylor coefficients of exp.
 E_2, E_3, E_4, E_5, E_6, E_7 = (F32(1.0 / math.factorial(n)) for n in range(2, 8))
-# Exponents that are taken as they are: beyond, 2^n is no normal number.
+# Largest absolute argument of exp: beyond it, 2^n is not a normal number.
 LARGEST = F32(87.0)
-# From here on the tangent is 1 to the last digit.
+# From this argument on, tanh is 1 in float32.
 FLAT = F32(10.0)
 
 FLOAT, INTEGER = ir.FloatType(), ir.IntType(32)
@@ -45,20 +45,21 @@ VECTOR = ir.VectorType(FLOAT, WIDTH)
 
 
 def _vector_at(builder: Any, pointer: Any) -> Any:
-    """That address as one of a vector."""
+    """Casts a pointer to a pointer to a vector."""
     return builder.bitcast(pointer, VECTOR.as_pointer())
 
 
 def _spread(builder: Any, value: Any) -> Any:
-    """A vector of the same number everywhere."""
+    """A vector with the same number in all entries."""
     first = builder.insert_element(ir.Constant(VECTOR, [0.0] * WIDTH), value, INTEGER(0))
     return builder.shuffle_vector(first, first, ir.Constant(ir.VectorType(INTEGER, WIDTH), [0] * WIDTH))
 
 
 def vectors(target_machine: Any) -> int:
-    """Vectors of a row whose sums are made together: as many as the registers of a processor hold for TILE rows.
+    """Number of vectors per row that a tile computes together: as many as fit into the registers for TILE rows.
 
-    With registers of 512 bits one holds a vector, and there are 32; else there are 16 of which a vector takes two.
+    A processor with registers of 512 bits has 32 of them, and each holds one vector. Other processors have 16
+    registers, and a vector takes two.
     """
     vector, wide = f"<{WIDTH} x float>", '"prefer-vector-width"="512"'
     module = f"define {vector} @f({vector} %a) {wide} {{ %b = fadd {vector} %a, %a\n ret {vector} %b }}"
@@ -67,7 +68,7 @@ def vectors(target_machine: Any) -> int:
 
 @intrinsic
 def span(typing_context: Any) -> Any:
-    """Entries of TILE rows that `multiply` writes."""
+    """The number of entries per row that `multiply` writes."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return context.get_constant(types.intp, vectors(context.codegen()._tm) * WIDTH)
@@ -95,11 +96,11 @@ def multiply(
     target: Any,
     distance: Any,
 ) -> Any:
-    """Writes TILE rows of a matrix times the rows of `given`, `span` of their entries; unchecked.
+    """Writes the product of TILE rows of a matrix and `span` columns of `given`, without bounds checks.
 
-    The matrix begins at `weights[at]`; `row` and `column` are the distances of its rows and its columns, `count` is the
-    number of its columns. `given` has a row for each column, from `first` on, and `pitch` is their distance. The
-    products are written to `sums`, from `target` on, in rows with that `distance`.
+    The matrix begins at `weights[at]`; `row` and `column` are the strides of its rows and columns, and `count` is the
+    number of its columns. `given` has a row for each column of the matrix, starts at `first`, and has the row stride
+    `pitch`. The product is written to `sums`, starting at `target`, with the row stride `distance`.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -111,11 +112,11 @@ def multiply(
         whole = row.type
         starts = [builder.gep(matrix, [builder.mul(row, whole(p))]) for p in range(TILE)]
         places = range(0, vectors(context.codegen()._tm) * WIDTH, WIDTH)
-        # Sums that the compiler keeps in registers.
+        # The compiler keeps these sums in registers.
         totals = {place: cgutils.alloca_once(builder, VECTOR) for place in product(range(TILE), places)}
         for pointer in totals.values():
             builder.store(ir.Constant(VECTOR, [0.0] * WIDTH), pointer)
-        # llvmlite's own takes scalars only.
+        # llvmlite's `fma` takes only scalars.
         kind = ir.FunctionType(VECTOR, [VECTOR] * 3)
         fma = cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{WIDTH}f32")
         with cgutils.for_range(builder, count) as loop:
@@ -136,7 +137,7 @@ def multiply(
 
 @intrinsic
 def power_of_two(typing_context: Any, shifted: Any) -> Any:
-    """2^n from n + ROUNDING: the lowest digits of that sum become the exponent; |n| must not exceed 126."""
+    """2^n from n + ROUNDING: the lowest bits of this sum become the exponent; |n| must not exceed 126."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         exponent = builder.shl(builder.bitcast(arguments[0], INTEGER), INTEGER(23))
@@ -147,7 +148,7 @@ def power_of_two(typing_context: Any, shifted: Any) -> Any:
 
 @inlined
 def exponential(x: float) -> float:
-    """e^x, to float32's rounding; |x| must not exceed LARGEST."""
+    """e^x up to float32 rounding; |x| must not exceed LARGEST."""
     shifted = x * LOG2_E + ROUNDING
     n = shifted - ROUNDING
     r = x - n * LN_2 - n * LN_2_REST
@@ -157,8 +158,8 @@ def exponential(x: float) -> float:
 
 @inlined
 def tanh(x: float) -> float:
-    """The hyperbolic tangent, to float32's rounding of 1."""
-    # NaN stays NaN.
+    """The hyperbolic tangent, with an absolute error of about float32's rounding of 1."""
+    # Two comparisons instead of a minimum and a maximum, since they propagate NaN.
     x = FLAT if x > FLAT else x
     x = -FLAT if x < -FLAT else x
     return ONE - TWO / (exponential(TWO * x) + ONE)

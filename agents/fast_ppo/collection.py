@@ -1,4 +1,4 @@
-"""A rollout in one compiled call: policy, control law, physics and resets, with random numbers drawn beforehand."""
+"""Rollouts in one compiled call: policy, control law, physics and resets, with random numbers drawn beforehand."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.simulation import episode_metrics
 
 DISTURBANCES = np.uint64(Stream.disturbances)
-# Inputs of a privileged critic besides M and log(mu), for varied plants.
+# Further inputs of a privileged critic, after M and log(mu), for varied plants.
 PRIVILEGED = (
     *(Row.theta, Row.theta_dot, Row.x_dot, Row.motor, Row.latency),
     *(Row.theta_bias, Row.theta_dot_bias, Row.x_dot_bias),
@@ -43,7 +43,7 @@ def observe(
     log_weights: np.ndarray,
     inputs: np.ndarray,
 ) -> None:
-    """Writes the inputs of policy and critic of environments first..first + n - 1; arrays as in `collect`."""
+    """Writes the inputs of policy and critic for environments first..first + n - 1; arrays as in `collect`."""
     write_inputs(network, observations, first, n, memory, inputs)
     header = record(network, 0, Header)
     columns = header.inputs
@@ -94,10 +94,11 @@ def collect(
     lanes: np.ndarray,  # from `network.make_workspace`; written
     ended: np.ndarray,  # written: of ended episodes return, length and rows of `world` down to the task's memory
 ) -> tuple[int, int, int]:
-    """Steps environments as often as there is noise for; an episode that ends is followed by the next one.
+    """Makes `len(noise)` steps of the environments; an environment whose episode ends begins the next episode.
 
     Returns:
-        How many rows of `cut` and of `ended` are written; an environment whose law returned no finite torque, or -1.
+        The numbers of rows written to `cut` and `ended`, and an environment whose law returned a torque that is not
+        finite, or -1.
     """
     header = record(network, 0, Header)
     weighted = header.observes_energy_weight
@@ -111,7 +112,7 @@ def collect(
         n = min(LANES, count - first)
         if fresh:
             for i in range(first, first + n):
-                # `episodes` counts the episodes that begin here already.
+                # `episodes` already counts the episodes that begin here.
                 share, _ = draw_two(keys[i, 0], keys[i, 1], DISTURBANCES, np.uint64(episodes[i] - 1))
                 log_weights[i] = least + share * (most - least)
             observe(network, observations, first, n, memory, block, log_weights, inputs)
@@ -162,7 +163,7 @@ def collect(
                 resets.renew(world[b : b + 1], law_memory, plant.m, plant.g, row - first, starts, episodes[first:])
                 for k in range(len(draw_table)):
                     block[int(draw_table[k, 0]) * LANES + j] = drawn_rows[k, 0]
-                # This is step 0 of the new episode; the others have `active` set to 0 by `renew`.
+                # Begins the new episode; `renew` has set `active` to 0 for the other environments.
                 broken = kernels.call_advance(advance, world, first, first + n, True, fixed, observations)
                 if broken >= 0:
                     return cuts, endings, broken
@@ -175,7 +176,7 @@ def collect(
 
 @lru_cache(maxsize=1)
 def _compiled() -> Any:
-    """`collect`, compiled once for all laws: the compiled step of a law is an argument."""
+    """Compiles `collect` once for all laws, since the compiled step of a law is an argument."""
     number, numbers, rows, indices = "float64", "float64[::1]", "float64[:, ::1]", "int64[::1]"
     many, cube = "float32[:, ::1]", "float32[:, :, ::1]"
     simulation = ("int64", rows, "int64", numbers, many)
@@ -196,24 +197,24 @@ class Rollout(NamedTuple):
     cut: np.ndarray  # step and environment of the truncated episodes; shape (n, 2), int64
     cut_inputs: np.ndarray  # the inputs after their last step, shape (n, columns), float32
     last: np.ndarray  # inputs of the present state, shape (N, columns), float32
-    over: np.ndarray  # 1.0 where that state begins an episode, shape (N,), float32
+    over: np.ndarray  # 1.0 where the present state begins an episode, shape (N,), float32
     infos: list[dict[str, Any]]  # of the ended episodes, with SB3's "episode" and "metrics"
 
 
 class RolloutVecEnv(CapsuleSB3VecEnv):
-    """Environments that collect rollouts for `agents.fast_ppo.FastPPO`; they do not step.
+    """Environments that collect rollouts for `agents.fast_ppo.FastPPO`; `step` is not supported.
 
     An observation holds the inputs of policy and critic: the environment's own observation, the policy's further inputs
     (`capsule_gym.network.input_names`), and the inputs of the critic alone.
 
     Args:
-        config: of the run.
+        config: configuration of the run.
         seed: environment i gets seed + i.
         episode_steps: agent steps of an episode.
-        **env_kwargs: what `CapsuleVectorEnv` takes.
+        **env_kwargs: arguments of `CapsuleVectorEnv`.
 
     Attributes:
-        header: header of a packed network; its layers, activation and clip are the network's.
+        header: header of a packed network, without its layers, activation and clip.
         columns: number of entries of an observation.
         jump: probability that M and mu are drawn anew in a step.
 
@@ -256,16 +257,16 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         self.memory[:] = 0.0
         self.over[:] = 1.0
         simulation = self.batch.simulation
-        # Staggered in time, so that a rollout holds every part of an episode.
+        # Staggered in time, so that a rollout contains every part of an episode.
         simulation.write(Row.steps, np.arange(self.num_envs) * self.steps // self.num_envs)
         return np.pad(observations, ((0, 0), (0, self.columns - observations.shape[1])))
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Raises RuntimeError: these environments only collect rollouts."""
+        """Raises a RuntimeError: these environments only collect rollouts."""
         raise RuntimeError("RolloutVecEnv does not step: collect() rollouts, or use CapsuleSB3VecEnv")
 
     def collect(self, network: np.ndarray, deviation: float, noise: np.ndarray, chances: np.ndarray) -> Rollout:
-        """Collects a rollout, whose length is that of the noise.
+        """Collects a rollout of T = len(noise) steps.
 
         Args:
             network: from `network.pack`.
@@ -281,11 +282,11 @@ class RolloutVecEnv(CapsuleSB3VecEnv):
         blocks = simulation.world.reshape(len(simulation.world), -1)
         seen = np.empty((steps, count, self.columns), np.float32)
         actions, rewards, ends = (np.empty((steps, count), np.float32) for _ in range(3))
-        # Memory that no episode needs is never touched.
+        # Sized for the worst case: the system allocates only the pages that are written.
         cut, cut_inputs = np.empty((steps * count, 2), np.int64), np.empty((steps * count, self.columns), np.float32)
         ended = np.empty((steps * count, 2 + simulation.task_end))
         lines, law_memory = plant_ranges(simulation.randomization, simulation.capsule), np.array(simulation.memory)
-        # The groups of `_compiled`.
+        # In the groups of the signature in `_compiled`.
         cuts, endings, broken = _compiled()(
             *(simulation._kernel.address, blocks, count, simulation.fixed, simulation.observations),
             *(self.steps, self.jump, self.least, self.most, lines, simulation.start),

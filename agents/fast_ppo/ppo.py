@@ -26,16 +26,16 @@ from capsule_gym.network import Layer
 
 
 class FastPolicy(ActorCriticPolicy):
-    """A policy and a critic of their own networks, of which the critic may see more.
+    """A policy and a critic with separate networks; the critic may have more inputs.
 
     Args:
-        observation_space: of the inputs of policy and critic.
-        action_space: one action.
-        lr_schedule: as SB3's.
-        policy_inputs: the policy's inputs are the first so many entries; the critic's are all.
-        tanh_mean: whether tanh brings the mean to [-1, 1].
-        least_log_std: floor of the logarithm of the standard deviation.
-        **kwargs: as SB3's.
+        observation_space: space of the inputs of policy and critic.
+        action_space: space of a single action.
+        lr_schedule: as in SB3.
+        policy_inputs: number of entries, from the first on, that the policy observes; the critic observes all entries.
+        tanh_mean: whether tanh maps the mean to [-1, 1].
+        least_log_std: lower bound of the logarithm of the standard deviation.
+        **kwargs: as in SB3.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class FastPolicy(ActorCriticPolicy):
         super().__init__(observation_space, action_space, lr_schedule, **kwargs)
 
     def _build_mlp_extractor(self) -> None:
-        """The hidden layers, of which the policy's see less."""
+        """Builds the hidden layers; those of the policy get only the policy's inputs."""
         super()._build_mlp_extractor()
         layers = MlpExtractor(self.policy_inputs, self.net_arch, self.activation_fn, self.device).policy_net
         layers.register_forward_pre_hook(lambda _, given: (given[0][..., : self.policy_inputs],))
@@ -71,32 +71,32 @@ class FastPolicy(ActorCriticPolicy):
 class FastPPO(PPO):
     """Stable-Baselines3's PPO with the rollout and the update each in one compiled call.
 
-    The loss, its gradients, Adam, the advantages, the time limits' bootstrapping and the random minibatches are SB3's,
-    to float32's rounding. What differs:
+    The loss, its gradients, Adam, the advantages, bootstrapping at time limits and the random minibatches are those of
+    SB3, up to float32 rounding. The differences are:
 
     Always:
-        - Observations are normalised with statistics that are frozen during a rollout and its update: those of the
-          rollouts before. `VecNormalize` updates them at every step.
-        - The first rollout only measures these statistics; nothing is learned from it.
-        - Episodes of training begin staggered in time, so that a rollout holds every part of an episode.
-        - Minibatches are drawn from one permutation per epoch of torch's generator, SB3's from numpy's.
+        - Observations are normalised with the statistics of the previous rollouts, which are constant during a rollout
+          and its update. `VecNormalize` updates them at every step.
+        - The first rollout only measures these statistics and is not used for learning.
+        - Training episodes begin staggered in time, so that a rollout contains every part of an episode.
+        - Torch's generator draws one permutation per epoch for the minibatches; SB3 uses numpy's generator.
         - tanh is computed as 2 / (1 + exp(-2 x)) - 1, in float32.
-        - Only one action, `RolloutVecEnv` in a `VecNormalize`, and `FastPolicy` with tanh are supported; gSDE, clipping
+        - Only one action, `RolloutVecEnv` in a `VecNormalize`, and `FastPolicy` with tanh are supported. gSDE, clipping
           of the value function, a target divergence, squashed actions, other constants of Adam than SB3's, and
-          advantages that are not normalised are not.
+          advantages that are not normalised are not supported.
 
-    Where an option asks for it:
-        - `least_log_std`: floor of the standard deviation of the actions; below it its gradient is 0.
-        - `tanh_mean`: tanh brings the mean of the action to [-1, 1].
+    With options:
+        - `least_log_std`: lower bound on the log standard deviation of the actions; below it the gradient is 0.
+        - `tanh_mean`: tanh maps the mean of the action to [-1, 1].
         - `critic_steps`: in the first steps only the critic learns (the advantages are 0).
-        - `privileged_critic`: the critic observes M and log(mu) in addition to the policy's inputs, and of disturbed
-          environments the state, the motor's torque, the latency, the errors of the sensors and m, l, k and c.
-        - `output="torque"`: the network's output is the total torque; the action is what the law does not apply of it.
+        - `privileged_critic`: the critic observes M and log(mu) in addition to the policy's inputs; in disturbed
+          environments also the state, the motor's torque, the latency, the errors of the sensors and m, l, k and c.
+        - `output="torque"`: the network's output is the total torque; the action is this torque minus the law's torque.
         - `identifies`: online estimates of M and mu are inputs of the policy.
         - `energy_weights`: every episode draws an energy weight, whose logarithm is an input of the policy.
         - `jump_rate`: M and mu are drawn anew within episodes.
 
-    The actor's and the critic's network are updated in a thread each.
+    The networks of actor and critic are updated in two threads.
     """
 
     policy: FastPolicy
@@ -113,7 +113,7 @@ class FastPPO(PPO):
         rms: Any = env.obs_rms
         if self._n_updates == 0:
             rollout = self._collect(env, n_rollout_steps)
-            # Without the observations of the reset.
+            # Replaces the statistics, which contain the observations of the reset.
             rms = RunningMeanStd(shape=(env.venv.columns,))
             rms.update(rollout.inputs.reshape(-1, env.venv.columns))
             env.obs_rms = rms
@@ -127,7 +127,7 @@ class FastPPO(PPO):
         return going_on
 
     def _collect(self, env: VecNormalize, steps: int) -> Rollout:
-        """A rollout by the present policy."""
+        """Collects a rollout with the current policy."""
         venv: Any = env.venv
         rms: Any = env.obs_rms
         policy = self.policy
@@ -150,7 +150,7 @@ class FastPPO(PPO):
 
     @torch.no_grad()
     def _fill(self, env: VecNormalize, rollout: Rollout, buffer: RolloutBuffer) -> None:
-        """Values, log probabilities, returns and advantages of a rollout."""
+        """Fills the buffer with a rollout and its values, log probabilities, returns and advantages."""
         steps, count, columns = rollout.inputs.shape
         inputs = torch.from_numpy(env.normalize_obs(rollout.inputs.reshape(-1, columns)))
         values = self.policy.predict_values(inputs).numpy().reshape(steps, count)
@@ -163,7 +163,7 @@ class FastPPO(PPO):
         last = self.policy.predict_values(torch.from_numpy(env.normalize_obs(rollout.last)))
         buffer.compute_returns_and_advantage(last, rollout.over)
         if self.num_timesteps <= self.critic_steps:
-            # No advantage, no gradient of the policy's.
+            # Zero advantages give a zero gradient of the policy loss.
             buffer.advantages = np.zeros_like(values)
         actions = torch.from_numpy(rollout.actions.reshape(-1, 1))
         mean, log_std = self.policy.mean_and_log_std(self.policy.mlp_extractor.forward_actor(inputs))
@@ -215,7 +215,7 @@ class FastPPO(PPO):
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
 
     def _states(self) -> dict[torch.Tensor, dict[str, torch.Tensor]]:
-        """Adam's state of every parameter; zeros before its first step."""
+        """Adam's state of every parameter; zeros before the first step."""
         states: Any = self.policy.optimizer.state
         for parameter in self.policy.parameters():
             if not states[parameter]:
@@ -224,7 +224,7 @@ class FastPPO(PPO):
         return states
 
     def _arrays(self, of: Callable[[torch.Tensor], torch.Tensor]) -> tuple[list[Layer], list[Layer], np.ndarray]:
-        """Actor, critic and log_std: the numbers of a tensor of each parameter, as arrays that share its memory."""
+        """Arrays of actor, critic and log_std that share the memory of the tensors `of(parameter)`."""
         policy: Any = self.policy
         hidden = policy.mlp_extractor
         networks = [*hidden.policy_net[::2], policy.action_net], [*hidden.value_net[::2], policy.value_net]

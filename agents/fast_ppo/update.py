@@ -1,11 +1,11 @@
-"""PPO's update by compiled code: both networks forward and backward, each in a thread of its own, and Adam.
+"""PPO's update in compiled code: forward and backward passes of both networks, each in its own thread, and Adam.
 
-A sample is a lane. Minibatches are taken LANES samples at a time, whose numbers lie side by side, row by row, in the
-processor's nearest caches. Three products take nearly all time: a layer forward, back to its inputs, and the gradients
-of its weights.
+A sample is a lane. LANES samples of a minibatch are processed together: row by row, their numbers are contiguous and
+fit into the processor's nearest caches. Three matrix products take almost all of the time: the forward pass of a layer,
+the backward pass to its inputs, and the gradients of its weights.
 
-Arithmetic is float32, and the compiler may fuse and reorder it: like torch's, an update is the same for the same start
-on one machine, not from one kind of processor to another.
+Arithmetic is float32, and the compiler may fuse and reorder it. As with torch, equal starts give equal updates on one
+machine, but not on different kinds of processors.
 """
 
 from __future__ import annotations
@@ -37,32 +37,32 @@ from capsule_gym.compilation import jitable, use_widest_vectors
 from capsule_gym.compiler import compile_allocating
 from capsule_gym.network import Layer
 
-# Samples that are taken through the networks together.
+# Samples that pass through the networks together.
 LANES = 160
-# Of a cache line, in float32.
+# Size of a cache line in float32.
 LINE = 16
 NORMAL = F32(HALF_LOG_2_PI)
 # Adam's constants, SB3's defaults.
 BETA_1, BETA_2, EPS = 0.9, 0.999, F32(1e-5)
 DECAY_1, DECAY_2 = F32(1.0 - BETA_1), F32(1.0 - BETA_2)
-# Rows of a sample's numbers besides those of the networks.
+# Further rows of numbers per sample, in addition to those of the networks.
 Rows = namedtuple("Rows", "aim old_log_prob advantage log_std_slope gain squared_error divergence clipped")
 ROW = Rows(*range(len(Rows._fields)))
-# Logged means.
+# Names of the logged means.
 LOSSES = ("policy_gradient_loss", "value_loss", "entropy_loss", "approx_kl", "clip_fraction")
 
 
 @jitable
 def filled(width: Any) -> Any:
-    """The smallest multiple of TILE that is not below a width, or below each of several."""
+    """Rounds a width, or each of several widths, up to a multiple of TILE."""
     return -(-width // TILE) * TILE
 
 
 def matrices(packed: np.ndarray, layers: list[Layer]) -> Iterator[np.ndarray]:
-    """The part of a packed array that each layer has: weights and, as one more column, biases.
+    """Views of each layer's part of a packed array: the weights and, as the last column, the biases.
 
-    A packed array holds these matrices row by row, filled up with zeros to multiples of TILE, of actor and critic, and
-    at last the logarithm of the standard deviation.
+    A packed array contains the matrices of actor and critic row by row, padded with zeros to multiples of TILE, and
+    then the logarithm of the standard deviation.
     """
     at = 0
     for weights, _ in layers:
@@ -73,7 +73,7 @@ def matrices(packed: np.ndarray, layers: list[Layer]) -> Iterator[np.ndarray]:
 
 
 def pack(layers: list[Layer], log_std: np.ndarray) -> np.ndarray:
-    """The layers of actor and critic, and the logarithm of the standard deviation, as one array."""
+    """Packs the layers of actor and critic, and the logarithm of the standard deviation, into one array."""
     size = sum(filled(len(bias)) * filled(weights.shape[1] + 1) for weights, bias in layers)
     packed = np.append(np.zeros(size, np.float32), log_std)
     for matrix, (weights, bias) in zip(matrices(packed, layers), layers, strict=True):
@@ -82,14 +82,14 @@ def pack(layers: list[Layer], log_std: np.ndarray) -> np.ndarray:
 
 
 def unpack(packed: np.ndarray, layers: list[Layer], log_std: np.ndarray) -> None:
-    """Writes a packed array back to the arrays that `pack` took."""
+    """Writes a packed array back to the arguments of `pack`."""
     for matrix, (weights, bias) in zip(matrices(packed, layers), layers, strict=True):
         weights[:], bias[:] = matrix[:, :-1], matrix[:, -1]
     log_std[:] = packed[-1:]
 
 
 def _inner(*flags: str) -> Any:
-    """Compiles a function that the update calls, with whose arithmetic the compiler may do so."""
+    """Compiles a function that the update calls, with these fast-math flags."""
     return lambda function: jitable(function, fastmath=dict.fromkeys(flags, True))
 
 
@@ -103,7 +103,7 @@ def activate(rows: np.ndarray) -> None:
 
 @_inner("contract")
 def activate_backward(errors: np.ndarray, activations: np.ndarray) -> None:
-    """Multiplies with the slopes of the activation where it has these values."""
+    """Multiplies the errors by the derivatives of the activation at the activations, in place."""
     use_widest_vectors()
     for j in range(len(errors)):
         errors[j] *= ONE - activations[j] * activations[j]
@@ -140,7 +140,7 @@ def policy_loss(
     clip_range: float,  # of the ratio of probabilities, around 1
     tanh_mean: bool,  # whether tanh brings the mean to [-1, 1]
 ) -> None:
-    """Computes the policy's loss, and its slopes over the policy's outputs, for n lanes."""
+    """Computes the policy loss, and its slopes with respect to the policy's outputs, for n lanes."""
     use_widest_vectors()
     precision = exponential(-log_std)
     low, high = ONE - clip_range, ONE + clip_range
@@ -159,7 +159,7 @@ def policy_loss(
         within = high if within > high else within
         unclipped, limited = advantage * ratio, advantage * within
         gain = limited if limited < unclipped else unclipped
-        # Of the logarithm of the probability.
+        # Slope of the loss with respect to the logarithm of the probability.
         slope = ZERO if limited < unclipped else -share * unclipped
         error = slope * deviation * precision
         used = j < n
@@ -172,7 +172,7 @@ def policy_loss(
 
 @_inner("contract")
 def value_loss(samples: np.ndarray, values: np.ndarray, errors: np.ndarray, n: int, share: float) -> None:
-    """Writes the slopes of the critic's loss over n lanes' values, and their squared errors; the others' are zero."""
+    """Writes slopes of the critic's loss with respect to n lanes' values, and squared errors; zeros for other lanes."""
     use_widest_vectors()
     targets, squares = samples[ROW.aim], samples[ROW.squared_error]
     for j in range(LANES):
@@ -191,7 +191,7 @@ def adam(
     rate: float,  # learning rate, corrected for the bias of the first moments
     root: float,  # square root of the correction of the second moments
 ) -> None:
-    """A step of Adam, as torch makes it."""
+    """Makes one step of Adam, as in torch."""
     use_widest_vectors()
     for n in range(len(parameters)):
         gradient = gradients[n] * scale
@@ -202,10 +202,10 @@ def adam(
 
 @_inner()
 def forward(parameters: np.ndarray, widths: np.ndarray, rows: np.ndarray) -> int:
-    """Takes LANES samples through a network and returns where the outputs begin in `rows`.
+    """Passes LANES samples through a network and returns the start of the outputs in `rows`.
 
-    The outputs of every layer are written behind the padded inputs, of shape (.., LANES) but flat. `widths` are those
-    of the inputs and the layers, `parameters` the network's part of a packed array.
+    `rows` is a flat array of shape (.., LANES): the padded inputs, followed by the outputs of every layer. `widths` are
+    the widths of the inputs and the layers; `parameters` is the network's part of a packed array.
     """
     use_widest_vectors()
     at = given = 0
@@ -230,7 +230,7 @@ def forward(parameters: np.ndarray, widths: np.ndarray, rows: np.ndarray) -> int
 
 @jitable
 def distance_of_turned(inputs: int) -> int:
-    """Distance of the rows of transposed inputs: an odd number of cache lines, which share few places of a cache."""
+    """Row stride of transposed inputs: an odd number of cache lines, so that few rows share a cache set."""
     return (-(-inputs // LINE) | 1) * LINE
 
 
@@ -240,11 +240,11 @@ def backward(
     gradients: np.ndarray,  # of the parameters; changed
     widths: np.ndarray,
     rows: np.ndarray,  # as `forward` leaves them
-    errors: np.ndarray,  # slopes of the loss over the outputs; changed
+    errors: np.ndarray,  # slopes of the loss with respect to the outputs; changed
     spare: np.ndarray,  # of the size of `errors`; changed
     turned: np.ndarray,  # of the size of `errors`; changed
 ) -> None:
-    """Adds the gradients of LANES samples to those of a network."""
+    """Adds the gradients of LANES samples to a network's gradients."""
     use_widest_vectors()
     tile = np.empty(TILE * WIDEST_SPAN, np.float32)
     at = given = 0
@@ -256,7 +256,7 @@ def backward(
         columns = filled(inputs + 1)
         at -= filled(units) * columns
         given -= columns * LANES
-        # A sample's inputs side by side, so that the sums over samples are of the same kind as the other products.
+        # Transposed, so that `multiply` also computes the sums over samples.
         pitch = distance_of_turned(inputs)
         for j in range(LANES):
             for i in range(inputs):
@@ -283,7 +283,7 @@ def backward(
 
 @jitable
 def zeros_aligned(count: int) -> np.ndarray:
-    """Zeros that begin at a cache line, which a wide load should not cross."""
+    """Zeros aligned to a cache line, since a wide load should not cross cache lines."""
     memory = np.zeros(count + LINE, np.float32)
     start = -(memory.ctypes.data // 4) % LINE
     return memory[start : start + count]
@@ -305,7 +305,7 @@ def gradients_of(
     gradients: np.ndarray,  # of these parameters; changed
     means: np.ndarray,  # of the rows of a sample's numbers that `Rows` names; written
 ) -> None:
-    """Adds the gradients of a minibatch's loss to those of one of the two networks."""
+    """Adds the gradients of a minibatch's loss to the gradients of one of the two networks."""
     rows = zeros_aligned(filled(widths + 1).sum() * LANES)
     errors, spare = zeros_aligned(filled(widths.max()) * LANES), zeros_aligned(filled(widths.max()) * LANES)
     turned = zeros_aligned(distance_of_turned(widths.max()) * LANES + WIDEST_SPAN)
@@ -341,7 +341,7 @@ def step(
     learning_rate: float,
     count: int,  # of this step, from 1
 ) -> None:
-    """Limits the norm of the gradients and makes a step of Adam."""
+    """Clips the norm of the gradients and makes a step of Adam."""
     norm = math.sqrt(sum_of_squares(gradients))
     clipping = F32(min(1.0, max_grad_norm / (norm + 1e-6)))
     rate, root = F32(learning_rate / (1.0 - BETA_1**count)), F32(1.0 / math.sqrt(1.0 - BETA_2**count))
@@ -350,7 +350,7 @@ def step(
 
 @lru_cache(maxsize=1)
 def compiled() -> tuple[Any, Any]:
-    """`gradients_of` and `step`, compiled: they check neither dtype nor shape nor contiguity of their arrays."""
+    """Compiles `gradients_of` and `step`, which do not check dtype, shape and contiguity of their arrays."""
     number, row, widths = "float64", "float32[::1]", "int64[::1]"
     given = ("boolean", widths, widths, "float32[:, ::1]", row, row, row, number, number, "boolean", number)
     of_network = f"void({', '.join((*given, row, row, 'float64[::1]'))})"
@@ -381,7 +381,7 @@ def update(
     first: np.ndarray,  # Adam's first moments; changed
     second: np.ndarray,  # Adam's second moments; changed
 ) -> np.ndarray:
-    """Makes a step of Adam for every minibatch; returns the means of LOSSES over the minibatches."""
+    """Makes one step of Adam per minibatch; returns the means of LOSSES over the minibatches."""
     of_network, of_step = compiled()
     split = int((filled(actor[1:]) * filled(actor[:-1] + 1)).sum())
     of_actor, of_critic = slice(0, split), slice(split, -1)

@@ -1,14 +1,14 @@
 """Writes and checks the leaderboard, every policy on every frozen set: `python -m agents.leaderboard`.
 
-The episodes of all policies are written to agents/leaderboard/results; leaderboard.json, LEADERBOARD.md and the
-README's head are made from these files alone.
+The episodes of all policies are written to agents/leaderboard/results. leaderboard.json, LEADERBOARD.md and the
+README's table depend only on these files.
 
-The check is exact. It compares the policies listed, their descriptions and training seeds, the sets' hashes, the hash
-of every policy's file and the revisions they were trained at; leaderboard.json and the pages must be what the results
-give. Then it evaluates everything again with the current code and compares every bit of every episode: networks, laws
-and plants give the same bits on every machine. It compares neither versions of packages nor the revision of the code: a
-commit makes the leaderboard stale exactly where it changes a number. Nor does it evaluate the sensitivity again, which
-follows from the same code and would take nearly half as long as all else.
+The check is exact. It compares the list of policies, their descriptions and training seeds, the sets' hashes, the hash
+of every policy file and the revisions of the trainings. leaderboard.json and the pages must match the results. Then the
+check evaluates all policies again with the current code and compares every bit of every episode: networks, laws and
+plants give the same bits on every machine. It compares neither versions of packages nor the revision of the code, so a
+commit makes the leaderboard stale only if it changes a number. The check does not evaluate the sensitivity again, which
+follows from the same code and would take almost half as long as everything else.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Args:
 def _stale_headers(
     rows: Sequence[Row], candidates: Sequence[Candidate], sets: Sequence[EvaluationSet]
 ) -> Iterator[str]:
-    """Compares the fields of the headers that need no evaluation."""
+    """Compares the fields of the headers that do not require an evaluation."""
     commands = training_commands()
     for row, candidate in zip(rows, candidates, strict=True):
         hashes = {each.name: each.hash for each in sets if each.task == candidate.task}
@@ -74,7 +74,7 @@ def _stale_headers(
 
 
 def _stale_episodes(recorded: Row, found: Row, plants: int | None) -> Iterator[str]:
-    """Compares every number of every episode found, bit for bit; names the first that differs of every metric."""
+    """Compares every number of every episode bit for bit; reports the first difference in each metric."""
     seeds = recorded.header["training_seeds"]
     for set_name, scores in recorded.scores.items():
         values, now = scores[:, :, :plants], found.scores[set_name]
@@ -106,15 +106,16 @@ def check(
 
     Args:
         root: the project's folder, with leaderboard.json, LEADERBOARD.md, README.md and the results.
-        candidates: the rows that should be there.
-        sets: of all tasks; a row should be evaluated on those of its own.
+        candidates: the expected rows.
+        sets: the sets of all tasks; a row should be evaluated on the sets of its task.
         evaluated: the rows to evaluate again.
-        plants: of every set on which they are, the first ones; None takes all. No plant's episode depends on others.
+        plants: number of plants per set to evaluate again, from the first on; None takes all. Episodes on different
+            plants are independent.
         jobs: number of processes.
         horizon: length of an episode in s; None takes that of the task.
     """
     names = [candidate.name for candidate in candidates]
-    # Checks without an evaluation come first: they take no time.
+    # Checks without an evaluation come first, since they are fast.
     stale = [
         f"{path.stem}: has results and does not exist"
         for path in sorted((root / RESULTS).glob("*.npz"))

@@ -1,6 +1,6 @@
 """Output of the rows: leaderboard.json, LEADERBOARD.md and the table in the README.
 
-Both texts use nothing but the content of leaderboard.json, so that they can be checked without a simulation.
+Both texts depend only on the content of leaderboard.json, so that they can be checked without a simulation.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, EvaluationSet
 from capsule_gym.files import to_json, without_nonfinite
 
 RANKING_SET = "paper"
-# Sets whose speeds stand side by side in the head, and how many of the fastest on each it has.
+# Sets in the README's table, and the number of fastest policies on each set that it contains.
 HEAD_SETS = {RANKING_SET: 11, "real": 3, "sticky": 3}
-# Columns for the other sets of the speed task.
+# Metrics for the further sets of the speed task.
 BRIEF = ("mean_speed", "stuck_fraction", "share_of_optimum")
 COMMAND = "python -m agents.leaderboard"
-# As mkdocs includes a part of a file: docs/index.md does.
+# Markers in the syntax of mkdocs; docs/index.md includes the text between them.
 START, END = "<!-- --8<-- [start:leaderboard] -->", "<!-- --8<-- [end:leaderboard] -->"
 # A line of the table in agents/checkpoints/README.md.
 TRAINED = re.compile(r"^\| `([\w-]+)` \|[^|]*\| `([^`]+)` \|$", re.MULTILINE)
 
 RATIO = TableMetric("ratio", f"x {BASELINE}", 2)
-# The fastest of the paper's method: a law and a family of profiles of its own, with other times.
+# The fastest policy of the paper's method: the paper's law and family of profiles, with other times.
 BEST_OF_PAPER = "feedback-linearising-optimal-profile"
 SPEED, COST, TORQUE = (TABLE_METRICS[name] for name in ("mean_speed", "cost_of_transport", "rms_torque"))
-# Columns of tables: the keys of their cells (`_cells`) by their headers.
+# Columns of tables: keys of the cells (`_cells`) by header.
 POLICY = {"policy": "policy"}
-# Narrow enough for a telephone.
+# Narrow enough for a phone.
 RANKING = {
     "": "place",
     **POLICY,
@@ -52,7 +52,7 @@ SENSITIVITY = {**POLICY, f"lowest {SPEED.label}": "low", "highest": "high", "wid
 
 
 def _rounded(value: Any, digits: int) -> Any:
-    """The same nested dicts with floats rounded to so many significant digits."""
+    """Rounds the floats in nested dicts to `digits` significant digits."""
     if isinstance(value, dict):
         return {key: _rounded(entry, digits) for key, entry in value.items()}
     return float(f"{value:.{digits}g}") if isinstance(value, float) else value
@@ -65,9 +65,9 @@ def training_commands() -> dict[str, str]:
 
 
 def build(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> dict[str, Any]:
-    """The content of leaderboard.json, from the rows alone: the best row of each task on its ranking set first.
+    """The content of leaderboard.json: the rows of each task, the best on its ranking set first.
 
-    Of each task that has rows, one of the sets, which are the columns, is the ranking set.
+    The sets are the columns. They must include the ranking set of each task with rows.
 
     Raises:
         ValueError: if a row was evaluated on other sets.
@@ -86,7 +86,7 @@ def build(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> dict[str, Any]:
     }
     board = {
         "sets": {each.name: each.hash for each in sets if each.task == "speed"},
-        # Where the rows were evaluated with different versions, all of them.
+        # If the rows were evaluated with different versions, all versions are listed.
         "versions": {package: ", ".join(sorted(numbers)) for package, numbers in versions.items()},
         "rows": tasks.pop("speed", {}).get("rows", []),
         "tasks": tasks,
@@ -95,7 +95,7 @@ def build(rows: Sequence[Row], sets: Sequence[EvaluationSet]) -> dict[str, Any]:
 
 
 def _ranked(rows: Sequence[Row], sets: Sequence[EvaluationSet], task: str) -> list[dict[str, Any]]:
-    """The rows of one task, the best on its ranking set first; one that adds nothing to its base stands below it."""
+    """The rows of one task, the best on its ranking set first; a row that does not improve on its base is below it."""
     commands, criteria = training_commands(), CRITERIA[task]
     ranking, metric, by_name = criteria.ranking_set, criteria.metric.name, {row.name: row for row in rows}
     of_task = [metric.name for metric in TASK_METRICS]
@@ -135,21 +135,21 @@ def rows_of(board: Mapping[str, Any], task: str) -> list[dict[str, Any]]:
 
 
 def _interval(metric: TableMetric, summary: Mapping[str, Any]) -> str:
-    """A number with its interval; a line may break between the two only."""
+    """Formats a metric with its interval; the only possible line break is between the two."""
     return metric.with_interval(summary[metric.name]).replace(", ", ",\N{NO-BREAK SPACE}")
 
 
 def _difference(row: Mapping[str, Any], set_name: str) -> str:
-    """The difference of a row to its base on a set, with its interval."""
+    """The difference between a row and its base on a set, with its interval."""
     found = row.get("minus_base", {}).get(set_name)
     return SPEED.with_interval(found, sign=True).replace(", ", ",\N{NO-BREAK SPACE}") if found else "-"
 
 
 def _cells(row: Mapping[str, Any], place: int, baseline: float, best: float) -> dict[str, str]:
-    """The texts of all cells of a row of leaderboard.json, by the keys that the tables choose from.
+    """The texts of all cells of a row of leaderboard.json, by the keys used in the tables.
 
-    `baseline` is the speed of the paper's controller on the ranking set, cm/s, `best` that of the fastest of its
-    method.
+    `baseline` is the speed of the paper's controller on the ranking set, and `best` the speed of the fastest policy of
+    the paper's method, both in cm/s.
     """
     summary, disturbed = row["results"][RANKING_SET], row["disturbed"]
     width = SPEED.format(disturbed["high"] - disturbed["low"])
@@ -172,7 +172,7 @@ def _cells(row: Mapping[str, Any], place: int, baseline: float, best: float) -> 
         rounded = f"{share:.0f}" if share >= 1.0 else "<\N{NO-BREAK SPACE}1"
         cells |= {
             f"failures {name}": counts,
-            # A dash on sets that the table of optima does not cover.
+            # Gives a dash on sets that the table of optima does not cover.
             f"share {name}": SHARE_OF_OPTIMUM.format(each.get(SHARE_OF_OPTIMUM.name, {}).get("iqm")),
             f"speed {name}": SPEED.format(each["mean_speed"]["iqm"])
             + (f" ({rounded}\N{NO-BREAK SPACE}%)" if share else ""),
@@ -190,12 +190,12 @@ def _all_cells(board: Mapping[str, Any]) -> list[dict[str, str]]:
 
 
 def _table(rows: Sequence[Mapping[str, str]], columns: Mapping[str, str]) -> str:
-    """A table of these columns: the keys of their cells by their headers."""
+    """A Markdown table; `columns` maps headers to keys of the cells."""
     return markdown_table([[*columns], *([row[key] for key in columns.values()] for row in rows)])
 
 
 def render(board: Mapping[str, Any]) -> str:
-    """The text of LEADERBOARD.md, from page.md and the content of leaderboard.json."""
+    """Renders LEADERBOARD.md from page.md and the content of leaderboard.json."""
     rows, cells, sets = board["rows"], _all_cells(board), board["sets"]
     of_tasks = {task: each["rows"] for task, each in board["tasks"].items()}
     hashes = {name: value for each in (board, *board["tasks"].values()) for name, value in each["sets"].items()}
@@ -224,7 +224,7 @@ def render(board: Mapping[str, Any]) -> str:
 
 
 def _task_tables(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The rows of another task than speed, a table per set."""
+    """The rows of another task than speed, one table per set."""
     tables = []
     for name in rows[0]["results"] if rows else ():
         metrics = [metric for metric in TASK_METRICS if metric.name in rows[0]["results"][name]]
@@ -239,7 +239,7 @@ def _task_tables(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def head(board: Mapping[str, Any]) -> str:
-    """The leaderboard's head for the README, as a Markdown table: the fastest few on some sets, and the baseline."""
+    """The README's Markdown table: the fastest policies on some sets, the baseline, and the paper's best policy."""
     shown, speeds = {BASELINE, BEST_OF_PAPER}, {f"{RANKING_SET} (cm/s) [95 %]": SPEED.name}
     for name, count in HEAD_SETS.items():
         if name in board["sets"]:
@@ -255,10 +255,10 @@ def head(board: Mapping[str, Any]) -> str:
 
 
 def files(root: Path, board: Mapping[str, Any]) -> dict[str, str]:
-    """The texts of leaderboard.json, LEADERBOARD.md and the README, which has the head between its markers.
+    """The texts of leaderboard.json, LEADERBOARD.md and the README, which contains the table between its markers.
 
     Raises:
-        ValueError: if the README lacks a marker.
+        ValueError: if a marker is missing in the README.
     """
     before, start, rest = (root / "README.md").read_text(encoding="utf-8").partition(START)
     _, end, after = rest.partition(END)

@@ -1,20 +1,20 @@
 """The rows of the leaderboard: every episode of every training run, in one file per policy.
 
-`agents/leaderboard/results/NAME.npz` is a numpy archive without pickles. For every set it holds an array of float64, of
-shape (metrics, training seeds, episodes), and under `header` a JSON text in UTF-8:
+`agents/leaderboard/results/NAME.npz` is a numpy archive without pickles. It contains a float64 array of shape (metrics,
+training seeds, episodes) for every set, and under `header` a JSON text in UTF-8:
 
 | field | meaning |
 |---|---|
 | `policy`, `description` | the policy |
-| `training_seeds`, `revision`, `files` | its runs, the revision they were trained at, the sha256 of each policy file |
+| `training_seeds`, `revision`, `files` | its runs, the git revision of the training, the sha256 of each policy file |
 | `base` | the scripted policy whose law runs inside its step; null for none |
 | `metrics` | the rows of the arrays |
 | `sets` | the sha256 of each set's content |
 | `versions` | of Python and of the packages that evaluated it |
 | `disturbed` | of the speed task: the range of the mean speed under small noise on the actions (`disturbed_range`) |
 
-Distance and energy are left out: they follow from speed and cost of transport. So is the share of the optimum, which
-follows from speed and plant.
+Distance and energy are omitted, since they follow from speed and cost of transport. The share of the optimum is
+omitted, since it follows from speed and plant.
 """
 
 from __future__ import annotations
@@ -43,22 +43,22 @@ from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY
 from capsule_gym.task import CONTROL_DT, HORIZON, METRICS, TASKS
 
-# From the project's folder.
+# Relative to the project's folder.
 RESULTS = Path("agents", "leaderboard", "results")
 COLUMNS = tuple(name for name in METRICS if name not in ("distance", "energy"))
 HEADER = "header"
-# Half the width of the noise on the actions, in parts of the full action: the rounding error of a network in float32.
+# Half width of the noise on the actions, relative to the full action: the rounding error of a network in float32.
 NOISE = 1e-7
 COPIES = 200
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """All episodes of one policy, and what they were evaluated from.
+    """All episodes of one policy, and the sources of their evaluation.
 
     Attributes:
         header: the fields of the table above.
-        scores: by the set's name, shape (metrics, runs, episodes), float64; a scripted policy has one run.
+        scores: metrics by the set's name, shape (metrics, runs, episodes), float64; a scripted policy has one run.
     """
 
     header: dict[str, Any]
@@ -66,7 +66,7 @@ class Row:
 
     @property
     def name(self) -> str:
-        """The policy's."""
+        """The policy's name."""
         return str(self.header["policy"])
 
     @property
@@ -76,16 +76,16 @@ class Row:
 
     @property
     def task(self) -> str:
-        """The task that its metrics are of."""
+        """The task of the metrics."""
         return next(task for task in TASKS if columns(task) == self.header["metrics"])
 
     def score(self, set_name: str, metric: str) -> np.ndarray:
-        """A metric of all episodes of a set, shape (runs, episodes), float64."""
+        """The values of a metric in all episodes of a set, shape (runs, episodes), float64."""
         found: np.ndarray = self.scores[set_name][self.header["metrics"].index(metric)]
         return found
 
     def episodes(self, evaluation_set: EvaluationSet) -> list[Episode]:
-        """The episodes as `agents.evaluation.episodes.evaluate` returns them, without the metrics left out.
+        """The episodes as `agents.evaluation.episodes.evaluate` returns them, without the omitted metrics.
 
         Raises:
             ValueError: if the row was evaluated on another set of this name, or on none.
@@ -109,10 +109,10 @@ class Row:
 
 
 def static_header(candidate: Candidate) -> dict[str, Any]:
-    """The fields of a row's header that need no evaluation."""
+    """The fields of a row's header that do not require an evaluation."""
     trained, folder = candidate.trained, candidate.folder
     files = sorted(folder.rglob(POLICY)) if folder else []
-    # The base of a residual is the scripted policy that runs the same law and does nothing else.
+    # The base of a residual is the scripted policy that only runs the same law.
     law = candidate.policies[0].env_kwargs.get("controller")
     bases = [name for name, each in SCRIPTED.items() if trained and law and each.env_kwargs.get("controller") == law]
     return {
@@ -130,14 +130,14 @@ def static_header(candidate: Candidate) -> dict[str, Any]:
 
 
 def columns(task: str) -> list[str]:
-    """The metrics that rows of a task hold."""
+    """The metrics in rows of a task."""
     of_task = find_task(task)
     memory = of_task.memory(*np.zeros((of_task.rows, 1)))
     return [*COLUMNS, *of_task.metrics(memory, np.zeros(1))]
 
 
 def evaluate_run(policy: Policy, sets: Sequence[EvaluationSet], horizon: float | None = None) -> dict[str, np.ndarray]:
-    """Evaluates one training run: by the set's name the metrics of its episodes, shape (metrics, episodes)."""
+    """Evaluates one training run; returns the metrics of its episodes by the set's name, shape (metrics, episodes)."""
     found = {}
     for each in sets:
         episodes = evaluate_policy(policy, each, horizon=horizon)
@@ -148,9 +148,9 @@ def evaluate_run(policy: Policy, sets: Sequence[EvaluationSet], horizon: float |
 def disturbed_range(policy: Policy, horizon: float = HORIZON) -> tuple[float, float]:
     """The sensitivity of a policy to perturbations: the range of its mean speed (cm/s) under noise on its actions.
 
-    The check does not need it: the same code gives the same bits on every machine. Readers do. Trajectories of a
-    chaotic policy diverge from a difference in their tenth digit, and the mean speed of a single episode, of `horizon`
-    s, is a sample from a wide distribution, on a robot as here.
+    The check does not use this range, since the same code gives the same bits on every machine. It informs readers: if
+    a difference in the tenth digit makes trajectories diverge, the mean speed of a single episode of `horizon` s is a
+    sample from a wide distribution, in simulation and on a robot.
     """
     copies = EvaluationSet("copies", (NOMINAL_PLANT,) * COPIES)
     episodes = evaluate_policy(policy, copies, horizon=horizon, action_noise=NOISE)
@@ -164,13 +164,13 @@ def make_row(
     runs: Sequence[dict[str, np.ndarray]],
     ranges: Sequence[tuple[float, float]] = (),
 ) -> Row:
-    """Puts a row together.
+    """Creates a row from the results of its runs.
 
     Args:
         candidate: the policy.
-        sets: the sets it was evaluated on.
-        runs: what `evaluate_run` returned for each of its policies, in order.
-        ranges: what `disturbed_range` returned for each; the widest counts.
+        sets: the sets of the evaluation.
+        runs: the result of `evaluate_run` for each training seed, in order.
+        ranges: the result of `disturbed_range` for each training seed; the widest range is used.
     """
     widest = max(ranges, key=lambda ends: ends[1] - ends[0], default=())
     header = {
@@ -184,7 +184,7 @@ def make_row(
 
 
 def _work(policy: Policy, sets: Sequence[EvaluationSet], horizon: float | None, disturbed: bool) -> Any:
-    """Evaluates one run on all sets, and its sensitivity if asked for."""
+    """Evaluates one run on all sets, and its sensitivity if `disturbed`."""
     return evaluate_run(policy, sets, horizon), disturbed_range(policy, horizon or HORIZON) if disturbed else ()
 
 
@@ -199,14 +199,14 @@ def evaluate(
     """Evaluates policies, with a progress bar on a terminal; yields each row as soon as it is finished.
 
     Args:
-        candidates: the rows.
-        sets: of all tasks; a row is evaluated on those of its own.
+        candidates: the policies.
+        sets: the sets of all tasks; a policy is evaluated on the sets of its task.
         jobs: number of processes.
         horizon: length of an episode in s; None takes that of the task.
-        disturbed: whether the sensitivity of those of the speed task is evaluated too, which takes a third of the time;
-            or else left empty.
+        disturbed: whether to evaluate the sensitivity of policies of the speed task, too, which takes a third of the
+            time; if False, the field `disturbed` is empty.
     """
-    # Slow to import, and --help does not need it.
+    # Imported here, since the import is slow and --help does not need it.
     from joblib import Parallel, delayed
 
     own = {candidate.name: [each for each in sets if each.task == candidate.task] for candidate in candidates}
@@ -215,7 +215,7 @@ def evaluate(
         return
     parallel = Parallel(jobs, return_as="generator")
     if jobs > 1:
-        # The step is compiled once: the processes find it on disk.
+        # Compiles the step once, so that all processes load it from disk.
         policy, candidate = work[-1]
         evaluate_run(policy, own[candidate.name][:1], CONTROL_DT)
     results = parallel(
@@ -246,12 +246,12 @@ def load_row(path: Path) -> Row:
     """Reads a row's file.
 
     Raises:
-        ValueError: if there is none, or it is not what `save_row` writes.
+        ValueError: if the file does not exist, or was not written by `save_row`.
     """
     if not path.is_file():
         raise ValueError(f"{path.stem}: no results in {path.name}; `python -m agents.leaderboard NAME` writes them")
     try:
-        # From memory: numpy does not close a file that it cannot read.
+        # Read from memory, since numpy does not close an invalid file.
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
             header = json.loads(archive[HEADER].tobytes().decode())
             scores = {name: archive[name] for name in header["sets"]}
@@ -265,9 +265,9 @@ def load_row(path: Path) -> Row:
 
 
 def load_rows(folder: Path, names: Iterable[str]) -> list[Row]:
-    """The rows of some policies, in their order.
+    """Reads the rows of policies, in order.
 
     Raises:
-        ValueError: as `load_row`; it names the first policy that has no results.
+        ValueError: as in `load_row`; the message names the first policy without results.
     """
     return [load_row(path_of(folder, name)) for name in names]

@@ -45,7 +45,7 @@ class Args:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit status."""
     args = parse(Args, COMMAND, arguments)
-    # Slow to import, and --help does not need it.
+    # Imported after the command line is checked: the import is slow, and --help does not need it.
     from agents.report.page import write
 
     try:

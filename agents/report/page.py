@@ -1,4 +1,4 @@
-"""The page of a report, one HTML file that loads no other file, and the comparison at the end of a training."""
+"""The page of a report, one self-contained HTML file, and the comparison at the end of training."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from capsule_gym.rendering import write_gif
 from capsule_gym.task import CONTROL_DT
 
 ROOT = Path(__file__).resolve().parents[2]
-# In the folder of a run that `compare` has compared; the part of an episode that it shows, s.
+# File in the run's folder, written by `compare`; start and length of the part of the episode that it shows, s.
 ANIMATION = "animation.gif"
 ANIMATION_START, ANIMATION_SECONDS = 10.0, 6.0
 
@@ -50,7 +50,7 @@ class Data(NamedTuple):
 
     @property
     def subjects(self) -> list[Row]:
-        """The rows that the report is about: all but the baseline, unless there is no other."""
+        """The rows of the report: all but the baseline, or the baseline if there is no other row."""
         rows, baseline = self.results.rows, self.results.criteria.baseline
         return [row for row in rows if row.name != baseline] or list(rows)
 
@@ -60,13 +60,13 @@ def collect(names: Sequence[str], *, trust_controller: bool = False, trust_pickl
 
     Args:
         names: rows of the leaderboard, or paths of runs, of folders with runs seed-0, seed-1, .. inside, or of policy
-            files; none means all rows.
+            files; if empty, all rows.
         trust_controller: as for `capsule_gym.load_policy`.
-        trust_pickle: load an agent with an LSTM, which is unpickled: that can run any code.
+        trust_pickle: allow to unpickle an agent with an LSTM, which can run any code.
 
     Raises:
         OSError: if a file cannot be read.
-        ValueError: if there is no such policy, two have one name, or a file is broken.
+        ValueError: if a policy does not exist, two policies have the same name, or a file is broken.
     """
     board = json.loads((ROOT / "leaderboard.json").read_text(encoding="utf-8"))
     found = [_candidate(name, trust_controller, trust_pickle) for name in names]
@@ -88,7 +88,7 @@ def collect(names: Sequence[str], *, trust_controller: bool = False, trust_pickl
             continue
         path = Path(name)
         row = make_row(candidate, sets, [evaluate_run(policy, sets) for policy in candidate.policies])
-        # A recurrent policy has no file that says its seed.
+        # A recurrent policy has no policy file with its seed.
         seeds = row.header["training_seeds"] or list(range(len(candidate.policies)))
         rows.append(replace(row, header={**row.header, "training_seeds": seeds}))
         one = path / EVALUATIONS
@@ -106,14 +106,14 @@ def collect(names: Sequence[str], *, trust_controller: bool = False, trust_pickl
 
 
 def _candidate(name: str, trust_controller: bool, trust_pickle: bool) -> Candidate:
-    """A policy by its name, or of a run, named by the last part of its path."""
+    """Finds a policy by its name, or by the path of a run, whose last part becomes its name."""
     path = Path(name)
     if (path / BEST / MODEL).is_file() and not (path / BEST / POLICY).is_file():
         if not trust_pickle:
             raise ValueError(
                 f"{path} contains an agent with an LSTM, and unpickling it can run any code; --trust-pickle allows it"
             )
-        # Imports torch, which takes seconds.
+        # Imported here, since torch takes seconds to import.
         from agents.training.export import load_best
 
         return Candidate(path.name, (load_best(path),), "a recurrent agent")
@@ -121,14 +121,14 @@ def _candidate(name: str, trust_controller: bool, trust_pickle: bool) -> Candida
 
 
 def write(path: Path, names: Sequence[str] = (), *, trust_controller: bool = False, trust_pickle: bool = False) -> None:
-    """Writes the report of some policies, atomically; arguments and errors are those of `collect`."""
+    """Writes the report of policies, atomically; arguments and errors are those of `collect`."""
     data = collect(names, trust_controller=trust_controller, trust_pickle=trust_pickle)
     title = ", ".join(row.name for row in data.subjects) if names else "Leaderboard of capsule_gym"
     write_atomically(path, render(data, title))
 
 
 def render(data: Data, title: str) -> str:
-    """The whole page as HTML."""
+    """Renders the page as HTML."""
     results, metric = data.results, data.results.criteria.metric
     speed = results.task == "speed"
     plant = " on the nominal plant" if speed else ""
@@ -165,7 +165,7 @@ def render(data: Data, title: str) -> str:
 
 
 def draw_plants(rows: Sequence[Row], sets: Sequence[EvaluationSet], metric: TableMetric) -> Any:
-    """A metric on every plant of sets with constant parameters, and where episodes fail."""
+    """Draws a metric on every plant of sets with constant parameters, and marks failed episodes."""
     M, mu = (np.array([getattr(plant, name) for each in sets for plant in each.plants]) for name in ("M", "mu"))
     values, failed = (
         {row.name: np.concatenate([row.score(each.name, name).mean(axis=0) for each in sets]) for row in rows}
@@ -208,7 +208,7 @@ def _sentence(data: Data, row: Row) -> str:
 
 
 def _image(heading: str, kind: str, content: bytes) -> str:
-    """A picture inside of the page under its heading."""
+    """An embedded image with a heading."""
     source = f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
     return f'<h2>{html.escape(heading)}</h2>\n<img class="{kind}" src="{source}" alt="{html.escape(heading)}">'
 
@@ -221,7 +221,7 @@ def _figure(heading: str, draw: Callable[..., Any], *arguments: Any) -> str:
 
 
 def _tables(data: Data) -> str:
-    """All measures of all policies, a table per set."""
+    """All metrics of all policies, one table per set."""
     shown = [summary for each in data.summaries.values() for summary in each.values()]
     every = (*TASK_METRICS, *TABLE_METRICS.values(), SHARE_OF_OPTIMUM)
     metrics = [metric for metric in every if any(metric.name in summary for summary in shown)]
@@ -242,10 +242,9 @@ def _tables(data: Data) -> str:
 def compare(run: Path, set_name: str | None = None) -> None:
     """Evaluates a run's best model and the baseline on the same frozen episodes; prints and draws the comparison.
 
-    The run's folder gets comparison.png, animation.gif and report.html. The set is by default that of the task's
-    ranking.
+    Writes comparison.png, animation.gif and report.html to the run's folder. The default set is the task's ranking set.
     """
-    # Imports torch, which takes seconds.
+    # Imported here, since torch takes seconds to import.
     from agents.training.export import load_best
 
     policy = load_best(run)

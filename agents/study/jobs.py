@@ -1,4 +1,4 @@
-"""The runs of a study: one per row and training seed, each in a folder that resumes where it stopped."""
+"""The runs of a study: one per row and training seed, each in its own folder, from which it can be resumed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from capsule_gym.policy import POLICY
 # Written into a run's folder when its training is complete.
 FINISHED = "finished"
 
-# For messages.
+# Used in messages.
 RESUME = "--resume continues what is your own, reading the pickles of its checkpoints"
 
 
@@ -32,18 +32,18 @@ RESUME = "--resume continues what is your own, reading the pickles of its checkp
 class Job:
     """One run of a study."""
 
-    row: str  # what is trained, a row of the leaderboard
-    config: Config  # with the training seed
-    run: Path  # its folder
+    row: str  # row of the leaderboard
+    config: Config  # settings of the row, with the training seed
+    run: Path  # folder of the run
 
     @property
     def name(self) -> str:
-        """As it appears in tables."""
+        """The name in tables."""
         return f"{self.row}/{self.run.name}"
 
     @property
     def finished(self) -> bool:
-        """Whether its training is complete."""
+        """Whether the training is complete."""
         return (self.run / FINISHED).is_file()
 
 
@@ -52,7 +52,7 @@ def plan(rows: Sequence[str], seeds: Sequence[int], folder: Path) -> list[Job]:
 
     Raises:
         RunError: if a run's folder exists and holds no run, or a run with other settings.
-        ValueError: if there is no such row, or a seed is out of range.
+        ValueError: if a row does not exist, or a seed is out of range.
     """
     jobs = [
         Job(row, dataclasses.replace(row_settings(row), seed=seed), folder / row / f"seed-{seed}")
@@ -67,7 +67,7 @@ def plan(rows: Sequence[str], seeds: Sequence[int], folder: Path) -> list[Job]:
 
 
 def check_settings(job: Job) -> None:
-    """Checks that a run was begun with the settings that its job has now.
+    """Checks that a run was started with the current settings of its job.
 
     Raises:
         RunError: if the settings differ, or the run's folder is broken.
@@ -79,12 +79,12 @@ def check_settings(job: Job) -> None:
 
 
 def train_job(job: Job) -> str:
-    """Trains a run to its end, or resumes it; its output is written to the file seed-N.log next to its folder.
+    """Trains or resumes a run until its end; writes its output to the file seed-N.log next to its folder.
 
     Returns:
-        The reason of a failure, or an empty string. It raises nothing, so that one run cannot stop a study.
+        The reason for a failure, or an empty string. Errors are not raised, so that one run cannot stop a study.
     """
-    # torch takes seconds to import, and only workers need it.
+    # Imported here, since torch takes seconds to import and only workers need it.
     from agents.training.loop import begin, train
 
     path = job.run.with_name(f"{job.run.name}.log")
@@ -105,14 +105,14 @@ def train_job(job: Job) -> str:
 def train_all(
     jobs: Sequence[Job], parallel: int | None = None, backend: Literal["loky", "ray"] = "loky"
 ) -> dict[Job, str]:
-    """Trains the runs that are not finished, or resumes them, and prints joblib's progress to stderr.
+    """Trains or resumes the runs that are not finished, and prints joblib's progress to stderr.
 
-    Ctrl-C stops all runs; each resumes later from its last checkpoint. By default there is one run per core. The
-    backend `ray` is the cluster that RAY_ADDRESS names, or a new one on this machine. The machines of a cluster must
+    Ctrl-C stops all runs; each can be resumed from its last checkpoint. By default there is one run per core. The
+    backend `ray` uses the cluster that RAY_ADDRESS names, or a new one on this machine. The machines of a cluster must
     have the checkout and the folder of the runs at the same paths.
 
     Returns:
-        The reasons of the failures, by run.
+        The reasons for the failures, by run.
     """
     from joblib import Parallel, delayed, parallel_config
 
@@ -126,25 +126,25 @@ def train_all(
             ray.init(runtime_env={"env_vars": {"PYTHONPATH": root}}, log_to_driver=False, logging_level="error")
             register_ray()
             waiting = [dataclasses.replace(job, run=job.run.resolve()) for job in waiting]
-        # One run per task: joblib would otherwise send several short ones together.
+        # One run per task, since joblib would otherwise batch several short runs.
         with parallel_config(backend=backend, n_jobs=parallel or -1, verbose=10):
             found = Parallel(batch_size=1, pre_dispatch="n_jobs")(delayed(train_job)(job) for job in waiting)
     except Exception as error:
-        # `train_job` raises nothing: this is the backend, for example because a worker was killed.
+        # `train_job` does not raise: this is an error of the backend, for example because a worker was killed.
         reason = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}; --resume continues"
         found = ["" if job.finished else reason for job in waiting]
     return {job: reason for job, reason in zip(waiting, found, strict=True) if reason}
 
 
 def evaluations(run: Path) -> list[dict[str, float]]:
-    """Reads the evaluations that a run has made so far, by columns; an empty list if it has not begun."""
+    """Reads a run's evaluations so far, each by column; an empty list if the run has not begun."""
     path = run / EVALUATIONS
     lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
     return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(lines)]
 
 
 def score(evaluation: dict[str, float]) -> float:
-    """The criterion that selects the best policy of a run."""
+    """The score of an evaluation, which selects the best policy of a run."""
     return next(value for name, value in evaluation.items() if name.startswith("score_"))
 
 
@@ -166,8 +166,7 @@ def publish(job: Job, checkpoints: Path = CHECKPOINTS) -> Path:
     """Copies a run's best policy and its evaluations into the folder of its row and seed, and returns that folder.
 
     Raises:
-        RunError: if the run is not finished, has other settings than its row, or was begun at a revision that cannot be
-            checked out.
+        RunError: if the run is not finished, its settings differ from those of its row, or its code was not committed.
     """
     if not job.finished:
         raise RunError(f"{job.run} is not finished")

@@ -33,12 +33,12 @@ PROG = "python -m agents.study.tune"
 # Far from the seeds of published runs, so that the settings do not overfit these.
 FIRST_SEED = 1000
 EVALUATIONS_PER_TRIAL = 8
-# No trial is pruned before its fourth evaluation, or before a third of all trials, at most eight, is complete.
+# Trials are pruned only after WARMUP_EVALUATIONS, and after a third of all trials, at most STARTUP_TRIALS, is complete.
 WARMUP_EVALUATIONS, STARTUP_TRIALS = 4, 8
 
 # Lists are choices, ranges of integers uniform, positive ranges of floats log-uniform, other ranges of floats uniform.
-# gamma and lambda are searched by their distance from 1, `rollout` is n_steps * num_envs. The algorithms whose updates
-# take longest have few trials, and so few parameters.
+# gamma and lambda are sampled by their distance from 1; `rollout` is n_steps * num_envs. Algorithms with slow updates
+# have few trials and therefore few parameters.
 Space = dict[str, list[int] | tuple[float, float]]
 FEW: Space = {"learning_rate": (3e-4, 3e-3), "one_minus_gamma": (5e-3, 1e-2)}
 OFF_POLICY: Space = {**FEW, "num_envs": [32, 64, 128], "gradient_steps": [4, 8, 16], "tau": (5e-3, 2e-2)}
@@ -123,7 +123,7 @@ class Args:
             raise ValueError("tuning needs Optuna: pip install 'capsule-gym[tune]'")
 
     def settings(self) -> Config:
-        """The configuration that all trials share, apart from what is tuned."""
+        """The configuration of all trials, without the tuned parameters."""
         row = row_settings(self.row, ROWS | {f"{task}-{algo}": preset for (task, algo), preset in PRESETS.items()})
         steps = self.total_steps or row.total_steps
         evaluate_every = max(1, steps // EVALUATIONS_PER_TRIAL)
@@ -131,7 +131,7 @@ class Args:
 
 
 def config_of(trial: Trial, base: Config) -> Config:
-    """The configuration of a trial; off-policy trials make the same number of updates, not of steps."""
+    """The configuration of a trial; off-policy trials have equal numbers of updates instead of steps."""
     config = dataclasses.replace(base, **suggest(trial, base.algo))
     if not isinstance(base, OffPolicyConfig) or not isinstance(config, OffPolicyConfig):
         return config
@@ -144,17 +144,17 @@ def objective(trial: Trial, base: Config, folder: Path) -> float:
     """Trains a trial, or resumes it, and returns its score in cm/s.
 
     Raises:
-        KeyboardInterrupt: if the user stops it; the search tries its parameters again.
-        RunError: if it cannot be trained.
-        TrialPruned: if it is below the median of the others.
+        KeyboardInterrupt: if the user stops the trial; the search tries its parameters again.
+        RunError: if the trial cannot be trained.
+        TrialPruned: if the trial is below the median of the other trials.
     """
     import optuna
 
-    # torch takes seconds to import, and --help does not need it.
+    # Imported here, since torch takes seconds to import and --help does not need it.
     from agents.training.loop import begin, train
 
     config = config_of(trial, base)
-    # The same settings are the same run: a trial that is tried again resumes.
+    # The name depends only on the settings, so that a repeated trial resumes its run.
     run = folder / canonical_hash(config.to_dict())[:12]
     if not run.exists():
         begin(run, config)
@@ -176,10 +176,10 @@ def objective(trial: Trial, base: Config, folder: Path) -> float:
 
 
 def tune(args: Args) -> Study:
-    """Trains trials until there are as many as asked for, and writes them to trials.json.
+    """Trains trials until `args.trials` have ended, and writes them to trials.json.
 
     Raises:
-        RunError: if the storage holds a search with other settings.
+        RunError: if the storage contains a search with other settings.
     """
     import optuna
     from optuna.trial import TrialState
@@ -195,7 +195,7 @@ def tune(args: Args) -> Study:
     if study.user_attrs.get("settings", settings) != settings:
         raise RunError(f"{folder} contains a search with other settings: move it")
     study.set_user_attr("settings", settings)
-    # With the number of trials in the seed, a search that resumes does not sample the same parameters again.
+    # The seed includes the number of trials, so that a resumed search does not sample the same parameters again.
     study.sampler = optuna.samplers.TPESampler(seed=args.seed + len(study.trials), constant_liar=True)
     ended = (TrialState.COMPLETE, TrialState.PRUNED)
     missing = args.trials - len(study.get_trials(states=ended))

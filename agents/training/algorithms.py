@@ -1,7 +1,7 @@
-"""The environments and the agent of a run, made of its configuration; and where Stable-Baselines3's classes are slow.
+"""Creates the environments and the agent of a run from its configuration; contains faster parts of Stable-Baselines3.
 
-`make_env` and `make_model` choose between `agents.fast_ppo` and Stable-Baselines3's own classes. To train with an
-algorithm of one's own, make `make_env(config, seed)` and hand it to that algorithm.
+`make_env` and `make_model` choose between `agents.fast_ppo` and Stable-Baselines3's own classes. To train with another
+algorithm, pass it the environments that `make_env(config, seed)` returns.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ EPSILON = 1e-6
 
 
 class EpisodeMetrics(gym.Wrapper[Any, Any, Any, Any]):
-    """Adds the episode's "metrics" (`capsule_gym.task.Metrics`) to the info of its last step."""
+    """Adds the episode's "metrics" (`capsule_gym.task.Metrics`) to the info of the last step."""
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """As the environment's."""
+        """Steps the environment."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if terminated or truncated:
             steps = self.get_wrapper_attr("spec").max_episode_steps
@@ -62,14 +62,14 @@ class EpisodeMetrics(gym.Wrapper[Any, Any, Any, Any]):
 
 
 def fast_ppo(config: Config) -> Any:
-    """The package `agents.fast_ppo` where the run uses it, else None. Nothing else imports it."""
+    """Imports the package `agents.fast_ppo` if the run uses it, else returns None."""
     return None if config.stock or not isinstance(config, PPOConfig) else importlib.import_module("agents.fast_ppo")
 
 
 def usable(config: Config) -> Config:
-    """The configuration that can be trained: a run with wrappers, or without `agents.fast_ppo`, trains with --stock.
+    """Returns a configuration that can be trained: with wrappers or without `agents.fast_ppo`, `stock` is set.
 
-    Says so on stderr, and which options of the run Stable-Baselines3 does not have.
+    Options that Stable-Baselines3 does not support get their defaults. Prints these options and the reason to stderr.
     """
     reason = "--stock" if config.stock else "--wrapper" if config.wrapper else ""
     if not reason and isinstance(config, PPOConfig) and importlib.util.find_spec("agents.fast_ppo") is None:
@@ -89,10 +89,10 @@ def usable(config: Config) -> Config:
 
 
 def wrapped_env(config: Config, env_kwargs: Mapping[str, Any], steps: int) -> gym.Env[Any, Any]:
-    """One environment with its wrappers, and SB3's `Monitor` below them, as SB3's `make_vec_env` places it.
+    """Creates one environment with the run's wrappers, inside SB3's `Monitor`.
 
     Raises:
-        RunError: if there is no such subclass of `gymnasium.Wrapper`, or it is not made of an environment alone.
+        RunError: if a wrapper is not a subclass of `gymnasium.Wrapper` that takes only an environment.
     """
     env: Any = gym.make(f"capsule_gym:{config.env}", max_episode_steps=steps, disable_env_checker=True, **env_kwargs)
     env = EpisodeMetrics(env)
@@ -110,14 +110,14 @@ def wrapped_env(config: Config, env_kwargs: Mapping[str, Any], steps: int) -> gy
 
 
 def make_env(config: Config, seed: int) -> VecNormalize:
-    """The training environments with normalised observations.
+    """Creates the training environments with normalised observations.
 
     Raises:
-        TypeError: if an argument of the environment is of the wrong type.
-        ValueError: if one is out of range.
+        TypeError: if an argument of the environment has the wrong type.
+        ValueError: if an argument is out of range.
     """
     kwargs = config.env_kwargs()
-    # Policies are selected with their own limit, on the task's own commands.
+    # Only for training: policies are selected with `residual_limit`, on the commands of the task.
     if config.training_limit is not None:
         kwargs["residual_limit"] = config.training_limit
     if config.command_range:
@@ -137,7 +137,7 @@ def make_env(config: Config, seed: int) -> VecNormalize:
         venv = CapsuleSB3VecEnv(config.num_envs, seed, max_episode_steps=steps, **kwargs)
     env = VecNormalize(venv, norm_reward=False, gamma=config.gamma)
     if isinstance(config, OffPolicyConfig) and config.observation_scale is not None:
-        # Running statistics would magnify `stick`, which hardly ever changes.
+        # Running statistics would magnify `stick`, which is almost constant.
         env.training = False
         statistics: Any = env.obs_rms
         statistics.var[:3] = np.array(config.observation_scale) ** -2.0
@@ -149,18 +149,18 @@ def make_env(config: Config, seed: int) -> VecNormalize:
 
 @dataclass(frozen=True)
 class LinearSchedule:
-    """A learning rate that falls linearly, as SB3 asks for one.
+    """A linear learning rate schedule for SB3.
 
     Attributes:
-        start: at the start of the run.
-        end: at its end.
+        start: learning rate at the start of the run.
+        end: learning rate at the end of the run.
     """
 
     start: float
     end: float
 
     def __call__(self, left: float) -> float:
-        """The rate where that share of the run is left; below 0 where the last rollout exceeds the end."""
+        """The learning rate at the remaining share `left` of the run, negative if the last rollout exceeds the end."""
         return self.end + (self.start - self.end) * max(0.0, min(1.0, left))
 
 
@@ -172,11 +172,11 @@ def algorithm(config: Config) -> type[BaseAlgorithm]:
 
 
 def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
-    """A fresh agent.
+    """Creates an untrained agent.
 
     Args:
-        config: its hyperparameters.
-        env: its environments, from `make_env`.
+        config: the agent's hyperparameters.
+        env: the agent's environments, from `make_env`.
     """
     venv: Any = env.venv
     network: dict[str, Any] = {"net_arch": [config.hidden, config.hidden]}
@@ -199,7 +199,7 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
         if config.action_noise > 0.0:
             kwargs["action_noise"] = make_noise(config)
         if config.n_steps > 1:
-            # As SB3's argument n_steps, with which a model cannot be loaded without a warning.
+            # Equivalent to SB3's argument n_steps, which causes a warning when a model is loaded.
             kwargs["replay_buffer_class"] = NStepReplayBuffer
             kwargs["replay_buffer_kwargs"] = {"n_steps": config.n_steps, "gamma": config.gamma}
         names += ("target_entropy",) if isinstance(config, SACConfig) else ()
@@ -218,7 +218,7 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
         kwargs["top_quantiles_to_drop_per_net"] = config.dropped_quantiles
         network["n_quantiles"] = config.quantiles
     if not config.stock:
-        # A step of Adam in one call; eps is SB3's.
+        # The fused Adam makes a step in one call; eps is SB3's default for on-policy algorithms.
         network["optimizer_kwargs"] = {"fused": True, **({"eps": 1e-5} if isinstance(config, OnPolicyConfig) else {})}
     model = algorithm(config)(policy, env, policy_kwargs=network, **kwargs)
     if isinstance(config, PPOConfig):
@@ -227,7 +227,7 @@ def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
 
 
 def make_noise(config: OffPolicyConfig) -> ActionNoise:
-    """The noise on the actions while an agent trains."""
+    """Creates the noise on the actions in training."""
     mean, deviation, time = np.zeros(1), config.action_noise, config.noise_time
     if time == 0.0:
         return NormalActionNoise(mean, np.full(1, deviation))
@@ -255,15 +255,15 @@ class _Tanh(torch.autograd.Function):
 
 
 class FastTanh(nn.Tanh):
-    """The hyperbolic tangent by way of the logistic function: torch's own takes several times as long."""
+    """The hyperbolic tangent, computed by the logistic function: several times as fast as torch's tanh."""
 
     def forward(self, input: torch.Tensor) -> torch.Tensor:
-        """The tangent of every entry."""
+        """Applies the hyperbolic tangent to every entry."""
         return _Tanh.apply(input)
 
 
 class RecurrentPolicy(RecurrentActorCriticPolicy):
-    """sb3-contrib's policy, whose LSTM runs over a sequence in one call also where an episode begins with it."""
+    """sb3-contrib's policy with one call of the LSTM per sequence, also if an episode begins with the sequence."""
 
     @staticmethod
     def _process_sequence(
@@ -272,9 +272,9 @@ class RecurrentPolicy(RecurrentActorCriticPolicy):
         episode_starts: torch.Tensor,
         lstm: nn.LSTM,
     ) -> tuple[torch.Tensor, tuple[torch.Tensor, torch.Tensor]]:
-        """The LSTM's outputs and last state; sb3-contrib's own calls it at every step where any episode begins.
+        """The LSTM's outputs and last state; sb3-contrib calls the LSTM step by step as soon as any episode begins.
 
-        Its buffer begins a sequence with every episode, so that only the first state is ever to be cleared.
+        In sb3-contrib's buffer every episode begins a sequence, so that only the first state may have to be cleared.
         """
         count = lstm_states[0].shape[1]
         starts = episode_starts.reshape(count, -1)

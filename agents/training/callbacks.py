@@ -31,19 +31,19 @@ from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, EvaluationSet
 from capsule_gym.files import canonical_hash, write_atomically
 
-# Far from the seeds 0, 1, .. of training runs and evaluation sets: models are selected on plants of their own.
+# Far from the seeds 0, 1, .. of training runs and evaluation sets, so that no other plants select models.
 SELECTION_SEED = 1_000_000
-# Agent steps between two lines of the log of off-policy algorithms; the others write one per rollout.
+# Agent steps between two lines of the log of off-policy algorithms; on-policy algorithms log every rollout.
 LOG_EVERY = 2_000
 # The project's name at Weights & Biases.
 PROJECT = "capsule_gym"
 
 
 class WandbWriter(KVWriter):
-    """Writes the lines of SB3's logger to Weights & Biases, by agent steps; a run has the name of its folder there.
+    """Writes the lines of SB3's logger to Weights & Biases, by agent steps, under the name of the run's folder.
 
     Raises:
-        RunError: if wandb is not installed, or does not start.
+        RunError: if wandb is not installed or does not start.
     """
 
     def __init__(self, run: Path, config: dict[str, Any]) -> None:
@@ -51,7 +51,7 @@ class WandbWriter(KVWriter):
             import wandb
         except ImportError:
             raise RunError('--wandb needs wandb: pip install "capsule-gym[wandb]"') from None
-        # The same folder with the same settings is the same run, resumed.
+        # The same folder with the same settings resumes the same run.
         identity = canonical_hash([str(run.resolve()), {**config, "total_steps": None}])[:16]
         try:
             self._run = wandb.init(
@@ -65,30 +65,30 @@ class WandbWriter(KVWriter):
         self._run.log(filter_excluded_keys(key_values, key_excluded, "wandb"), step=step)
 
     def close(self) -> None:
-        """Ends the run there."""
+        """Ends the run at Weights & Biases."""
         self._run.finish()
 
 
 def make_logger(run: Path, config: Config, steps: int, wandb: bool) -> Logger:
-    """SB3's logger of a process that starts or resumes a run at that many agent steps.
+    """Creates SB3's logger for a process that starts or resumes a run after `steps` agent steps.
 
     Raises:
-        RunError: if Weights & Biases is asked for and cannot be used.
+        RunError: if Weights & Biases is requested and cannot be used.
     """
     folder = run / LOGS
     folder.mkdir(exist_ok=True)
     online: list[KVWriter] = [WandbWriter(run, config.to_dict())] if wandb else []
-    # SB3's writer begins a file of its own: one per process, from its first step on.
+    # SB3's writer overwrites its file, so that every process writes its own file, named by its first step.
     table = make_output_format("csv", str(folder), f"-{steps:012d}")
     return Logger(str(folder), [table, make_output_format("tensorboard", str(folder)), *online])
 
 
 class Stopped(Exception):  # noqa: N818 (it is no error)
-    """Ends a run between two updates, because its user asked for it."""
+    """Ends a run between two updates, at the user's request."""
 
 
 def validation_plants(config: Config) -> EvaluationSet:
-    """The plants that a run selects its best model on: from its training ranges, with seeds that nothing else uses."""
+    """The plants that select a run's best model: from its training ranges, with seeds that are used only for this."""
     first = SELECTION_SEED + config.seed * config.evaluation_episodes
     options = EnvConfig(**config.env_kwargs())
     name, count = f"validation plants from {config.randomization}", config.evaluation_episodes
@@ -101,13 +101,13 @@ class TrainingCallback(BaseCallback):
 
     Args:
         run: the run's folder.
-        config: its configuration.
-        progress: how far it is.
-        latest: the checkpoint that it is resumed from, None for none.
-        restore_streams: called when it begins to learn.
-        stop: whether it is to end.
-        revision: the git revision that it was started at.
-        report: called with all evaluations after each one.
+        config: the run's configuration.
+        progress: the run's progress.
+        latest: the checkpoint from which the run is resumed; None for a new run.
+        restore_streams: called when the agent begins to learn.
+        stop: the request to end the run.
+        revision: the git revision of the run's start.
+        report: called with all evaluations after each evaluation.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class TrainingCallback(BaseCallback):
         self.baseline_value = float(interquartile_mean(scores(baseline, self.criteria.metric.name))[0])
         self.evaluated_at = int(progress.evaluations[-1]["steps"]) if progress.evaluations else 0
         self.core_began = time.process_time() - progress.core_seconds
-        # Only on a terminal; evaluations are printed everywhere.
+        # The bar is shown only on a terminal; evaluations are always printed.
         self.bar = tqdm(
             total=config.total_steps, initial=self.evaluated_at, unit=" steps", unit_scale=True, disable=None
         )
@@ -141,14 +141,14 @@ class TrainingCallback(BaseCallback):
     def _on_step(self) -> bool:
         for info in self.locals["infos"]:
             if "metrics" in info:
-                # SB3 keeps these of the last episodes, in checkpoints as well.
+                # SB3 keeps "episode" for the last episodes, also in checkpoints.
                 info["episode"] |= info["metrics"]
-        # At most the total, which the last rollout exceeds: the bar would lose its percentage.
+        # The last rollout exceeds the total; a bar beyond its total shows no percentage.
         self.bar.update(min(self.num_timesteps, self.config.total_steps) - self.bar.n)
         return True
 
     def _on_rollout_start(self) -> None:
-        # Between updates, so that a checkpoint holds a consistent model.
+        # Between two updates, so that a checkpoint holds a consistent model.
         if self.num_timesteps - self.evaluated_at >= self.config.evaluate_every:
             self.evaluate()
         if self.stop.requested:
@@ -157,7 +157,7 @@ class TrainingCallback(BaseCallback):
     def _on_rollout_end(self) -> None:
         if self.model.ep_info_buffer:
             self._record_episodes()
-        # SB3 writes a line at the end of an episode, and all episodes end at the same time.
+        # SB3 logs off-policy algorithms at the ends of episodes, and all episodes end at the same time.
         made = self.num_timesteps - self.training_env.num_envs
         if isinstance(self.model, OffPolicyAlgorithm) and made // LOG_EVERY < self.num_timesteps // LOG_EVERY:
             self.model.dump_logs()
@@ -168,7 +168,7 @@ class TrainingCallback(BaseCallback):
         config, task, criteria = self.config, find_task(self.config.env_task), self.criteria
         names = ("r", "distance", "energy", "cost_of_transport", "stuck_fraction", *criteria.weights)
         of = {name: np.array([episode[name] for episode in self.model.ep_info_buffer]) for name in names}
-        # The terms of the reward. In the speed task energy is the rest: its weight may be another in every episode.
+        # The terms of the reward. In the speed task the energy term is the rest, since its weight may vary by episode.
         failure = -config.termination_penalty * of["failed"]
         if task.name == "speed":
             progress = 100.0 * of["distance"]
@@ -190,7 +190,7 @@ class TrainingCallback(BaseCallback):
         self.evaluate()
 
     def policy(self) -> Policy | None:
-        """The deterministic policy of the agent at present; None under wrappers."""
+        """The current deterministic policy of the agent; None under wrappers."""
         if self.config.wrapper:
             return None
         if isinstance(self.model, RecurrentPPO):
@@ -198,7 +198,7 @@ class TrainingCallback(BaseCallback):
         return export(self.run.name, self.model, self.config, self.revision)
 
     def evaluate(self) -> None:
-        """Evaluates the deterministic policy; writes a line, a checkpoint, and the best model where it is one."""
+        """Evaluates the deterministic policy; writes a line, a checkpoint, and the model if it is the best so far."""
         policy = self.policy()
         if policy is not None:
             episodes = evaluate(policy, self.plants)
@@ -239,7 +239,7 @@ class TrainingCallback(BaseCallback):
             self.report(self.progress.evaluations)
 
     def checkpoint(self) -> None:
-        """Writes a checkpoint, unless there is one at this step."""
+        """Writes a checkpoint, unless one exists for this step."""
         if self.latest == checkpoint.path_of(self.run, self.num_timesteps):
             return
         self.progress.core_seconds = time.process_time() - self.core_began
@@ -247,7 +247,7 @@ class TrainingCallback(BaseCallback):
 
 
 def evaluate_wrapped(model: BaseAlgorithm, config: Config, plants: EvaluationSet) -> list[Episode]:
-    """One episode on every plant, from rest, in environments with the run's wrappers; as `evaluate` returns them."""
+    """Runs an episode from rest on every plant, with the run's wrappers; returns the episodes as `evaluate` does."""
     normalise = normalisation(model).normalize_obs
     steps = round(config.horizon / config.control_dt)
     episodes = []
@@ -262,6 +262,6 @@ def evaluate_wrapped(model: BaseAlgorithm, config: Config, plants: EvaluationSet
             observation, _, terminated, truncated, info = env.step(action)
             begins, ended = np.zeros(1, np.bool_), terminated or truncated
         env.close()
-        # Of the last step.
+        # The info of the last step contains the metrics.
         episodes.append({"M": plant.M, "mu": plant.mu, "seed": plant.seed, **info["metrics"]})
     return episodes

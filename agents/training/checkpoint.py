@@ -1,19 +1,19 @@
 """The folder of a training run, its lock and its checkpoints.
 
     config.json          algorithm, hyperparameters, environment, seed, package versions, git revision
-    policy.safetensors   the last policy: `capsule_gym.load_policy`; not of an LSTM or under wrappers
-    model.zip            the last agent, for Stable-Baselines3: `PPO.load`
-    vecnormalize.pkl     the normalisation of its observations: `VecNormalize.load`
+    policy.safetensors   the last policy, for `capsule_gym.load_policy`; absent with an LSTM or wrappers
+    model.zip            the last agent, for Stable-Baselines3's `PPO.load`
+    vecnormalize.pkl     the observation normalisation, for `VecNormalize.load`
     best/                the same files for the best evaluation so far
     checkpoint-STEPS     everything that --resume needs, in one file that begins with its sha256; the last two
-    evaluations.csv      the evaluations while training
-    logs/                TensorBoard events, and progress-STEPS.csv of every process from its first step on
+    evaluations.csv      the evaluations during training
+    logs/                TensorBoard events, and a file progress-STEPS.csv of every process, named by its first step
     lock                 held by the process that trains the run
 
-A run that is resumed from a checkpoint ends with the same policy, bit for bit, as one that was not stopped. A
-checkpoint is written atomically between two updates; only then the one before the last is deleted. Archives, .pkl
+A run that is resumed from a checkpoint ends with the same policy, bit for bit, as an uninterrupted run. A checkpoint is
+written atomically between two updates; afterwards, all older ones but the previous one are deleted. Archives, .pkl
 files and checkpoints contain pickles, which can run any code when loaded: resume only runs of your own. A policy file
-contains none.
+contains no pickle.
 """
 
 from __future__ import annotations
@@ -50,15 +50,15 @@ DIGEST_SIZE = hashlib.sha256().digest_size
 class Progress:
     """The progress of a run."""
 
-    settings: dict[str, Any]  # the hyperparameters of the run, but for its length
+    settings: dict[str, Any]  # hyperparameters of the run, except total_steps
     core_seconds: float = 0.0  # processor seconds of training
-    evaluations: list[dict[str, float]] = field(default_factory=list)  # the lines of evaluations.csv
-    best_score: float = -np.inf  # of the best evaluation so far
+    evaluations: list[dict[str, float]] = field(default_factory=list)  # lines of evaluations.csv
+    best_score: float = -np.inf  # score of the best evaluation so far
 
 
 @contextmanager
 def locked(run: Path) -> Iterator[None]:
-    """Locks a run's folder for this process. The system releases the lock when the process ends, however it ends.
+    """Locks a run's folder for this process. The system releases the lock when the process ends, also in a crash.
 
     Raises:
         RunError: if another process holds the lock.
@@ -94,12 +94,12 @@ def git_revision(folder: Path) -> str:
 
 
 def path_of(run: Path, steps: int) -> Path:
-    """The checkpoint at that many agent steps; the order of names is the order of steps."""
+    """The path of the checkpoint after `steps` agent steps; paths sort by steps."""
     return run / f"checkpoint-{steps:012d}"
 
 
 def newest_whole(run: Path) -> Path | None:
-    """The newest undamaged checkpoint of a run; damaged ones are named on stderr.
+    """Finds the newest undamaged checkpoint of a run; prints damaged ones to stderr.
 
     Raises:
         RunError: if there are checkpoints, but all of them are damaged.
@@ -115,16 +115,16 @@ def newest_whole(run: Path) -> Path | None:
 
 
 def is_whole(checkpoint: Path) -> bool:
-    """Whether a checkpoint is what was written."""
+    """Whether a checkpoint matches its sha256."""
     content = memoryview(checkpoint.read_bytes())
     return hashlib.sha256(content[DIGEST_SIZE:]).digest() == content[:DIGEST_SIZE]
 
 
 def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | None) -> Path:
-    """Writes the state of a run between two updates; deletes all older ones but the one before it. Returns its path.
+    """Writes a checkpoint between two updates, deletes all others but `before`, and returns its path.
 
     Raises:
-        OSError: if it cannot be written; the older ones stay as they were.
+        OSError: if the checkpoint cannot be written; the older ones are unchanged.
     """
     env, log = normalisation(model), model.logger
     content = pickle.dumps(
@@ -132,16 +132,16 @@ def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | No
             "model": archive(model),
             "progress": progress,
             "replay_buffer": model.replay_buffer if isinstance(model, OffPolicyAlgorithm) else None,
-            # VecNormalize pickles itself without what it normalises.
+            # VecNormalize pickles itself without its environments.
             "normalize": env,
             "venv": env.venv,
             "torch": torch.get_rng_state(),
             "numpy": np.random.get_state(),
             "python": random.getstate(),
             "actions": model.action_space.np_random.bit_generator.state,
-            # SB3 resets it when the training goes on.
+            # SB3 resets the noise when training continues.
             "action_noise": getattr(model, "action_noise", None),
-            # Of RecurrentPPO, whose loading clears it.
+            # RecurrentPPO.load clears these states.
             "lstm_states": getattr(model, "_last_lstm_states", None),
             # Values that the log has not written yet.
             "log": (dict(log.name_to_value), dict(log.name_to_count), dict(log.name_to_excluded)),
@@ -159,18 +159,18 @@ def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | No
 def restore(
     checkpoint: Path, kind: type[BaseAlgorithm], env: VecNormalize
 ) -> tuple[BaseAlgorithm, Progress, Callable[[], None]]:
-    """The agent of a whole checkpoint of the user's own, which is unpickled; its environments replace `env`.
+    """Unpickles the agent of an undamaged, trusted checkpoint; the checkpoint's environments replace `env`.
 
     Returns:
-        The agent, how far it is, and a function that restores the random streams and the log: to be called when the
-        agent begins to learn.
+        The agent, its progress, and a function that restores the random streams and the log. Call the function when
+        the agent begins to learn.
 
     Raises:
-        RunError: if it cannot be understood, for example because other versions wrote it.
+        RunError: if the checkpoint cannot be read, for example because other versions wrote it.
     """
     try:
         state: dict[str, Any] = pickle.loads(checkpoint.read_bytes()[DIGEST_SIZE:])
-        # Making the model seeds its environments: it gets the others afterwards.
+        # `load` seeds the environments that it gets, so the checkpoint's environments are set afterwards.
         model = kind.load(io.BytesIO(state["model"]), env=env, device="cpu", force_reset=False)
         if isinstance(model, OffPolicyAlgorithm):
             model.replay_buffer = state["replay_buffer"]

@@ -1,6 +1,6 @@
 """The hyperparameters of a run: a dataclass per algorithm, whose fields are the options of train.py.
 
-The text under a field is its help. Nothing here imports torch.
+The docstring of a field is its help text. This module does not import torch.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from capsule_gym.config import DOCS, ENERGY_WEIGHT_TEXT, ENERGY_WEIGHTS, EnvConf
 from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.task import CONTROL_DT, TASKS
 
-# The largest seed of numpy's generators, which SB3 seeds.
+# Largest seed of numpy's legacy generator, which SB3 seeds.
 LARGEST_SEED = 2**32 - 1
 # Files of a run; agents.training.checkpoint describes its folder.
 CONFIG, MODEL, NORMALISATION, BEST = "config.json", "model.zip", "vecnormalize.pkl", "best"
@@ -34,13 +34,13 @@ Algorithm = Literal["ppo", "sac", "td3", "tqc", "recurrent-ppo"]
 
 
 def _option(name: str, more: str = "") -> Any:
-    """The help of an option of the environment."""
+    """The help text of an environment's option."""
     return tyro.conf.arg(help=f"{DOCS[name][0].upper()}{DOCS[name][1:]}{more}.")
 
 
-# Smallest values of the counts that may be other than 1.
+# Smallest values of the counts; 1 for all others.
 LEAST = {"seed": 0, "batch_size": 2, "learning_starts": 0, "dropped_quantiles": 0, "critic_steps": 0}
-# Ranges of the other numbers: what is accepted in words, the ends, and whether the lower one is excluded.
+# Ranges of the other numbers: description, lower and upper end, and whether the lower end is excluded.
 RANGES: dict[str, tuple[str, float, float, bool]] = {
     "learning_rate": ("a finite number > 0", 0.0, math.inf, True),
     "final_learning_rate": ("a finite number >= 0", 0.0, math.inf, False),
@@ -60,7 +60,7 @@ RANGES: dict[str, tuple[str, float, float, bool]] = {
 
 
 class RunError(ValueError):
-    """A run that cannot be started or resumed: the message names the option or the file, and the reason."""
+    """Raised if a run cannot be started or resumed; the message names the option or the file, and the reason."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,7 @@ class Config:
 
     algo: ClassVar[Algorithm]
 
-    # They choose the preset, and so are no options of their own.
+    # These fields determine the preset, so `train.Choice` has their options.
     task: Annotated[Task, Fixed, Suppress] = "residual"
     env: Annotated[Environment, Fixed, Suppress] = "CapsuleStickSlip-v0"
     seed: Count = 0
@@ -126,14 +126,14 @@ class Config:
     """A gymnasium.Wrapper around each environment, the first one innermost; repeatable. It implies --stock."""
 
     def env_kwargs(self) -> dict[str, Any]:
-        """The arguments of the environment that this run trains in."""
-        # The run's task is not the environment's.
+        """The arguments of the training environment."""
+        # The field `task` (residual or direct) is not the environment's argument `task`.
         kwargs = {name: getattr(self, name) for name in DOCS if hasattr(self, name) and name != "task"}
         if self.env_task != "speed":
             kwargs["task"] = self.env_task
         if self.randomization == "default":
             del kwargs["randomization"]
-        # Policies of before these options do not name them.
+        # Policies that are older than these options do not contain them.
         for name in ("total_torque", "disturbances", "stack_size", "initial_range"):
             if kwargs[name] == getattr(EnvConfig, name):
                 del kwargs[name]
@@ -149,12 +149,12 @@ class Config:
 
     @property
     def env_task(self) -> str:
-        """The value of the environment's argument `task`."""
+        """The environment's argument `task`."""
         return next(name for name, (env_id, _) in TASKS.items() if env_id == self.env)
 
     @property
     def horizon(self) -> float:
-        """Length of the environment's episode, s."""
+        """The length of the environment's episode, s."""
         return TASKS[self.env_task][1] * CONTROL_DT
 
     def to_dict(self) -> dict[str, Any]:
@@ -165,7 +165,7 @@ class Config:
         """Checks the hyperparameters; the environment checks its own arguments.
 
         Raises:
-            TypeError: if a field is of the wrong type.
+            TypeError: if a field has the wrong type.
             ValueError: if a field is out of range.
         """
         for field in dataclasses.fields(self):
@@ -224,7 +224,7 @@ class PPOConfig(OnPolicyConfig):
     """Environment steps at the start in which only the critic learns, so that it does not spoil a good base."""
 
     def check(self) -> None:
-        """Also checks the output, the energy weights, and the one that the policy observes in evaluations."""
+        """Also checks the output, the range of energy weights, and the energy weight of evaluations."""
         super().check()
         if self.output == "torque" and self.total_torque:
             raise ValueError("output must be 'action' with total_torque=True, got 'torque'")
@@ -300,7 +300,7 @@ class TQCConfig(SACConfig):
     """Largest quantiles per critic that the target leaves out."""
 
     def check(self) -> None:
-        """Also checks that the target keeps a quantile."""
+        """Also checks that at least one quantile remains in the target."""
         super().check()
         if self.dropped_quantiles >= self.quantiles:
             raise ValueError(f"dropped_quantiles must be an integer < {self.quantiles}, got {self.dropped_quantiles!r}")
@@ -312,19 +312,19 @@ ALGORITHMS: dict[Algorithm, type[Config]] = {
 
 
 def read_config(run: Path) -> Config:
-    """The configuration of an earlier run.
+    """Reads the configuration of a run.
 
     Args:
-        run: its folder.
+        run: the run's folder.
 
     Raises:
-        RunError: if there is none, or it is broken.
+        RunError: if the file does not exist or is invalid.
     """
     path = run / CONFIG
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         given = content["hyperparameters"]
-        # JSON knows lists only.
+        # JSON has no tuples.
         given |= {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
         if content["task"] not in get_args(Task):
             raise ValueError(f"task must be one of {get_args(Task)}, got {content['task']!r}")

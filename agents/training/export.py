@@ -1,4 +1,4 @@
-"""An agent's files: Stable-Baselines3's archive and its normalisation of observations, and the policy file."""
+"""An agent's files: Stable-Baselines3's archive, the normalisation of observations, and the policy file."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from capsule_gym.policy import POLICY
 
 
 def archive(model: BaseAlgorithm) -> bytes:
-    """SB3's archive of an agent, made in memory: on a full disk SB3's writer fails with an error of its own."""
+    """SB3's archive of an agent, written to memory since SB3's writer hides the OSError of a full disk."""
     content = io.BytesIO()
     model.save(content)
     return content.getvalue()
 
 
 def normalisation(model: BaseAlgorithm) -> VecNormalize:
-    """The normalisation of the observations of an agent's environments."""
+    """The observation normalisation of an agent's environments."""
     env = model.get_vec_normalize_env()
     assert isinstance(env, VecNormalize)
     return env
 
 
 def save(folder: Path, model: BaseAlgorithm, policy: EvaluatedPolicy | None) -> None:
-    """Writes an agent, and its policy where that has a file, into a folder, each file atomically."""
+    """Writes an agent, and its policy if it can be written to a policy file, into a folder; each file atomically."""
     folder.mkdir(exist_ok=True)
     write_atomically(folder / MODEL, archive(model))
     write_atomically(folder / NORMALISATION, pickle.dumps(normalisation(model)))
@@ -46,12 +46,12 @@ def save(folder: Path, model: BaseAlgorithm, policy: EvaluatedPolicy | None) -> 
 
 
 def load_best(run: Path) -> EvaluatedPolicy:
-    """The best policy of a run of one's own: an LSTM is unpickled, and a control law's code runs.
+    """Loads the best policy of a trusted run: unpickles an agent with an LSTM, and imports the run's control law.
 
     Raises:
-        OSError: if it has no best agent.
-        RunError: if it is no folder of a run.
-        ValueError: if it has no best policy, or was trained with wrappers.
+        OSError: if the run has no best agent.
+        RunError: if the folder is not that of a run.
+        ValueError: if the run has no best policy, or was trained with wrappers.
     """
     config = read_config(run)
     if config.wrapper:
@@ -66,8 +66,7 @@ def load_best(run: Path) -> EvaluatedPolicy:
 def recurrent_policy(name: str, model: RecurrentPPO, env: VecNormalize, env_kwargs: dict[str, Any]) -> EvaluatedPolicy:
     """The deterministic policy of an agent with an LSTM, which has no policy file.
 
-    `env` normalises its observations, with the present statistics; `env_kwargs` are those of the environment that it
-    acts in.
+    `env` normalises its observations with the current statistics; `env_kwargs` are the arguments of its environment.
     """
 
     def predict(observations: np.ndarray, **kwargs: Any) -> Any:
@@ -77,14 +76,14 @@ def recurrent_policy(name: str, model: RecurrentPPO, env: VecNormalize, env_kwar
 
 
 def export(name: str, model: BaseAlgorithm, config: Config, revision: str) -> Policy:
-    """The deterministic policy of an agent without an LSTM; `Policy.save` writes it."""
+    """The deterministic policy of an agent without an LSTM."""
     activation, squashing = "relu", "tanh"
     if isinstance(model, PPO):
         # `agents.fast_ppo` adds `tanh_mean` to SB3's policy.
         activation, squashing = "tanh", "tanh" if getattr(model.policy, "tanh_mean", False) else "clip"
         modules = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
     elif isinstance(model, TD3):
-        # The tanh is the last layer.
+        # Without the last module, which is the tanh.
         modules = list(model.actor.mu)[:-1]
     else:
         actor: Any = model.policy.actor
@@ -92,7 +91,7 @@ def export(name: str, model: BaseAlgorithm, config: Config, revision: str) -> Po
     layers = tuple((_array(layer.weight), _array(layer.bias)) for layer in modules[::2])
     env = normalisation(model)
     rms: Any = env.obs_rms
-    # Inputs and output that `agents.fast_ppo` adds to the environment's.
+    # Describes the inputs and the kind of output that `agents.fast_ppo` adds.
     added = getattr(env.venv, "header", None)
     inputs = layers[0][0].shape[1]
     return Policy(
@@ -115,5 +114,5 @@ def export(name: str, model: BaseAlgorithm, config: Config, revision: str) -> Po
 
 
 def _array(parameter: Any) -> np.ndarray:
-    """A copy of the numbers, float32."""
+    """Copies a parameter to a float32 array."""
     return parameter.detach().cpu().numpy().astype(np.float32)

@@ -1,4 +1,4 @@
-"""SAC whose updates are compiled: several times as many a second as with autograd."""
+"""SAC with compiled updates, several times as fast as with autograd."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import torch
 from stable_baselines3 import SAC
 from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN
 
-# float32, or numba's arrays become float64.
+# float32, since numba would otherwise promote arrays to float64.
 ZERO, HALF, ONE, TWO = (np.float32(value) for value in (0.0, 0.5, 1.0, 2.0))
 LOWEST, HIGHEST = np.float32(LOG_STD_MIN), np.float32(LOG_STD_MAX)
 HALF_LOG_2_PI = np.float32(0.5 * math.log(2.0 * math.pi))
@@ -27,10 +27,10 @@ Network = tuple[np.ndarray, ...]
 class FastSAC(SAC):
     """SAC whose `train` computes the gradients and the steps of Adam in compiled code.
 
-    The algorithm is SB3's, up to rounding: with one update per call and the same seed the parameters agree.
+    The algorithm is that of SB3: with one update per call and the same seed, the parameters agree up to rounding.
 
-    Not supported, because this project does not use them: dictionary observations, a fixed entropy coefficient, gSDE,
-    batch normalisation, other networks than two hidden layers.
+    Dictionary observations, a fixed entropy coefficient, gSDE, batch normalisation and networks other than two hidden
+    layers are not supported, because this project does not use them.
     """
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
@@ -79,24 +79,24 @@ class FastSAC(SAC):
 
 
 def flat(tensors: Iterable[torch.Tensor]) -> Network:
-    """The tensors' own memory, as vectors."""
+    """Flat views of the tensors' memory."""
     return tuple(tensor.detach().view(-1).numpy() for tensor in tensors)
 
 
 def arrays(parameters: Iterable[torch.Tensor]) -> Network:
-    """The parameters' own memory."""
+    """Views of the parameters' memory."""
     return tuple(parameter.detach().numpy() for parameter in parameters)
 
 
 def gradients(parameters: Iterable[torch.Tensor]) -> Network:
-    """The memory of their gradients, which an optimizer reads."""
+    """Sets the parameters' gradients to zero and returns views of their memory."""
     for parameter in (parameters := list(parameters)):
         parameter.grad = torch.zeros_like(parameter)
     return arrays(parameter.grad for parameter in parameters)
 
 
 class Adam:
-    """An optimizer's steps in compiled code; they change the memory of its parameters and of its state."""
+    """Compiled steps of a torch optimizer; they change its parameters and its state in place."""
 
     def __init__(self, optimizer: torch.optim.Optimizer) -> None:
         (group,) = optimizer.param_groups
@@ -115,13 +115,13 @@ class Adam:
         self.columns = tuple(map(flat, columns))
 
     def step(self) -> None:
-        """One step, with the gradients in place."""
+        """Makes one step with the current gradients."""
         adam(*self.columns, self.rate, self.decay, self.eps)
 
 
 @compiled
 def adam(parameters: Any, slopes: Any, means: Any, squares: Any, steps: Any, rate: Any, decay: Any, eps: Any) -> None:
-    """A step of Adam."""
+    """Makes one step of Adam."""
     for parameter, slope, mean, square, step in zip(parameters, slopes, means, squares, steps):  # noqa: B905 (numba knows no strict)
         step[0] += ONE
         size = rate / np.float32(1.0 - np.float64(decay[0]) ** np.float64(step[0]))
@@ -134,7 +134,7 @@ def adam(parameters: Any, slopes: Any, means: Any, squares: Any, steps: Any, rat
 
 @compiled
 def average(averages: Any, parameters: Any, tau: Any) -> None:
-    """Moves the averages by that share to the parameters."""
+    """Updates the moving averages of the parameters with the rate `tau`."""
     for mean, parameter in zip(averages, parameters):  # noqa: B905 (numba knows no strict)
         for i in range(len(mean)):
             mean[i] += tau * (parameter[i] - mean[i])
@@ -142,7 +142,7 @@ def average(averages: Any, parameters: Any, tau: Any) -> None:
 
 @compiled
 def rectify(y: Any, bias: Any) -> Any:
-    """Adds the biases to the rows and sets what is negative to 0, in place."""
+    """Adds the biases to the rows and applies relu, in place."""
     for i in range(y.shape[0]):
         for j in range(y.shape[1]):
             y[i, j] = max(y[i, j] + bias[j], ZERO)
@@ -151,7 +151,7 @@ def rectify(y: Any, bias: Any) -> Any:
 
 @compiled
 def gate(slope: Any, outputs: Any) -> Any:
-    """Sets the slopes of units whose output is 0 to 0, in place."""
+    """Sets the slopes of units with output 0 to 0, in place."""
     for i in range(slope.shape[0]):
         for j in range(slope.shape[1]):
             slope[i, j] = slope[i, j] if outputs[i, j] > ZERO else ZERO
@@ -160,14 +160,14 @@ def gate(slope: Any, outputs: Any) -> Any:
 
 @compiled
 def hidden(network: Any, x: Any) -> Any:
-    """Outputs of both hidden layers."""
+    """The outputs of both hidden layers."""
     first = rectify(np.dot(x, network[0].T), network[1])
     return first, rectify(np.dot(first, network[2].T), network[3])
 
 
 @compiled
 def differentiate(network: Any, gradient: Any, x: Any, first: Any, second: Any, slope: Any) -> None:
-    """Gradients of the hidden layers from that of the second one's output."""
+    """Writes the gradients of the hidden layers, given the slope over the second layer's output."""
     ones = np.ones(len(x), np.float32)
     slope = gate(slope, second)
     gradient[2][:], gradient[3][:] = np.dot(slope.T, first), np.dot(ones, slope)
@@ -177,7 +177,7 @@ def differentiate(network: Any, gradient: Any, x: Any, first: Any, second: Any, 
 
 @compiled
 def propose(actor: Any, x: Any, noise: Any) -> Any:
-    """Both hidden layers, logarithms of the standard deviation, actions, and their log probabilities."""
+    """Outputs of both hidden layers, logarithms of the standard deviation, actions, and their log probabilities."""
     first, second = hidden(actor, x)
     mean = np.dot(second, actor[4][0]) + actor[5][0]
     log_std = np.minimum(np.maximum(np.dot(second, actor[6][0]) + actor[7][0], LOWEST), HIGHEST)
@@ -188,14 +188,14 @@ def propose(actor: Any, x: Any, noise: Any) -> Any:
 
 @compiled
 def value(critic: Any, pairs: Any) -> Any:
-    """Values of pairs of observation and action, and both hidden layers."""
+    """Values of pairs of observation and action, and the outputs of both hidden layers."""
     first, second = hidden(critic, pairs)
     return np.dot(second, critic[4][0]) + critic[5][0], first, second
 
 
 @compiled
 def value_slope(critic: Any, first: Any, second: Any) -> Any:
-    """The slopes of the values along the action."""
+    """The derivatives of the values with respect to the action."""
     slope = gate(np.outer(np.ones(len(second), np.float32), critic[4][0]), second)
     slope = gate(np.dot(slope, critic[2]), first)
     return np.dot(slope, np.ascontiguousarray(critic[0][:, -1]))
@@ -203,7 +203,7 @@ def value_slope(critic: Any, first: Any, second: Any) -> Any:
 
 @compiled
 def target(actor: Any, critics: Any, x: Any, noise: Any, coefficient: Any, rewards: Any, discounts: Any) -> Any:
-    """The values that the critics are to learn."""
+    """The target values of the critics."""
     _, _, _, action, log_prob = propose(actor, x, noise)
     pairs = np.concatenate((x, action.reshape(-1, 1)), axis=1)
     lowest = np.minimum(value(critics[0], pairs)[0], value(critics[1], pairs)[0])

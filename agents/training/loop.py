@@ -26,18 +26,18 @@ from capsule_gym.files import naming, to_json, write_atomically
 
 
 def begin(run: Path, config: Config) -> None:
-    """Makes the folder of a new run, after the environments and the agent have accepted its configuration.
+    """Creates the folder of a new run, after the environments and the agent have accepted its configuration.
 
     Raises:
-        FileExistsError: if it exists and is not empty.
-        OSError: if it cannot be made.
-        TypeError: if a field of the configuration is of the wrong type.
+        FileExistsError: if the folder exists and is not empty.
+        OSError: if the folder cannot be created.
+        TypeError: if a field of the configuration has the wrong type.
         ValueError: if a field of the configuration is out of range.
     """
     if run.exists() and any(run.iterdir()):
         raise FileExistsError(f"{run} already exists")
     config.check()
-    # The errors of an agent come before its folder; warnings are shown when it is made again.
+    # Raises an agent's errors before the folder is created. `train` creates the agent again and shows its warnings.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         env = make_env(config, config.seed)
@@ -72,25 +72,25 @@ def train(
     wandb: bool = False,
     report: Callable[[list[dict[str, float]]], None] | None = None,
 ) -> bool:
-    """Trains a run, or resumes it from its last whole checkpoint, until its total_steps, Ctrl-C or SIGTERM.
+    """Trains a run, or resumes it from its last undamaged checkpoint, until its total_steps, Ctrl-C or SIGTERM.
 
     Args:
-        run: the run's folder, as `begin` made it.
-        total_steps: another end than the one before, which is written to config.json.
-        wandb: whether it is also logged to Weights & Biases.
-        report: called with all evaluations after each one.
+        run: the run's folder, from `begin`.
+        total_steps: new number of steps, which is written to config.json; None keeps the number.
+        wandb: whether to also log to Weights & Biases.
+        report: called with all evaluations after each evaluation.
 
     Returns:
-        Whether it is complete. If not, the folder holds a checkpoint of the present step.
+        Whether the run is complete. If not, the folder holds a checkpoint of the current step.
 
     Raises:
-        RunError: if another process trains it, a file of the folder is broken, or Weights & Biases cannot be used.
-        OSError: if the folder cannot be written to; its files stay as they were.
+        RunError: if another process trains the run, a file of the folder is broken, or Weights & Biases is not usable.
+        OSError: if the folder cannot be written to; its files are unchanged.
     """
     with naming(run), locked(run):
         config, revision = _read(run, total_steps)
         torch.set_num_threads(1)
-        # Of a process that was killed while it wrote.
+        # Left by a process that was killed while writing.
         for file in (*run.glob(".*.tmp*"), *(run / BEST).glob(".*.tmp*")):
             file.unlink()
         latest = checkpoint.newest_whole(run)
@@ -113,7 +113,7 @@ def train(
                 if settings[name] != value:
                     was = f"{value!r} as in {latest.name}"
                     raise RunError(f"{run / CONFIG}: {name} must stay {was}, got {settings[name]!r}")
-            # The schedule has another end where total_steps has changed.
+            # The end of the schedule differs if total_steps has changed.
             model.learning_rate = LinearSchedule(config.learning_rate, config.final_learning_rate)
             model._setup_lr_schedule()
         stop = Stop()
@@ -123,7 +123,7 @@ def train(
             with stop:
                 remaining = config.total_steps - model.num_timesteps
                 if remaining > 0:
-                    # SB3 writes a line per rollout, or none.
+                    # SB3 logs every rollout of on-policy algorithms; the callback logs off-policy algorithms.
                     interval: Any = None if isinstance(model, OffPolicyAlgorithm) else 1
                     fresh = model.num_timesteps == 0
                     model.learn(remaining, callback=callback, log_interval=interval, reset_num_timesteps=fresh)
@@ -139,7 +139,7 @@ def train(
 
 
 def _read(run: Path, total_steps: int | None) -> tuple[Config, str]:
-    """The configuration of a run and the git revision that it was started at; says what has changed since.
+    """Reads the configuration of a run and the git revision of its start; prints what has changed since.
 
     Raises:
         RunError: if config.json cannot be read.

@@ -27,8 +27,8 @@ OFF_POLICY: dict[str, Any] = {
     "batch_size": 512,
     "evaluate_every": 50_000,
 }
-# From the default start alone they converge to a one-sided gait, and without correlated noise or with the observation
-# as it is mostly to a narrow one: docs/algorithms.md.
+# With only the default start, training converges to a one-sided gait; without correlated noise or without
+# `observation_scale`, it mostly converges to a narrow gait (docs/algorithms.md).
 DIRECT_OFF_POLICY: dict[str, Any] = {
     **{"task": "direct", "controller": None, "total_steps": 500_000, "evaluate_every": 20_000},
     **{"initial_range": (1.047, 8.0), "episode_seconds": 4.0, "termination_penalty": 10.0},
@@ -40,7 +40,7 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ("residual", "ppo"): PPOConfig(
         total_steps=10_000_000,
         output="torque",
-        # The law's torque may change its sign within a control interval of 20 ms.
+        # Shorter than 20 ms, within which the law's torque may change its sign.
         control_dt=0.005,
         gamma=0.99875,
         gae_lambda=0.995,
@@ -72,7 +72,7 @@ PRESETS: dict[tuple[Task, Algorithm], Config] = {
     ),
 }
 
-# Shared by the presets of the other tasks. Many validation episodes, since few fail.
+# Shared by the presets of the other tasks. Failures are rare, so a score needs many validation episodes.
 ON_GRIP = PPOConfig(
     task="direct",
     controller=None,
@@ -86,8 +86,8 @@ ON_GRIP = PPOConfig(
     evaluation_episodes=512,
 )
 ENV_PRESETS: dict[Environment, PPOConfig] = {
-    # An episode of training is hardly longer than the way to the goal; how it brakes depends on the floor. Resting
-    # within 2 mm takes little noise: without an entropy bonus the search for faster strokes would end early.
+    # A training episode is hardly longer than the time to the goal. Braking depends on the floor, which the policy
+    # identifies. A rest within 2 mm requires little noise: without an entropy bonus, exploration would end early.
     "CapsuleGoal-v0": dataclasses.replace(
         ON_GRIP,
         env="CapsuleGoal-v0",
@@ -98,8 +98,8 @@ ENV_PRESETS: dict[Environment, PPOConfig] = {
         ent_coef=0.006,
         identifies=True,
     ),
-    # The platform lifts at the ends of the ranges of M, mu and the commands, and where it starts with full torque.
-    # Training goes beyond all of these, so that it fails more often than the policy.
+    # The platform lifts at the ends of the ranges of M, mu and the commands, and at a start with full torque. Training
+    # exceeds all of these limits, so that failures are more frequent in training than in evaluations.
     "CapsuleVelocity-v0": dataclasses.replace(
         ON_GRIP,
         env="CapsuleVelocity-v0",
@@ -120,7 +120,7 @@ ENV_PRESETS: dict[Environment, PPOConfig] = {
     ),
 }
 
-# A gait under the policy: small residuals, and a critic that knows the gait's return before the policy learns.
+# Residuals on a gait: small residuals, and a critic that learns the gait's return before the policy learns.
 ON_GAIT = PPOConfig(
     controller="baselines:gait",
     residual_limit=0.75,
@@ -136,7 +136,7 @@ ON_GAIT = PPOConfig(
     episode_seconds=10.0,
     evaluate_every=100_000,
 )
-# Under disturbances: the policy sees noise, its critic all.
+# Under disturbances, the policy observes noisy measurements, and its critic also the true state.
 ON_PREDICTION = dataclasses.replace(
     ON_GAIT,
     controller="baselines:gait_predictive",
@@ -152,7 +152,7 @@ ON_PREDICTION = dataclasses.replace(
     evaluate_every=500_000,
     evaluation_episodes=512,
 )
-# With a high energy weight a policy soon learns to stand still: a floor keeps its exploration up.
+# With a high energy weight a policy soon learns to stand still: a lower bound on log_std keeps it exploring.
 FRUGAL = PPOConfig(
     task="direct",
     controller=None,
@@ -161,7 +161,7 @@ FRUGAL = PPOConfig(
     tanh_mean=True,
     least_log_std=-2.6,
 )
-# By the names of the folders in agents/checkpoints; the seed is a run's own.
+# Keys are the names of the folders in agents/checkpoints; each run sets its own seed.
 ROWS: dict[str, Config] = {
     "residual-ppo": PRESETS["residual", "ppo"],
     "direct-ppo": PRESETS["direct", "ppo"],
@@ -208,7 +208,7 @@ ROWS: dict[str, Config] = {
     "efficient": dataclasses.replace(FRUGAL, total_steps=4_000_000, energy_weight=3.5),
     "pareto": dataclasses.replace(FRUGAL, total_steps=10_000_000, energy_weight=1.0, energy_weights=(0.1, 20.0)),
     "goal": ENV_PRESETS["CapsuleGoal-v0"],
-    # Noise of a hundredth of the torque would keep the platform from resting on this floor.
+    # Little noise: noise of 1 % of the torque would keep the platform from resting on this floor.
     "residual-on-pulses": dataclasses.replace(
         ON_GAIT,
         env="CapsuleGoal-v0",
@@ -237,7 +237,7 @@ ROWS: dict[str, Config] = {
 
 
 def preset(env: Environment, task: Task, algo: Algorithm) -> Config:
-    """The settings that a run begins with; tuned for the other environments only where the action is direct, by PPO."""
+    """The default settings of a run; for the other environments, only direct torque with PPO is tuned."""
     if (tuned := ENV_PRESETS.get(env)) is None:
         return PRESETS[task, algo]
     if (task, algo) == (tuned.task, tuned.algo):
@@ -250,10 +250,10 @@ def preset(env: Environment, task: Task, algo: Algorithm) -> Config:
 
 
 def row_settings(name: str, choices: Mapping[str, Config] = ROWS) -> Config:
-    """The settings of that name: of a row of the leaderboard with seed 0, or of other choices.
+    """The settings of a row of the leaderboard with seed 0, or of another of `choices`, by name.
 
     Raises:
-        ValueError: if there is none.
+        ValueError: if the name is unknown.
     """
     if name not in choices:
         raise ValueError(f"a row must be one of {', '.join(choices)}, got {name!r}{nearest(name, choices)}")

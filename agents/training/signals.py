@@ -1,6 +1,6 @@
-"""Ctrl-C and SIGTERM: exit at once where nothing is lost, after the running update where something would be.
+"""Handlers of Ctrl-C and SIGTERM: exit at once if no progress is lost, else stop after the current update.
 
-Imports only the standard library, so that train.py can handle signals from its first line on.
+Imports only the standard library, so that train.py can handle signals before its slow imports.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ STDERR = 2
 
 
 def _print_to_stderr(text: str) -> None:
-    """Writes a line to stderr from a signal handler, where `print` may be running already."""
+    """Writes a line to stderr from a signal handler, which may have interrupted a `print`."""
     with contextlib.suppress(OSError):
         os.write(STDERR, f"\n{text}\n".encode())
 
@@ -43,7 +43,7 @@ class QuietExit:
             signal.signal(number, self._exit)
 
     def _exit(self, number: int, frame: FrameType | None) -> None:
-        # A print that the signal interrupted holds the buffer.
+        # Fails if the signal interrupted a print, which still uses the buffer.
         with contextlib.suppress(OSError, RuntimeError):
             sys.stdout.flush()
         _print_to_stderr(self.message)
@@ -51,12 +51,12 @@ class QuietExit:
 
 
 class Stop:
-    """A context in which the first signal requests a stop; the second one does what signals did before.
+    """A context in which the first signal requests a stop and a second signal has its previous effect.
 
-    It does nothing outside the main thread, which alone may handle signals.
+    Outside the main thread, which alone may handle signals, it has no effect.
 
     Attributes:
-        requested: whether a signal has come.
+        requested: whether a signal has arrived.
     """
 
     def __init__(self) -> None:
