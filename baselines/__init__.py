@@ -1,8 +1,8 @@
 """The scripted baselines: the paper's trajectories, control laws and policies made of them.
 
-The laws of `baselines.laws.LAWS`, and of `TASK_LAWS` in their tasks, are the functions that the environment's argument
-`controller` takes, as in `controller="baselines:adaptive"`. Each is imported when it is first used: numba takes most of
-a second to import.
+The environment's argument `controller` accepts the laws of `baselines.laws.LAWS`, and those of `TASK_LAWS` in their
+tasks, as in `controller="baselines:adaptive"`. Each law is imported at its first use, since importing numba takes most
+of a second.
 """
 
 from importlib import import_module

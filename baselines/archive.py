@@ -1,4 +1,4 @@
-"""Shared by gait search and dynamic programming: the grid of plants, the archive format and the search loop.
+"""The grid of plants, the archive format and the search loop that gait search and dynamic programming share.
 
 An archive is a folder with `archive.json`, an object whose lists hold one result a line, and with `arrays.npz` where
 results have arrays.
@@ -62,7 +62,8 @@ class PlantGrid:
         """The cell that contains a plant, M in kg and mu, or the nearest one.
 
         Returns:
-            Its four corners as indices of `plants`, and the position in it along M and along log(mu), each from 0 to 1.
+            The four corners of the cell as indices of `plants`, and the position in the cell along M and along log(mu),
+            each from 0 to 1.
         """
 
         def along(value: float, nodes: Sequence[float]) -> tuple[int, float]:
@@ -76,23 +77,23 @@ class PlantGrid:
 
 
 GRID = PlantGrid((0.35, 0.5, 0.75, 1.0), (0.005, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5))
-# Of the frozen set `sticky`.
+# Grid of the frozen set `sticky`.
 STICKY_GRID = PlantGrid((0.35, 0.5, 0.75), (0.2, 0.3, 0.45, 0.6), static_ratio=1.3)
 PLANTS = GRID.plants
 ARCHIVE, ARRAYS = "archive.json", "arrays.npz"
 
 
 def find_grid(capsule: Capsule) -> PlantGrid | None:
-    """The grid whose plants share the constants of a capsule other than M and mu; None where there is none."""
+    """The grid whose plants have the constants of a capsule other than M and mu, or None."""
     return next((grid for grid in (GRID, STICKY_GRID) if grid.capsule == capsule), None)
 
 
 @contextmanager
 def reading(folder: Path, command: str) -> Iterator[tuple[dict[str, Any], dict[str, np.ndarray]]]:
-    """Reads an archive: the JSON object, in which lists have become tuples, and the arrays; both empty where none is.
+    """Reads an archive: the JSON object with tuples for lists, and the arrays. Both are empty without an archive.
 
     Raises:
-        ValueError: if a file is malformed, or the block of the `with` statement fails with what it holds. The message
+        ValueError: if a file is malformed, or the block of the `with` statement cannot process its content. The message
             names the command that writes the files.
     """
     try:
@@ -100,7 +101,7 @@ def reading(folder: Path, command: str) -> Iterator[tuple[dict[str, Any], dict[s
         if (folder / ARCHIVE).is_file():
             content = _frozen(json.loads((folder / ARCHIVE).read_text(encoding="utf-8")))
             if (folder / ARRAYS).is_file():
-                # From memory: numpy leaves a malformed file open.
+                # Reads from memory, since numpy leaves a malformed file open.
                 with np.load(io.BytesIO((folder / ARRAYS).read_bytes()), allow_pickle=False) as found:
                     arrays = dict(found)
         yield content, arrays
@@ -110,16 +111,16 @@ def reading(folder: Path, command: str) -> Iterator[tuple[dict[str, Any], dict[s
 
 
 def _frozen(value: Any) -> Any:
-    """The same JSON value with tuples for lists, as frozen dataclasses hold them."""
+    """A JSON value with tuples in place of lists, for frozen dataclasses."""
     if isinstance(value, dict):
         return {key: _frozen(each) for key, each in value.items()}
     return tuple(_frozen(each) for each in value) if isinstance(value, list) else value
 
 
 def write_archive(folder: Path, content: Mapping[str, Any], arrays: Mapping[str, np.ndarray] | None = None) -> None:
-    """Writes an archive, each file atomically and the results last, so that none lacks its arrays.
+    """Writes an archive, each file atomically and the results last, so that no result lacks its arrays.
 
-    The entries of the lists in the JSON object get a line each.
+    Each entry of the lists in the JSON object has a line of its own.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if arrays:
@@ -134,7 +135,7 @@ def write_archive(folder: Path, content: Mapping[str, Any], arrays: Mapping[str,
 
 
 def run_search(steps: Iterable[object], save: Callable[[], None]) -> bool:
-    """Iterates over the steps of a search and saves after each; Ctrl-C ends the search and keeps what has been found.
+    """Iterates over the steps of a search and saves after each; Ctrl-C ends the search and keeps the saved results.
 
     Returns:
         Whether Ctrl-C ended the search.

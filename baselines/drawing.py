@@ -1,4 +1,4 @@
-"""The look of the package's figures: colours, line styles, notes, and files that are the same at every run."""
+"""The style of the figures: colours, line styles, notes, and reproducible files."""
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ class Pen:
 
 
 PENS = {"proposed": Pen(BLUE), "EPC": Pen(VERMILION, (0.0, (5.0, 1.6)))}
-# Wide and pale: the trajectory found is drawn on it.
+# Wide and pale, since the computed trajectory is drawn on top of it.
 REFERENCE: dict[str, Any] = {"color": "#c5ccd6", "lw": 3.6, "zorder": 1.5}
 PUBLISHED_DASHES = (0.0, (1.2, 1.6))
 
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draws and saves in the style of this project, whatever the user's own configuration of matplotlib is.
+    """Draws and saves in the style of this project, independent of the user's configuration of matplotlib.
 
     Raises:
         ImportError: if matplotlib is not installed.
@@ -87,13 +87,13 @@ def new_figure(height: float, width: float = WIDTH) -> Any:
 
 
 def add_note(figure: Any, text: str) -> None:
-    """Sets a note under the figure: what is found and what is published."""
+    """Adds a note below the figure."""
     text = textwrap.fill(text, NOTE_COLUMNS, break_on_hyphens=False)
     figure.supxlabel(text, x=0.012, ha="left", fontsize=7.5, color=INK, parse_math=False)
 
 
 def mark_published(axes: Any, value: float, text: str, pen: Pen, *, x: float = 0.99) -> None:
-    """A dotted line across the axes at a published number, with its label at x (a share of the width)."""
+    """Draws a dotted line across the axes at a published number, with its label at x (a share of the width)."""
     axes.axhline(value, color=pen.colour, linestyle=PUBLISHED_DASHES, linewidth=1.1)
     axes.annotate(
         text,
@@ -111,7 +111,7 @@ def mark_published(axes: Any, value: float, text: str, pen: Pen, *, x: float = 0
 def save(figure: Any, stem: Path) -> list[Path]:
     """Writes `stem`.svg and `stem`.png atomically; the same figure gives the same bytes. The folder must exist."""
     written = []
-    # Laid out once: the constrained layout takes longer than the drawing, and would run for each file.
+    # Computes the constrained layout once: it takes longer than the drawing, and would run for each file.
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
     # matplotlib stamps the date into SVG and its version into PNG.

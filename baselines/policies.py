@@ -31,17 +31,17 @@ def _random_actions(seeds: Sequence[int]) -> Act:
 
 
 def _start(module: str, function: str, seeds: Sequence[int]) -> Act:
-    """Calls a `start` of a module that is imported when it is first called: importing numba takes most of a second."""
+    """Calls a `start` of a module that is imported at the first call, since importing numba takes most of a second."""
     return getattr(import_module(module), function)(seeds)
 
 
 @dataclass(frozen=True)
 class ScriptedPolicy:
-    """A policy that was not learned.
+    """A policy that is not trained.
 
     Attributes:
-        name: for tables and the command line.
-        description: one line.
+        name: name in tables and on the command line.
+        description: description in one line.
         env_kwargs: the arguments of `CapsuleVectorEnv` that it needs.
         start: takes the seeds of the environments and returns a function from observations (n, entries) to actions
             (n, 1), float32.
@@ -53,7 +53,7 @@ class ScriptedPolicy:
     start: Start = _no_action
 
 
-# Laws as the environment's argument `controller` takes them, by their policies' names.
+# Values of the environment's argument `controller`, by the names of the laws' policies.
 LAWS = {law.policy: f"baselines:{name}" for name, law in _LAWS.items()}
 
 SCRIPTED = {
@@ -89,7 +89,7 @@ SCRIPTED = {
     )
 }
 
-# Those of the other tasks.
+# Scripted policies of the other tasks.
 TASK_SCRIPTED = {
     law.policy: ScriptedPolicy(law.policy, law.description, {"task": law.task, "controller": f"baselines:{name}"})
     for name, law in TASK_LAWS.items()

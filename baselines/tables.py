@@ -16,7 +16,7 @@ def text_table(rows: Rows, *, left: int | None = None, last_left: bool = True) -
     Args:
         rows: a cell may contain line breaks.
         left: number of left-aligned columns, the others are right-aligned; None aligns all to the left.
-        last_left: whether the last column is left-aligned as well: remarks, not numbers.
+        last_left: whether the last column is left-aligned as well, for remarks.
 
     >>> print(text_table([["policy", "cm/s", ""], ["adaptive", "1.39", "reference"], ["epc", "11.62", ""]], left=1))
     policy      cm/s
@@ -46,7 +46,7 @@ def markdown_table(rows: Rows) -> str:
 
 
 def printed_below(value: float, digits: int) -> str:
-    """A lower bound with so many decimals: what is printed is a bound as well.
+    """A lower bound with `digits` decimals, rounded down, so that the printed number is a bound as well.
 
     >>> printed_below(0.8477, 2)
     '0.84'
@@ -55,7 +55,7 @@ def printed_below(value: float, digits: int) -> str:
 
 
 def printed_above(value: float, digits: int) -> str:
-    """An upper bound with so many decimals: what is printed is a bound as well.
+    """An upper bound with `digits` decimals, rounded up, so that the printed number is a bound as well.
 
     >>> printed_above(0.2500000000000001, 2), printed_above(2.0, 3), printed_above(-1.234, 2)
     ('0.26', '2.000', '-1.23')

@@ -1,4 +1,4 @@
-"""Checks of arguments, whose errors name the argument, its value and what would be accepted."""
+"""Checks of arguments, whose errors name the argument, its value and the accepted values."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-# Subclasses of Python's and numpy's integers that are none.
+# Subclasses of Python's and numpy's integers that are not numbers.
 NO_NUMBERS = (bool, np.timedelta64)
-# Characters of a value in a message.
+# Largest number of characters of a value in a message.
 LONGEST = 1000
 
 
 def written(value: Any) -> str:
-    """A value as a message shows it, without the middle of a long one."""
+    """The text of a value in a message; a long text is shortened in the middle."""
     try:
         text = repr(value)
     except ValueError:  # an integer of thousands of digits
@@ -28,7 +28,7 @@ def written(value: Any) -> str:
 
 
 def first_cause(error: Exception) -> str:
-    """An error in one line; of one of numba's, the first cause and the line of source that it is about."""
+    """The message of an error in one line; for an error of numba, the first cause and its line of source."""
     text = re.sub(r"\x1b\[\d*m", "", str(error))
     lines = [line.strip() for line in text.splitlines() if line.strip() and "pipeline (step:" not in line]
     cause = " ".join(lines[: 2 if lines and lines[0].endswith(":") else 1])
@@ -37,25 +37,25 @@ def first_cause(error: Exception) -> str:
 
 
 def nearest(given: str, names: Iterable[str]) -> str:
-    """The end of a message that refuses a name: the most similar one that there is, or nothing where none is."""
+    """The end of an error message for an unknown name: the most similar known name, or an empty string."""
     return "".join(f"; did you mean {name!r}?" for name in difflib.get_close_matches(given, list(names), n=1))
 
 
 def check_number(
     name: str, value: Any, accepted: str, low: float = -math.inf, high: float = math.inf, *, open_low: bool = False
 ) -> float:
-    """Returns `value` as a float, or says which argument is wrong, what it is and what would be accepted.
+    """Returns `value` as a float, or raises an error that names the argument, its value and the accepted values.
 
     Args:
         name: the argument's name, for the message.
-        value: what the caller gave.
+        value: value of the argument.
         accepted: the accepted range in words, for the message.
         low: smallest accepted value.
         high: largest accepted value.
-        open_low: whether `low` itself is refused.
+        open_low: whether `low` itself is excluded.
 
     Raises:
-        TypeError: if `value` is no real number.
+        TypeError: if `value` is not a real number.
         ValueError: if it is not finite or outside the range.
     """
     if isinstance(value, NO_NUMBERS) or not isinstance(value, (int, float, np.integer, np.floating)):
@@ -70,10 +70,10 @@ def check_number(
 
 
 def check_integer(name: str, value: Any, accepted: str, low: int, high: int) -> int:
-    """Returns `value` as an int, or says which argument is wrong, what it is and what would be accepted.
+    """Returns `value` as an int, or raises an error that names the argument, its value and the accepted values.
 
     Raises:
-        TypeError: if it is no integer.
+        TypeError: if it is not an integer.
         ValueError: if it is below `low` or above `high`.
     """
     if isinstance(value, NO_NUMBERS) or not isinstance(value, (int, np.integer)):
@@ -84,13 +84,13 @@ def check_integer(name: str, value: Any, accepted: str, low: int, high: int) -> 
 
 
 def check_count(name: str, value: Any, most: int = sys.maxsize) -> int:
-    """`check_integer` for a number of things, from 1 to `most`."""
+    """`check_integer` for a count from 1 to `most`."""
     accepted = f"an integer from 1 to {most}" if most < sys.maxsize else "an integer >= 1"
     return check_integer(name, value, accepted, 1, most)
 
 
 def check_name(argument: str, name: Any, kind: type, known: Iterable[str]) -> str:
-    """Returns one of the known names, or says what argument is wrong, which an instance of `kind` could be as well."""
+    """Returns a known name, or raises an error; an instance of `kind` would also be accepted for the argument."""
     if not isinstance(name, str) or name not in known:
         error = ValueError if isinstance(name, str) else TypeError
         raise error(f"{argument} must be a {kind.__name__} or one of {sorted(known)}, got {written(name)}")

@@ -1,7 +1,7 @@
-"""Command lines out of dataclasses: a field is an option, the text under it the help, its default the default.
+"""Command lines from dataclasses: a field is an option, its docstring the help text, its default the default.
 
 A command declares its options as a frozen dataclass and calls `parse(Args, "python -m agents.evaluate", arguments)`.
-A field of type `Positional[str]` is a positional argument, one of type `Count` may be written 8e6.
+A field of type `Positional[str]` is a positional argument; a field of type `Count` accepts the form 8e6.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ except ImportError as error:
 __all__ = ["Count", "Positional", "arg", "check_output", "parse", "refuse"]
 
 T = TypeVar("T")
-# No option --no-fast beside --fast.
+# No option --no-fast in addition to --fast.
 NO_NEGATIONS = (tyro.conf.FlagCreatePairsOff,)
 
 
 def _count(text: str) -> int:
-    """An integer >= 0 out of one word of a command line."""
+    """An integer >= 0 from one word of a command line."""
     try:
         value = float(text.replace("_", ""))
     except ValueError:
@@ -54,14 +54,14 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
     """Reads a command line.
 
     Args:
-        kind: a dataclass. Its docstring is the description; where it has a method `check`, what that refuses with a
-            `ValueError` or `TypeError` is an error of the command line.
+        kind: a dataclass. Its docstring is the description. A `ValueError` or `TypeError` of its method `check`, if it
+            has one, is an error of the command line.
         prog: the command as the user types it.
-        arguments: the words behind it; None takes them from `sys.argv`.
+        arguments: the words after the command; None takes them from `sys.argv`.
         default: defaults other than the fields' own.
 
     Raises:
-        SystemExit: with 0 after `--help`, with 2 where the command line is wrong.
+        SystemExit: with 0 after `--help`, with 2 if the command line is invalid.
     """
     defaults: dict[str, Any] = {} if default is None else {"default": default}
     options: T = tyro.cli(
@@ -77,7 +77,7 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
 
 
 def refuse(prog: str, message: str) -> NoReturn:
-    """Ends the command with an error of its user: which option is wrong, its value, and what would be accepted.
+    """Ends the command with an error message, which names the option, its value and the accepted values.
 
     Raises:
         SystemExit: always, with 2.
@@ -87,10 +87,10 @@ def refuse(prog: str, message: str) -> NoReturn:
 
 
 def check_output(option: str, path: Path | None, *, overwrite: bool = False) -> None:
-    """Refuses a file that a result cannot be written to, if one is asked for, before the work and not after it.
+    """Raises an error, before the computation, if the output file cannot be written; None is accepted.
 
     Raises:
-        ValueError: if the file exists and may not be replaced, is a folder, or has no folder to lie in.
+        ValueError: if the file exists and may not be replaced, is a folder, or its folder does not exist.
     """
     if path is None:
         return

@@ -1,9 +1,9 @@
 """Compilation of plain functions, and the cache of their machine code.
 
-The functions of the step are ordinary Python, which decorators of this module mark for the compiler. `compile_entry`
-looks for the machine code of one among those that came with the package and those that this machine has compiled
-before; only where it finds none are numba and `capsule_gym.compiler` imported. Code is found by a hash of everything
-that it depends on, so that an edit of a law, of the physics or of a gain never meets a stale one.
+The functions of the step are ordinary Python; decorators of this module mark them for the compiler. `compile_entry`
+looks for machine code that came with the package or that this machine has compiled before. It imports numba and
+`capsule_gym.compiler` only if it finds none. The key of the code is a hash of everything that it depends on, so that no
+stale code is used after an edit of a law, of the physics or of a gain.
 """
 
 from __future__ import annotations
@@ -27,30 +27,29 @@ from capsule_gym import objects
 from capsule_gym.files import write_atomically
 from capsule_gym.objects import Entry, Target
 
-# A division by zero gives infinity. Python's exception would be a branch in every division, which no loop over
-# environments survives; strict floating point otherwise, so that all loops give the same bits.
+# A division by zero gives infinity: Python's exception would be a branch in every division and prevent vectorised
+# loops. Floating point is strict otherwise, so that all loops give the same bits.
 OPTIONS: dict[str, Any] = {"error_model": "numpy"}
 # Wrappers that let Python or C call a compiled helper take half of the time to compile it, and are never used.
 NO_WRAPPERS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 # The machine code that comes with the package, for the processors of `objects.LEVELS`.
 SHIPPED = Path(__file__).with_name("machine_code")
-# The kinds that are compiled for, into that folder, besides this processor's: some only while the package is built.
+# Further targets to compile for, into that folder; there are some only while the package is built.
 shipping: tuple[Target, ...] = ()
 # Packages whose content a fingerprint does not read.
 _LIBRARIES = ("builtins", "itertools", "llvmlite", "math", "numba", "numpy", "operator", "typing")
 _DIGEST_SIZE = hashlib.sha256().digest_size
 
-# What compiled code may call besides what numba knows: each function's options, and of those whose instructions are
-# generated the function that does so. `capsule_gym.compiler` has numba told where it is imported, and adds itself to
-# what is called when there is more.
+# Functions that compiled code may call: `marked` holds their options, `generated` the generators of instructions.
+# `capsule_gym.compiler` registers both with numba when it is imported, and adds a listener for later ones.
 marked: dict[Callable[..., Any], dict[str, Any]] = {}
 generated: dict[Callable[..., Any], tuple[Callable[..., Any], bool]] = {}
 listeners: list[Callable[[], None]] = []
 
 
 def jitable(function: Any, **options: Any) -> Any:
-    """Marks a plain function that compiled code may call; where its caller is `inlined`, so is it."""
+    """Marks a plain function that compiled code may call; if its caller is `inlined`, it is inlined too."""
     marked[function] = {**NO_WRAPPERS, **options}
     for listen in listeners:
         listen()
@@ -58,12 +57,12 @@ def jitable(function: Any, **options: Any) -> Any:
 
 
 def inlined(function: Any) -> Any:
-    """Marks a plain function that compiled code does not call, but contains: what keeps a loop around it vectorised."""
+    """Marks a plain function that is inlined into compiled code, so that a loop around it can be vectorised."""
     return jitable(function, forceinline=True)
 
 
 def intrinsic(define: Callable[..., Any], prefer_literal: bool = False) -> Callable[[Any], Any]:
-    """Marks a function whose instructions are generated; its body says what they do, and is what Python runs.
+    """Marks a function whose instructions `define` generates; its body is the equivalent that Python runs.
 
     The arguments are those of `numba.extending.intrinsic`.
     """
@@ -78,7 +77,7 @@ def intrinsic(define: Callable[..., Any], prefer_literal: bool = False) -> Calla
 
 
 def _attribute(text: str) -> Callable[..., Any]:
-    """Generates nothing, but gives the calling function an attribute of LLVM's."""
+    """Gives the calling function an LLVM attribute; generates no instructions."""
 
     def define(typing_context: Any) -> Any:
         from numba import types
@@ -95,30 +94,30 @@ def _attribute(text: str) -> Callable[..., Any]:
 
 @intrinsic(_attribute(objects.WIDEST_VECTORS))
 def use_widest_vectors() -> None:
-    """Has the calling function's loops vectorised over the whole width of the registers.
+    """Vectorises the loops of the calling function over the whole width of the registers.
 
-    On most processors with AVX-512 the compiler takes half of it, since a few wide instructions lower the clock for all
-    others. The kernel's loops are nothing but arithmetic, and gain a fifth.
+    On most processors with AVX-512 the compiler uses half of it, since a few wide instructions lower the clock for all
+    others. The kernel's loops are pure arithmetic, and gain a fifth.
     """
 
 
 @intrinsic(_attribute(objects.INTERLEAVED))
 def interleave_loops() -> None:
-    """Has what is compiled with the calling function take two vectors at a time, where these hold four numbers or two.
+    """Interleaves two vectors in the loops compiled with the calling function, if vectors hold two or four numbers.
 
-    A Runge-Kutta step is a chain of operations of which each waits for the last; two of them fill each other's gaps.
+    A Runge-Kutta step is a chain of dependent operations; two interleaved steps use the waiting times of each other.
     """
 
 
 @intrinsic(_attribute("noinline"))
 def stay_apart() -> None:
-    """Has the calling function called, and not copied into its callers."""
+    """Prevents the inlining of the calling function."""
 
 
 def fingerprint(function: Callable[..., Any]) -> str | None:
     """A hash of a function, of everything that its compiled code can depend on, and of the options.
 
-    That is its code and that of its callees, with their defaults, closures, globals and attributes of modules.
+    The hash covers its code and that of its callees, with their defaults, closures, globals and attributes of modules.
 
     Returns:
         16 digits of a sha256; None if something among these is of a type whose content this function cannot read.
@@ -149,7 +148,7 @@ def fingerprint(function: Callable[..., Any]) -> str | None:
         add("defaults", function.__defaults__, names)
         for name, default in sorted((function.__kwdefaults__ or {}).items()):
             add(name, default, names)
-        # numba learns from the argument where a named tuple holds which field: the code does not say it.
+        # numba takes the order of a named tuple's fields from the argument; the code does not contain it.
         for word in re.findall(r"\w+", repr(function.__annotations__)):
             kind = scope.get(word)
             if isinstance(kind, type) and hasattr(kind, "_fields"):
@@ -186,7 +185,7 @@ def fingerprint(function: Callable[..., Any]) -> str | None:
             put(sorted(marked.get(value, {}).items()) if name else None)
             if id(value) not in seen:
                 seen.add(id(value))
-                # Of a function whose instructions are generated, the body is what Python runs.
+                # Compiled code depends on the generator of instructions, not on the body, which Python runs.
                 add_function(generated[value][0] if value in generated else value)
         elif isinstance(value, type) and hasattr(value, "_fields"):
             put(value.__qualname__, value._fields, inspect.get_annotations(value))
@@ -196,7 +195,7 @@ def fingerprint(function: Callable[..., Any]) -> str | None:
     put(sorted(OPTIONS.items()))
     try:
         put(function.__name__)
-        # How others may call the function itself does not matter.
+        # The empty name leaves out the options of the function itself, which do not matter.
         add("", function, set())
     except TypeError:
         return None
@@ -209,7 +208,7 @@ def _is_library_type(value: Any) -> bool:
 
 
 def rebound(function: Any, bindings: dict[str, Any], cells: tuple[CellType, ...] | None = None) -> Any:
-    """A copy of a function with some globals bound to other values, and with that closure or its own."""
+    """A copy of a function with some globals bound to other values, and with the closure `cells` or its own."""
     scope = {**function.__globals__, **bindings}
     closure = cells or function.__closure__
     copy = FunctionType(function.__code__, scope, function.__name__, function.__defaults__, closure)
@@ -220,14 +219,14 @@ def rebound(function: Any, bindings: dict[str, Any], cells: tuple[CellType, ...]
 def compile_entry(
     function: Callable[..., Any], signature: str, what: str = "", bindings: dict[str, Any] | None = None
 ) -> Entry:
-    """A function as machine code, which checks neither dtype nor contiguity of its arrays.
+    """Compiles a function to machine code, which checks neither dtype nor contiguity of its arrays.
 
     Args:
-        function: plain; it allocates no memory, and returns None or an integer.
-        signature: its types as numba writes them; arrays are C-contiguous.
-        what: for a message on stderr where it has to be compiled; empty where that takes too short a time to say so.
-        bindings: globals that are to have other values. A function among these is plain or compiled; it and its
-            compiled helpers are compiled anew with OPTIONS.
+        function: a plain function that allocates no memory, and returns None or an integer.
+        signature: its types in numba's notation; arrays are C-contiguous.
+        what: description in the message on stderr if the function has to be compiled; empty for no message.
+        bindings: globals with other values. A function among these is plain or compiled; it and its compiled helpers
+            are compiled anew with OPTIONS.
 
     Raises:
         TypeError: if numba cannot compile it.
@@ -236,7 +235,7 @@ def compile_entry(
     digest, target = fingerprint(rebound(function, own)), objects.host_target()
     if digest is None:
         return objects.load(_compile(function, signature, own, [target])[0], name)
-    # Without NUMBA_BOUNDSCHECK, code compiled without bounds checks would be used where they are switched on.
+    # NUMBA_BOUNDSCHECK is part of the key, so that code without bounds checks is not used if they are switched on.
     parts = (digest, signature, _compiler_digest(), os.environ.get("NUMBA_BOUNDSCHECK"))
     key = f"{name}-{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}"
     if key not in _loaded:
@@ -263,7 +262,7 @@ _loaded: dict[str, Entry] = {}
 
 @cache
 def cached_entry(function: Callable[..., Any], signature: str, what: str = "") -> Entry:
-    """`compile_entry` of a module-level function, looked for once in a process."""
+    """`compile_entry` of a module-level function, cached in the process."""
     return compile_entry(function, signature, what)
 
 
@@ -277,7 +276,7 @@ def _compile(
 
 
 def read_checked(file: Path) -> bytes | None:
-    """The content of a file that `write_checked` wrote, unless it is not there or damaged: it would be run."""
+    """The content of a file from `write_checked`, or None if it is missing or damaged: damaged code must not run."""
     try:
         content = file.read_bytes()
     except OSError:
@@ -287,7 +286,7 @@ def read_checked(file: Path) -> bytes | None:
 
 
 def write_checked(file: Path, content: bytes) -> None:
-    """Writes a file for `read_checked`, where that is possible."""
+    """Writes a file for `read_checked`; errors of the system are ignored."""
     with suppress(OSError):
         write_atomically(file, hashlib.sha256(content).digest() + content)
 
@@ -300,7 +299,7 @@ def _compiler_digest() -> str:
 
 
 def _cache_folder() -> Path:
-    """Where this machine keeps machine code: numba's folder if it has one, beside the package, or the user's cache."""
+    """The folder of cached machine code: NUMBA_CACHE_DIR, `__pycache__` of the package, or the user's cache."""
     beside = Path(__file__).with_name("__pycache__")
     if folder := os.environ.get("NUMBA_CACHE_DIR"):
         return Path(folder) / "capsule_gym"
@@ -314,7 +313,7 @@ def _cache_folder() -> Path:
 
 @contextmanager
 def locked(file: Path) -> Iterator[None]:
-    """Holds a lock, so that of several processes one compiles; without one where no file can be written."""
+    """Holds a lock, so that only one of several processes compiles; there is no lock if no file can be written."""
     lock = FileLock(file)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,7 @@
-"""numba and LLVM: from a plain function to object files for several kinds of processors.
+"""Compiles a plain function with numba and LLVM to object files for several kinds of processors.
 
-Imported where something has to be compiled. numba makes LLVM's intermediate code, in which there are no vectors: it is
-for all processors. Each target's own pass over it then makes vectors, without changing a bit of what is computed.
+This module is imported only if something has to be compiled. numba generates LLVM's intermediate code without vectors,
+for all processors. A pass for each target then vectorises it without changing a bit of the results.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from capsule_gym.checks import first_cause
 from capsule_gym.compilation import NO_WRAPPERS, OPTIONS, fingerprint, locked, read_checked, rebound, write_checked
 from capsule_gym.objects import Target
 
-# Where CPython keeps the type of an object, and numpy the data, the number of dimensions and the shape of an array.
+# Offsets of an object's type in CPython, and of an array's data, number of dimensions and shape in numpy.
 _TYPE, _DATA, _NDIM, _SHAPE = 8, 16, 24, 32
 
 _POINTER, _WORD, _INT, _DOUBLE = ir.IntType(8).as_pointer(), ir.IntType(64), ir.IntType(32), ir.DoubleType()
@@ -45,7 +45,7 @@ _registered: set[Callable[..., Any]] = set()
 
 
 def register() -> None:
-    """Tells numba what `capsule_gym.compilation` has marked; numba calls this at its first compilation, too."""
+    """Registers the functions marked by `capsule_gym.compilation`; numba calls this at its first compilation, too."""
     for function, options in list(compilation.marked.items()):
         if function not in _registered:
             _registered.add(function)
@@ -63,7 +63,7 @@ compilation.listeners.append(register)
 
 
 def _inlined(function: Callable[..., Any], options: dict[str, Any], outer: tuple[Any, ...] = ()) -> Any:
-    """A function, plain or compiled, and the compiled helpers that it refers to, as compiled with OPTIONS."""
+    """Compiles a function, plain or compiled, and the compiled helpers that it refers to, with OPTIONS."""
 
     def renewed(value: Any) -> Any:
         if not isinstance(value, CPUDispatcher) or value in outer:
@@ -78,23 +78,23 @@ def _inlined(function: Callable[..., Any], options: dict[str, Any], outer: tuple
 
 
 class _Library(JITCodeLibrary):
-    """numba's compiled function and its callees, as intermediate code alone: a quarter of numba's time is saved."""
+    """A library of numba that holds intermediate code only, which saves a quarter of numba's time."""
 
     def _finalize_final_module(self) -> None:
         self._finalized = True
 
 
 def _unexecutable(library: Any, fndesc: Any, env: Any) -> Callable[..., Any]:
-    """Some built-in method in the place of what Python would call: numba tells functions apart by it."""
+    """A built-in method in place of the entry for Python; numba distinguishes functions by it."""
     library.finalize()
     return object().__reduce__
 
 
 @contextmanager
 def _scalar() -> Iterator[None]:
-    """Has numba simplify the code for any processor, and leave vectors and machine code to `_emit`.
+    """Makes numba simplify the code for any processor, and leave vectors and machine code to `_emit`.
 
-    Without its optimiser LLVM would read ten times the text.
+    Without numba's optimiser LLVM would read ten times the text.
     """
     chosen = {"OPT": type(config.OPT)(min(config.OPT, 1)), "LOOP_VECTORIZE": 0, "SLP_VECTORIZE": 0}
     before = {name: getattr(config, name) for name in chosen}
@@ -115,10 +115,10 @@ def _scalar() -> Iterator[None]:
 def lower(function: Callable[..., Any], signature: Any, bindings: dict[str, Any]) -> tuple[Any, Any]:
     """LLVM's intermediate code of a function: the module, and numba's result, which names the function in it.
 
-    Arguments as of `compilation.compile_entry`.
+    The arguments are those of `compilation.compile_entry`.
 
     Raises:
-        TypeError: if numba cannot compile it, or it makes arrays or lists.
+        TypeError: if numba cannot compile the function, or the function creates arrays or lists.
     """
     register()
     own = {name: _inlined(v, {"forceinline": True}) if callable(v) else v for name, v in bindings.items()}
@@ -131,10 +131,10 @@ def lower(function: Callable[..., Any], signature: Any, bindings: dict[str, Any]
         with _scalar():
             dispatcher.compile(signature)
     except Exception as error:
-        # Not all that numba raises are errors of numba's.
+        # numba also raises exceptions of other classes than its own.
         raise TypeError(f"numba cannot compile it: {first_cause(error)}") from error
     result = next(iter(dispatcher.overloads.values()))
-    # Of this processor.
+    # Removes the attributes of this processor.
     text = re.sub(r' "target-(cpu|features)"="[^"]*"', "", result.library.get_llvm_str())
     return llvm.parse_assembly(text), result
 
@@ -144,7 +144,7 @@ def compile_objects(
 ) -> list[bytes]:
     """Object files of a function, one for each target, as `objects.load` takes them.
 
-    Arguments as of `compilation.compile_entry`.
+    The arguments are those of `compilation.compile_entry`.
 
     Raises:
         TypeError: if numba cannot compile it.
@@ -153,20 +153,20 @@ def compile_objects(
     module.link_in(llvm.parse_assembly(str(_python_function(result))))
     module.get_function(result.fndesc.llvm_func_name).name = objects.FUNCTION
     exported = (objects.FUNCTION, objects.PYTHON_FUNCTION)
-    # numba's names hold counters of the process.
+    # Names of numba contain counters of the process.
     for kind, values in (("f", module.functions), ("g", module.global_variables)):
         for n, value in enumerate(values):
             if not value.is_declaration and value.name not in exported:
                 value.linkage = "internal"
                 value.name = f"{kind}{n}"
-    # A function that asks for it loses the attribute where it is inlined.
+    # A function that requests the attribute loses it if it is inlined, so all functions get it.
     text = re.sub(r"^(define .*) \{$", rf"\1 {objects.WIDEST_VECTORS} {{", str(module), flags=re.MULTILINE)
     return [_emit(text, target) for target in targets]
 
 
 def _emit(text: str, target: Target) -> bytes:
     if objects.INTERLEAVED in text and not target.wide:
-        # LLVM reads this where a branch closes a loop. On others it has no effect.
+        # LLVM reads this on branches that close a loop; it has no effect on other branches.
         text = re.sub(r"^(  br i1 .*)$", r"\1, !llvm.loop !9998", text, flags=re.MULTILINE)
         text += '\n!9998 = distinct !{!9998, !9999}\n!9999 = !{!"llvm.loop.interleave.count", i32 2}\n'
     machine = objects.target_machine(target)
@@ -181,7 +181,7 @@ def _emit(text: str, target: Target) -> bytes:
 
 
 def _python_function(result: Any) -> ir.Module:
-    """A module with the function that Python calls, METH_FASTCALL, around what numba has compiled."""
+    """A module with the function that Python calls (METH_FASTCALL), a wrapper of numba's compiled function."""
     context, kinds, returned = cpu_target.target_context, result.signature.args, result.signature.return_type
     module = ir.Module()
     convention = context.call_conv
@@ -242,11 +242,11 @@ def _python_function(result: Any) -> ir.Module:
 class Cache(FunctionCache):
     """numba's disk cache, for files that other processes may damage.
 
-    numba believes what it finds: an index that was cut off ends the program with an unpickling error, and machine code
-    in which a bit has changed is run. It also names the file of the code in the index only, so that two processes for
-    different processors can give theirs the same name. Here each entry is a file of its own, whose name holds the hash
-    of all that the code depends on, and which begins with the hash of its content. What does not fit is compiled again;
-    where nothing can be written nothing is kept.
+    numba does not check its files: a truncated index ends the program with an unpickling error, and machine code in
+    which a bit has changed is run. numba also names the file of the code in the index only, so that two processes for
+    different processors can choose the same name. Here each entry is a separate file. Its name contains the hash of
+    everything that the code depends on, and it begins with the hash of its content. Code without a valid file is
+    compiled again; if no file can be written, nothing is kept.
     """
 
     what = ""
@@ -254,7 +254,7 @@ class Cache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled function of a signature, or None."""
         target_context.refresh()
-        # Code that was kept by another version may refer to a module that has another name now.
+        # Code from another version may refer to a module that has been renamed.
         payload = read_checked(self._file(sig, target_context.codegen()))
         with suppress(ImportError, AttributeError):
             if payload is not None:
@@ -270,8 +270,8 @@ class Cache(FunctionCache):
             write_checked(self._file(sig, data.codegen), dumps(self._impl.reduce(data)))
 
     def _file(self, sig: Any, codegen: Any) -> Path:
-        """Where the code of a signature lies for this processor and this version of numba and of the sources."""
-        # Without BOUNDSCHECK, code compiled without bounds checks would be used where they are switched on.
+        """The file of a signature's code for this processor and this version of numba and of the sources."""
+        # BOUNDSCHECK is part of the key, so that code without bounds checks is not used if they are switched on.
         stamp = self._impl.locator.get_source_stamp()
         key = (self._index_key(sig, codegen), stamp, numba.__version__, numba.config.BOUNDSCHECK)
         digest = hashlib.sha256(repr(key).encode()).hexdigest()[:16]
@@ -280,7 +280,7 @@ class Cache(FunctionCache):
 
 @cache
 def compile_cached(function: Callable[..., Any]) -> Any:
-    """Compiles a module-level function with numba; unlike numba's own, the disk cache notices edits of its callees.
+    """Compiles a module-level function with numba; unlike numba's own disk cache, this one notices edits of callees.
 
     For functions that allocate memory or return arrays, which `compilation.compile_entry` does not take. The same
     function gives the same dispatcher.
@@ -300,7 +300,7 @@ def compile_allocating(function: Callable[..., Any], signature: str, what: str) 
 def _dispatcher(function: Callable[..., Any], what: str) -> Any:
     register()
     digest = fingerprint(function)
-    # The name tells numba's files of different contents apart.
+    # The name distinguishes numba's files of different contents.
     bound = rebound(function, {})
     bound.__name__ = bound.__qualname__ = f"{function.__name__}_{digest or uuid4().hex}"
     dispatcher = numba.njit(bound, nogil=True, **OPTIONS)

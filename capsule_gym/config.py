@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     from capsule_gym.controller import Controller
 
 DIRECT_PHYSICS_DT = 2e-3
-# Between the calls of a control law inside the step, s, unless its `Controller` says otherwise.
+# Period of a control law inside the step, s, unless its `Controller` sets another one.
 LAW_DT = LAW_PHYSICS_DT = 1e-3
-# Steps of the integrator in a step of the agent: what takes a tenth of a second.
+# Largest number of integrator steps per agent step, which take a tenth of a second.
 MOST_SUBSTEPS = 1_000_000
-# N m, and cm: with these no sum of an episode leaves the floating-point numbers.
+# N m, and cm: within these limits no sum of an episode overflows.
 LARGEST_TORQUE, LARGEST_COST = 1e6, 1e12
-# Energy weights that a policy can observe, cm/J: their logarithms are numbers.
+# Energy weights that a policy can observe, cm/J: their logarithms are finite.
 ENERGY_WEIGHTS = SMALLEST, LARGEST_COST
 ENERGY_WEIGHT_TEXT = f"a number of cm/J from {SMALLEST:g} to {LARGEST_COST:g}"
 RENDER_MODES = ("human", "rgb_array")
@@ -61,7 +61,7 @@ def _or_none(check: Check) -> Check:
 
 
 def find_task(value: Any) -> Task:
-    """The task that the environment's argument `task` names; a `Task` is returned as it is.
+    """The task that the environment's argument `task` names; a `Task` is returned unchanged.
 
     Raises:
         TypeError: if it is neither a string nor a `Task`.
@@ -69,13 +69,13 @@ def find_task(value: Any) -> Task:
     """
     if isinstance(value, Task):
         return value
-    # Which it is says what is imported, and compiled.
+    # Only the module of this task is imported, and compiled.
     found: Task = importlib.import_module(f"capsule_gym.tasks.{check_name('task', value, Task, task.TASKS)}").TASK
     return found
 
 
 def _found_by(find: Callable[[Any], Any]) -> Check:
-    """A check of what a function resolves; it is kept as it was given."""
+    """A check of a value that `find` resolves; the value itself is kept unchanged."""
 
     def check(name: str, value: Any) -> Any:
         find(value)
@@ -96,7 +96,7 @@ def _instance(accepted: str, *kinds: type) -> Check:
 
 
 def _is_range(name: str, value: Any) -> tuple[float, float]:
-    """Half widths of the starts in theta and theta_dot; a policy's file knows lists only."""
+    """Checks half widths of the initial theta and theta_dot; lists are accepted, as policy files contain lists only."""
     largest, fastest = math.nextafter(task.THETA_LIMIT, 0.0), task.LARGEST_STATE[1]
     accepted = f"None or (theta < pi/2 in rad, theta_dot <= {fastest:g} in rad/s), both >= 0"
     if not isinstance(value, (tuple, list)) or len(value) != 2:
@@ -106,7 +106,7 @@ def _is_range(name: str, value: Any) -> tuple[float, float]:
 
 
 def _is_render_mode(name: str, value: Any) -> str:
-    # Of an array, `in` has no answer.
+    # `in` raises an error for an array.
     if not isinstance(value, str) or value not in RENDER_MODES:
         raise ValueError(f"{name} must be None or one of {RENDER_MODES}, got {written(value)}")
     return value
@@ -115,7 +115,7 @@ def _is_render_mode(name: str, value: Any) -> str:
 def _option(default: Any, doc: str, check: Check = lambda name, value: value) -> Any:
     """A field of `EnvConfig`, with a line of documentation that names its unit.
 
-    `check` returns a value as it is kept, or raises a TypeError or ValueError that names the option. Without one the
+    `check` returns the value to keep, or raises a TypeError or ValueError that names the option. Without a check the
     value is checked where it is resolved.
     """
     return field(default=default, metadata={"doc": doc, "check": check})
@@ -129,7 +129,7 @@ _RANGES = "; ".join(f'"{name}": {ranges}' for name, ranges in RANDOMIZATIONS.ite
 class EnvConfig:
     """The options of an environment; None stands for a value that follows from the other options.
 
-    What is not given has the default of the task, and where that has none the field's, which is the speed task's.
+    An omitted option has the default of the task, or else that of the field, which is the speed task's.
 
     Raises:
         TypeError: if an option is unknown or of the wrong type.

@@ -1,7 +1,7 @@
-"""Steps of the plant through changes of the phase of contact, and where in a step these lie.
+"""Steps of the plant through changes of the contact phase, which are located inside the step.
 
-`step` takes one environment through every change of phase. The commonest, a slip that ends, `pass_rest` computes
-without branches: compilers take several environments through it at once.
+`step` advances one environment through every change of phase. `pass_rest` computes the most common change, the end of
+a slip, without branches, so that compilers can vectorise it over environments.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from capsule_gym.dynamics import (
 from capsule_gym.elementary import fma
 from capsule_gym.parameters import Plant
 
-# No step holds anywhere near as many events. The cap only keeps a rounding accident from hanging compiled code.
+# Far more events than in any step. The limit only prevents an endless loop after a rounding error.
 EVENT_LIMIT = 1000
 # Size of the boundary (m/s in slip, N in stick) that counts as zero: ten times its rounding error.
 EVENT_TOLERANCE = 1e-15
@@ -41,7 +41,7 @@ VOID_PHASE = 1e-9
 
 
 class Motion(NamedTuple):
-    """One step's result: the new state and what was integrated on the way.
+    """The result of a step: the new state and the integrals over the step.
 
     Attributes:
         theta: angle from the upright, rad.
@@ -89,7 +89,7 @@ class Phase(NamedTuple):
 class Piece(NamedTuple):
     """A part of a step that stays in one phase: its length tau in s, and the state at its end.
 
-    `boundary` must be positive for the phase to last. x'' and N are also kept as they are at the start.
+    The phase lasts while `boundary` is positive. `first_x_ddot` and `normal_force` are x'' and N at the start.
     """
 
     tau: float
@@ -125,10 +125,10 @@ def finish(
 
 @jitable
 def piece(start: Phase, tau: float) -> Piece:
-    """tau seconds in one phase, whether it lasts or not.
+    """Takes a step of tau seconds in one phase, even if the phase would end earlier.
 
-    Always a full Runge-Kutta step from the phase's start, so that an event is as accurate as the integrator itself. A
-    step in which the contact is lost is one without friction.
+    The result is always a full Runge-Kutta step from the phase's start, so that an event is as accurate as the
+    integrator itself. A step in which the contact is lost is taken without friction.
     """
     theta, theta_dot, x, x_dot, slip, u, p = start[:7]
     mu, first = kinetic_friction(slip, p), start[7:]
@@ -145,7 +145,7 @@ def piece(start: Phase, tau: float) -> Piece:
 
 @jitable
 def _dip(before: float, rate: float, after: float, h: float) -> float:
-    """Where the parabola with that start, rate and end has its minimum in (0, h); h where it has none."""
+    """The location in (0, h) of the minimum of the parabola with this start, rate and end; h if there is none."""
     curvature = after - before - rate * h
     if curvature <= 0.0:
         return h
@@ -170,7 +170,7 @@ def _first_guess(g_low: float, rate_low: float, g_high: float, rate_high: float,
 
 @jitable
 def _shifted(end: Piece, correction: float) -> Piece:
-    """The piece, longer by a time so small that its end follows the tangent, to where the boundary is met."""
+    """The piece, extended to the boundary by a time so small that its end follows the tangent."""
     return Piece(
         end.tau + correction,
         end.theta + correction * end.theta_dot,
@@ -190,8 +190,8 @@ def _shifted(end: Piece, correction: float) -> Piece:
 def _root(start: Phase, low: float, before: float, rate: float, beyond: Piece) -> Piece:
     """The piece that ends on the boundary: Newton's method on re-taken steps, kept inside a bracket.
 
-    The cubic through the bracket's ends lets it start close to the root. The last correction is so small that the state
-    follows it in a straight line. The bracket begins at `low`, with the boundary `before` > 0 and its rate there.
+    The first guess is the root of the cubic through the bracket's ends. The last correction is so small that the state
+    is extrapolated linearly. The bracket begins at `low`, with the boundary `before` > 0 and its rate there.
     """
     width, end = beyond.tau - low, beyond.tau
     tau = low + _first_guess(before, rate, beyond.boundary, beyond.boundary_rate, width)
@@ -214,7 +214,7 @@ def _root(start: Phase, low: float, before: float, rate: float, beyond: Piece) -
 
 @jitable
 def _until_event(start: Phase, before: float, rate: float, whole: Piece) -> Piece:
-    """The piece up to the first event of a step that may have crossed the phase's boundary; `whole` where none has."""
+    """The piece up to the first event of a step that may have crossed the boundary, or `whole` without an event."""
     beyond = whole
     if whole.boundary >= 0.0:
         dip = _dip(before, rate, whole.boundary, whole.tau)
@@ -225,7 +225,7 @@ def _until_event(start: Phase, before: float, rate: float, whole: Piece) -> Piec
             return whole
     if before > EVENT_TOLERANCE:
         return _root(start, 0.0, before, rate, beyond)
-    # A phase that starts on its own boundary: the bracket is void until that has been left.
+    # The phase starts on its own boundary: a bracket must begin after the state has left the boundary.
     for _ in range(ROOT_ITERATIONS):
         left = piece(start, 0.5 * beyond.tau)
         if left.boundary > 0.0:
@@ -236,7 +236,7 @@ def _until_event(start: Phase, before: float, rate: float, whole: Piece) -> Piec
 
 @jitable
 def event_step(start: Phase, whole: Piece) -> Motion:
-    """`step` from a phase and from what the whole step would be if that phase lasted."""
+    """`step` from a phase and from the whole step under the assumption that this phase lasts."""
     theta, theta_dot, x, x_dot, slip, u, p = start[:7]
     forward = backward = stuck = turned = 0.0
     smallest_normal = math.inf
@@ -249,7 +249,7 @@ def event_step(start: Phase, whole: Piece) -> Motion:
             phase = begin(theta, theta_dot, x, x_dot, slip, u, p)
             done = piece(phase, remaining)
         before, rate = boundary(theta, theta_dot, x_dot, done.first_x_ddot, slip, u, p)
-        # The last piece takes what is left of the step, so that no time is lost.
+        # The last piece takes the rest of the step, so that no time is lost.
         crossed = crosses(before, rate, done.boundary, remaining) and count < EVENT_LIMIT - 1
         beyond = crossed and done.boundary < 0.0
         if crossed:
@@ -268,11 +268,11 @@ def event_step(start: Phase, whole: Piece) -> Motion:
             break
         events += 1
         if slip == 0.0:
-            # At the boundary rounding could read either phase from the state: the load's direction is what counts.
+            # At the boundary rounding could give either phase, so the direction of the load decides.
             slip = 1.0 if stick_margin(theta, theta_dot, u, p)[1] > 0.0 else -1.0
         else:
             x_dot = 0.0
-            # Load and limit equal up to rounding: a slip that stops where it started would start again for ever.
+            # If load and limit are equal up to rounding, a slip that stops where it started would start again forever.
             void = before <= 0.0 and tau <= VOID_PHASE * h
             slip = 0.0 if void else contact_phase(theta, theta_dot, x_dot, u, p)
         if remaining <= 0.0:
@@ -292,8 +292,8 @@ def pass_rest(start: Phase, theta_1: float, theta_dot_1: float, x_dot_1: float, 
         h: length of the step, s.
 
     Returns:
-        What `event_step` returns, the last phase, and whether that holds: if not, something else happens, or the moment
-        takes more than one trial to find.
+        The result of `event_step`, the last phase, and whether both are valid. They are not if another event happens,
+        or if locating the moment takes more than one trial.
     """
     theta, theta_dot, x, x_dot, slip, u, p, _, x_ddot, normal = start
     mu = kinetic_friction(slip, p)

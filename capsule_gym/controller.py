@@ -19,7 +19,8 @@ from capsule_gym.task import Task
 Law = Callable[..., tuple[float, tuple[float, ...]]]
 
 _OWN = re.compile(r"baselines:[A-Za-z][A-Za-z0-9_]*")
-# Numbers in a reference table, 80 MB, and columns of one and cells of a memory: the compiler sees each of these.
+# Limits of the numbers in a reference table (80 MB), and of its columns and the cells of a memory, each of which the
+# compiler sees.
 LARGEST_TABLE = 10_000_000
 MOST_COLUMNS = 256
 
@@ -69,7 +70,7 @@ class Controller:
         object.__setattr__(self, "reference", _check_reference(self.reference))
         object.__setattr__(self, "memory", _check_memory(self.memory))
         check_number("Controller.dt", self.dt, "a finite number > 0 (s)", 0.0, open_low=True)
-        # One call, so that a wrong signature is met here and not inside compiled code.
+        # A trial call, so that a wrong signature raises an error here and not inside compiled code.
         task_size = 0 if self.task is None else find_task(self.task).rows
         row = (*(float(value) for value in self.reference[0]), *([0.0] * task_size))
         # Compiled code does not check indices.
@@ -78,7 +79,7 @@ class Controller:
             torque, memory = law(row[0], row[1], 0.0, 0.0, self.memory, row)
             values = (float(torque), *(float(cell) for cell in memory))
         except Exception as error:
-            # The law computes, but not with its reference: a value is at fault.
+            # An arithmetic error comes from the values of the reference, not from the types.
             kind = ValueError if isinstance(error, ArithmeticError) else TypeError
             raise kind(
                 f"the control law of {self.name!r} must be law(theta, theta_dot, x, x_dot, memory, reference) -> "
@@ -99,7 +100,7 @@ def _check_reference(reference: Any) -> np.ndarray:
     )
     try:
         shape = np.shape(reference)
-        # Before it is copied: an array can say that it is larger than any memory.
+        # Checked before the copy, since the shape of an array can exceed any memory.
         fits = len(shape) == 2 and shape[0] >= 1 and 2 <= shape[1] <= MOST_COLUMNS and math.prod(shape) <= LARGEST_TABLE
         table = np.ascontiguousarray(reference, np.float64) if fits else None
     except (TypeError, ValueError, OverflowError) as error:

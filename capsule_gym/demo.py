@@ -21,7 +21,7 @@ from capsule_gym.rendering import FRAME_SECONDS, Renderer, write_gif
 from capsule_gym.task import HORIZON, Termination
 
 PROG = "python -m capsule_gym.demo"
-# The policies of `baselines`, control laws among them, and the names of all.
+# The scripted policies of `baselines`, which include control laws, and the names of all policies.
 SCRIPTED: dict[str, Any] = import_module("baselines.policies").SCRIPTED
 NAMES = [*SCRIPTED, *policy_names()]
 
@@ -37,8 +37,8 @@ def find_policy(name_or_path: str) -> Any:
     """Finds a policy.
 
     Args:
-        name_or_path: a scripted policy; a trained one; one run of that as "residual-ppo/seed-2"; or the path of a
-            policy file or of a training run's folder.
+        name_or_path: a scripted policy; a trained policy; one of its runs, such as "residual-ppo/seed-2"; or the path
+            of a policy file or of a training run's folder.
 
     Raises:
         ValueError: if there is no such policy, or its file is broken.
@@ -57,18 +57,18 @@ class Episode:
     """An episode of one policy.
 
     Args:
-        policy: with the attributes `name`, `env_kwargs` and `start` of `capsule_gym.Policy`.
+        policy: an object with the attributes `name`, `env_kwargs` and `start` of `capsule_gym.Policy`.
         plant: M, mu and the start.
-        settings: arguments of the environment that are the set's; None for those of an ideal plant of the paper.
+        settings: the evaluation set's arguments of the environment; None for an ideal plant of the paper.
 
     Attributes:
-        policy: what acts.
-        env: the environment that it acts in.
-        end: why the episode is over; None while it is not.
+        policy: the policy.
+        env: the environment.
+        end: reason for the end of the episode; None while it runs.
     """
 
     def __init__(self, policy: Any, plant: PlantSpec, settings: Mapping[str, Any] | None = None) -> None:
-        # With it comes numba, which takes most of a second to import; `--help` and errors need none of it.
+        # This imports numba, which takes most of a second; `--help` and errors do not need it.
         from capsule_gym.env import CapsuleEnv
 
         self.policy = policy
@@ -86,11 +86,11 @@ class Episode:
 
     @property
     def time(self) -> float:
-        """Since the episode began, s."""
+        """Time since the start of the episode, s."""
         return self._steps * self._dt
 
     def advance(self, time: float) -> None:
-        """Steps to that time in s, or to the end of the episode."""
+        """Steps until `time`, in s, or until the end of the episode."""
         while self.end is None and self.time + 0.5 * self._dt < time:
             action = self._act(self._observation[None])[0]
             self._observation, _, _, _, info = self.env.step(action)
@@ -99,7 +99,7 @@ class Episode:
                 self.end = Termination(int(info["termination"]))
 
     def state(self) -> dict[str, Any]:
-        """The present state, as `Renderer.draw` takes it."""
+        """The present state, as arguments of `Renderer.draw`."""
         from capsule_gym.env import shown_state
 
         return shown_state(self.env.simulation, 0)
@@ -110,7 +110,7 @@ class Episode:
         return f"{self.policy.name} {100.0 * self.state()['x'] / max(self.time, self._dt):.2f} cm/s"
 
     def ghost(self) -> tuple[str, float, float]:
-        """The present state as another robot's ghost."""
+        """The present state, as the argument `ghost` of `Renderer.draw`."""
         state = self.state()
         return self.policy.name, state["theta"], state["x"]
 
@@ -142,7 +142,7 @@ class PlantArgs:
         return load_set(self.set).env_kwargs
 
     def plants(self) -> tuple[PlantSpec, ...]:
-        """The plants of the set, the chosen one first; with M or mu given, all have these and none jumps."""
+        """The plants of the set, the chosen one first; a given M or mu applies to all and removes their changes."""
         plants = load_set(self.set).plants
         seeds = [plant.seed for plant in plants]
         if self.seed not in seeds:
@@ -180,7 +180,7 @@ class Args(PlantArgs):
     """Length of the shown part of the episode, s."""
 
     def check(self) -> None:
-        """Refuses a time out of range and files that cannot be written."""
+        """Raises an error for a time out of range and for files that cannot be written."""
         check_number("--seconds", self.seconds, f"above 0 and at most {HORIZON:g} s", 0.0, HORIZON, open_low=True)
         check_output("--output", self.output, overwrite=self.overwrite)
         if self.output is not None and self.output.suffix.lower() != ".gif":
@@ -199,7 +199,7 @@ def errors_in_one_line(prog: str) -> Iterator[None]:
 
 
 def draw_episode(renderer: Renderer, seconds: float, episode: Episode, rival: Episode | None) -> Iterator[Any]:
-    """Draws an episode until that time, s, until it ends or until the window is closed; yields what was drawn."""
+    """Draws an episode for `seconds`, until it ends or until the window is closed; yields the frames, if any."""
     for n in range(round(seconds / FRAME_SECONDS) + 1):
         episode.advance(n * FRAME_SECONDS)
         if rival is not None:
@@ -211,7 +211,7 @@ def draw_episode(renderer: Renderer, seconds: float, episode: Episode, rival: Ep
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
+    """Runs the command; returns the exit status."""
     args = parse(Args, PROG, arguments)
     with errors_in_one_line(PROG):
         plant = args.plants()[0]

@@ -1,4 +1,4 @@
-"""The physics, once: plain scalar functions of SI quantities that numba compiles for every use.
+"""The physics: plain scalar functions of SI quantities that numba compiles for every use.
 
 The plant is the paper's Eq. (1), its misprints corrected (docs/physics.md names them), with q = [theta, x] and the
 friction force f:
@@ -73,7 +73,7 @@ def driving_force(theta: float, theta_dot: float, theta_ddot: float, p: Plant) -
 def motor_friction(theta_dot: float, p: Plant) -> float:
     """Torque in N m with which the motor's own friction opposes its motion: from MOTOR_WIDTH on Coulomb's.
 
-    Three times continuously differentiable, which leaves the integrator its order, without a root or a division.
+    It is three times continuously differentiable, which preserves the integrator's order, without a root or a division.
     """
     ratio = theta_dot * (1.0 / MOTOR_WIDTH)
     z = min(ratio * ratio, 1.0)
@@ -100,12 +100,12 @@ def pressed_accelerations(
 ) -> tuple[float, float, float]:
     """theta'', x'' and N of Eq. (1) with f = slip mu N, one formula for slip and stick (slip = 0 pins x'' = 0).
 
-    N comes out as it is, also below zero.
+    N is not clamped and can be below zero.
     """
     sin, cos = sincos(theta)
     share = slip * slip * p.mass_ratio
     rough = slip * mu
-    # Most floors have no such curve: a division less.
+    # Most floors have no Stribeck curve, which saves a division.
     if 0.0 < p.extended < LEVEL and p.stribeck_excess != 0.0:
         rough *= stribeck(x_dot, p)
     squared = theta_dot * theta_dot
@@ -122,7 +122,7 @@ def pressed_accelerations(
     rest = fma(share * p.l, fma(rough, cos, -sin) * squared, -brake)
     # The first row over m l^2: theta'' = free + cos x'' / l.
     free = stick_acceleration(theta, theta_dot, u, p)
-    # The division need not wait for what it divides.
+    # A product with the reciprocal, so that the division need not wait for the numerator.
     theta_ddot = fma(cos * (1.0 / p.l), rest, free) * (1.0 / fma(-share * cos, tilted, 1.0))
     x_ddot = fma(share * p.l * tilted, theta_ddot, rest)
     return theta_ddot, x_ddot, fma(-(p.m * p.l), fma(squared, cos, theta_ddot * sin), weight)
@@ -152,7 +152,7 @@ def accelerations(
 
 @inlined
 def stick_margin(theta: float, theta_dot: float, u: float, p: Plant) -> tuple[float, float]:
-    """Static friction limit minus |driving force|, in N, and the driving force itself: it sticks while >= 0."""
+    """Static friction limit minus |driving force|, in N, and the driving force itself; stick needs a margin >= 0."""
     theta_ddot = stick_acceleration(theta, theta_dot, u, p)
     force = driving_force(theta, theta_dot, theta_ddot, p)
     limit = p.static_ratio * kinetic_friction(force, p) * max(0.0, normal_force(theta, theta_dot, theta_ddot, p))
@@ -217,10 +217,10 @@ def runge_kutta(
     `first` is `pressed_accelerations` at the start.
 
     Returns:
-        The state afterwards, and the smallest N of the stages: where that is negative, the step was none of a platform
-        that presses on the floor.
+        The state afterwards, and the smallest N of the stages: if it is negative, the platform did not press on the
+        floor during the whole step.
     """
-    # The accelerations do not depend on x, nor on a level floor of Coulomb's friction on x_dot: sums are enough.
+    # The accelerations do not depend on x, and not on x_dot on a level floor with Coulomb friction: sums suffice.
     half = 0.5 * h
     theta_2 = theta + half * theta_dot
     a1, b1, normal_1 = first
@@ -262,7 +262,7 @@ def crosses(before: float, rate: float, after: float, h: float) -> bool:
 def smooth_step(
     theta: float, theta_dot: float, x: float, x_dot: float, slip: float, u: float, p: Plant, h: float, may_stick: bool
 ) -> tuple[float, float, float, float, float, float, float, float, bool]:
-    """`contact.step` where nothing happens: h seconds inside one phase, free of branches.
+    """`contact.step` without an event: h seconds inside one phase, free of branches.
 
     Args:
         theta: angle from the upright, rad.
@@ -273,7 +273,7 @@ def smooth_step(
         u: motor torque, N m.
         p: the plant.
         h: length of the step, s.
-        may_stick: False promises that slip is not 0.0; where the compiler knows it, that saves a third of the work.
+        may_stick: False asserts that slip is not 0.0; if the compiler knows this, it saves a third of the work.
 
     Returns:
         The state afterwards; theta'', x'' and N at the start; the smallest N of the stages; and whether the phase

@@ -26,7 +26,7 @@ from capsule_gym.compilation import cached_entry, inlined, intrinsic
 if hasattr(math, "fma"):
     _fma = math.fma
 else:
-    # Python 3.13 has it. The C library's rounds once as well.
+    # For Python before 3.13. The C library's function rounds once as well.
     _fma = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else ctypes.util.find_library("m")).fma
     _fma.restype, _fma.argtypes = ctypes.c_double, [ctypes.c_double] * 3
 
@@ -51,7 +51,7 @@ def fma(a: float, b: float, c: float) -> float:
 TURN = 2.0 * math.pi
 TURN_REST = 2.4492935982947064e-16
 TURNS_PER_RADIAN = 1.0 / TURN
-# Added and taken away again it rounds to a whole number, half to even, for anything below 2^51.
+# Adding and subtracting it rounds a number below 2^51 to a whole number, half to even.
 ROUNDING = 1.5 * 2.0**52
 
 # Polynomials in z = y^2 that interpolate (sin(y) / y - 1) / z and (cos(y) - 1 + z / 2) / z^2 at the Chebyshev nodes of
@@ -73,7 +73,7 @@ def sincos(angle: float) -> tuple[float, float]:
     y = fma(-turns, 0.5 * TURN_REST, fma(-turns, 0.5 * TURN, 0.5 * angle))
     z = y * y
     zz = z * z
-    # In pairs and not from the inside out: a single environment waits for every operation that waits for another.
+    # In pairs instead of Horner's scheme: a single environment waits for every operation that waits for another.
     s = fma(fma(fma(S_7, z, S_6), zz, fma(S_5, z, S_4)), zz * zz, fma(fma(S_3, z, S_2), zz, fma(S_1, z, S_0)))
     c = fma(fma(fma(C_7, z, C_6), zz, fma(C_5, z, C_4)), zz * zz, fma(fma(C_3, z, C_2), zz, fma(C_1, z, C_0)))
     twice = y + y
@@ -94,8 +94,8 @@ def sines_and_cosines(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def arccos(cosine: float) -> float:
     """The angle in [0, pi] rad of that cosine, within 7e-16 of the exact value.
 
-    Newton's iteration on `sincos`: half the angle has the cosine and the sine below, and what a step misses is a third
-    of the cube of what the last one missed.
+    Newton's iteration on `sincos`: half the angle has the cosine and the sine below, and the error of a step is a
+    third of the cube of the previous error.
     """
     c, s = math.sqrt(0.5 + 0.5 * cosine), math.sqrt(0.5 - 0.5 * cosine)
     half = 0.25 * math.pi
@@ -122,7 +122,7 @@ E_0, E_1, E_2, E_3 = 0.5000000000000001, 0.16666666666666669, 0.0416666666666241
 E_4, E_5, E_6, E_7 = 0.0013888888917213717, 0.00019841269863053618, 2.4801521295954376e-05, 2.7557268459997064e-06
 E_8, E_9 = 2.7620088445409746e-07, 2.510038549551032e-08
 
-# From here on the tangent is 1 to the last digit.
+# From here on the hyperbolic tangent is 1 to the last digit.
 FLAT = 20.0
 
 
@@ -219,7 +219,7 @@ def tanh(x: float) -> float:
 def log(x: float) -> float:
     """The natural logarithm of a positive, normal number, within 2.2e-16 of the exact value, beyond +-1 relative to it.
 
-    Halley's iteration on `exp`, each step of which triples the digits. Of any other number the result is meaningless.
+    Halley's iteration on `exp`, each step of which triples the digits. For any other number the result is meaningless.
     """
     mantissa, exponent = math.frexp(x)
     y = fma(float(exponent), LN_2, mantissa - 1.0)
@@ -235,11 +235,11 @@ def clip(value: float, limit: float) -> float:
     return limit if value > limit else -limit if value < -limit else value
 
 
-# Of a double: the bits of 1.0, those of its fraction, how many these are, and the bits of 2^52. Unsigned: numba makes a
-# float of the sum of a signed and an unsigned integer.
+# Bits of a double: those of 1.0, of its fraction, their number, and those of 2^52. Unsigned, since in numba the sum of
+# a signed and an unsigned integer is a float.
 _ONE_BITS, _FRACTION, _FRACTION_SIZE = np.uint64(1023 << 52), np.uint64(2**52 - 1), np.uint64(52)
 _WHOLE_BITS, _HALF_WORD, _LOW, _UNUSED = np.uint64(1075 << 52), np.uint64(32), np.uint64(2**32 - 1), np.uint64(20)
-# Of SplitMix64.
+# Constants of SplitMix64.
 _SHIFT_0, _SHIFT_1, _SHIFT_2 = np.uint64(30), np.uint64(27), np.uint64(31)
 _FACTOR_0, _FACTOR_1 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 

@@ -197,7 +197,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         self._bind()
 
     def _bind(self) -> None:
-        """Makes views of the only environment: finding them takes a good part of a step."""
+        """Creates views of the only environment, since creating them takes a considerable part of a step."""
         self._rows = self.simulation.world[0, : Row.steps, 0]
         self._state = self._rows[_STATE]
         # Further entries of `info` in tasks other than speed.
@@ -328,15 +328,15 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
 
 def make_simulation(num_envs: int, config: EnvConfig) -> Simulation:
-    """The simulation of an environment, which refuses an action without effect."""
-    # A `Simulation` accepts that: it runs a control law by itself.
+    """The simulation of an environment; raises an error if the action has no effect."""
+    # `Simulation` itself accepts 0, to run a control law alone.
     if config.residual_limit == 0.0:
         raise ValueError("residual_limit must be > 0 (N m), got 0.0: the action would have no effect")
     return Simulation(num_envs, config)
 
 
 def make_renderer(simulation: Simulation, mode: str) -> Renderer:
-    """The renderer of an environment or a batch, which holds a window to the agent's steps."""
+    """The renderer of an environment or a batch; a window shows one frame per agent step in real time."""
     fps = round(1.0 / simulation.options.control_dt)
     return Renderer(simulation.capsule, mode, fps, simulation.settings.torque_limit)
 
@@ -345,7 +345,7 @@ def describe(values: Any, state: np.ndarray, termination: Any) -> dict[str, Any]
     """The info of a reset or a step in the speed task.
 
     Args:
-        values: the first of `Row`: a list of floats for one environment, shape (n, num_envs) for a batch.
+        values: the first rows of `Row`: a list of floats for one environment, shape (n, num_envs) for a batch.
         state: shape (4,) for one environment, (num_envs, 4) for a batch.
         termination: an int for one environment, int64 of shape (num_envs,) for a batch.
     """
@@ -389,7 +389,7 @@ def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:
 
 
 def as_actions(actions: Any) -> np.ndarray | None:
-    """Actions as contiguous float32, or None where they are no numbers."""
+    """Actions as contiguous float32, or None if they are not numbers."""
     try:
         return np.asarray(actions, np.float32, order="C")
     except (TypeError, ValueError, OverflowError):
@@ -397,7 +397,7 @@ def as_actions(actions: Any) -> np.ndarray | None:
 
 
 def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> dict[str, Any]:
-    """Refuses unknown reset options."""
+    """Raises an error for unknown reset options."""
     if options is None:
         return {}
     if not isinstance(options, dict):

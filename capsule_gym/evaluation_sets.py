@@ -20,13 +20,13 @@ from capsule_gym.parameters import CONSTANTS, NOMINAL, Capsule, Disturbances
 from capsule_gym.task import HORIZON, LARGEST_STATE, START_THETA, TASKS, THETA_LIMIT
 
 SET_NAMES = ("nominal", "paper", "wide", "extrapolation", "drift")
-# Of the speed task with another capsule than the paper's.
+# Sets of the speed task with another capsule than the paper's.
 FURTHER_SET_NAMES = ("sticky", "real", "real-wide")
-# Of the other tasks.
+# Sets of the other tasks.
 TASK_SET_NAMES = ("goal", "goal-paper", "velocity")
 # The options of an episode of a set; they override those of a policy's training.
 EPISODE_SETTINGS: dict[str, Any] = {"randomization": "none", "initial_noise": 0.0, "initial_range": None}
-# A wheel carries their files in the package; in a checkout they lie with the evaluation.
+# A wheel contains the files in the package; a checkout contains them in the folder of the evaluation.
 FOLDERS = (Path(__file__).with_name("frozen"), Path(__file__).parents[1] / "agents" / "evaluation" / "frozen")
 
 
@@ -115,7 +115,7 @@ class EvaluationSet:
 
     @property
     def _options(self) -> dict[str, Any]:
-        """The fields that older sets, and their hashes, do not hold: another task than speed, capsule, disturbances."""
+        """The fields that older sets and their hashes lack: a task other than speed, capsule, disturbances."""
         found: dict[str, Any] = {} if self.task == "speed" else {"task": self.task}
         if self.capsule is not None:
             nominal = asdict(NOMINAL)
@@ -182,7 +182,7 @@ def parse_set(content: Any) -> EvaluationSet:
 
     Raises:
         TypeError: if a number is of the wrong type.
-        ValueError: if anything else is malformed; the message names the field, its value and what is accepted.
+        ValueError: if anything else is malformed; the message names the field, its value and the accepted values.
     """
     entry = _fields("set", content, ("name", "plants"), ("task", "capsule", "disturbances"))
     task = entry.get("task", "speed")

@@ -1,7 +1,7 @@
 """Substeps with an event, compiled: the platform sticks or slips, or the episode ends.
 
-`kernels.step_smooth` marks the environments. Most of them come to rest once and go on: these are taken through the
-substep several at once, the others one by one. Both ways give the same bits.
+`kernels.step_smooth` marks the environments. Most of them come to rest once and move on: their substep is vectorised,
+the other environments are stepped one by one. Both ways give the same bits.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from capsule_gym.layout import (
 )
 from capsule_gym.parameters import VARIED, Plant
 
-# `task` itself imports nothing of the compiler's.
+# `task` itself does not import the compiler.
 for _function in (task.termination, task.continues, task.bounded):
     inlined(_function)
 
@@ -39,17 +39,17 @@ DIVERGED = int(task.Termination.diverged)
 
 @inlined
 def handle_events(block: np.ndarray, n: int, plant: Plant, h: float, elapsed: float) -> int:
-    """Takes the marked environments through a substep.
+    """Steps the marked environments through a substep.
 
     Args:
         block: one block of `world`; changed.
         n: environments in it.
-        plant: what their plants have in common.
+        plant: the constants that their plants share.
         h: length of the substep, s.
         elapsed: time under the present torque at its end, s.
 
     Returns:
-        By how many more environments stick afterwards.
+        The change of the number of environments that stick.
     """
     if n == 1:
         return step_with_events(block, 0, plant, h, elapsed) if block[AT.eventful] != 0.0 else 0
@@ -67,14 +67,14 @@ def handle_events(block: np.ndarray, n: int, plant: Plant, h: float, elapsed: fl
 
 @partial(jitable, forceinline=False)
 def pass_events(block: np.ndarray, count: int, plant: Plant, h: float) -> int:
-    """Takes those environments through a substep that come to rest once in it, and unmarks them.
+    """Steps the environments that come to rest once in a substep, and unmarks them.
 
-    The first row of EVENTS holds their places in the block. Other arguments as of `handle_events`.
+    The first row of EVENTS holds their places in the block. The other arguments are those of `handle_events`.
 
     Returns:
-        How many of them stick afterwards.
+        The number of them that stick afterwards.
     """
-    # Inside the step it would take the registers of a single environment's loops.
+    # Inlined, it would use the registers of the loops for a single environment.
     stay_apart()
     for e in range(count):
         # An index that may be negative costs a comparison at every access.
@@ -110,7 +110,7 @@ def pass_events(block: np.ndarray, count: int, plant: Plant, h: float) -> int:
 
 @inlined
 def add_motion(block: np.ndarray, j: int, motion: contact.Motion) -> None:
-    """Writes the state at the end of a substep, and adds what it contributes to the step and to the episode."""
+    """Writes the state at the end of a substep, and adds its contributions to the step and to the episode."""
     store(block, AT.theta + j, LANES, motion[:4])
     block[AT.energy + j] += abs(block[AT.torque + j]) * motion.swept
     block[AT.forward + j] += motion.forward
@@ -123,7 +123,7 @@ def add_motion(block: np.ndarray, j: int, motion: contact.Motion) -> None:
 
 @jitable
 def step_with_events(block: np.ndarray, j: int, plant: Plant, h: float, elapsed: float) -> int:
-    """Takes one environment through a substep with an event; returns by how many more stick afterwards."""
+    """Steps one environment through a substep with an event; returns the change of the number that sticks."""
     p = plant_of(block, j, plant)
     torque = block[AT.torque + j]
     theta, theta_dot, x, x_dot = block[AT.theta + j], block[AT.theta_dot + j], block[AT.x + j], block[AT.x_dot + j]

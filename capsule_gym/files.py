@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and JSON that any reader accepts."""
+"""Atomic writing of files, and JSON that any reader accepts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Gives an error of the system the name of a file or folder where it has none, as on a full disk."""
+    """Adds the name of a file or folder to a system error without one, as on a full disk."""
     try:
         yield
     except OSError as error:
@@ -25,9 +25,9 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Gives the path of a temporary file next to `path`, of the same type, which takes its place at the end.
+    """Yields the path of a temporary file next to `path`, with the same suffix, which replaces `path` at the end.
 
-    Nobody ever reads half of the file, and where the block fails, or the power does, what stood there stays.
+    Readers never see a partial file. After an error in the block, or a power failure, the previous file remains.
     """
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
     try:
@@ -40,15 +40,15 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:
-    """Writes a file, text as UTF-8, whole or not at all."""
+    """Writes a file atomically, text as UTF-8."""
     with replacing(path) as temporary:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 def synchronise(path: Path) -> None:
-    """Waits until a file's content, or a folder's list of names, is on the disk and not only on its way there."""
+    """Waits until a file's content, or a folder's list of names, is on the disk."""
     folder = path.is_dir()
-    # Windows opens no folders, and puts their names on the disk by itself.
+    # Windows cannot open folders, and writes their names to the disk by itself.
     if folder and os.name == "nt":
         return
     descriptor = os.open(path, os.O_RDONLY if folder else os.O_RDWR)
@@ -59,7 +59,7 @@ def synchronise(path: Path) -> None:
 
 
 def without_nonfinite(value: Any) -> Any:
-    """The same nested lists and dicts with None for NaN and infinity, which JSON does not know."""
+    """The same nested lists and dicts with None for NaN and infinity, which JSON does not support."""
     if isinstance(value, dict):
         return {key: without_nonfinite(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):

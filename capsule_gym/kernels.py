@@ -5,8 +5,8 @@ over the environments of a block and are vectorised; an environment in which an 
 phase, the end of the episode) is left out of the loop over its substep and left to `capsule_gym.events`.
 
 The step is compiled once for each task (`capsule_gym.tasks`), for all laws. `build` compiles `evaluate_law` with a law
-in it, which takes about a second, and the step calls it once per law period and block by its address, which stands
-beside the settings.
+in it, which takes about a second, and the step calls it once per law period and block by its address, which follows
+the settings.
 """
 
 from __future__ import annotations
@@ -308,7 +308,7 @@ def call_advance(
 
 @inlined
 def start_task(block: np.ndarray, n: int, end: int) -> None:
-    """Gives the task's memory, which ends there, its first values in the environments whose episodes begin."""
+    """Initialises the task's memory, which ends at `end`, in the environments whose episodes begin."""
     at = end - TASK_ROWS * LANES
     for j in range(n):
         memory = TaskMemory(*load(block, at + j, LANES, TASK_ROWS))
@@ -318,7 +318,7 @@ def start_task(block: np.ndarray, n: int, end: int) -> None:
 
 @inlined
 def finish_step(block: np.ndarray, n: int, plant: Plant, settings: StepSettings, end: int) -> None:
-    """Ends an agent step: rewards, the task's memory, which ends there, and the sums of the episode."""
+    """Ends an agent step: rewards, the task's memory, which ends at `end`, and the sums of the episode."""
     dt = settings.law_steps * settings.physics_steps * settings.physics_dt
     at = end - TASK_ROWS * LANES
     for j in range(n):
@@ -409,9 +409,9 @@ def step(
         n: environments in it.
         begin: begin an episode instead of taking a step.
         fixed: from `capsule_gym.layout.pack`, with the next two.
-        plant: what the environments' plants have in common.
-        settings: of the environment.
-        observations: of the block's environments; written.
+        plant: the constants that the environments' plants share.
+        settings: settings of the environment.
+        observations: observations of the block's environments; written.
     """
     cycle = (fixed.size - CONSTANTS) // settings.reference_size
     # The end of the task's memory.
@@ -455,7 +455,7 @@ def advance(world: np.ndarray, first: int, last: int, begin: bool, fixed: np.nda
         observations: shape (environments, entries), float32; written.
 
     Returns:
-        Index of an environment whose law returned no finite torque, or -1.
+        Index of an environment whose law returned a torque that is not finite, or -1.
     """
     interleave_loops()
     plant, settings = unpack(fixed, PIVOT_TORQUE_ON_CONTACT, EXTENDED)
@@ -486,7 +486,7 @@ def build_advance(pivot_torque_on_contact: float, extended: float, own: task.Tas
 
     Args:
         pivot_torque_on_contact: 1.0 for the paper's normal force, 0.0 for Newton's.
-        extended: as `Plant` has it: 1.0 for plants with more than Coulomb's friction on a level floor, 2.0 for plants
+        extended: `Plant.extended`: 1.0 for plants with more than Coulomb's friction on a level floor, 2.0 for plants
             that differ in more than M and mu, and for disturbances.
         own: the task.
     """
@@ -506,10 +506,10 @@ def build(
         memory_size: number of its memory cells.
         reference_size: number of columns of its reference table.
         task_size: size of the task's memory, where the law reads it, else 0.
-        name: of the law, for the messages.
+        name: name of the law in messages.
 
     Raises:
-        TypeError: if the law is nothing that numba compiles.
+        TypeError: if numba cannot compile the law.
     """
     bindings = {"law": law_function, "MEMORY_SIZE": memory_size, "REFERENCE_SIZE": reference_size}
     bindings["ROW_SIZE"] = reference_size + task_size

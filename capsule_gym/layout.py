@@ -231,7 +231,7 @@ class StepSettings(NamedTuple):
 def pack(plant: Plant, settings: StepSettings, reference: np.ndarray, law: int = 0) -> np.ndarray:
     """Plant, settings, the law's address and the controller's table in one array, shape (CONSTANTS + table.size,).
 
-    Numbers in a tuple, and every array more, would take longer to enter compiled code than a substep takes.
+    Passing a tuple of numbers, or a further array, to compiled code would take longer than a substep.
     """
     # With an explicit dtype: numpy makes objects of larger integers, which the kernel would read as addresses.
     constants = np.array([*plant, *settings, 0.0], np.float64)
@@ -246,9 +246,9 @@ CONSTANTS = LAW + 1
 
 
 def _places(context: Any, builder: Any, kind: Any, array: Any, start: Any, stride: int, count: int) -> Iterator[Any]:
-    """Where `count` entries of a contiguous array lie, from `start` on, in steps of `stride`.
+    """Addresses of `count` entries of a contiguous array, from `start` on, in steps of `stride`.
 
-    NUMBA_BOUNDSCHECK has them checked like what is indexed (`make boundscheck`).
+    With NUMBA_BOUNDSCHECK they are checked like indices (`make boundscheck`).
     """
     from numba import types
     from numba.core import cgutils
@@ -277,8 +277,8 @@ def _define_load(typing_context: Any, array: Any, start: Any, stride: Any, count
 def load(array: np.ndarray, start: int, stride: int, count: int) -> tuple[float, ...]:
     """The tuple of `count` entries of a contiguous float64 array from `start` on, in steps of `stride`; unchecked.
 
-    The last two are constants of the compiler's. Slices would do as well, were their bounds not checked at run time,
-    which keeps the loop around them from vectorising.
+    The last two are compile-time constants. The bounds of slices would be checked at run time, which prevents the
+    vectorisation of the loop around them.
     """
     return tuple(array[start : start + stride * count : stride].tolist())
 
@@ -330,7 +330,7 @@ def _define_record(typing_context: Any, array: Any, start: Any, kind: Any) -> An
 def record(array: np.ndarray, start: int, kind: Any) -> Any:
     """The named tuple of class `kind` whose fields are the entries of a float64 array from `start` on; unchecked.
 
-    The class says the order of the fields and their types: float, int or bool.
+    The class defines the order of the fields and their types: float, int or bool.
     """
     types = get_type_hints(kind)
     return kind(*(types[name](value) for name, value in zip(kind._fields, array[start:], strict=False)))
@@ -338,7 +338,7 @@ def record(array: np.ndarray, start: int, kind: Any) -> Any:
 
 @jitable
 def unpack(fixed: np.ndarray, pivot_torque_on_contact: float, extended: float) -> tuple[Plant, StepSettings]:
-    """Plant and settings from an array of `pack`, with two fields that are constants of the compiler."""
+    """Plant and settings from an array of `pack`, with two fields that are compile-time constants."""
     plant = record(fixed, 0, Plant)
     plant = Plant(plant.M, plant.mu, plant.mass_ratio, pivot_torque_on_contact, extended, *plant[5:])
     return plant, record(fixed, SETTINGS, StepSettings)

@@ -1,8 +1,8 @@
 """A trained policy in strict float64, for any number of environments: inputs, layers, action, whole episodes.
 
-An environment is a lane, as in `capsule_gym.kernels`: every loop runs over LANES of them, of which the compiler takes
-several at once. Each unit adds its inputs in their order, bias first, one fused multiply-add after the other, so that
-an action depends on nothing but its own observation: neither on the batch nor on the instruction set.
+An environment is a lane, as in `capsule_gym.kernels`: every loop runs over LANES environments, and the compiler
+vectorises it. Each unit adds its inputs in their order, bias first, by fused multiply-adds, so that an action depends
+only on its own observation, not on the batch or the instruction set.
 """
 
 from __future__ import annotations
@@ -39,30 +39,30 @@ Layer = tuple[np.ndarray, np.ndarray]
 class Header(NamedTuple):
     """The header of a packed network; SI units."""
 
-    layers: int  # how many
+    layers: int  # number of layers
     relu: bool  # whether max(0, .) follows the hidden layers, else tanh
     tanh_squashing: bool  # whether tanh brings the last output to [-1, 1], else it is clipped
     clip: float  # largest size of a normalised input
-    inputs: int  # how many numbers the network takes
-    observed: int  # how many of them are the environment's observation
-    identifies: bool  # whether the estimates of M and mu follow it
+    inputs: int  # number of inputs
+    observed: int  # number of inputs that are the environment's observation
+    identifies: bool  # whether the estimates of M and mu follow the observation
     observes_energy_weight: bool  # whether the logarithm of the energy weight follows
-    log_energy_weight: float  # that logarithm, of a weight in cm/J; 0.0 where it observes none
-    outputs_torque: bool  # whether the output is the wanted torque, which the action makes of the law's
-    has_law: bool  # whether there is a law whose torque it has to be made of
+    log_energy_weight: float  # the logarithm of the weight in cm/J; 0.0 if it is not observed
+    outputs_torque: bool  # whether the output is the total torque, from which the law's torque is subtracted
+    has_law: bool  # whether there is a law whose torque is subtracted
     torque_limit: float  # N m
     residual_limit: float  # N m
     m: float  # mass of the ball, kg
     l: float  # length of the pendulum, m
     g: float  # gravitational acceleration, m/s^2
-    dt: float  # between two actions, s
+    dt: float  # time between two actions, s
 
 
-# Where the widths begin in a packed network.
+# Offset of the widths in a packed network.
 HEADER = len(Header._fields)
 LAW_TORQUE = observation_names(True, False).index("law_torque")
-# From this wanted torque on, in torque limits, the whole residual is asked for: the law's torque may change before the
-# next action, and the limit then keeps the sum where it is wanted.
+# Total torque, in torque limits, above which the action is the whole residual: the law's torque may change before the
+# next action, and the torque limit then keeps the sum at the limit.
 SATURATION = 0.9
 
 
@@ -76,7 +76,7 @@ def input_names(observation: Sequence[str], identifies: bool, observes_energy_we
 
 
 def make_header(options: EnvConfig, *, identifies: bool, observes_energy_weight: bool, **network: Any) -> Header:
-    """The header of a network that acts in an environment of these options.
+    """The header of a network that acts in an environment with these options.
 
     `network` are the header's `layers`, `relu`, `tanh_squashing`, `clip` and `outputs_torque`.
     """
@@ -109,7 +109,7 @@ def pack(layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, header: H
     """A network in one array, as compiled code takes it.
 
     Layers are weights (outputs, inputs) and biases (outputs,), in order; the last has one output. The mean is
-    subtracted from the inputs, and the difference multiplied with the scale, both of shape (inputs,).
+    subtracted from the inputs, and the difference multiplied by the scale, both of shape (inputs,).
 
     Returns:
         Float64: the header, the padded widths, mean, scale, and each layer's biases and weights, row by row.
@@ -125,7 +125,7 @@ def pack(layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, header: H
 
 
 def make_workspace(network: np.ndarray) -> np.ndarray:
-    """The memory that `forward` works in, shape (2, units of the widest layer times LANES)."""
+    """The working memory of `forward`, shape (2, units of the widest layer times LANES)."""
     layers = int(network[Header._fields.index("layers")])
     size = LANES * int(network[HEADER : HEADER + layers + 1].max())
     room = np.zeros(2 * size + LINE)
@@ -136,7 +136,7 @@ def make_workspace(network: np.ndarray) -> np.ndarray:
 
 @inlined
 def normalise(network: np.ndarray, inputs: np.ndarray, first: int, n: int, values: np.ndarray) -> None:
-    """Writes the normalised inputs first..first + n - 1 into the lanes; what fills up their width stays zero."""
+    """Writes the normalised inputs first..first + n - 1 into the lanes; the padding of their width stays zero."""
     header = record(network, 0, Header)
     widths, width = header.layers + 1, int(network[HEADER])
     for i in range(header.inputs):
@@ -171,7 +171,7 @@ def add_tile(
 def affine(bias: np.ndarray, weights: np.ndarray, n: int, values: np.ndarray, sums: np.ndarray) -> None:
     """The outputs of a layer for n lanes in `values`, before its activation.
 
-    A function of its own, with arrays of its own: where the compiler can tell that they do not overlap it tries to keep
+    It is a separate function with its own arrays: if the compiler can tell that they do not overlap, it tries to keep
     all sums of a tile in registers, of which there are too few, and the loop takes half as long again.
     """
     use_widest_vectors()
@@ -248,10 +248,10 @@ def write_inputs(
 @inlined
 def to_action(
     header: Header,  # of the network
-    output: float,  # the action or, where that is what the network wants, the torque in torque limits
-    law_torque: float,  # of the law under the action at this instant, N m
+    output: float,  # the action or, with `outputs_torque`, the total torque in torque limits
+    law_torque: float,  # torque of the law at this instant, N m
 ) -> float:
-    """The action in [-1, 1] that a network's output means."""
+    """The action in [-1, 1] for an output of the network."""
     wanted = clip(output, 1.0)
     if not header.outputs_torque:
         return wanted
@@ -289,8 +289,8 @@ def act_lanes(
 def act_batch(
     network: np.ndarray,  # from `pack`
     observations: np.ndarray,  # shape (n, entries), float32
-    memory: np.ndarray,  # shape (n * CELLS,), float64, changed; any where nothing is identified
-    inputs: np.ndarray,  # shape (n, at least so many inputs), float32, written where the policy adds to the observation
+    memory: np.ndarray,  # shape (n * CELLS,), float64, changed; not read without identification
+    inputs: np.ndarray,  # shape (n, at least the inputs), float32, written if the policy adds to the observation
     lanes: np.ndarray,  # from `make_workspace`
     actions: np.ndarray,  # shape (n, 1), float32; written
 ) -> None:
@@ -311,23 +311,23 @@ def compiled_act_batch() -> Callable[..., int]:
 
 def run_episodes(
     advance: int,  # address of the compiled `kernels.advance`
-    world: np.ndarray,  # as `kernels.advance` takes it; changed
+    world: np.ndarray,  # see `kernels.advance`; changed
     first: int,  # first environment, a multiple of LANES
     last: int,  # one past the last
-    steps: int,  # how many agent steps
-    control_dt: float,  # length of one, s
+    steps: int,  # number of agent steps
+    control_dt: float,  # length of an agent step, s
     fixed: np.ndarray,  # plant, settings and the controller's table
     observations: np.ndarray,  # changed
-    network: np.ndarray,  # as `act_batch` takes it
+    network: np.ndarray,  # see `act_batch`
     changes: np.ndarray,  # rows of environment, time (s), M (kg) and mu, those of an environment in order of time
-    memory: np.ndarray,  # the next three as `act_batch` takes them; changed
+    memory: np.ndarray,  # see `act_batch`, also for the next two; changed
     inputs: np.ndarray,
     lanes: np.ndarray,
 ) -> int:
-    """Takes the environments first..last-1 through agent steps, each until its episode ends.
+    """Steps the environments first..last-1, each until its episode ends.
 
     Returns:
-        Index of an environment whose law returned no finite torque, or -1.
+        Index of an environment whose law returned a torque that is not finite, or -1.
     """
     for b in range(first // LANES, (last + LANES - 1) // LANES):
         block, start = world[b], b * LANES
@@ -349,7 +349,7 @@ def run_episodes(
             broken = kernels.call_advance(advance, world, start, start + n, False, fixed, observations)
             if broken >= 0:
                 return broken
-            # One more step than needed, after which the state is that of a loop in Python.
+            # One more step than needed, so that the final state is that of a loop in Python.
             if going == 0:
                 break
     return -1
@@ -401,7 +401,7 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
         return compiled(step, blocks, first, last, *given, memory, inputs, make_workspace(network))
 
     broken = max(simulation.share(run))
-    # The changes stay: what is due, the next step sets once more.
+    # The schedules of changes stay as they are: the next step applies due changes again.
     simulation._everyone = False
     if broken >= 0:
         simulation._report(broken)

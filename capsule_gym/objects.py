@@ -1,4 +1,4 @@
-"""Machine code in object files: for which processors, and how it is loaded without numba."""
+"""Machine code in object files: its target processors, and its loading without numba."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import numpy as np
 WIDEST_VECTORS = '"prefer-vector-width"="512"'
 # Marks functions whose loops take two vectors at a time.
 INTERLEAVED = '"interleaved"'
-# The names of what an object file exports: the function, in numba's calling convention, and what Python calls.
+# The symbols that an object file exports: the function in numba's calling convention, and its entry for Python.
 FUNCTION, PYTHON_FUNCTION = "function", "python_function"
 
 _V3 = ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
@@ -26,10 +26,10 @@ _V4 = (*_V3, "avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl")
 
 
 class Target(NamedTuple):
-    """A kind of processors.
+    """A kind of processor.
 
     Attributes:
-        name: for file names.
+        name: name in file names.
         cpu: LLVM's name.
         features: in LLVM's notation.
     """
@@ -45,12 +45,12 @@ class Target(NamedTuple):
 
 
 def _levels() -> dict[Target, tuple[str, ...]]:
-    """The kinds that machine code is shipped for, the best one first, and the features that a processor needs."""
+    """The targets of the shipped machine code, the best one first, and the processor features that they need."""
     system = sys.platform
     if platform.machine().lower() in ("arm64", "aarch64"):
         return {Target(f"{system}-arm64", "generic", "+neon"): ("neon",)}
     return {
-        # The first processors of these levels: LLVM makes worse loops where it is told the level alone.
+        # The first processors of these levels: LLVM generates worse loops for the level alone.
         Target(f"{system}-x86-64-v4", "skylake-avx512", ""): _V4,
         Target(f"{system}-x86-64-v3", "haswell", ""): _V3,
     }
@@ -61,9 +61,9 @@ LEVELS = _levels()
 
 @cache
 def host_target() -> Target:
-    """The kind that this processor is: one of `LEVELS`, or one of its own.
+    """The target of this processor: one of `LEVELS`, or a specific one.
 
-    NUMBA_CPU_NAME and NUMBA_CPU_FEATURES choose another, as they do for numba.
+    NUMBA_CPU_NAME and NUMBA_CPU_FEATURES choose another target, as they do for numba.
     """
     given = os.environ.get("NUMBA_CPU_NAME"), os.environ.get("NUMBA_CPU_FEATURES")
     found = llvm.get_host_cpu_features()
@@ -89,9 +89,9 @@ class Entry(NamedTuple):
     """A compiled function.
 
     Attributes:
-        call: what Python calls with arrays and numbers, positionally. It checks that arrays are numpy's, and their
-            number of dimensions; it releases the interpreter's lock.
-        address: of the function in numba's calling convention, for compiled code, while `call` is referred to.
+        call: the entry for Python, with arrays and numbers as positional arguments. It checks that arrays are numpy's,
+            and their number of dimensions; it releases the interpreter's lock.
+        address: address of the function in numba's calling convention, for compiled code; valid while `call` exists.
     """
 
     call: Callable[..., int]
@@ -126,7 +126,7 @@ _PYTHON_API = (
 
 @cache
 def _initialize() -> Any:
-    """Gives the linker the interpreter's functions; returns the one that makes a function out of a definition."""
+    """Gives the linker the interpreter's functions; returns the one that creates a function from a definition."""
     for name in _PYTHON_API:
         llvm.add_symbol(name, ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value)
     new = ctypes.pythonapi.PyCFunction_NewEx
@@ -135,14 +135,14 @@ def _initialize() -> Any:
 
 
 def load(content: bytes, name: str) -> Entry:
-    """The function of an object file, whose name is for messages."""
+    """Loads the function of an object file; `name` is its name in messages."""
     new = _initialize()
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target_machine(host_target()))
     engine.add_object_file(llvm.ObjectFileRef.from_data(content))
     engine.finalize_object()
     address = engine.get_function_address(PYTHON_FUNCTION)
     definition = _MethodDefinition(name.encode(), address, _METH_FASTCALL, None)
-    # The function reads the first of these from its `self`, as `capsule_gym.compiler` says, and keeps the rest alive.
+    # The function reads the first of these from its `self` (see `capsule_gym.compiler`), and keeps the rest alive.
     itself = (
         np.ndarray,
         TypeError,

@@ -16,7 +16,7 @@ from capsule_gym.task import THETA_LIMIT
 # 1.2 m/s on the capsule of the paper; the rest is room for other capsules.
 THETA_DOT_BOUND = 20.0
 X_DOT_BOUND = 2.0
-# Bounds of the observed M, in masses of the capsule's platform, and of mu; ranges that go further widen them.
+# Bounds of the observed M, in masses of the capsule's platform, and of mu; wider ranges extend them.
 M_BOUND = 4.0
 MU_BOUND = 1.0
 
@@ -32,8 +32,8 @@ def observation_names(
 
 
 def parameter_bounds(capsule: Capsule, randomization: Randomization) -> tuple[float, float]:
-    """The largest M in kg and the largest mu of an environment that shows them: what a reset may set."""
-    # Room for the rounding of a draw, and of the observation to float32.
+    """The largest M in kg and the largest mu that a reset may set in an environment that observes them."""
+    # Margin for the rounding of a draw, and of the observation to float32.
     room = 1.0 + 1e-6
     heaviest = randomization.M[1] if randomization.M else capsule.M
     roughest = randomization.mu[1] if randomization.mu else capsule.mu
@@ -75,13 +75,13 @@ def observation_bounds(
 def write_observation(
     out: np.ndarray,  # shape (entries,), float32, written in the order of `observation_names`
     state: tuple[float, float, float],  # theta (rad), theta_dot (rad/s), x_dot (m/s)
-    stick_threshold: float,  # |x_dot| up to which the platform is said to stick, m/s
+    stick_threshold: float,  # largest |x_dot| that counts as stick, m/s
     last_action: float,  # in [-1, 1]
     reference: tuple[float, float, float],  # theta_d (rad), theta_d_dot (rad/s), phase of the cycle in [0, 1)
-    law_torque: float,  # that the law returns at this instant, clipped to the torque limit, N m
+    law_torque: float,  # torque of the law at this instant, clipped to the torque limit, N m
     parameters: tuple[float, float],  # M (kg) and mu
-    with_reference: bool,  # whether the entries of the law are there
-    with_parameters: bool,  # whether M and mu are
+    with_reference: bool,  # whether the entries of the law are included
+    with_parameters: bool,  # whether M and mu are included
 ) -> None:
     """Writes the observation of one environment."""
     theta, theta_dot, x_dot = state
@@ -109,9 +109,10 @@ PRIOR_M, PRIOR_LOG_MU = 0.55, -3.25
 DEVIATION_M, DEVIATION_LOG_MU = 0.2, 1.5
 # The estimates' range.
 LOW_M, HIGH_M, LOW_LOG_MU, HIGH_LOG_MU = 0.15, 2.0, -7.0, 0.0
-# Of a velocity's difference, m/s: far above float32's rounding, so that the first pairs do not overshoot.
+# Standard deviation of a velocity's difference, m/s: far above float32's rounding, so that the first pairs do not
+# overshoot.
 NOISE = 1e-3
-# Gauss-Newton steps for a pair, what is left of the information after it, and the deviations at which it contradicts.
+# Gauss-Newton steps for a pair, share of the information that remains after it, and deviations that contradict.
 ITERATIONS, RETAINED, DOUBT = 3, 0.95, 5.0
 # m/s: below this speed the platform may have stuck in between.
 SLOWEST = 0.02
@@ -119,7 +120,7 @@ SLOWEST = 0.02
 # Cells of the memory: 1.0 once begun; M, log(mu) and their covariance; cos(theta) theta', sin(theta) theta' and x' of
 # the last observation. All 0.0 at the start of an episode.
 CELLS = 9
-# Inputs that it gives a policy: M, log(mu), and the standard deviations of both.
+# Inputs of a policy from this filter: M, log(mu), and the standard deviations of both.
 ESTIMATES = ("M_estimate", "log_mu_estimate", "M_deviation", "log_mu_deviation")
 
 Memory = tuple[float, float, float, float, float, float, float, float, float]

@@ -13,13 +13,13 @@ from capsule_gym.checks import check_name, check_number, written
 
 NormalForce = Literal["newton", "paper"]
 
-# Sizes of a plant's constants, in SI units: within these every force and acceleration is a floating-point number.
+# Range of a plant's constants, in SI units, within which every force and acceleration is finite.
 SMALLEST, LARGEST = 1e-12, 1e12
-# s. Steps of more digits than these would not divide each other, whatever they are.
+# s. Beyond this range, rounding would keep steps from dividing each other.
 SHORTEST_STEP, LONGEST_STEP = 1e-9, 1e6
-# rad: the floor stays a floor.
+# rad: largest slope of the floor.
 LARGEST_SLOPE = 1.5
-# Rate in rad/s below which the motor's Coulomb friction is smooth: a change of sign that the integrator resolves.
+# Rate in rad/s below which the motor's Coulomb friction is smooth, so that the integrator resolves a change of sign.
 MOTOR_WIDTH = 1.0
 # Its slope at rest, 35 / 16, in units of the friction over that rate.
 MOTOR_SLOPE = 2.1875
@@ -28,8 +28,8 @@ MOTOR_SLOPE = 2.1875
 class Plant(NamedTuple):
     """The constants of one plant as the compiled functions read them: SI units, float64, no validation.
 
-    The first three differ between the environments of a batch. mass_ratio, m / (M + m), follows from others: it saves
-    the integrator its divisions. g is the part of gravity at right angles to the floor.
+    The first three differ between the environments of a batch. mass_ratio, m / (M + m), follows from others and saves
+    divisions in the integrator. g is the component of gravity perpendicular to the floor.
     """
 
     M: float
@@ -62,7 +62,7 @@ EXTENDED, VARIED, LEVEL = 1.0, 2.0, 3.0
 
 
 def _check_size(name: str, value: Any, smallest: float) -> float:
-    """Returns a constant of the plant as a float; between larger or smaller ones no force would be a number."""
+    """Returns a constant of the plant as a float; outside its range a force might not be finite."""
     return check_number(name, value, f"a finite number from {smallest:g} to {LARGEST:g}", smallest, LARGEST)
 
 
@@ -120,7 +120,7 @@ class Capsule:
         smallest = {**dict.fromkeys(("M", "m", "l", "g", "backward_ratio"), SMALLEST), "static_ratio": 1.0}
         friction = ("static_ratio", "backward_ratio", "viscous", "stribeck_speed", "motor_friction")
         for name in ("M", "m", "l", "g", "k", "c", "mu", *friction):
-            # numpy's narrow numbers would make what follows from them as coarse as they are.
+            # Narrow types of numpy would reduce the precision of all derived quantities.
             value = _check_size(f"Capsule.{name}", getattr(self, name), smallest.get(name, 0.0))
             object.__setattr__(self, name, value)
         accepted = f"a finite number (rad) from -{LARGEST_SLOPE} to {LARGEST_SLOPE}"
@@ -149,7 +149,7 @@ class Capsule:
         mu *= max(1.0, self.backward_ratio) * self.static_ratio
         share, bound = (M + self.m) / self.m, (1.0 + math.sqrt(1.0 + mu * mu)) / 2.0
         if share <= bound:
-            # As a product: a power that overflows is an exception in Python.
+            # As a product: a power that overflows raises an exception in Python.
             largest = math.sqrt((2.0 * share - 1.0) * (2.0 * share - 1.0) - 1.0)
             raise ValueError(
                 f"M={M!r}, m={self.m!r} and friction coefficient mu={mu!r} admit Painleve's paradox: the slip "
@@ -473,7 +473,7 @@ class Disturbances:
 
     @staticmethod
     def limits(name: str) -> tuple[float, float]:
-        """The smallest and the largest value of a field of `DISTURBANCES` may have."""
+        """The smallest and the largest value that a field of `DISTURBANCES` may have."""
         if name.endswith("_bias"):
             return -LARGEST_DISTURBANCE, LARGEST_DISTURBANCE
         lowest = SHORTEST_STEP if name == "drift_time" else 0.0

@@ -1,4 +1,4 @@
-"""You at the motor, in a window: `python -m capsule_gym.play`."""
+"""Manual control of the motor, in a window: `python -m capsule_gym.play`."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from capsule_gym.evaluation_sets import PlantSpec
 from capsule_gym.rendering import FRAME_SECONDS
 
 PROG = "python -m capsule_gym.play"
-# The action of a held key: at 1.0 it ends the episode in a third of a second.
+# The action of a held key: 1.0 would end the episode in a third of a second.
 STRENGTH = 0.4
 # A growing theta swings the ball to the left.
 LEFT, RIGHT = frozenset({"left", "a"}), frozenset({"right", "d"})
 
 
 class Game:
-    """A player and a rival on the same plant at the same time; it is the policy of the player's episode, too.
+    """A player and a rival on the same plant at the same time; also the policy of the player's episode.
 
     Args:
-        plants: what N goes through, the first one first.
+        plants: the plants that the key N selects in turn.
         rival: the policy of the ghost.
         speed: simulated seconds per second.
-        settings: what the episodes have in common, as `Episode` takes it.
+        settings: the argument `settings` of both episodes.
 
     Attributes:
-        action: of the player, in [-1, 1].
-        episode: the player's.
-        rival: the rival's.
+        action: action of the player, in [-1, 1].
+        episode: episode of the player.
+        rival: episode of the rival.
     """
 
     name = "you"
@@ -54,13 +54,13 @@ class Game:
         return lambda observations: np.array([[self.action]], np.float32)
 
     def begin(self, number: int) -> None:
-        """Begins an episode of both on the plant of that number, counted on from the first without end."""
+        """Begins an episode of both on the plant with this number, modulo the number of plants."""
         self._number, self._time = number % len(self.plants), 0.0
         for episode in (self.episode, self.rival):
             episode.begin(self.plants[self._number])
 
     def on_key(self, name: str, pressed: bool) -> None:
-        """Handles a key, by pygame's name; it is pressed or released."""
+        """Handles the press or release of a key, by pygame's name."""
         if name in LEFT | RIGHT:
             self._held = [held for held in self._held if held != name] + [name] * pressed
         elif pressed and name in ("n", "r"):
@@ -69,15 +69,15 @@ class Game:
         self.action = 0.0 if not self._held else STRENGTH if self._held[-1] in LEFT else -STRENGTH
 
     def tick(self, seconds: float) -> None:
-        """Advances the game by that much time of the player, s."""
+        """Advances the game by a real time in seconds."""
         if self.episode.end is None:
             self._time += self.speed * seconds
             self.episode.advance(self._time)
-            # Seen at the same instant, also where the player's episode has ended within.
+            # Both are shown at the same instant, also if the player's episode has ended before.
             self.rival.advance(self.episode.time)
 
     def note(self) -> str:
-        """The keys; after the end how the episode has ended."""
+        """The keys and, after the end, the result of the episode."""
         keys = "A D torque   N next plant   R again"
         if self.episode.end is None:
             return keys
@@ -102,12 +102,12 @@ class Args(PlantArgs):
     """Speed relative to real time, from 0.1 to 20."""
 
     def check(self) -> None:
-        """Refuses a speed out of range."""
+        """Raises an error for a speed out of range."""
         check_number("--speed", self.speed, "a number from 0.1 to 20", 0.1, 20.0)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
+    """Runs the command; returns the exit status."""
     args = parse(Args, PROG, arguments)
     with errors_in_one_line(PROG):
         game = Game(args.plants(), find_policy(args.rival), args.speed, args.settings())

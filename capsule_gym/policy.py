@@ -1,4 +1,4 @@
-"""Trained policies: one small file each, which loads without torch and without unpickling, and acts the same anywhere.
+"""Trained policies: one small file each, loaded without torch and without unpickling; actions are machine-independent.
 
 A file is in the safetensors format:
 
@@ -11,11 +11,11 @@ A file is in the safetensors format:
 | metadata | meaning |
 |---|---|
 | `format`, `format_version` | "capsule_gym policy", "2" |
-| `algorithm` | what trained it: "ppo", "sac", "td3", "tqc", "dagger" |
-| `activation` | after the hidden layers: "tanh" or "relu" |
-| `squashing` | of the last output to [-1, 1]: "clip" or "tanh" |
-| `output` | what that is: the "action", or the "torque" in torque limits, of which the action is what the law lacks |
-| `identifies` | whether M and mu, identified on line, follow the observation among the inputs: "true" or "false" |
+| `algorithm` | training algorithm: "ppo", "sac", "td3", "tqc", "dagger" |
+| `activation` | activation of the hidden layers: "tanh" or "relu" |
+| `squashing` | function that limits the output to [-1, 1]: "clip" or "tanh" |
+| `output` | the "action", or the total "torque" in torque limits, from which the law's torque is subtracted |
+| `identifies` | whether online estimates of M and mu follow the observation among the inputs: "true" or "false" |
 | `told_energy_weight` | whether the environment's energy weight follows among the inputs |
 | `clip`, `epsilon` | an input i becomes (i - mean) / sqrt(variance + epsilon), kept within +-clip |
 | `env_kwargs` | JSON: the arguments of the environment that it was trained in |
@@ -46,10 +46,10 @@ if TYPE_CHECKING:
     from capsule_gym.network import Layer
 
 POLICY = "policy.safetensors"
-# The folder of the pretrained policies: in a wheel part of the package, in a checkout beside the training commands.
+# The folder of the pretrained policies: in a wheel part of the package, in a checkout next to the training commands.
 FOLDERS = (Path(__file__).with_name("checkpoints"), Path(__file__).parents[1] / "agents" / "checkpoints")
 FORMAT, FORMAT_VERSION = "capsule_gym policy", "2"
-# The entries of a file's metadata that are text as it is, and those that are JSON; `Policy` checks the values.
+# The entries of a file's metadata that are plain text, and those that are JSON; `Policy` checks the values.
 TEXTS = ("algorithm", "activation", "squashing", "output", "revision")
 VALUES = ("identifies", "told_energy_weight", "clip", "epsilon", "env_kwargs", "training_seed")
 # The algorithm of policies that imitate others, without a reward.
@@ -58,9 +58,9 @@ CHOICES: dict[str, tuple[Any, ...]] = {
     **{"activation": ("tanh", "relu"), "squashing": ("clip", "tanh"), "output": ("action", "torque")},
     **dict.fromkeys(("identifies", "observes_energy_weight"), (False, True)),
 }
-# No float32 weights give a sum beyond float64 in so many layers of so many units, and no finite observation a NaN.
+# Within these limits no float32 weights give a sum beyond float64, and no finite observation gives a NaN.
 MOST_LAYERS, MOST_UNITS, LARGEST_CLIP = 6, 1024, 1e6
-# Largest file that is read, bytes: more than the layers above can fill, many times what a policy takes.
+# Largest file that is read, bytes: larger than any file within the limits above, many times larger than usual.
 LARGEST_FILE = 32 * 2**20
 # The options of the environment that change the task of a policy.
 ENV_ARGUMENTS = tuple(each.name for each in fields(EnvConfig) if each.name not in ("threads", "render_mode"))
@@ -321,7 +321,7 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
     path = pretrained().get(name) if isinstance(name_or_path, str) else None
     if path is None:
         path = Path(name_or_path)
-        # Unlike Path's own, these take names that no file can have.
+        # Unlike the methods of Path, these functions accept names that no file can have.
         if os.path.isdir(path):
             path = next((file for file in (path / "best" / POLICY, path / POLICY) if file.is_file()), path)
         if not os.path.isfile(path):
@@ -350,7 +350,7 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
 
 
 def _check_array(name: str, array: np.ndarray, dtype: type, shape: tuple[int, ...], accepted: str) -> None:
-    """Refuses arrays of another dtype or shape, and numbers that are not finite."""
+    """Raises an error for arrays of another dtype or shape, and for numbers that are not finite."""
     if array.dtype != dtype or array.shape != shape:
         got = f"{array.dtype.name} of shape {array.shape}"
         raise ValueError(f"{name} must be {np.dtype(dtype).name} of shape {shape}, {accepted}, got {got}")

@@ -1,6 +1,6 @@
-"""The moving picture of the robot: a window, RGB frames or a GIF.
+"""Rendering of the robot: a window, RGB frames or a GIF.
 
-pygame draws and pillow writes; both are imported only when needed.
+pygame draws the frames and pillow writes the GIF; both are imported only when needed.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ Area = tuple[int, int, int, int]
 
 # Everything is drawn at twice the size and averaged down, which anti-aliases every shape and text alike.
 SCALE = 2
-# The number of texts whose pictures are kept: most stay from frame to frame.
+# Number of cached pictures of texts; most texts are the same from frame to frame.
 TEXTS = 256
-# Between the frames of a moving picture: 25 a second, which a GIF can keep exactly.
+# Time between frames, s: 25 frames a second, which a GIF can represent exactly.
 FRAME_SECONDS = 0.04
 FRAMES_OF_PALETTE = 8
 WIDTH, HEIGHT = 960, 450
@@ -46,13 +46,13 @@ ROD, BALL, PIVOT = 168.0, 19.0, 67.0
 SHELL_HEIGHT = PIVOT + ROD + BALL + 12.0
 SHELL_HALF = 224.0
 SHELL_BOX = (MIDDLE - SHELL_HALF, FLOOR - SHELL_HEIGHT, 2 * SHELL_HALF, SHELL_HEIGHT)
-# Where every frame differs: the robot, and with another one the whole stage.
+# Areas that are redrawn in every frame: the robot, and with a ghost the whole stage.
 ROBOT_AREA: Area = (256, 112, 448, FLOOR - 105)
 ROBOT_CORNER = tuple(SCALE * side for side in ROBOT_AREA[:2])
 STAGE_AREA: Area = (0, HEADER + 1, WIDTH, FLOOR - HEADER + 6)
-# Of one number of the ruler: no wider than the smallest distance between two.
+# Area of one number of the ruler: no wider than the smallest distance between two.
 NUMBER_AREA: Area = (0, FLOOR + 15, 42, 16)
-# Of the first figure's number, and of the contact's name.
+# Areas of the first figure's number, and of the contact's name.
 VALUE_AREA: Area = (1, 33, 109, 31)
 CONTACT_AREA: Area = (822, 33, 114, 31)
 PLATFORM_HALF, PLATFORM_HEIGHT = 68.0, 25.0
@@ -75,7 +75,7 @@ TORQUE: Colour = (139, 76, 199)
 STICK: Colour = (37, 99, 186)
 SLIP: Colour = (238, 128, 36)
 GHOST: Colour = (196, 205, 217)
-# Of pictures of which only a part is drawn.
+# Background of pictures of which only a part is drawn.
 TRANSPARENT: Colour = (255, 0, 255)
 
 # Names, decimals and units of the figures.
@@ -107,22 +107,22 @@ class Renderer:
 
     The camera follows the platform, so the ruler moves beneath it. Blue is stick, orange is slip.
 
-    In mode "human" a closed window ends the show, not the programme: later draws do nothing. In mode "rgb_array" no
-    window, display or video driver is touched.
+    In mode "human" draws do nothing after the window is closed. In mode "rgb_array" no window, display or video driver
+    is used.
 
     Args:
         capsule: the robot; its l sets the scale.
         mode: "human" for a window, "rgb_array" for frames.
-        fps: frames per second that the window is held to.
+        fps: frames per second of the window.
         torque_limit: torque that the arc arrow shows as a quarter turn, N m.
         title: shown in the picture, where some 30 characters fit, and on the window.
-        on_key: called for every key of the window with pygame's name of it, and whether it is pressed or released.
+        on_key: called at every press or release of a key with pygame's name of the key, and whether it is pressed.
 
     Raises:
         gymnasium.error.DependencyNotInstalled: if pygame is not installed.
 
     Attributes:
-        closed: whether nothing is drawn any more: after `close`, or since its user closed the window.
+        closed: whether draws do nothing, after `close` or after the user has closed the window.
     """
 
     def __init__(
@@ -155,7 +155,7 @@ class Renderer:
         self._canvas = pygame.Surface((SCALE * math.ceil(WIDTH + self._major_pixels) + SCALE, SCALE * HEIGHT), 0, 32)
         self._pixels = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
         self._frame = pygame.image.frombuffer(self._pixels, (WIDTH, HEIGHT), "RGB")
-        # pygame's own font comes with it, so no machine lacks it.
+        # pygame contains its default font, so every machine has it.
         self._font = cache(lambda size: pygame.font.Font(None, SCALE * size))
         self._text, self._number = lru_cache(TEXTS)(self._draw_text), lru_cache(TEXTS)(self._draw_number)
         self._value, self._contact = lru_cache(TEXTS)(self._draw_value), cache(self._draw_contact)
@@ -200,7 +200,7 @@ class Renderer:
             The frame as an array of uint8, (450, 960, 3), in mode "rgb_array"; None in mode "human" and once closed.
         """
         pygame = self._pygame
-        # After `pygame.quit()` of others there is no window any more.
+        # `pygame.quit()` in other code closes the window.
         if self._window is not None and not pygame.display.get_init():
             self.close()
         # Taking every event keeps the queue from filling up.
@@ -255,12 +255,12 @@ class Renderer:
         return self._frame.copy()
 
     def _write_title(self, M: float, mu: float) -> None:
-        """The title and the plant."""
+        """Draws the title and the plant."""
         self._write(self._title, 20, SLATE, 24, HEADER + 27)
         self._write(f"M {M:.3f} kg     \N{GREEK SMALL LETTER MU} {mu:.4f}", 17, GREY, 24, HEADER + 46)
 
     def _draw_ruler(self) -> tuple[Any, list[Any]]:
-        """The stage and the marks of the ruler: as on the canvas, and averaged from each of the places of a pixel."""
+        """Draws the stage and the ruler: at the canvas's scale, and averaged for each shift within a pixel."""
         width, top, height = self._canvas.get_width() // SCALE, HEADER + 1, FLOOR + RULER - HEADER - 1
         self._box(0, top, width, height, PAPER)
         self._box(0, FLOOR, width, RULER, FLOOR_FILL)
@@ -273,24 +273,24 @@ class Renderer:
         size, rulers = (width - 1, FLOOR + RULER - GRID_TOP), []
         for shift in range(SCALE):
             part = drawn.subsurface((shift, SCALE * (GRID_TOP - top), *(SCALE * side for side in size)))
-            # Of the frame's own format, which makes laying it there a copy.
+            # In the format of the frame, so that blitting is a plain copy.
             rulers.append(self._pygame.Surface(size, 0, self._frame))
             rulers[-1].blit(self._pygame.transform.smoothscale(part, size), (0, 0))
         return drawn, rulers
 
     def _draw_grid(self, left: float) -> None:
-        """The vertical lines of the ruler's numbers, the first of them there."""
+        """Draws the vertical lines of the ruler's numbers, the first one at `left`."""
         for mark in range(self._marks):
             self._box(left + mark * self._major_pixels, GRID_TOP, 1, FLOOR - GRID_TOP, GRID)
 
     def _draw_number(self, text: str, shift: int) -> Any:
-        """The picture of a number of the ruler, whose mark is so many pixels of the canvas right of its middle."""
+        """The picture of a number of the ruler, whose mark is `shift` pixels of the canvas right of the middle."""
         self._box(*NUMBER_AREA, FLOOR_FILL)
         self._write(text, 17, GREY, NUMBER_AREA[2] / 2 + shift / SCALE, FLOOR + 28, "midtop")
         return self._averaged(NUMBER_AREA)
 
     def _draw_floor(self, x: float, area: Area) -> None:
-        """The ruler as it passes beneath the robot, in that area on the canvas too, and the inside of the shell."""
+        """Draws the ruler at x on the frame and, within `area`, on the canvas; and the inside of the shell."""
         start = MIDDLE - x / self._major * self._major_pixels
         first = math.floor(-start / self._major_pixels)
         across = round(SCALE * (start + first * self._major_pixels))
@@ -310,7 +310,7 @@ class Renderer:
         self._box(0, FLOOR - 1, WIDTH, 2, TICK)
 
     def _draw_ghost(self, name: str, theta: float, ghost_x: float, x: float) -> None:
-        """The other robot as an outline at its place on the floor, and its distance."""
+        """Draws the other robot as an outline at its place on the floor, and its distance."""
         distance = ghost_x - x
         offset = distance / self._major * self._major_pixels
         if abs(offset) < WIDTH / 2 + SHELL_HALF:
@@ -324,7 +324,7 @@ class Renderer:
         self._write(text, 17, GREY, WIDTH - 24, HEADER + 27, "topright")
 
     def _draw_body(self, contact: Colour) -> None:
-        """The contact and the platform."""
+        """Draws the contact and the platform."""
         self._box(*SHELL_BOX, contact, radius=SHELL_HEIGHT / 2, line=3)
         half = SHELL_HALF - SHELL_HEIGHT / 2 + 6
         self._box(MIDDLE - half, FLOOR - 1, 2 * half, 7, contact, radius=2)
@@ -336,7 +336,7 @@ class Renderer:
         self._disc((MIDDLE, pivot), SPRING_OUTER + 4, PAPER)
 
     def _draw_robot(self, theta: float, torque: float, contact: Colour) -> None:
-        """The contact and the platform, the motor's torque, the spring and the pendulum."""
+        """Draws the contact and the platform, the motor's torque, the spring and the pendulum."""
         self._canvas.blit(self._bodies[contact], ROBOT_CORNER)
         # An arc arrow around the pivot: from the upright, a quarter turn at the limit, the way the motor turns.
         end = 0.5 * math.pi * max(-1.0, min(1.0, torque / self._torque_limit))
@@ -354,7 +354,7 @@ class Renderer:
         self._disc(_polar(theta, ROD), BALL, BALL_COLOUR)
 
     def _add_figures(self, time: float, x: float, x_dot: float, torque: float) -> None:
-        """The numbers, right-aligned, so that no digit moves when another appears; stick or slip."""
+        """Draws the numbers, right-aligned, so that no digit moves when another appears, and stick or slip."""
         mean = x / time if time > 0.0 else 0.0
         values = (time, 100.0 * x, 100.0 * x_dot, 100.0 * mean, torque)
         left, top = VALUE_AREA[:2]
@@ -377,7 +377,7 @@ class Renderer:
         return self._averaged(CONTACT_AREA)
 
     def _stencil(self, draw: Callable[[], None]) -> Any:
-        """The robot's area of the canvas with what is drawn there: laid on the canvas, it leaves the rest as it is."""
+        """A picture of the robot's area of the canvas after `draw`, transparent elsewhere."""
         self._canvas.fill(TRANSPARENT)
         draw()
         picture = self._canvas.subsurface([SCALE * side for side in ROBOT_AREA]).copy()
@@ -385,7 +385,7 @@ class Renderer:
         return picture
 
     def _show(self, area: Area) -> None:
-        """Takes an area of the canvas over into the frame."""
+        """Copies an area of the canvas to the frame."""
         self._frame.blit(self._averaged(area), area[:2])
 
     def _averaged(self, area: Area) -> Any:
@@ -396,20 +396,20 @@ class Renderer:
     def _box(
         self, x: float, y: float, width: float, height: float, colour: Colour, radius: float = 0.0, line: float = 0.0
     ) -> None:
-        """A rectangle with corners of that radius: filled, or only an inner border of `line` pixels."""
+        """Draws a rectangle with rounded corners: filled, or only an inner border of `line` pixels."""
         sides = [round(SCALE * side) for side in (x, y, width, height)]
         self._pygame.draw.rect(self._canvas, colour, sides, round(SCALE * line), border_radius=round(SCALE * radius))
 
     def _disc(self, centre: tuple[float, float], radius: float, colour: Colour) -> None:
-        """A filled disc."""
+        """Draws a filled disc."""
         self._pygame.draw.circle(self._canvas, colour, [SCALE * at for at in centre], SCALE * radius)
 
     def _polygon(self, corners: Points, colour: Colour) -> None:
-        """A filled polygon."""
+        """Draws a filled polygon."""
         self._pygame.draw.polygon(self._canvas, colour, np.rint(SCALE * np.asarray(corners)).tolist())
 
     def _ribbon(self, points: Points, width: float, colour: Colour) -> None:
-        """A line through the points as one polygon: pygame's own thick lines are thin where they slant, and gape."""
+        """Draws a line through the points as one polygon: pygame's thick lines have gaps and are thin where slanted."""
         points = np.asarray(points, np.float64)
         ends = np.concatenate((points[:1], points, points[-1:]))
         across = (ends[2:] - ends[:-2])[:, ::-1] * (-1.0, 1.0)
@@ -417,7 +417,7 @@ class Renderer:
         self._polygon(np.concatenate((points + across, (points - across)[::-1])), colour)
 
     def _write(self, text: str, size: int, colour: Colour, x: float, baseline: float, anchor: str = "topleft") -> None:
-        """Text whose left edge ("topleft"), centre ("midtop") or right edge ("topright") is at x."""
+        """Draws text whose left edge ("topleft"), centre ("midtop") or right edge ("topright") is at x."""
         image, ascent = self._text(text, size, colour)
         place = round(SCALE * x), round(SCALE * baseline) - ascent
         self._canvas.blit(image, image.get_rect(**{anchor: place}))
@@ -433,9 +433,9 @@ def write_gif(frames: Iterable[np.ndarray], path: Path, frame_seconds: float = F
 
     Args:
         frames: (height, width, 3) uint8 each.
-        path: the GIF; written whole or not at all.
+        path: path of the GIF, which is written atomically.
         frame_seconds: time between frames; GIF counts hundredths of a second.
-        width: of the result, in pixels.
+        width: width of the GIF, in pixels.
 
     Raises:
         ValueError: if there are no pictures.
@@ -448,10 +448,10 @@ def write_gif(frames: Iterable[np.ndarray], path: Path, frame_seconds: float = F
         pictures.append(Image.fromarray(frame).resize((width, height), Image.Resampling.LANCZOS))
     if not pictures:
         raise ValueError("frames must contain at least one picture, got none: the episode ended before the first")
-    # One palette for all frames: colours do not flicker, and only what moves is stored anew. A single frame might lack
-    # the colour of stick or that of slip.
-    # By coverage, not by frequency: the few pixels of a legend keep their colour too. Then means (kmeans): the middle
-    # of a range of colours would give a background, most of the picture, a tint.
+    # One palette for all frames: colours do not flicker, and only moving parts are stored again. A single frame might
+    # lack the colour of stick or that of slip.
+    # By coverage, not by frequency, so that the few pixels of a legend keep their colour too. Then means (kmeans): the
+    # middle of a range of colours would tint the background, which is most of the picture.
     shown = pictures[:: -(-len(pictures) // FRAMES_OF_PALETTE)]
     together = Image.fromarray(np.concatenate([np.asarray(picture) for picture in shown]))
     palette = together.quantize(128, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)

@@ -34,7 +34,7 @@ def make_key(seed: int) -> tuple[int, int]:
 
 
 def random_stream(seed: int, episode: int, stream: Stream) -> np.random.Generator:
-    """The random numbers of one purpose in one episode of one environment, counted since that was given its seed.
+    """The random numbers of one purpose in one episode of one environment, counted since its seeding.
 
     A counter-based generator needs no state between episodes, and an environment draws the same numbers alone and in a
     batch.
@@ -50,7 +50,7 @@ _STEP_0, _STEP_1 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBB67AE8584CAA73B)
 _ROUNDS = 10
 # Unsigned constants: numba makes a float of the sum of a signed and an unsigned integer.
 _HALF, _LOW, _ZERO, _ONE = np.uint64(32), np.uint64(2**32 - 1), np.uint64(0), np.uint64(1)
-# Of a word the upper 53 bits make a float in [0, 1).
+# The upper 53 bits of a word give a float in [0, 1).
 _SHIFT, _UNIT = np.uint64(11), 2.0**-53
 PARAMETERS, INITIAL_STATE = np.uint64(Stream.parameters), np.uint64(Stream.initial_state)
 # Numbers that `draw_four` draws at once.
@@ -88,7 +88,7 @@ def draw_two(key_0: np.uint64, key_1: np.uint64, stream: np.uint64, episode: np.
 
 
 def plant_ranges(randomization: Randomization, capsule: Capsule) -> np.ndarray:
-    """Lower end and width of the ranges of M (kg) and mu, and the width of that of log(mu); float64, shape (5,)."""
+    """Lower end and width of the ranges of M (kg) and mu, and width of the range of log(mu); float64, shape (5,)."""
     M, mu = randomization.M or (capsule.M, capsule.M), randomization.mu or (capsule.mu, capsule.mu)
     growth_of_log = log(mu[1] / mu[0]) if randomization.mu and randomization.log_mu else 0.0
     return np.array([M[0], M[1] - M[0], mu[0], mu[1] - mu[0], growth_of_log])
@@ -126,8 +126,8 @@ def draw(
         ranges: from `plant_ranges`.
         start: middle (rad) and half width of the distribution of theta, and half width of that of theta_dot (rad/s).
         rows: indices of the environments, int64, shape (n,).
-        keys: of every environment, uint64, shape (num_envs, 2).
-        episodes: of every environment, how many have begun since it was given its seed.
+        keys: key of every environment, uint64, shape (num_envs, 2).
+        episodes: number of episodes that every environment has begun since its seeding.
         starts: shape (6, n), the rows as the first of `Row`; written.
 
     Raises:
@@ -161,7 +161,7 @@ def draw_table(first: int, stream: Stream, draws: Sequence[Draw]) -> np.ndarray:
 
 @jitable
 def draw_rows(table: np.ndarray, rows: np.ndarray, keys: np.ndarray, episodes: np.ndarray, values: np.ndarray) -> None:
-    """Draws the other values of the next episodes of some environments; arguments as of `draw`.
+    """Draws the other values of the next episodes of some environments; the arguments are those of `draw`.
 
     `table` is from `draw_table`; `values`, of shape (lines of the table, n), are written.
     """
@@ -190,13 +190,13 @@ def renew(
     """Writes the initial values of the next episodes of some environments, and deactivates the others for one step.
 
     Args:
-        world: as `kernels.advance` takes it; changed.
-        memory: of the law at the start of an episode.
+        world: see `kernels.advance`; changed.
+        memory: memory of the law at the start of an episode.
         m: mass of the ball, kg.
         g: gravitational acceleration, m/s^2.
         rows: indices of the environments, int64, shape (n,).
         starts: from `draw`.
-        episodes: of every environment, how many have begun; changed.
+        episodes: number of episodes that every environment has begun; changed.
     """
     for b in range(len(world)):
         world[b, AT.active : AT.active + LANES] = 0.0

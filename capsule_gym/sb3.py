@@ -21,7 +21,7 @@ class CapsuleSB3VecEnv(VecEnv):
 
     It replaces `make_vec_env("capsule_gym:CapsuleStickSlip-v0", n_envs=num_envs)`. The info of an environment is empty
     except at the end of an episode. There it contains "terminal_observation", "TimeLimit.truncated", "episode" with the
-    return "r" and the length "l" as of SB3's `Monitor`, and "metrics" (`capsule_gym.task.Metrics`, and the task's).
+    return "r" and the length "l" as in SB3's `Monitor`, and "metrics" (`capsule_gym.task.Metrics`, and the task's).
 
     Args:
         num_envs: number of environments.
@@ -104,7 +104,7 @@ class CapsuleSB3VecEnv(VecEnv):
         return [getattr(self.batch, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Refused: the environments of a batch share their settings.
+        """Not supported, since the environments of a batch share their settings.
 
         Raises:
             AttributeError: always.
@@ -112,7 +112,7 @@ class CapsuleSB3VecEnv(VecEnv):
         raise AttributeError(f"cannot set {attr_name!r}: the environments of a batch share their settings")
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
-        """Refused: a batch has no objects for its environments.
+        """Not supported, since a batch has no objects for its environments.
 
         Raises:
             AttributeError: always.
@@ -120,5 +120,5 @@ class CapsuleSB3VecEnv(VecEnv):
         raise AttributeError(f"cannot call {method_name!r} of one environment: call it of the attribute `batch`")
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
-        """False but for `Monitor`, whose infos a batch gives: where it is True, SB3 evaluates by whole episodes."""
+        """False except for `Monitor`, whose infos a batch contains: with True, SB3 evaluates whole episodes."""
         return [wrapper_class is Monitor] * len(list(self._get_indices(indices)))

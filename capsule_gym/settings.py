@@ -12,7 +12,7 @@ from capsule_gym.parameters import Capsule, Disturbances, Randomization
 DEFAULTS = EnvConfig()
 SPEED = find_task(DEFAULTS.task)
 
-# Stands for a controller where there is none.
+# Replaces a missing controller.
 NO_CONTROLLER = Controller("none", kernels.no_law, kernels.NO_REFERENCE)
 # The half of the disc of this radius that lies to the left of the imaginary axis is in the region of stability of the
 # classical Runge-Kutta method (Hairer and Wanner, Solving Ordinary Differential Equations II, Sect. IV.2).
@@ -38,7 +38,7 @@ def divide(name: str, whole: float, part_name: str, part: float) -> int:
 
 
 def check_step(capsule: Capsule, M: float, mu: float, settings: layout.StepSettings) -> None:
-    """Refuses a plant, with its M in kg and mu, that is too stiff for the integrator's step.
+    """Raises an error for a plant, with its M in kg and mu, that is too stiff for the integrator's step.
 
     Raises:
         ValueError: if the step is longer than the integrator's stability allows.
@@ -69,7 +69,7 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> layout.S
     disturbed = Disturbances.named(options.disturbances)
     # The plants differ in more than M and mu, or are disturbed.
     varied = disturbed is not None or bool(Randomization.named(options.randomization).drawn)
-    # A latency, and a motor's lag, need more instants than an agent's steps have.
+    # A latency, and a motor's lag, need a shorter period than an agent's step.
     law_dt = controller.dt if controller else physics_dt if varied else options.control_dt
     if options.control_dt / physics_dt > MOST_SUBSTEPS:
         raise ValueError(
@@ -106,7 +106,7 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> layout.S
 
 
 def ends(value: float | tuple[float, float]) -> tuple[float, float]:
-    """A range, or the one that holds a number alone."""
+    """The ends of a range; a number is both ends of its range."""
     return value if isinstance(value, tuple) else (value, value)
 
 

@@ -34,13 +34,13 @@ from capsule_gym.settings import DEFAULTS, NO_CONTROLLER, SPEED, check_step, cou
 
 Result = TypeVar("Result")
 
-# Whole numbers up to this are floating-point numbers: the keys of an episode's noise.
+# Upper limit of the keys of an episode's noise; floats represent all whole numbers up to it exactly.
 LARGEST_KEY = 2.0**53
 
-# Environments in a batch: some 15 GB.
+# Largest number of environments in a batch: some 15 GB.
 MOST_ENVS = 2**24
 
-# The arrays of a simulation's episodes, which a copy takes over; what is compiled it binds itself.
+# The arrays of a simulation's episodes, which a copy takes over; the copy binds compiled code itself.
 COPIED_ATTRIBUTES = ("world", "observations", "_keys", "_episodes", "_due")
 
 # Keys of a change of the plant within an episode.
@@ -51,7 +51,7 @@ def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None", c
     """An environment's seed as an int; `count` environments get seeds from this one on.
 
     Raises:
-        TypeError: if it is no integer.
+        TypeError: if it is not an integer.
         ValueError: if it, or the last of the environments' seeds, is negative or has more bits than a stream's key.
     """
     return check_integer("seed", seed, accepted, 0, 2**128 - count)
@@ -100,19 +100,19 @@ class Simulation:
 
     Args:
         num_envs: number of environments.
-        options: of the environments.
+        options: options of the environments.
 
     Attributes:
         capsule: the plant's constants.
         controller: the law inside the step, or None.
-        task: what the agent is to do.
+        task: the task.
         settings: the options as the kernel reads them.
         world: shape (blocks, rows, LANES): environment i is lane i % LANES of block i // LANES; the rows are those of
             `Row`, the law's memory, its line of the reference, the task's memory and, of varied plants, the history of
             `disturbances`. `row` and `columns` read it by environments.
         observations: shape (num_envs, entries), float32, of the present state.
-        fixed: what the kernel reads besides, from `layout.pack`.
-        start: what the episodes' starts are drawn from, as `resets.draw` takes it.
+        fixed: further input of the kernel, from `layout.pack`.
+        start: distribution of the initial states, an argument of `resets.draw`.
 
     Raises:
         TypeError: if an option is of the wrong type.
@@ -125,7 +125,7 @@ class Simulation:
         self.capsule = options.capsule or NOMINAL
         self.randomization = Randomization.named(options.randomization)
         self.randomization.check(self.capsule)
-        # M in kg and mu, where they are observed.
+        # Largest M in kg and mu if they are observed.
         self._largest = parameter_bounds(self.capsule, self.randomization)
         self.controller = find_controller(options.controller)
         self.task = find_task(options.task)
@@ -168,17 +168,17 @@ class Simulation:
         self._keys = np.zeros((self.num_envs, 2), np.uint64)
         self._episodes = np.zeros(self.num_envs, np.int64)
         self._changes: dict[int, list[tuple[float, float, float]]] = {}
-        # When the next of an environment's changes is due, s.
+        # Time of the next change of each environment, s.
         self._due = np.full(self.num_envs, math.inf)
         # Whether `Row.active` is 1 everywhere.
         self._everyone = False
         self.resets = 0
-        # Whole blocks: two threads never write to one.
+        # Each thread has whole blocks, so that two threads never write to the same block.
         count = min(options.threads, blocks)
         edges = [min(self.num_envs, LANES * (blocks * n // count)) for n in range(count + 1)]
         self._ranges = list(pairwise(edges))
         self._pool: ThreadPoolExecutor | None = None
-        # The process whose threads they are.
+        # The process that owns the threads.
         self._owner = 0
         self._bind()
 
@@ -274,7 +274,7 @@ class Simulation:
         disturbances: Sequence[dict[str, float]] | None = None,
         **task_options: Sequence[Any],
     ) -> None:
-        """Begins a new episode in some environments. What is not given is drawn.
+        """Begins a new episode in some environments. Values that are not given are drawn.
 
         Args:
             rows: indices of the environments, shape (n,).
@@ -284,8 +284,8 @@ class Simulation:
             changes: per environment the jumps of M and mu during the episode, in order of time: `{"t": s, "M": kg,
                 "mu": ..}`.
             capsule: per environment, constants of the plant by the names in `parameters.CONSTANTS`.
-            disturbances: per environment, what its episode has of `parameters.DISTURBANCES`.
-            **task_options: per environment, what the task would draw, by the names of `Task.options`.
+            disturbances: per environment, disturbances by the names in `parameters.DISTURBANCES`.
+            **task_options: per environment, values that the task would draw, by the names of `Task.options`.
 
         Raises:
             TypeError: if a value is of the wrong type.
@@ -318,7 +318,7 @@ class Simulation:
         if state is not None:
             starts[: Row.M] = self._check_state(state, len(rows)).T
 
-        # Nothing above has touched the environments: a refused reset leaves them as they were.
+        # Nothing above changes the environments, so a reset that raises an error leaves them unchanged.
         if self._changes or schedules:
             self._plan(rows, schedules)
         self._renew(rows, starts, self._episodes)
@@ -366,14 +366,14 @@ class Simulation:
             self._report(broken)
 
     def share(self, work: Callable[[int, int], Result]) -> list[Result]:
-        """Has the threads share the environments.
+        """Distributes the environments over the threads.
 
         Args:
-            work: takes the first environment and one past the last; releases the interpreter's lock, where it is to
-                gain by threads.
+            work: function of the first environment and one past the last; it must release the interpreter's lock to
+                gain from threads.
 
         Returns:
-            What it returned, in the order of the environments.
+            The results of `work`, in the order of the environments.
         """
         (first, last), *others = self._ranges
         if not others:
@@ -383,15 +383,15 @@ class Simulation:
             self._owner = os.getpid()
             self._pool = ThreadPoolExecutor(len(others), thread_name_prefix="capsule")
         futures = [self._pool.submit(work, *bounds) for bounds in others]
-        # The calling thread does its share: one less to be woken up.
+        # The calling thread takes a part too, so one thread less has to be woken up.
         return [work(first, last), *(future.result() for future in futures)]
 
     def _report(self, broken: int) -> None:
-        """Says which environment a law has broken."""
+        """Raises the error for a law that returned a torque that is not finite in an environment."""
         name = self.controller.name if self.controller else "none"
         column = self.columns(np.array([broken]))[:, 0]
         state = dict(zip(("theta", "theta_dot", "x", "x_dot"), column[:4].tolist(), strict=True))
-        # A reset of other environments shows these too.
+        # A reset of other environments would return these values too.
         lost = np.flatnonzero(~np.isfinite(self.row(Row.law_torque)))
         self.world[lost // LANES, Row.law_torque, lost % LANES] = 0.0
         self.observations[lost] = np.nan_to_num(self.observations[lost])
@@ -405,8 +405,8 @@ class Simulation:
 
         Args:
             rows: indices of the environments, int64, shape (n,).
-            horizon: agent steps of a whole episode. The mean speed of a failed episode is over these, so that failing
-                early does not pay; None takes the time that has passed.
+            horizon: agent steps of a whole episode. The mean speed of a failed episode is over all of them, so that an
+                early failure is no advantage; None takes the elapsed time.
 
         Returns:
             One float64 array of shape (n,) for each field of `task.Metrics`, and for each metric of the task.
@@ -452,7 +452,7 @@ class Simulation:
         return drawn
 
     def _limits(self, name: str) -> tuple[float, float]:
-        """The smallest and the largest value of a disturbance that an episode may be given."""
+        """The smallest and the largest value of a disturbance that a reset may set."""
         low, high = Disturbances.limits(name)
         if name == "latency":
             # The length of the history.
@@ -460,7 +460,7 @@ class Simulation:
         return low, high
 
     def _check_plant(self, M: float, mu: float, capsule: Capsule | None = None) -> None:
-        """Refuses M and mu that are invalid, too stiff for the step, or outside the observation that shows them."""
+        """Raises an error for M and mu that are invalid, too stiff for the step, or outside their observed bounds."""
         capsule = capsule or self.capsule
         capsule.check_plant(M, mu)
         check_step(capsule, float(M), float(mu), self.settings)
@@ -488,7 +488,7 @@ class Simulation:
         return np.broadcast_to(array, (count, 4))
 
     def _schedule(self, changes: Sequence[dict[str, float]]) -> list[tuple[float, float, float]]:
-        """The jumps of one episode as (t, M, mu)."""
+        """The changes of one episode as (t, M, mu)."""
         accepted = "a list of dicts {'t': s, 'M': kg, 'mu': ..}, each later than the one before"
         if not isinstance(changes, (list, tuple)):
             raise TypeError(f"options['changes'] must be {accepted}, got {written(changes)}")
@@ -510,7 +510,7 @@ class Simulation:
         return schedule
 
     def _plan(self, rows: np.ndarray, schedules: list[list[tuple[float, float, float]]] | None) -> None:
-        """Replaces the jumps that some environments had before them."""
+        """Replaces the scheduled changes of some environments."""
         for n, i in enumerate(rows.tolist()):
             self._changes.pop(i, None)
             self._due[i] = math.inf
@@ -519,7 +519,7 @@ class Simulation:
                 self._due[i] = schedules[n][0][0]
 
     def _apply_changes(self) -> None:
-        """Lets M and mu jump where the time has come: at the first agent step that starts at or after t."""
+        """Applies the changes of M and mu that are due: at the first agent step that starts at or after t."""
         now = self.row(Row.steps) * self.options.control_dt + 1e-9
         for i in np.flatnonzero(self._due <= now).tolist():
             schedule = self._changes[i]

@@ -1,4 +1,4 @@
-"""The class `Task`, and what all tasks share: termination and the metrics of an episode.
+"""The class `Task`, and the termination and metrics that all tasks share.
 
 The tasks themselves are in `capsule_gym.tasks`. The functions of a single time step are plain scalar functions;
 `capsule_gym.kernels` compiles them into the step.
@@ -20,7 +20,7 @@ EPISODE_STEPS = 1650
 CONTROL_DT = 0.02
 HORIZON = EPISODE_STEPS * CONTROL_DT
 TORQUE_LIMIT = 1.5
-# In centimetres of progress: a joule, and a failure.
+# Weight of a joule, and penalty of a failure, in centimetres of progress.
 ENERGY_WEIGHT = 0.1
 TERMINATION_PENALTY = 10.0
 THETA_LIMIT = math.pi / 2.0
@@ -186,13 +186,13 @@ def termination(theta: float, normal_force: float) -> int:
 def continues(theta: float, normal_force: float) -> bool:
     """Whether `termination` is 0 and both are numbers.
 
-    That finds every step that has left the numbers: with the sizes that a plant and a torque may have, accelerations
-    that overflow grow so fast from stage to stage that none cancels another in theta. A comparison more would be a
-    tenth of the kernel's time.
+    This check finds every step that overflows: within the limits of plant and torque, accelerations that overflow grow
+    so fast from stage to stage that none cancels another in theta. A further comparison would take a tenth of the
+    kernel's time.
     """
     return abs(theta) < THETA_LIMIT and normal_force > 0.0
 
 
 def bounded(theta_dot: float, x_dot: float) -> bool:
-    """Whether the rates are those of a motion that the integrator resolves; NaN is not."""
+    """Whether the rates are those of a motion that the integrator resolves; False for NaN."""
     return abs(theta_dot) + abs(x_dot) <= RATE_LIMIT

@@ -77,7 +77,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        # Nothing to close where an argument is refused: gymnasium 1.1 closes such a batch, too, when it is deleted.
+        # Nothing to close after an invalid argument: gymnasium 1.1 closes such a batch, too, when it is deleted.
         self.closed = True
         config = EnvConfig(render_mode=render_mode, **options)
         if render_mode not in (None, "rgb_array"):
@@ -108,7 +108,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.closed = False
 
     def __getstate__(self) -> dict[str, Any]:
-        """The episodes, which a copy goes on with, without the frames."""
+        """The state of the episodes, without the frames."""
         return {**vars(self), "_renderer": None}
 
     @property
@@ -118,7 +118,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        # make_vec hands over the registered one, whose time limit is not the batch's where the caller has given another.
+        # make_vec passes the registered spec, whose time limit is not the batch's if the caller has set another one.
         self._spec = spec and replace(spec, max_episode_steps=self.max_episode_steps)
 
     def reset(
@@ -197,7 +197,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
             self._ended = ended
         elif self.autoreset_mode is AutoresetMode.DISABLED:
-            # A frozen environment goes on telling how it ended, as its last step did.
+            # An environment whose episode has ended keeps reporting its termination, as in its last step.
             self._ended |= ended
             terminated = (shown[Row.termination] != 0.0) & self._ended
             truncated = (shown[Row.steps] >= self.max_episode_steps) & self._ended
@@ -225,7 +225,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._renderer = None
 
     def _info(self, rows: np.ndarray, mask: np.ndarray) -> dict[str, Any]:
-        """The infos of the environments that the mask names, from the first rows of `Row`."""
+        """The infos of the environments that the mask selects, from the first rows of `Row`."""
         simulation = self.simulation
         info = describe(rows, rows[Row.theta : Row.M].T, rows[Row.termination].astype(np.int64))
         if simulation.task is not SPEED:
@@ -245,7 +245,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return info
 
     def _begin_next(self, info: dict[str, Any], ended: np.ndarray) -> None:
-        """Begins the next episodes, and moves to the info's `final_..` how the last ones have ended."""
+        """Begins the next episodes, and moves the results of the last ones to the info's `final_..`."""
         simulation = self.simulation
         rows = np.flatnonzero(ended)
         metrics = {}
@@ -261,7 +261,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         info |= self._info(simulation.rows(0, Row.start_x), self._everyone)
 
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
-        """Hands the seeds out: environment i of seed s gets s + i."""
+        """Distributes the seeds: with a seed s, environment i gets s + i."""
         last = "2**128" if self.num_envs == 1 else f"2**128 - {self.num_envs - 1}"
         accepted = f"an integer in [0, {last}), None, or a sequence of {self.num_envs} integers in [0, 2**128) or None"
         fresh = self._np_random is None
@@ -282,7 +282,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 self.simulation.seed(i, first + i if own is None else own)
 
     def _check_mask(self, mask: Any) -> np.ndarray:
-        """The environments that a reset means."""
+        """The mask of the environments to be reset."""
         if mask is None:
             return np.ones(self.num_envs, np.bool_)
         accepted = f"a bool array of shape ({self.num_envs},) with at least one True"
@@ -309,13 +309,13 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             return states
         try:
             array = np.asarray(states)
-        except ValueError:  # rows of several lengths, which are refused where the others are
+        except ValueError:  # rows of several lengths, which raise an error with the other invalid states
             return states
         return array[rows] if array.ndim == 2 and len(array) == self.num_envs else states
 
 
 def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:
-    """The autoreset mode of that name or value."""
+    """The autoreset mode with this name or value."""
     for candidate in AutoresetMode:
         if mode is candidate or (isinstance(mode, str) and mode in (candidate.name, candidate.value)):
             return candidate
@@ -324,7 +324,7 @@ def _find_mode(mode: AutoresetMode | str) -> AutoresetMode:
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:
-    """Gymnasium's form of batched infos: with every key the mask of the environments that it holds for."""
+    """Gymnasium's form of batched infos: every key has a mask of the environments for which it holds."""
     info: dict[str, Any] = {}
     for key, value in values.items():
         if key.startswith("_"):

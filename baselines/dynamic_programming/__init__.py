@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-# N: the observation is coarser than the state, so that a smaller predicted force may be none.
+# N: the observation is coarser than the state, so a smaller predicted force may be a loss of contact.
 MIN_NORMAL_FORCE = 0.02
-# Of the archive.
+# Folder of the archive.
 FOLDER = Path(__file__).with_name("data")

@@ -37,9 +37,9 @@ class Args:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
+    """Runs the command; returns the exit status."""
     args = parse(Args, PROG, arguments)
-    # Imported once the command line is known to be right: the help needs none of it.
+    # Imported after parsing, since `--help` does not need these modules.
     from baselines.archive import run_search
     from baselines.dynamic_programming.archive import load_archive
     from baselines.dynamic_programming.figure import report

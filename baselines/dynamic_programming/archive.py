@@ -1,7 +1,7 @@
 """The archive of the results: trajectories, their limit cycles and speeds, and values of the coarse grids.
 
-A speed on file is that of a trajectory: `data/arrays.npz` holds its torques, one per control interval, and repeating
-them from rest gives the same speed on every machine. `gains` are what the solver found on its grids.
+Each archived speed is that of a trajectory. `data/arrays.npz` contains the torques of the trajectory, one per control
+interval; repeating them from rest gives the same speed on every machine. `gains` are the gains on the solver's grids.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from baselines.dynamic_programming.solver import GRIDS, Solution, solve_on_grids
 from capsule_gym.config import DIRECT_PHYSICS_DT
 from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
 
-# cm: values are stored in steps of this size, or of the size that two bytes can count; an interval earns half a cm.
+# cm: step of the stored values, larger if two bytes cannot count the steps; a control interval earns half a cm.
 RESOLUTION = 0.005
 MAX_STEPS = 65535
-# rad, rad/s, m, m/s: differences of these sizes between the ends of a cycle count alike.
+# rad, rad/s, m, m/s: scales of the differences between the ends of a cycle.
 SCALES = np.array([0.1, 1.0, np.inf, 0.05])
 
 
@@ -43,10 +43,10 @@ class Result(Problem):
 
     Attributes:
         grids: nodes along theta, s and w of every grid, from coarse to fine.
-        gains: mean reward of the Markov chain on each, cm/s.
-        steady: mean speed of the trajectory on each over whole cycles, cm/s.
-        mean_speed: of the trajectory on file, the best of all grids', over 33 s from rest, cm/s.
-        cost_of_transport: of that trajectory.
+        gains: mean reward of the Markov chain on each grid, cm/s.
+        steady: mean speed of each grid's trajectory over whole cycles, cm/s.
+        mean_speed: mean speed of the archived trajectory, the best of all grids, over 33 s from rest, cm/s.
+        cost_of_transport: cost of transport of the archived trajectory.
     """
 
     grids: tuple[tuple[int, int, int], ...]
@@ -61,9 +61,9 @@ class Archive:
     """The results with their arrays.
 
     Attributes:
-        results: by key.
-        arrays: by key and kind: `torques` of the trajectory as indices of `ACTIONS`, uint8; the values'
-            `differences` and `numbers`. Of the plants of evaluation sets `plants`: M, mu and mean speed, shape
+        results: the results by key.
+        arrays: arrays by key and kind: `torques` of the trajectory as indices of `ACTIONS`, uint8; `differences` and
+            `numbers` of the values. For the plants of evaluation sets: `plants` with M, mu and mean speed, shape
             (plants, 3), and `plants torques`, shape (plants, steps).
     """
 
@@ -71,7 +71,7 @@ class Archive:
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
 
     def solve(self, problems: Sequence[Problem]) -> Iterator[None]:
-        """Solves problems as it is iterated and adds their results, with the trajectory of the largest reward."""
+        """Solves one problem per iteration and adds its result, with the trajectory of the largest reward."""
         for n, problem in enumerate(problems):
             print(f"{n + 1}/{len(problems)} {problem} ..", flush=True)
             began, own_interval = perf_counter(), problem.control_dt == CONTROL_DT
@@ -99,7 +99,7 @@ class Archive:
             yield
 
     def _add_values(self, key: str, solution: Solution) -> None:
-        """Stores values rounded to steps; of these differences along all axes, modulo 65536, which compress better."""
+        """Stores rounded values as differences along all axes, modulo 65536, which compress better."""
         low, high = float(solution.values.min()), float(solution.values.max())
         step = max(RESOLUTION, (high - low) / MAX_STEPS)
         steps = np.round((solution.values - low) / step).astype(np.uint16)
@@ -110,7 +110,7 @@ class Archive:
         self.arrays[f"{key} numbers"] = np.array(numbers)
 
     def solution(self, problem: Problem) -> Solution:
-        """The stored values of a problem: there are some for every plant of the grids and for the margin."""
+        """The stored values of a problem; they exist for every plant of the grids and for the margin."""
         steps, numbers = (self.arrays[f"{problem.key} {kind}"] for kind in ("differences", "numbers"))
         low, step, *limits, curvature, gain = numbers.tolist()
         for axis in range(steps.ndim):
@@ -142,7 +142,7 @@ class Archive:
         return repeat(problem, self.arrays[f"{problem.key} torques"])
 
     def check(self) -> list[str]:
-        """Repeats all trajectories; returns what differs from the archive, one line each."""
+        """Repeats all trajectories; returns one line for each difference from the archive."""
         stale = []
         for key, result in self.results.items():
             filed = {name: getattr(result, name) for name in ("mean_speed", "cost_of_transport")}
@@ -166,7 +166,7 @@ class Archive:
 
 
 def load_archive(folder: Path = FOLDER) -> Archive:
-    """Reads the archive of a folder; an empty one where there is none.
+    """Reads the archive of a folder, or returns an empty one if the folder contains none.
 
     Raises:
         ValueError: if a file is malformed.
@@ -186,7 +186,7 @@ def _performance(trajectory: Trajectory) -> dict[str, float]:
 
 @lru_cache(maxsize=1)
 def known_results() -> Archive:
-    """The committed results, read once."""
+    """The archived results, read once."""
     return load_archive()
 
 
@@ -194,9 +194,9 @@ def known_results() -> Archive:
 def optimal_speed(M: float, mu: float, grid: PlantGrid = GRID) -> float:
     """The mean speed of dynamic programming from rest over 33 s, torque within 1.5 N m every 20 ms, in cm/s; M in kg.
 
-    It is the speed of a trajectory that was found, not an upper bound: a policy may exceed it a little. Where the plant
-    was not solved itself, as those of the grid and of the sets `paper` and `wide` were, it is linear in M and in
-    log(mu) between the plants of the grid, which can be off by 2 %.
+    It is the speed of a computed trajectory, not an upper bound: a policy may exceed it a little. The plants of the
+    grid and of the sets `paper` and `wide` were solved themselves. For other plants the speed is interpolated linearly
+    in M and log(mu) between the plants of the grid, with errors of up to 2 %.
 
     Raises:
         ValueError: if the plant lies outside the grid, which must have its ratio of static to kinetic friction.
@@ -214,7 +214,7 @@ def optimal_speed(M: float, mu: float, grid: PlantGrid = GRID) -> float:
 def optimal_front() -> list[tuple[float, float]]:
     """Cost of transport and mean speed (cm/s) on the nominal plant, one point for every energy weight, slowest first.
 
-    Points that another one beats in both are left out.
+    Points that another point dominates are left out.
     """
     results = known_results().results
     own = [results[Problem(energy_weight=weight).key] for weight in (0.0, *ENERGY_WEIGHTS)]
@@ -224,19 +224,19 @@ def optimal_front() -> list[tuple[float, float]]:
 
 
 def cycle() -> dict[str, np.ndarray]:
-    """The settled period whose ends differ the least, of the trajectory on the nominal plant.
+    """The settled period of the trajectory on the nominal plant whose ends differ the least.
 
     Returns:
         `time` (s, from 0), `theta` (rad), `theta_dot` (rad/s), `x` (m, from 0), `x_dot` (m/s), `normal_force` (N, the
-        smallest of the step) and `torque` (N m, during it) at every step of the integrator, from where the pendulum
-        reverses to move forwards on the left to where it does so again; each of shape (steps + 1,), float64.
+        smallest of the step) and `torque` (N m, during it) at every step of the integrator, from one reversal of the
+        pendulum, left of upright and into forward motion, to the next; each of shape (steps + 1,), float64.
     """
     problem, archive = Problem(), known_results()
     trajectory = archive.repeat(problem)
     starts = trajectory.cycle_starts(problem.control_dt)
     n = int(np.abs(np.diff(trajectory.states[starts, :, 0], axis=0) / SCALES).max(axis=1).argmin())
     begin, end = int(starts[n]), int(starts[n + 1])
-    # The same trajectory in steps of the integrator, and one control interval more, for where the cycle ends.
+    # Repeats the trajectory in steps of the integrator, with a further control interval for the end of the cycle.
     substeps = round(problem.control_dt / DIRECT_PHYSICS_DT)
     dt = problem.control_dt / substeps
     fine = repeat(replace(problem, control_dt=dt), np.repeat(trajectory.choices[: end + 1, 0], substeps))

@@ -27,17 +27,17 @@ from capsule_gym.task import TORQUE_LIMIT
 
 Cycle = dict[str, np.ndarray]
 
-# Points of the maps along either axis, and the rates they reach to, rad/s.
+# Points of the maps along either axis, and the range of the rates, rad/s.
 POINTS = 141
 RATES = (-8.0, 14.0)
 THETA = 1.55
-# cm: states of a smaller value fail; and the range of values that is coloured.
+# cm: states with a smaller value count as failures; range of the coloured values.
 FAILING = -20.0
 SHOWN = 16.0
 
 
 def draw_optimum() -> Any:
-    """The figure, to be drawn within `baselines.drawing.style`."""
+    """Draws the figure; to be called within `baselines.drawing.style`."""
     solution, own = known_results().solution(Problem()), cycle()
     q = solution.grid.q
     w = float(np.median(own["x_dot"] / q - np.cos(own["theta"]) * own["theta_dot"]))
@@ -86,7 +86,7 @@ def _maps(solution: Solution, w: float) -> tuple[np.ndarray, np.ndarray]:
 def _draw_map(
     figure: Any, axes: Any, image: np.ndarray, own: Cycle, colours: str, label: str, limits: tuple[float, float]
 ) -> None:
-    """One map with the cycle on it."""
+    """Draws a map and the cycle on top of it."""
     axes.set_facecolor("#d9d9d9")
     shown = axes.imshow(
         image,
@@ -106,7 +106,7 @@ def _draw_map(
 
 
 def _draw_cycle(axes: Any, own: Cycle, title: str, limits: tuple[float, float]) -> None:
-    """The frame of a panel over the cycle; shaded where the platform slides backwards."""
+    """Draws the frame of a panel over the cycle; shades the times at which the platform slides backwards."""
     backwards = own["x_dot"] < 0.0
     axes.fill_between(own["time"], *limits, where=backwards, step="post", color="#e8eef6", lw=0.0, zorder=0.5)
     axes.axhline(0.0, color=MUTED, lw=0.6)

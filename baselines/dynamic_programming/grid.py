@@ -6,7 +6,7 @@ A state (theta, theta_dot, x_dot) becomes (theta, s, w), with q = m l / (M + m):
     y = x_dot / (q max(cos(theta), 0.3))        the velocity of the platform, as a rate of the pendulum, rad/s
     s = y / (STRETCH + |y|)                     finer near stick
 
-Only friction changes w, and slowly. Along x_dot every step would cross many cells, each with an error of interpolation.
+Only friction changes w, at a low rate. Along x_dot a step would cross many cells, each with an interpolation error.
 Stick is the plane s = 0, where the value has a kink; nodes lie on it.
 """
 
@@ -22,17 +22,17 @@ from capsule_gym.elementary import sincos, sines_and_cosines
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import THETA_LIMIT
 
-# rad/s: where the spacing of y is four times that at rest.
+# rad/s: the y at which the spacing of nodes is four times that at rest.
 STRETCH = 10.0
 # Bounds the cosine in y from below.
 MIN_COSINE = 0.3
 # rad/s: the range of y on the first grid, wider than any solution needs.
 INITIAL_Y = (-10.0, 22.0)
-# Cells: positions end so far before the last node, so that they lie in a cell.
+# Cells: distance of the last position from the last node, so that every position lies in a cell.
 EDGE = 1e-4
-# Stands for the position of a failed state and of one off the grid.
+# Position of a failed state and of a state off the grid.
 FAILED = -1.0
-# rad/s: the rate of nodes near +-pi/2, where no motion reaches the platform's velocity, is clipped.
+# rad/s: limit of the rate of nodes near +-pi/2, where no motion reaches the platform's velocity.
 MAX_NODE_RATE = 40.0
 
 
@@ -140,7 +140,7 @@ class Grid:
         return np.stack([theta, np.clip(theta_dot, -MAX_NODE_RATE, MAX_NODE_RATE), self.q * rate])
 
     def positions(self, states: np.ndarray) -> np.ndarray:
-        """Positions of states of shape (3, n) in cells from the first node, shape (n, 3), float32; else FAILED."""
+        """Positions of states of shape (3, n) in cells from the first node, shape (n, 3), float32; or FAILED."""
         out = np.empty((states.shape[1], 3), np.float32)
         columns = np.ascontiguousarray(states, np.float64)
         compile_cached(_locate_all)(columns, self.q, self.axes, np.array(self.shape), out)

@@ -24,9 +24,9 @@ def set_plants(*names: str) -> list[tuple[float, float]]:
 
 
 def solve_plant(problem: Problem, archive: Archive, shape: tuple[int, int, int] = GRIDS[0]) -> Trajectory:
-    """The trajectory of a plant within `GRID`, over the ranges and from the values of the plants around it.
+    """The trajectory of a plant within `GRID`, solved over the ranges and from the values of the plants around it.
 
-    The nodes along s and w in `shape` are divided by their ranges.
+    The nodes of `shape` along s and w are divided between both by their ranges.
     """
     corners, along_M, along_mu = GRID.cell(problem.M, problem.mu)
     near = [archive.solution(plant_problems(GRID)[corner]) for corner in corners]
@@ -42,7 +42,7 @@ def solve_plant(problem: Problem, archive: Archive, shape: tuple[int, int, int] 
 
 
 def solve_plants(archive: Archive, missing: Sequence[tuple[float, float]]) -> Iterator[None]:
-    """Solves plants, M in kg and mu, as it is iterated, and adds them to an archive with the values of `GRID`."""
+    """Iterates over plants, M in kg and mu, solves them and adds them to an archive with the values of `GRID`."""
     for n, (M, mu) in enumerate(missing):
         archive.add_plant(M, mu, solve_plant(Problem(M=M, mu=mu), archive))
         if n % PART == PART - 1 or n == len(missing) - 1:

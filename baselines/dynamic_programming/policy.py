@@ -24,7 +24,7 @@ from capsule_gym.simulation import Simulation
 
 Act = Callable[[np.ndarray], np.ndarray]
 
-# Torques over their limit that a policy tries, float32 as the environment's actions.
+# Torques, divided by their limit, that a policy tries; float32 like the environment's actions.
 NUM_TORQUES = 41
 TORQUES = np.linspace(-1.0, 1.0, NUM_TORQUES).astype(np.float32)
 # cm: the score of a torque that fails.
@@ -46,14 +46,14 @@ def _score(
 
     Args:
         states: next states, shape (3, environments torques).
-        rewards: of the steps, cm.
+        rewards: rewards of the steps, cm.
         failed: whether the steps fail.
         q: m l / (M + m) of every environment, m.
-        corners: tables around every environment's plant, shape (environments, corners).
-        weights: of these tables, shape (environments, corners).
+        corners: indices of the tables around every environment's plant, shape (environments, corners).
+        weights: weights of these tables, shape (environments, corners).
         tables: the values of solutions.
-        axes: of their grids, shape (tables, 3, 2).
-        curvatures: of the tables, `cell_curvature`, cm.
+        axes: axes of their grids, shape (tables, 3, 2).
+        curvatures: `cell_curvature` of each table, cm.
     """
     scores = np.full(rewards.size, FAILURE_SCORE)
     for lane in range(rewards.size):
@@ -73,7 +73,7 @@ def _score(
 
 @lru_cache(maxsize=2)
 def _tables(*problems: Problem) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
-    """The values of solutions as `_score` takes them: values, axes and curvatures."""
+    """The arguments `tables`, `axes` and `curvatures` of `_score` for the solutions of problems."""
     solutions = [known_results().solution(problem) for problem in problems]
     curvatures = np.array([cell_curvature(solution.curvature, solution.grid) for solution in solutions])
     return tuple(s.values for s in solutions), np.array([s.grid.axes for s in solutions]), curvatures
@@ -82,8 +82,8 @@ def _tables(*problems: Problem) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.
 class Lookahead:
     """The policy on the nominal plant, for `count` environments; its torques leave a `margin` of normal force, N.
 
-    The values of the problems, all of one static ratio, are interpolated; of one they are taken as they are. `law` is
-    that of `Transitions`.
+    The values of several problems, all of one static ratio, are interpolated; those of a single problem are used
+    unchanged. `law` is the argument of `Transitions`.
     """
 
     def __init__(self, count: int, margin: float, *problems: Problem, law: tuple[str, float] | None = None) -> None:
@@ -97,8 +97,8 @@ class Lookahead:
     def scores(self, observations: np.ndarray, simulation: Simulation | None = None) -> np.ndarray:
         """The score of each torque: its reward plus the value of the next state, cm; `FAILURE_SCORE` if it fails.
 
-        theta, theta_dot and x_dot come first in the observations. `simulation`, of the environments, is needed with a
-        law, which has a memory.
+        Observations begin with theta, theta_dot and x_dot. A law, which has a memory, requires the `simulation` of the
+        environments.
 
         Returns:
             Shape (count, torques), float64, in the order of `TORQUES`.
@@ -112,7 +112,7 @@ class Lookahead:
 
     @property
     def normal_force(self) -> np.ndarray:
-        """After the steps that the last scores are of, N, shape (count, torques)."""
+        """The smallest normal force in each step of the last scores, N, shape (count, torques)."""
         return self._transitions.normal_force.reshape(-1, NUM_TORQUES)
 
     def act(self, observations: np.ndarray) -> np.ndarray:
@@ -123,7 +123,7 @@ class Lookahead:
 class Oracle(Lookahead):
     """The policy that observes the plants: M and mu are the last two entries of an observation.
 
-    The values of the plants of a grid, with the static ratio of those observed, are interpolated.
+    The values are interpolated between the plants of a grid, which has the static ratio of the observed plants.
     """
 
     def __init__(self, count: int, grid: PlantGrid = GRID, law: tuple[str, float] | None = None) -> None:
@@ -132,7 +132,7 @@ class Oracle(Lookahead):
         self._observed = np.zeros((count, 2), np.float32)
 
     def scores(self, observations: np.ndarray, simulation: Simulation | None = None) -> np.ndarray:
-        """As of any lookahead, on the plants observed."""
+        """`Lookahead.scores` on the observed plants."""
         plants = observations[:, -2:]
         # On most steps no plant has changed.
         if not np.array_equal(plants, self._observed):
@@ -147,7 +147,7 @@ class Oracle(Lookahead):
 
 
 def start_nominal(seeds: Sequence[int]) -> Act:
-    """The policy of the nominal plant that leaves `NOMINAL_MARGIN` of normal force, on every plant."""
+    """The policy of the nominal plant, used on every plant; it leaves `NOMINAL_MARGIN` of normal force."""
     return Lookahead(len(seeds), NOMINAL_MARGIN, Problem(margin=NOMINAL_MARGIN)).act
 
 

@@ -17,15 +17,15 @@ from capsule_gym.parameters import NOMINAL, Capsule
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
 
-# Torques over their limit from which a policy chooses; their indices fit into a byte.
+# Torques, divided by their limit, from which a policy chooses; their indices fit into a byte.
 ACTIONS = np.linspace(-1.0, 1.0, 121)
-# s: by then every trajectory is close to its limit cycle.
+# s: time after which every trajectory is close to its limit cycle.
 SETTLED = HORIZON / 2.0
 # s
 CONTROL_INTERVALS = (0.01, 0.005)
 # cm/J
 ENERGY_WEIGHTS = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
-# N: `dp-nominal` leaves so much normal force; the lightest platform of `wide` weighs 1.47 N less than it assumes.
+# N: normal force that `dp-nominal` leaves; the lightest platform of `wide` weighs 1.47 N less than the nominal one.
 NOMINAL_MARGIN = 1.6
 
 
@@ -53,16 +53,16 @@ class Problem:
     def key(self) -> str:
         """The name under which the archive holds the problem; the capsule's other constants are the default ones."""
         numbers = [self.M, self.mu, self.energy_weight, self.control_dt, self.margin]
-        # As the first archives had it.
+        # The nominal ratio is omitted, as in the first archives.
         numbers += [self.static_ratio] if self.static_ratio != NOMINAL.static_ratio else []
         return " ".join(f"{number:g}" for number in numbers)
 
     @cached_property
     def options(self) -> EnvConfig:
-        """Of the environment whose agent step is the control interval."""
+        """Options of the environment whose agent step is the control interval."""
         return EnvConfig(
             control_dt=self.control_dt,
-            # The environment's own where that divides the control interval.
+            # The environment's own step if it divides the control interval.
             physics_dt=self.control_dt / math.ceil(self.control_dt / DIRECT_PHYSICS_DT - 1e-9),
             energy_weight=self.energy_weight,
             termination_penalty=0.0,
@@ -76,8 +76,8 @@ def plant_problems(grid: PlantGrid) -> list[Problem]:
     return [Problem(M=M, mu=mu, static_ratio=grid.static_ratio) for M, mu in grid.plants]
 
 
-# All that are solved: every plant of the grids; the nominal one with a margin by which the weight of the platform may
-# be smaller, with energy weights in cm/J, and with shorter control intervals.
+# All problems: every plant of the grids; the nominal plant with a margin of normal force for lighter platforms, with
+# energy weights, and with shorter control intervals.
 PROBLEMS = (
     *plant_problems(GRID),
     *plant_problems(STICKY_GRID),
@@ -88,10 +88,10 @@ PROBLEMS = (
 
 
 class Transitions:
-    """A batch of the environment that takes one step from `count` states at once under any torques.
+    """A batch of environments that takes one step from each of `count` states under any torques.
 
-    All states are on the plant of the problem; `set_plants` gives others. `law` is the name of a control law to whose
-    torque the actions are added, and their limit, N m.
+    All states have the plant of the problem; `set_plants` sets others. `law` is the name of a control law to whose
+    torque the actions are added, and the residual limit, N m.
     """
 
     def __init__(self, problem: Problem, count: int, law: tuple[str, float] | None = None) -> None:
@@ -110,14 +110,14 @@ class Transitions:
         self._simulation.write(Row.mu, mu)
 
     def take_over(self, simulation: Simulation) -> None:
-        """Continues the episodes of a simulation with the same law: each of them in `count / num_envs` neighbours."""
+        """Copies the episodes of a simulation with the same law, each to `count / num_envs` adjacent environments."""
         places = np.arange(self._simulation.num_envs)
         columns = simulation.columns(places * simulation.num_envs // places.size)
         self._simulation.world[places // LANES, :, places % LANES] = columns.T
 
     @property
     def normal_force(self) -> np.ndarray:
-        """The smallest of the last step, N, shape (count,)."""
+        """The smallest normal force in the last step, N, shape (count,)."""
         return self._simulation.row(Row.normal_force)
 
     def step(self, states: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -138,14 +138,14 @@ class Transitions:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Episodes side by side.
+    """The trajectories of a batch of episodes.
 
     Attributes:
-        metrics: of `capsule_gym.task.Metrics`, each of shape (episodes,).
+        metrics: those of `capsule_gym.task.Metrics`, each of shape (episodes,).
         states: theta (rad), theta_dot (rad/s), x (m), x_dot (m/s) at the beginning of every step, shape (steps, 4,
             episodes).
         choices: the torques as indices of `ACTIONS`, shape (steps, episodes), uint8.
-        normal_forces: the smallest of each step, N, shape (steps, episodes).
+        normal_forces: smallest normal force in each step, N, shape (steps, episodes).
     """
 
     metrics: dict[str, np.ndarray]
@@ -177,10 +177,10 @@ def record(
     """Runs episodes from rest.
 
     Args:
-        problem: with the plant and the control interval.
-        thetas: where the episodes start, rad.
-        steps: their length.
-        choose: from the number of a step and the states, shape (4, episodes), to the torques as indices of `ACTIONS`.
+        problem: the problem, which sets the plant and the control interval.
+        thetas: initial angles of the episodes, rad.
+        steps: number of steps.
+        choose: choose(step, states) -> torques as indices of `ACTIONS`; the states are of shape (4, episodes).
         plants: M in kg and mu of every episode, shape (episodes, 2), instead of the problem's.
     """
     count = thetas.size

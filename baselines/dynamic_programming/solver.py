@@ -29,25 +29,25 @@ from capsule_gym.task import HORIZON, START_THETA
 FAILURE_VALUE = -50.0
 # Torques at every node, evenly spaced within the limits.
 TORQUES = 9
-# How often torques around the best are added at every node, and their places in spacings of the previous ones.
+# Number of times that torques around the best are added at every node, and their offsets in previous spacings.
 REFINEMENTS = 2
 LOCAL = np.linspace(-1.0, 1.0, 9)
-# States that one call of the environment's step moves.
+# Number of states per call of the environment's step.
 BATCH = 8192
-# s: steps of policy evaluation between two improvements, as time.
+# s: duration of the policy evaluation between two improvements.
 EVALUATION_TIME = 0.8
-# s: how long before the end of an episode a policy takes the end into account; longer than a cycle.
+# s: time before the end of an episode from which a policy considers the end; longer than a cycle.
 ENDING = 0.8
 MAX_ITERATIONS = 60
-# cm/s: converged where the span of the values' changes is smaller.
+# cm/s: the iteration has converged when the range of the changes of the values is smaller.
 TOLERANCE = 0.02
 # Nodes along theta, s and w. The first grid is also that of the policies' values.
 GRIDS = ((31, 51, 16), (46, 76, 24), (61, 101, 32), (91, 151, 48))
-# Ratio of the nodes of s and w over that of the ranges of y and w, and its limits.
+# Ratio of the numbers of nodes of s and w over the ratio of the ranges of y and w; limits of the first ratio.
 NODE_RATIO, MIN_RATIO, MAX_RATIO = 0.7, 0.25, 3.2
 # Angles from which trajectories start: the task's own first, then others up to 0.1 rad from it.
 STARTS = START_THETA + np.array([0.0, *np.linspace(-0.1, 0.1, 6)])
-# The grid extends beyond the trajectories by this share of their range of y and w, and by at least so much, rad/s.
+# The grid extends beyond the trajectories by this share of their range of y and w, and by at least MIN_ROOM, rad/s.
 ROOM, MIN_ROOM = 0.3, 1.0
 
 
@@ -56,8 +56,8 @@ class Solution:
     """The solution on a grid.
 
     Attributes:
-        problem: what was optimised.
-        grid: of the states.
+        problem: the solved problem.
+        grid: grid of the states.
         values: h at the nodes, cm, shape of the grid, float32; 0 at the start of an episode.
         curvature: half the second derivative of the values along w, in cm / (rad/s)^2.
         gain: mean reward of the Markov chain, cm/s.
@@ -83,7 +83,7 @@ def cell_curvature(curvature: float, grid: Grid) -> float:
 
 
 def transitions(problem: Problem, grid: Grid, torques: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One step from every node under every torque, over the limit, of an array of shape (nodes, torques).
+    """Takes one step from every node; `torques`, of shape (nodes, torques), are divided by the limit.
 
     Returns:
         Positions on the grid, shape (nodes, torques, 3), and rewards in cm, (nodes, torques), both float32.
@@ -95,7 +95,7 @@ def transitions(problem: Problem, grid: Grid, torques: np.ndarray) -> tuple[np.n
     batch = min(BATCH, nodes)
     model = Transitions(problem, batch)
     for first in range(0, nodes, batch):
-        # The last batch ends at the last node: some are moved twice.
+        # The last batch ends at the last node, so some nodes are computed twice.
         begin = min(first, nodes - batch)
         part = slice(begin, begin + batch)
         for n in range(count):
@@ -107,7 +107,7 @@ def transitions(problem: Problem, grid: Grid, torques: np.ndarray) -> tuple[np.n
 def _backup(
     values: np.ndarray, positions: np.ndarray, rewards: np.ndarray, gain: float, curvature: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One step of value iteration, or of policy evaluation where there is one torque per node.
+    """One step of value iteration, or of policy evaluation with one torque per node.
 
     `positions` are those of the next states on the grid, shape (nodes, torques, 3); `rewards`, of shape (nodes,
     torques), values, gain per step and `cell_curvature` are in cm.
@@ -127,7 +127,7 @@ def _backup(
 
 
 def solve(problem: Problem, grid: Grid, *, curvature: float = 0.0, start: Solution | None = None) -> Solution:
-    """Solves a problem on a grid, from the values of a solution on another grid if there is one."""
+    """Solves a problem on a grid, starting from the values of a solution on another grid if one is given."""
     backup, cell = compile_cached(_backup), cell_curvature(curvature, grid)
     actions = np.tile(np.linspace(-1.0, 1.0, TORQUES), (math.prod(grid.shape), 1))
     positions, rewards = transitions(problem, grid, actions)
@@ -162,7 +162,7 @@ def solve(problem: Problem, grid: Grid, *, curvature: float = 0.0, start: Soluti
 
 
 def final_solutions(solution: Solution) -> list[Solution]:
-    """The values with 0, 1, .. steps to go up to `ENDING`: nothing counts after the end of an episode."""
+    """The values with 0, 1, .. steps to go, up to `ENDING`; rewards after the end of an episode do not count."""
     problem, grid = solution.problem, solution.grid
     actions = np.tile(np.linspace(-1.0, 1.0, TORQUES), (math.prod(grid.shape), 1))
     positions, rewards = transitions(problem, grid, actions)
@@ -180,7 +180,7 @@ def run_policy(
     """Runs the policy that takes, at every step, the torque with the largest reward plus value of the next state.
 
     The episodes start at the angles `thetas` in rad, at rest, and last `horizon` s. `final` are the values before the
-    end, from `final_solutions`; without them the policy never expects the end.
+    end, from `final_solutions`; without them the policy ignores the end.
     """
     model = Transitions(solution.problem, thetas.size * ACTIONS.size)
     actions = np.tile(ACTIONS, thetas.size)
@@ -196,7 +196,7 @@ def run_policy(
 
 
 def ranges(trajectory: Trajectory, q: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The ranges of y and w in rad/s that trajectories use, with room around them."""
+    """The ranges of y and w in rad/s that trajectories cover, with a margin."""
     theta, theta_dot, _, x_dot = trajectory.states.transpose(1, 0, 2)
     cos = np.cos(theta)
 
@@ -209,7 +209,7 @@ def ranges(trajectory: Trajectory, q: float) -> tuple[tuple[float, float], tuple
 
 
 def divide_nodes(shape: tuple[int, int, int], y: tuple[float, float], w: tuple[float, float]) -> tuple[int, int, int]:
-    """Divides as many nodes between s and w by their ranges: where the platform mostly sticks, w is not slow."""
+    """Divides the same number of nodes between s and w by their ranges: w is not slow if the platform mostly sticks."""
     ratio = min(MAX_RATIO, max(MIN_RATIO, NODE_RATIO * (y[1] - y[0]) / (w[1] - w[0])))
     product = shape[1] * shape[2]
     along_s = round(math.sqrt(product * ratio))
@@ -231,8 +231,8 @@ def curvature_of(solution: Solution, trajectory: Trajectory) -> float:
 def solve_on_grids(problem: Problem, shapes: Sequence[tuple[int, int, int]]) -> list[tuple[Solution, Trajectory]]:
     """Solves a problem on grids of these shapes, from coarse to fine.
 
-    On the first grid it is solved twice: over ranges that contain any solution, and over those that its own
-    trajectories use.
+    The problem is solved twice on the first grid: over ranges that contain any solution, and over the ranges that its
+    own trajectories cover.
 
     Returns:
         For each grid the solution and its policy's episodes from `STARTS`.

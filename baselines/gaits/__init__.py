@@ -4,5 +4,5 @@ from pathlib import Path
 
 # Half the environment's own step: switching times matter, and shorter steps gained nothing worth their cost.
 GAIT_DT = 0.01
-# Of what the searches find.
+# Folder of the results.
 FOLDER = Path(__file__).with_name("data")

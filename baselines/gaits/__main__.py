@@ -1,12 +1,12 @@
-"""Searches the best-known gaits and writes them to `data/`: `python -m baselines.gaits`.
+"""Searches for fast gaits and writes the best ones to `data/`: `python -m baselines.gaits`.
 
 An iteration takes one family of gaits and one purpose: `explore` starts from the best of random gaits, `refine` from
-the best known gaits of any plant; both maximise the speed over 12 s. `finish` does as `refine` with smaller steps over
-33 s; `front` looks, on the nominal plant, for the cheapest gait of at least a given speed; `tolerate` maximises the
-slowest run with M 10 % and mu about 20 % off. Families and purposes take turns.
+the best known gaits of any plant; both maximise the speed over 12 s. `finish` refines with smaller steps over 33 s;
+`front` looks, on the nominal plant, for the cheapest gait of at least a given speed; `tolerate` maximises the speed of
+the slowest run with M 10 % and mu about 20 % off. Families and purposes take turns.
 
-The archive only improves. It is written after every iteration, and the next call goes on from there. `--law` searches
-the parameters of the law `baselines:gait` in the same way.
+A gait in the archive is replaced only by a better one. The archive is written after every iteration, and the next call
+continues from it. `--law` searches the parameters of the law `baselines:gait` in the same way.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ class Args:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
+    """Runs the command; returns the exit status."""
     args = parse(Args, PROG, arguments)
-    # Imported once the command line is known to be right: the help needs none of it.
+    # Imported after parsing, since `--help` does not need these modules.
     from baselines.archive import run_search
     from baselines.gaits.archive import load_archive
     from baselines.gaits.search import check, compute_map, search

@@ -2,9 +2,9 @@
 
 `data/archive.json` holds, for every plant of `baselines.archive.PLANTS` and every family of `baselines.gaits.families`,
 the fastest gait that `python -m baselines.gaits` has found; the front of speed against cost of transport on the nominal
-plant; tolerant gaits, whose slowest run with M 10 % and mu about 20 % off is fastest; and the map of `gait-oracle`. A
-gait counts only if it is robust: with M, mu and the first angle changed by 1 part in 1000, its speed changes by less
-than 1 %. An entry is replaced by better ones only.
+plant; tolerant gaits, which maximise the slowest speed with M 10 % and mu about 20 % off; and the map of `gait-oracle`.
+A gait counts only if it is robust: with M, mu and the first angle changed by 1 part in 1000, its speed changes by less
+than 1 %. An entry is replaced only by a better one.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Gait:
         M: mass of its plant's platform, kg.
         mu: friction coefficient of its plant.
         family: a name of `FAMILIES`.
-        parameters: as the family orders them.
+        parameters: parameters in the order of the family.
         mean_speed: cm/s.
         cost_of_transport: integral |u theta_dot| dt / ((M + m) g distance).
         sensitivity: largest relative change of the mean speed for changes of 1 part in 1000.
@@ -71,7 +71,7 @@ class GaitMap:
     Attributes:
         M: centres of the cells, kg, ascending.
         mu: centres of the cells, ascending.
-        gaits: those that are used.
+        gaits: the gaits of the cells.
         cells: the index of the gait of each cell, shape (len(M), len(mu)).
     """
 
@@ -99,7 +99,7 @@ class Archive:
         gaits: fastest and tolerant gaits by `Gait.key`.
         front: gaits of the nominal plant, none of which dominates another, slowest first.
         oracle: the map of `gait-oracle`; empty before it has been computed.
-        iterations: of the search so far.
+        iterations: number of iterations of the search so far.
     """
 
     gaits: dict[tuple[str, float, float, bool], Gait] = field(default_factory=dict)
@@ -108,7 +108,7 @@ class Archive:
     iterations: int = 0
 
     def of_plant(self, M: float, mu: float, *, tolerant: bool = False) -> list[Gait]:
-        """The gaits of one plant, the fastest, or those with the largest worst speed, first."""
+        """The gaits of one plant in descending order of `Gait.score`."""
         found = [g for g in self.gaits.values() if (g.M, g.mu, g.worst_speed is not None) == (M, mu, tolerant)]
         return sorted(found, key=lambda g: -g.score)
 
@@ -145,7 +145,7 @@ class Archive:
 
 
 def load_archive(folder: Path = FOLDER) -> Archive:
-    """Reads the archive of a folder; an empty one where there is none.
+    """Reads the archive of a folder, or returns an empty one if the folder contains none.
 
     Raises:
         ValueError: if the file is malformed.
@@ -165,7 +165,7 @@ def load_archive(folder: Path = FOLDER) -> Archive:
 
 @lru_cache(maxsize=1)
 def known_gaits() -> Archive:
-    """The committed gaits, read once."""
+    """The archived gaits, read once."""
     return load_archive()
 
 
@@ -175,7 +175,7 @@ def tolerant_nominal() -> Gait:
 
 
 def encode_gaits(gaits: Sequence[Gait]) -> np.ndarray:
-    """Gaits as compiled code takes them; see `encode`."""
+    """Encodes gaits for compiled code; see `encode`."""
     return np.concatenate([encode(gait.family, np.array([gait.parameters])) for gait in gaits])
 
 
@@ -203,7 +203,7 @@ def start_oracle(seeds: Sequence[int]) -> Act:
 
 
 def pareto_front() -> list[Gait]:
-    """The gaits of the nominal plant that none beats in both speed and cost of transport, the slowest first."""
+    """The gaits of the nominal plant that no other gait dominates, the slowest first."""
     archive = known_gaits()
     candidates = [*archive.front, *archive.of_plant(NOMINAL.M, NOMINAL.mu)]
     kept = [gait for gait in candidates if not any(g.dominates(gait) for g in candidates if g != gait)]

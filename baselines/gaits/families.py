@@ -8,8 +8,8 @@
 
 The feedback is linear in theta, theta_dot and x_dot, with three gains. It makes a gait an attracting limit cycle.
 
-The torque is a function of numbers, compiled as the environment's step is: the same bits for one gait and for many, on
-every machine and in a browser.
+The torque is a scalar function, compiled like the environment's step. It gives the same bits for one gait and for many,
+on every machine and in a browser.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def _feedback(gains: tuple[float, ...], theta: float, theta_dot: float, x_dot: f
 
 @inlined
 def harmonics(p: tuple[float, ...], time: float, theta: float, theta_dot: float, x_dot: float) -> float:
-    """The torque of a Fourier series with feedback, over its limit before clipping."""
+    """The torque of a Fourier series with feedback, divided by its limit, before clipping."""
     sine, cosine = sincos(2.0 * math.pi * time / p[0])
     # Horner's scheme: a sum of (cos_k - i sin_k) exp(i k angle), whose real part is the series.
     real, imaginary = 0.0, 0.0
@@ -66,7 +66,7 @@ def _square_integral(durations: tuple[float, ...], period: float, time: float) -
 
 @inlined
 def bang_bang(p: tuple[float, ...], time: float, theta: float, theta_dot: float, x_dot: float) -> float:
-    """Full torque with free switching times, with feedback."""
+    """Full torque with free switching times, plus feedback."""
     durations = abs(p[0]), abs(p[1]), abs(p[2]), abs(p[3])
     period = durations[0] + durations[1] + durations[2] + durations[3]
     # The mean over the step, so that the torque depends continuously on the switching times.
@@ -79,7 +79,7 @@ def bang_bang(p: tuple[float, ...], time: float, theta: float, theta_dot: float,
 
 @inlined
 def phase_space(p: tuple[float, ...], time: float, theta: float, theta_dot: float, x_dot: float) -> float:
-    """The cubic polynomial of the state; the time does not matter."""
+    """The cubic polynomial of the state; it does not depend on the time."""
     sign = 1.0 if x_dot > 0.0 else -1.0 if x_dot < 0.0 else 0.0
     torque: float = cubic(p, theta, theta_dot, x_dot, sign)
     return torque
@@ -90,7 +90,7 @@ class Family:
     """A kind of gait.
 
     Attributes:
-        units: of the search, one per parameter, in the parameter's own unit.
+        units: scale of each parameter in the search, in the parameter's own unit.
         start: parameters around which a search without known gaits starts.
         spread: standard deviations of these starts.
     """
@@ -136,7 +136,7 @@ def action(gaits: np.ndarray, offset: int, time: float, theta: float, theta_dot:
 
 
 def encode(family: str, parameters: np.ndarray) -> np.ndarray:
-    """Gaits of one family as compiled code takes them: the family's number, then the parameters; shape (n, `WIDTH`)."""
+    """Encodes gaits of one family for compiled code: the family's number, then the parameters; shape (n, `WIDTH`)."""
     encoded = np.zeros((len(parameters), WIDTH))
     encoded[:, 0], encoded[:, 1 : 1 + parameters.shape[1]] = tuple(FAMILIES).index(family), parameters
     return encoded
@@ -145,7 +145,7 @@ def encode(family: str, parameters: np.ndarray) -> np.ndarray:
 def actions(gaits: np.ndarray, time: float, observations: np.ndarray) -> np.ndarray:
     """The actions of gaits from `encode` after a time in s, shape (gaits, 1), float32, in [-1, 1].
 
-    There is an observation per gait, float32; theta, theta_dot and x_dot come first.
+    `observations` has one row per gait, float32, which begins with theta, theta_dot and x_dot.
     """
     out = np.empty((len(gaits), 1), np.float32)
     entry = cached_entry(_act, "void(float64[::1], float64, float64[:, ::1], float32[:, ::1])")
@@ -154,6 +154,6 @@ def actions(gaits: np.ndarray, time: float, observations: np.ndarray) -> np.ndar
 
 
 def _act(gaits: np.ndarray, time: float, states: np.ndarray, out: np.ndarray) -> None:
-    """Writes `action` of every gait; its state is theta, theta_dot and x_dot."""
+    """Writes the `action` of every gait; its state is theta, theta_dot and x_dot."""
     for n in range(out.shape[0]):
         out[n, 0] = action(gaits, n * WIDTH, time, states[n, 0], states[n, 1], states[n, 2])

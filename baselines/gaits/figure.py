@@ -16,7 +16,7 @@ MARKS = dict(zip(FAMILIES, "osD", strict=True))
 
 
 def draw_gaits() -> Any:
-    """The figure, to be drawn within `baselines.drawing.style`."""
+    """Draws the figure; to be called within `baselines.drawing.style`."""
     figure = new_figure(3.9)
     speeds, front = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
     table = known_gaits().fastest()
@@ -35,7 +35,7 @@ def draw_gaits() -> Any:
     for name in FAMILIES:
         own = [gait for gait in gaits if gait.family == name]
         x, y = [gait.cost_of_transport for gait in own], [gait.mean_speed for gait in own]
-        # Without a gait of its own the family still stands in the legend: the marks serve both panels.
+        # A family without gaits is in the legend too, since the markers apply to both panels.
         front.plot(x, y, color=INK, label=name, marker=MARKS[name], markersize=4.5, linestyle="none")
     front.set(xlabel="cost of transport", ylabel="mean speed over 33 s (cm/s)")
     front.set_title(f"Speed against cost, M = {NOMINAL.M:g} kg, μ = {NOMINAL.mu:g}")

@@ -1,8 +1,8 @@
 """Searches the parameters of `baselines:gait`, a law that does not observe the plant; `baselines.gaits --law`.
 
 A CMA-ES starts from the tolerant gait of the nominal plant. Each generation runs all candidates in one batch on newly
-drawn plants of `wide`, evenly over M and log(mu). Every plant jumps twice to another, and every second one has a random
-residual torque: a law must be fast, tolerate changes and support a policy. At regular intervals the mean of the
+drawn plants of `wide`, evenly over M and log(mu). Every episode changes its plant twice, and every second one has a
+random residual torque: a law must be fast, tolerate changes and support a policy. At regular intervals the mean of the
 distribution runs on fixed episodes; the best of these means replaces the parameters on file if it scores better.
 """
 
@@ -28,10 +28,10 @@ from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
 from capsule_gym.resets import plant_at, plant_ranges
 from capsule_gym.task import HORIZON
 
-# The search's unit of every parameter.
+# Scale of every parameter in the search.
 UNITS = (*(1.0 for _ in PARAMETERS[:-2]), 0.03, 20.0)
 FIRST_STEP = 0.2
-# The guard starts with 0.05 N m for every 1/s^2 beyond 0.8 of what lifts the lightest platform of `wide`.
+# The guard starts with 0.05 N m for every 1/s^2 beyond 0.8 of the value that lifts the lightest platform of `wide`.
 START_GUARD = (0.05, 0.8 * (LIGHTEST + NOMINAL.m) * NOMINAL.g / (NOMINAL.m * NOMINAL.l))
 POPULATION = 24
 PLANTS = 64
@@ -39,7 +39,7 @@ TRIAL = 12.0
 # Plants of an episode, one after the other.
 PLANTS_PER_EPISODE = 3
 CONTROL_DT = 0.1
-# N m; of the random residual torque, constant over an agent step.
+# N m: limit of the random residual torque, which is constant over an agent step.
 RESIDUAL_LIMIT = 0.3
 TEST_INTERVAL = 50
 TEST_EPISODES = 512
@@ -94,7 +94,7 @@ def run_candidates(
 def draw_episodes(
     rng: np.random.Generator, count: int, horizon: float, repeats: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draws plants and actions as `run_candidates` takes them; every second episode has random actions.
+    """Draws the plants and actions of `run_candidates`; every second episode has random actions.
 
     There are `count` sequences of plants, each a Latin hypercube in M and log(mu) over `wide`; they are repeated with
     other actions. An episode lasts `horizon` s.
@@ -111,7 +111,7 @@ def draw_episodes(
 
 
 def parameters_at(point: np.ndarray) -> np.ndarray:
-    """The parameters of a point of the search, as they are written; the guard's gain is not negative."""
+    """The parameters of a point of the search, rounded as in the file; the guard's gain is not negative."""
     values = np.array([float(f"{value:.9g}") for value in point * UNITS])
     values[-2] = abs(values[-2])
     return values
@@ -126,7 +126,7 @@ def evaluate(batch: CapsuleVectorEnv, parameters: np.ndarray) -> tuple[float, di
 
 
 def search_law(num_generations: int, seed: int) -> Iterator[None]:
-    """Runs generations as it is iterated; writes the mean of the distribution where it beats what is on file."""
+    """Runs one generation per iteration; writes the mean of the distribution if it scores better than the file."""
     rng = np.random.default_rng([seed, 3])
     start = np.array([*tolerant_nominal().parameters, *START_GUARD]) / UNITS
     strategy = cma_strategy(start, FIRST_STEP, POPULATION, rng)

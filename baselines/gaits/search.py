@@ -1,4 +1,4 @@
-"""The search for gaits: an iteration runs one CMA-ES for every plant, side by side, all candidates in one batch."""
+"""The search for gaits: an iteration runs a CMA-ES for every plant, with all candidates in one batch."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from capsule_gym.task import HORIZON, START_THETA
 
 POPULATION = 16
 RANDOM_STARTS = 128
-# Of most searches, s.
+# Horizon of most searches, s.
 SHORT_HORIZON = 12.0
 FAILURE = -30.0
 # Shares of the largest speed for which the front looks for the cheapest gait; cm/s while no speed is known.
 FRONT_SHARES = tuple(i / 10.0 for i in range(1, 11))
 FIRST_GOAL = 10.0
-# Missing the required speed by 1 cm/s costs more than any transport.
+# Penalty per cm/s below the required speed.
 FRONT_PENALTY = 3.0
 LARGEST_SENSITIVITY = 0.01
 PERTURBATION = 1e-3
-# Changes of a robust gait: factors of M and mu, and rad that are added to the first angle. The first changes nothing.
+# Changes for a robust gait: factors of M and mu, and change of the first angle, rad. The first row changes nothing.
 PERTURBED = np.array(
     [(1.0, 1.0, 0.0), *((1.0 + a, 1.0 + b, c) for a, b, c in product((-PERTURBATION, PERTURBATION), repeat=3))]
 )
-# Changes of a tolerant gait: the plant and four corners around it.
+# Changes for a tolerant gait: the plant and four corners around it.
 TOLERATED = np.array([(1.0, 1.0, 0.0), (0.9, 0.8, 0.0), (0.9, 1.25, 0.0), (1.1, 1.0 / 1.25, 0.0), (1.1, 1.25, 0.0)])
 STARTS = np.array([(1.0, 1.0, 0.0), (1.0, 1.0, PERTURBATION)])
 # The oracle's map covers the evaluation sets: M in kg, evenly spaced, and mu, evenly spaced in its logarithm.
@@ -47,12 +47,12 @@ class Purpose(NamedTuple):
     """The objective of an iteration.
 
     Attributes:
-        generations: of its CMA-ES runs.
+        generations: number of generations of its CMA-ES runs.
         restarts: runs per plant, or per required speed of the front.
         sigmas: range of the initial step sizes, in the families' units.
         horizon: length of the episodes, s.
         known: whether it starts from known gaits instead of random ones.
-        variants: changes of the plant under all of which a candidate must do well.
+        variants: changes of the plant; the worst one determines the score of a candidate.
     """
 
     generations: int
@@ -63,7 +63,7 @@ class Purpose(NamedTuple):
     variants: np.ndarray = PERTURBED[:1]
 
 
-# They take turns in this order. A heavy platform tolerates more, so three corners say nearly as much as all.
+# The purposes take turns in this order. A heavy platform tolerates more, so three corners are nearly as good as all.
 PURPOSES = {
     "explore": Purpose(80, 4, (0.6, 0.6), known=False),
     "refine": Purpose(80, 4, (0.1, 0.4)),
@@ -85,7 +85,7 @@ def simulate(
     """Runs gaits of one family, each from rest on its own plant and on variants of it.
 
     Args:
-        family: of the gaits, a name of `FAMILIES`.
+        family: family of the gaits, a name of `FAMILIES`.
         parameters: shape (n, parameters).
         M: masses of the platforms, kg, shape (n,).
         mu: friction coefficients, shape (n,).
@@ -120,13 +120,13 @@ def simulate(
 
 
 def worst_speed(results: dict[str, np.ndarray]) -> np.ndarray:
-    """The slowest mean speeds over the variants, cm/s; -2 to -1 where one fails, whatever distance it had covered."""
+    """The slowest mean speeds over the variants, cm/s; -2 to -1 if one fails, independent of the distance."""
     speeds = np.where(results["failed"] > 0.0, -2.0 + results["duration"] / HORIZON, results["mean_speed"])
     return speeds.min(axis=0)
 
 
 def sensitivity(results: dict[str, np.ndarray]) -> np.ndarray:
-    """The largest relative change of the mean speed over the variants, against the first; 1 where one fails."""
+    """The largest change of the mean speed over the variants, relative to the first; 1 if one fails."""
     speeds = results["mean_speed"]
     scale = np.maximum(np.abs(speeds[0]), 1e-9)
     return np.where((results["failed"] > 0.0).any(axis=0), 1.0, np.abs(speeds - speeds[0]).max(axis=0) / scale)
@@ -138,7 +138,7 @@ def score(results: dict[str, np.ndarray], horizon: float, goals: np.ndarray | No
     The episodes last `horizon` s; `goals` are the required speeds of the front, cm/s, one per candidate.
 
     Returns:
-        Of the metrics' shape; failures score far below all else, and the later they fail the better.
+        Scores in the shape of the metrics. Failures score far below all other episodes, early ones lowest.
     """
     value = results["mean_speed"]
     if goals is not None:
@@ -148,7 +148,7 @@ def score(results: dict[str, np.ndarray], horizon: float, goals: np.ndarray | No
 
 
 def cma_strategy(start: np.ndarray, sigma: float, population: int, rng: np.random.Generator) -> Any:
-    """A CMA-ES from an initial mean and step size, with so many candidates per generation, that draws from `rng`."""
+    """A CMA-ES with an initial mean and step size and `population` candidates per generation; draws from `rng`."""
     cma = import_module("cma")
     # The package would otherwise seed numpy's global generator.
     draws = {"seed": math.nan, "randn": lambda *shape: rng.standard_normal(shape)}
@@ -156,7 +156,7 @@ def cma_strategy(start: np.ndarray, sigma: float, population: int, rng: np.rando
 
 
 def search(archive: Archive, seed: int, minutes: float) -> Iterator[None]:
-    """Searches gaits for so many minutes as it is iterated; changes the archive in place.
+    """Searches for gaits for a number of minutes; changes the archive in place and yields after every iteration.
 
     Iteration i draws from the stream (seed, i).
     """
@@ -227,11 +227,11 @@ def find_candidates(
 
 
 def robust_gaits(family: str, points: np.ndarray, plants: np.ndarray, tolerant: bool) -> Iterator[Gait]:
-    """Simulates candidates over the whole horizon; the robust, or robust and tolerant ones, the best first.
+    """Simulates candidates over the whole horizon; yields the robust ones as gaits, the best first.
 
     `points` are parameters, shape (candidates, parameters), `plants` M in kg and mu, shape (candidates, 2).
     """
-    # Rounded before the evaluation, as they are written.
+    # Rounded before the evaluation, as in the file.
     points = np.array([[float(f"{value:.9g}") for value in point] for point in points])
     results = simulate(family, points, *plants.T, variants=PERTURBED)
     changes, speeds = sensitivity(results), results["mean_speed"][0]
@@ -252,9 +252,9 @@ def robust_gaits(family: str, points: np.ndarray, plants: np.ndarray, tolerant: 
 
 
 def check(archive: Archive) -> list[str]:
-    """Simulates every gait again; returns what differs from the archive by more than the tolerance, one line each.
+    """Simulates every gait again; returns one line for each difference from the archive above the tolerance.
 
-    Rounding differs between machines and a gait may amplify it, by as much as the search allows for a thousandth.
+    Rounding differs between machines, and a gait may amplify it as much as the search allows for 1 part in 1000.
     """
     stale = []
     for gait in archive.everything():

@@ -4,13 +4,13 @@ from typing import NamedTuple
 
 
 class Law(NamedTuple):
-    """Where a law is, and what it is called.
+    """The location, name and description of a control law.
 
     Attributes:
-        module: of this package that holds the function.
+        module: module of this package that contains the function.
         policy: the name of the scripted policy, the law with a zero residual.
-        description: one line.
-        task: name of the task that it is made for.
+        description: description in one line.
+        task: name of the task of the law.
     """
 
     module: str
@@ -19,7 +19,7 @@ class Law(NamedTuple):
     task: str = "speed"
 
 
-# By the functions' names: the environment's argument `controller` takes "baselines:NAME".
+# Laws by the names of their functions: the environment's argument `controller` takes "baselines:NAME".
 LAWS = {
     "feedback_linearising": Law(
         "feedback_linearisation", "feedback-linearising", "the paper's profile (9), feedback linearisation (35)"
@@ -49,7 +49,7 @@ LAWS = {
         "predictive", "adaptive-predictive", "adaptive on a state that an observer and a predictor of the latency give"
     ),
 }
-# Those that act in one of the other tasks alone.
+# Laws for one of the other tasks only.
 TASK_LAWS = {
     "goal_pulses": Law(
         "pulses",

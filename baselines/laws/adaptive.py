@@ -46,11 +46,11 @@ def constants_of(gains: Gains, choices: Choices, plant: Plant, table: np.ndarray
         n=choices.n,
         saturation_width=choices.saturation_width,
         root_bound=root_of_eta(choices.eta_bound, choices.n),
-        # Zero times infinity is no bound.
+        # Not a product if the range is infinite: zero times infinity is NaN.
         lowest=tuple(-math.inf if free else low * estimate for estimate in estimates),
         highest=tuple(math.inf if free else high * estimate for estimate in estimates),
         anchored=choices.anchored,
-        # One row short of the cycle, where the platform rests: nothing is lost.
+        # The last row is one step before the end of the cycle; the platform rests there, so x_d is the same.
         cycle_advance=float(table[-1, COLUMNS.index("x_d")]),
         dt=dt,
     )
@@ -59,14 +59,14 @@ def constants_of(gains: Gains, choices: Choices, plant: Plant, table: np.ndarray
 def root_of_eta(eta: float, n: int) -> float:
     """The (2n + 1)-th root of the auxiliary variable, which the memory holds.
 
-    In decimal arithmetic, which is the same everywhere: the last digit of a float's power is the C library's.
+    The root is computed in decimal arithmetic: the last digit of a float's power depends on the C library.
     """
     exact = Context(prec=40)
     return float(exact.power(Decimal(eta), exact.divide(Decimal(1), Decimal(2 * n + 1))))
 
 
 def eta_of(memory: np.ndarray, n: int = REGULARISED.n) -> np.ndarray:
-    """The auxiliary variable eta out of memories of the adaptive law, shape (.., cells)."""
+    """The auxiliary variable eta from memories of the adaptive law, shape (.., cells)."""
     return eta_of_root(memory[..., MEMORY.index("eta_root")], n)
 
 
@@ -103,9 +103,9 @@ def adaptive(
         Gamma_1: rate of adaptation of alpha_theta.
         Gamma_2: rate of adaptation of alpha_x.
         regularised: False for the corrected law without regularisation.
-        beta: beta of (39c) and (39d), rad^2/s^2, > 0; None for that of the form, `Choices.beta`.
-        n: n of the exponent in (39d), at least 1; None for that of the form.
-        eta_0: initial auxiliary variable, > 0 and at most `Choices.eta_bound`; None for that of the form.
+        beta: beta of (39c) and (39d), rad^2/s^2, > 0; None for the form's `Choices.beta`.
+        n: n of the exponent in (39d), at least 1; None for the form's value.
+        eta_0: initial auxiliary variable, > 0 and at most `Choices.eta_bound`; None for the form's value.
         dt: period of the law and of its Euler steps, s. It divides the period of the profile, and the environment's
             `physics_dt` divides it.
         nominal: the nominal plant, from which the estimates start.

@@ -1,6 +1,6 @@
 """The adaptive variable-structure law (37) to (39) of the paper, term by term and in one call.
 
-Symbols are the paper's; where its print is wrong the corrected equation stands, and the comment says so. The functions
+Symbols are those of the paper. Misprinted equations are corrected, and a comment marks each correction. The functions
 are arithmetic on scalars and tuples in SI units, compiled into the law (`baselines.laws.adaptive`); `sliding_variables`
 also takes the arrays of a recorded run.
 """
@@ -16,7 +16,7 @@ from capsule_gym.compilation import inlined
 from capsule_gym.elementary import sincos
 from capsule_gym.parameters import Plant
 
-# The memory: the estimates of alpha_theta and alpha_x, the (2n + 1)-th root of eta, and where x_d starts from, m.
+# The memory: the estimates of alpha_theta and alpha_x, the (2n + 1)-th root of eta, and the start of x_d, m.
 MEMORY = (
     *(f"alpha_theta_{i}" for i in range(1, 6)),
     *(f"alpha_x_{i}" for i in range(1, 5)),
@@ -27,12 +27,12 @@ THETA_D_DDOT, CYCLE_START = COLUMNS.index("theta_d_ddot"), COLUMNS.index("cycle_
 
 
 class Constants(NamedTuple):
-    """All that (37) to (39) take besides the state, the memory and the reference.
+    """The inputs of (37) to (39) other than the state, the memory and the reference.
 
     Attributes:
         plant: the nominal one, for the normal force in Y_x.
         gains: see `Gains`.
-        beta: see `Choices`, as for the next two.
+        beta: see `Choices`, also for the next two.
         n: at least 1.
         saturation_width: rad/s.
         root_bound: the largest root of eta.
@@ -106,7 +106,7 @@ class Terms(NamedTuple):
 def sliding_variables(
     theta: float, theta_dot: float, x: float, x_dot: float, anchor: float, reference: tuple[float, ...], gains: Gains
 ) -> Sliding:
-    """Eq. (37); its (37a) lacks the tilde of the errors in print. x_d starts from the anchor, m."""
+    """Eq. (37); the printed (37a) lacks the tilde of the errors. x_d starts from `anchor`, m."""
     theta_d, theta_d_dot, theta_d_ddot, x_d, x_d_dot, x_d_ddot, _ = reference
     e, e_dot = theta - theta_d, theta_dot - theta_d_dot
     e_x, e_x_dot = x - (anchor + x_d), x_dot - x_d_dot
@@ -126,7 +126,7 @@ def regressors(
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Y_theta and Y_x of (38) on the nominal plant, with the sign that makes N = -Y alpha.
 
-    N holds theta'', which no law knows before its torque acts: theta_d'' stands for it.
+    N contains theta'', which a law cannot know before its torque acts; theta_d'' replaces it.
     """
     sin, cos = sincos(theta)
     normal = max(0.0, dynamics.normal_force(theta, theta_dot, theta_d_ddot, p))
@@ -139,7 +139,7 @@ def regressors(
 
 @inlined
 def saturation(value: float, width: float) -> float:
-    """The sign of a value, with a ramp of that half width in place of the jump; 0.0 leaves the jump."""
+    """The sign of a value, with a ramp of half width `width` in place of the jump; a width of 0.0 keeps the jump."""
     if abs(value) < width:
         return value / width
     return 1.0 if value > 0.0 else -1.0 if value < 0.0 else 0.0
@@ -147,7 +147,7 @@ def saturation(value: float, width: float) -> float:
 
 @inlined
 def eta_of_root(root: float, n: int) -> float:
-    """The auxiliary variable eta out of its (2n + 1)-th root."""
+    """The auxiliary variable eta from its (2n + 1)-th root."""
     square = root * root
     eta = root
     for _ in range(n):
@@ -167,15 +167,15 @@ def adaptive_terms(
 ) -> Terms:
     """The terms of (37) to (39) at one instant.
 
-    With r for the root of eta (39d) is r' = r^2 delta_theta^2 (..) / ((2n + 1) (delta_theta^2 + beta)), which needs no
-    power that a loop over environments could not take.
+    With r for the root of eta, (39d) is r' = r^2 delta_theta^2 (..) / ((2n + 1) (delta_theta^2 + beta)). This form
+    needs no power function, with which a loop over environments could not be vectorised.
 
     Args:
         theta: rad.
         theta_dot: rad/s.
         x: m.
         x_dot: m/s.
-        memory: the cells of `MEMORY`, x_anchor already that of the present cycle.
+        memory: the cells of `MEMORY`, with the x_anchor of the present cycle.
         reference: a row of `reference_table`.
         constants: see `Constants`.
     """
@@ -217,7 +217,7 @@ def adaptive_step(
     reference: tuple[float, ...],
     constants: Constants,
 ) -> tuple[float, tuple[float, ...]]:
-    """The torque (39a) and the memory afterwards: (39d) and (39e) by one Euler step of the law's period.
+    """The torque (39a) and the next memory: (39d) and (39e) by one Euler step of the law's period.
 
     The arguments are those of `adaptive_terms`.
     """

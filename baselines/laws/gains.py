@@ -32,7 +32,7 @@ class Gains(NamedTuple):
 
 # Sect. 5.
 PUBLISHED = Gains(Lambda_theta=12.0, Lambda_x=30.0, K1=1.3, K2=10.0, K3=50.0, Gamma_1=0.1, Gamma_2=0.1)
-# Of `compliant`.
+# Gains of `compliant`.
 COMPLIANT = Gains(Lambda_theta=4.0, Lambda_x=PUBLISHED.Lambda_x, K1=0.05, K2=0.0, K3=0.0, Gamma_1=0.0, Gamma_2=0.0)
 
 
@@ -64,7 +64,7 @@ UNREGULARISED = Choices(
     beta=0.01, n=1, eta_0=1.0, saturation_width=0.0, eta_bound=1e6, estimate_range=math.inf, anchored=False
 )
 
-# Of (35), not published: a double pole at -20 rad/s, well below the 1 kHz of the law and well above the profile.
+# Gains of (35), not published: a double pole at -20 rad/s, well below the 1 kHz of the law and well above the profile.
 K_P = 400.0
 K_V = 40.0
 

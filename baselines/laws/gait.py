@@ -27,21 +27,21 @@ from capsule_gym.task import TORQUE_LIMIT
 FILE = Path(__file__).with_name("gait.json")
 # Scales in rad, rad/s and m/s that make the polynomial's coefficients comparable.
 STATE_SCALE = (1.0, 5.0, 0.3)
-# phi_ijk stands before theta^i theta_dot^j x_dot^k, each in its scale.
+# phi_ijk is the coefficient of theta^i theta_dot^j x_dot^k, each divided by its scale.
 COEFFICIENTS = (
     *(f"phi_{i}{j}{k}" for i in range(4) for j in range(4) for k in range(4) if i + j + k <= 3),
     "sign_x_dot",
 )
 # The guard's gain in N m s^2, and the theta_dot^2 cos(theta), 1/s^2, from which it acts.
 PARAMETERS = (*COEFFICIENTS, "guard_gain", "guard_from")
-# The guard suits this platform and every heavier one, kg.
+# The guard is designed for this mass of the platform and all larger ones, kg.
 _WIDE = RANDOMIZATIONS["wide"].M
 assert _WIDE is not None
 LIGHTEST = _WIDE[0]
-# How much sooner than the weight falls the guard of a lighter platform acts: of 1.0, 1.2, 1.3 and 1.5 the first without
-# a failure in 1000 episodes drawn as those of `extrapolation`.
+# Factor by which the guard's threshold falls faster than the weight of a lighter platform: of 1.0, 1.2, 1.3 and 1.5
+# the first without a failure in 1000 episodes from the distribution of `extrapolation`.
 CAUTION = 1.3
-# Both entries of the observation that show a reference stay 0, and so does the phase.
+# The two observed entries of the reference and its phase stay 0.
 NO_REFERENCE = np.zeros((1, 2))
 
 
@@ -107,7 +107,7 @@ def identifying_law(parameters: tuple[float, ...]) -> Law:
 
 @lru_cache(maxsize=1)
 def known_parameters() -> tuple[float, ...]:
-    """The committed parameters, in the order of `PARAMETERS`, read once."""
+    """The parameters of `gait.json`, in the order of `PARAMETERS`, read once."""
     content = json.loads(FILE.read_text(encoding="utf-8"))["parameters"]
     return tuple(float(content[name]) for name in PARAMETERS)
 
@@ -131,7 +131,7 @@ def gait_identifying(parameters: Sequence[float] | None = None) -> Controller:
     On platforms within the range of `wide`, once M is estimated, the torque is that of `gait`.
 
     Args:
-        parameters: as of `gait`.
+        parameters: see `gait`.
 
     Raises:
         TypeError: if a parameter is not a number.
@@ -141,7 +141,7 @@ def gait_identifying(parameters: Sequence[float] | None = None) -> Controller:
 
 
 def _checked(parameters: Sequence[float] | None) -> tuple[float, ...]:
-    """The parameters as floats, the committed ones for None."""
+    """The parameters as floats; None gives those of `gait.json`."""
     if parameters is None:
         return known_parameters()
     if len(parameters) != len(PARAMETERS):

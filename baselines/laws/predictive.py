@@ -25,7 +25,7 @@ from capsule_gym.task import THETA_LIMIT, TORQUE_LIMIT
 
 # Assumed: calls from a measurement to its torque, the time constant of the motor in s, and its friction in N m.
 LATENCY, LAG, MOTOR_FRICTION = 10, 0.005, 0.05
-# Below these the model's friction falls linearly to 0: of the motor in rad/s, of the floor in m/s.
+# Speeds below which the model's friction falls linearly to 0: of the motor in rad/s, of the floor in m/s.
 MOTOR_WIDTH, FLOOR_WIDTH = 0.2, 0.005
 # Share of a measurement's error by which a call corrects the estimate.
 GAIN_THETA, GAIN_THETA_DOT, GAIN_X_DOT = 0.005, 0.05, 0.02
@@ -34,13 +34,13 @@ RATE_MU, RATE_M, RATE_BIAS = 0.02, 1e-3, 1e-4
 # The friction coefficient at first, the range of its estimates, and the largest bias of x_dot, m/s.
 FIRST_MU, LOW_MU, HIGH_MU = 0.02, 0.0025, 1.0
 LARGEST_BIAS = 0.05
-# Added to the predicted x_dot, m/s: the gait becomes slow where the estimate is too low, hardly where it is too high.
+# Added to the predicted x_dot, m/s: the gait becomes slow if the estimate is too low, but hardly if it is too high.
 X_DOT_MARGIN = 0.004
-# Share of the weight of the lightest platform that stays on the floor.
+# Smallest normal force, as a share of the weight with the lightest platform.
 CONTACT_MARGIN = 0.1
 
 PLANT, LIGHTEST_PLANT = NOMINAL.plant(), NOMINAL.plant(M=LIGHTEST, mu=0.0)
-# Calls of one Euler step of the predictor, s: the torques of so many are averaged.
+# Calls per Euler step of the predictor, whose torques are averaged.
 STRIDE = 3
 
 
@@ -48,14 +48,14 @@ class Estimate(NamedTuple):
     """The observer's estimate of the state LATENCY calls ago, before the measurement of that time.
 
     Attributes:
-        begun: 1.0 once a measurement has come.
+        begun: 1.0 after the first measurement.
         theta: rad.
         theta_dot: rad/s.
         x_dot: m/s.
-        motor: torque of the motor behind its lag, N m.
+        motor: torque of the motor after its lag, N m.
         M: mass of the platform, kg.
         mu: friction coefficient.
-        bias: of the measured x_dot, m/s.
+        bias: bias of the measured x_dot, m/s.
     """
 
     begun: float
@@ -97,10 +97,10 @@ def model_step(estimate: Estimate, torque: float, h: float) -> Estimate:
 
 @inlined
 def correct(estimate: Estimate, theta: float, theta_dot: float, x_dot: float) -> Estimate:
-    """The estimate after a measurement; the first one is taken as it is.
+    """The estimate after a measurement; the first measurement is used unchanged.
 
-    Where x_dot is measured above its estimate while the platform slides forwards, friction is smaller than estimated;
-    while the pendulum swings forwards, it moves the platform more, which is lighter than estimated.
+    If the measured x_dot is above its estimate while the platform slides forwards, friction is smaller than estimated.
+    If it is above while the pendulum swings forwards, the platform is lighter than estimated.
     """
     theta, theta_dot, x_dot = clip(theta, THETA_LIMIT), clip(theta_dot, THETA_DOT_BOUND), clip(x_dot, X_DOT_BOUND)
     first = estimate.begun == 0.0
@@ -126,10 +126,10 @@ def correct(estimate: Estimate, theta: float, theta_dot: float, x_dot: float) ->
 def predict(
     memory: tuple[float, ...], theta: float, theta_dot: float, x_dot: float
 ) -> tuple[Estimate, tuple[float, ...]]:
-    """Corrects the estimate by a measurement of LATENCY calls ago and carries it to the present; memory as `MEMORY`.
+    """Corrects the estimate by a measurement of LATENCY calls ago and predicts the present; memory as `MEMORY`.
 
     Returns:
-        The estimate of the present, and the memory of the next call but for its last cell, the torque of this one.
+        The estimate of the present state, and the memory of the next call without its last cell, the returned torque.
     """
     queue = memory[CELLS:]
     begun, then, rate, velocity, motor, M, mu, bias = memory[:CELLS]
@@ -144,7 +144,7 @@ def predict(
 
 @inlined
 def keep_contact(torque: float, theta: float, theta_dot: float) -> float:
-    """A torque reduced, at most to 0, where it would take its last weight off the lightest platform's floor.
+    """Reduces a torque, at most to 0, if the normal force of the lightest platform would become too small.
 
     The normal force is linear in the torque.
     """

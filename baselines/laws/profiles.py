@@ -59,7 +59,7 @@ class Segment:
 
 
 def _ramp(duration: float, start: float, end: float) -> Segment:
-    """A velocity that goes linearly from start to end."""
+    """A segment whose velocity changes linearly from start to end."""
     return Segment(duration, offset=start, slope=(end - start) / duration)
 
 
@@ -120,7 +120,7 @@ class Profile:
 
 
 def _durations(times: Sequence[float], count: int, V1: float, P2: float) -> list[float]:
-    """The durations of the phases between the given times, which must grow from 0; checks the velocities, too."""
+    """The durations of the phases between the given times, which must increase from 0; also checks the velocities."""
     if not 0.0 < P2 < V1:
         raise ValueError(f"P2 must be between 0 and V1, got P2={P2!r}, V1={V1!r}")
     if len(times) != count:

@@ -1,16 +1,16 @@
 """Laws for the tasks `goal` and `velocity`: a gait towards the goal, then pulses whose size adapts to the floor.
 
-On smooth floors the law for the task `goal` does neither, but what `baselines.laws.strokes` says.
+On smooth floors the law for the task `goal` uses the strokes of `baselines.laws.strokes` instead.
 
-Far from the goal the platform runs by `baselines:gait`, mirrored where the goal lies behind it. Near the goal the law
-repeats three phases: it takes the pendulum back to where a pulse starts, so gently that the platform sticks;
-accelerates it with the whole torque until it has the rate that should move the platform by the error; and brakes it,
-gently again. A pulse moves the platform by about gain w^2 / mu, w being that rate; every pulse corrects the gain. M and
-mu, which say how gently is gentle enough, are identified on line (`capsule_gym.observation.identify`).
+Far from the goal the torque is that of `baselines:gait`, mirrored if the goal lies behind the platform. Near the goal
+the law repeats three phases: it returns the pendulum to the start of a pulse, slowly enough for the platform to stick;
+it accelerates the pendulum with full torque to the rate w that should move the platform by the error; and it brakes
+the pendulum slowly. A pulse moves the platform by about gain w^2 / mu; every pulse corrects the gain. M and mu, which
+limit the acceleration in stick, are identified online (`capsule_gym.observation.identify`).
 
-In the task `velocity` the goal is where the target will be in 0.3 s. The numbers were chosen by hand on 300 plants of
-the tasks' own distribution, with seeds from 1000 on. A law reads the goal's position, which follows its reference, and
-the exact position of the platform.
+In the task `velocity` the goal is the position of the target 0.3 s later. The numbers were chosen by hand on 300 plants
+of the tasks' own distribution, with seeds from 1000 on. A law reads the goal's position, which follows its reference,
+and the exact position of the platform.
 """
 
 from __future__ import annotations
@@ -31,30 +31,30 @@ from capsule_gym.tasks import goal, velocity
 
 # Phases of the law.
 RUN, RETURN, PULSE, BRAKE = 0.0, 1.0, 2.0, 3.0
-# Further from the goal than this the platform runs, m.
+# Distance from the goal beyond which the platform runs, m.
 FAR = 0.05
-# How much earlier the run ends: this share of the way that the platform would slide, x'^2 / (2 mu g).
+# The run ends earlier by this share of the sliding distance, x'^2 / (2 mu g).
 SLIDE = 0.15
-# On the roughest floors the run may end in an equilibrium: below this rate of the pendulum, rad/s.
+# Rate of the pendulum, rad/s, below which a run on the roughest floors has ended in an equilibrium.
 STALL = 1e-3
-# Share of the friction that the pendulum uses where the platform is to stick, and its least and largest acceleration;
-# the acceleration of a return before a run, where the platform may move, rad/s^2.
+# Share of the friction that the pendulum uses while the platform must stick, and its least and largest acceleration;
+# the acceleration of a return before a run, when the platform may move, rad/s^2.
 GRIP, LEAST_GRIP, LARGEST_GRIP, FAST = 0.9, 0.5, 80.0, 40.0
-# mu while it is not known, log(mu) being uncertain by more than DOUBT; and the range that is believed.
+# mu while the standard deviation of log(mu) is above DOUBT; and the range to which the estimate is clipped.
 UNKNOWN_MU, DOUBT, LEAST_MU, LARGEST_MU = 0.15, 0.5, 0.01, 0.7
 # A pulse moves the platform by gain w^2 / mu: the first gain, m s^2, the share of its error that a pulse corrects, and
-# the factors that it changes by at most.
+# the smallest and largest factor of a correction.
 GAIN, LEARNING, LESS, MORE = 1e-4, 0.4, 0.6, 3.0
 # Least and largest rate w of a pulse, rad/s, and the acceleration of its torque, rad/s^2.
 SLOWEST, FASTEST, ACCELERATION = 0.6, 9.0, 240.0
-# Angles, rad, positive ones on the side that the pulse goes to: a pulse starts at -HOME, on rough floors nearer to the
-# upright, where the whole torque moves the platform, at most EARLIEST before and START_END at the latest; it ends at
-# PULSE_END; the pendulum should stop before BRAKED.
+# Angles, rad, positive in the direction of the pulse. A pulse starts at -HOME, on rough floors nearer to the upright,
+# where full torque moves the platform; at most EARLIEST before this angle, and before START_END. It ends at PULSE_END;
+# the pendulum should stop before BRAKED.
 HOME, LEAST_HOME, ROUGHNESS, EARLIEST, START_END, PULSE_END, BRAKED = 0.9, 0.2, 2.2, 0.1, 0.3, 0.8, 0.9
-# On floors with a smaller mu than the first the platform goes to a goal by strokes, until mu is above the second.
+# The platform moves to a goal by strokes if mu is below the first number, until mu is above the second.
 SMOOTH, LEAVE = 0.035, 0.06
-# The law's own memory behind the filter's: the phase, the direction, the rate of the pulse, where it began, the gain
-# and the time since it ended.
+# The memory of the filter, then that of the law: the phase, and of the pulse the direction, the rate, the start, the
+# gain and the time since its end.
 MEMORY = (0.0,) * CELLS + (RETURN, 1.0, 0.0, 0.0, GAIN, 0.0)
 m, l, g, k, c = NOMINAL.m, NOMINAL.l, NOMINAL.g, NOMINAL.k, NOMINAL.c
 
@@ -73,11 +73,11 @@ def pulse_law(
     """The law, with its numbers in its closure.
 
     Args:
-        parameters: of the gait.
-        position: column of the row that the law is given which has the goal's position, m.
-        rate_of_it: column that has its rate, m/s.
-        lead: how far ahead the goal is taken, s.
-        near: error that is left alone, m.
+        parameters: parameters of the gait.
+        position: column of the goal's position, m, in the law's argument `reference`.
+        rate_of_it: column of the goal's velocity, m/s.
+        lead: time by which the goal's position is extrapolated, s.
+        near: error that is not corrected, m.
         stop: error at which a run ends, m.
     """
 
@@ -106,7 +106,7 @@ def pulse_law(
             rate = min(FASTEST, max(SLOWEST, math.sqrt(size * mu / gain)))
             nearer = 0.0 if size > FAR else ROUGHNESS * (mu - 0.1)
             home, aims = -side * min(HOME, max(LEAST_HOME, HOME - nearer)), True
-            # From here the pulse may be so fast that the pendulum stops in time.
+            # The fastest pulse from here after which the pendulum stops in time.
             room = max(0.0, BRAKED - side * theta - rate * rate / ACCELERATION)
             fastest = math.sqrt(2.0 * grip * room)
             if size > FAR:

@@ -24,7 +24,7 @@ COLUMNS = ("theta_d", "theta_d_dot", "theta_d_ddot", "x_d", "x_d_dot", "x_d_ddot
 def slide(
     force: float, forwards: float, backwards: float, static_ratio: float, total: float, x: float, x_dot: float, h: float
 ) -> tuple[float, float, float]:
-    """Moves a platform under a constant push by h seconds, through a stop within them.
+    """Moves a platform under a constant force for h seconds, through a stop within this time.
 
     Args:
         force: the pendulum's push, N.
@@ -41,7 +41,7 @@ def slide(
     """
     initial = 0.0
     remaining = h
-    # Twice at most: what slides before it stops, and what follows from rest.
+    # At most two parts: the slide until the platform stops, and the motion from rest.
     for piece in range(2):
         at_rest = x_dot == 0.0
         forward = force > 0.0 if at_rest else x_dot > 0.0
@@ -107,8 +107,8 @@ def reference_table(profile: Profile, nominal: Plant, dt: float = LAW_DT) -> np.
         Shape (steps, 7), float64, columns COLUMNS; read-only.
 
     Raises:
-        TypeError: if dt is no number.
-        ValueError: if dt is not positive, or the profile's period is no multiple of it.
+        TypeError: if dt is not a number.
+        ValueError: if dt is not positive, or the profile's period is not a multiple of it.
     """
     dt = check_number("dt", dt, "a finite number > 0 (s)", 0.0, open_low=True)
     steps = round(profile.period / dt)

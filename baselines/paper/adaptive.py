@@ -170,7 +170,7 @@ def run_cycles(
 def study_variants() -> list[tuple[float, float, int, int, int, int]]:
     """The unregularised law with other choices, five cycles on every plant of the grid.
 
-    The choices change one at a time from the law's own, then at the corners; at 10 kHz, which costs most, with n = 1.
+    The choices change one at a time from the law's own, then at the corners; at 10 kHz, the slowest runs, with n = 1.
 
     Returns:
         beta (rad^2/s^2), eta(0), n, rate (Hz), and the number of plants that fail without and with the torque limit.
@@ -204,7 +204,7 @@ def study_long_runs() -> dict[int, list[dict[int, tuple[float, ...]]]]:
 
 
 def study_adaptive() -> dict[str, Any]:
-    """Everything that is computed of the adaptive law; half a minute.
+    """Runs all studies of the adaptive law, in half a minute.
 
     Returns:
         `laws`: the `LawStudy` of the regularised law, of the corrected, unregularised one, and of the latter with the

@@ -1,4 +1,4 @@
-"""Figures 1 to 9 of the paper from our own runs, with the published numbers, and two of our own.
+"""Figures 1 to 9 of the paper from our own runs, with the published numbers, and two additional figures.
 
 `FIGURES` names them all; `draw_all` also draws the figures of the gaits and the optimum.
 """
@@ -52,7 +52,7 @@ DURATION = CYCLES * PERIOD
 CYCLE = round(PERIOD / LAW_DT)
 # The time axis of a cycle changes its scale here, s.
 SPLIT = 1.2
-# Of the unregularised law's panels, s: long enough to show what it does, short enough to resolve its chattering.
+# Duration of the unregularised law's panels, s: short enough to resolve its chattering.
 CHATTER = 0.3
 NO_CURVES = "The paper's curves are not available as data"
 DOTTED = f"{NO_CURVES}: dotted are the numbers of its text."
@@ -126,7 +126,7 @@ def draw_capsule() -> Any:
 
 
 def draw_phases() -> Any:
-    """Fig. 2: the seven phases of the profile (9), with its times and amplitudes; each phase as wide as the next."""
+    """Fig. 2: the seven phases of the profile (9), with its times and amplitudes; all phases equally wide."""
     figure = new_figure(3.2)
     axes = figure.subplots()
     count, P3 = len(PROPOSED.segments), PROPOSED.restoring_speed
@@ -374,7 +374,7 @@ FIGURES: dict[str, Callable[[], Any]] = {
 
 
 def draw_all(directory: Path) -> list[Path]:
-    """Draws every figure as SVG and PNG into a folder, which is made; repeated runs give identical files."""
+    """Draws every figure as SVG and PNG into a folder, which is created; repeated runs give identical files."""
     from baselines.dynamic_programming.figure import draw_optimum
     from baselines.gaits.figure import draw_gaits
 

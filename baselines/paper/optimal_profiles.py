@@ -2,8 +2,8 @@
 
 The free parameters are the seven times, V1 and P2; P3 closes the cycle. The objective is the mean speed under exact
 tracking, subject to a torque limit and Principles 1 to 4. The bounds of the principles are not published: the published
-profile's own largest angle, velocity and acceleration are used, so that it is a candidate. Speeds that a search finds
-are lower bounds of the optimum.
+profile's own largest angle, velocity and acceleration are used, so that this profile is a candidate. Speeds that a
+search finds are lower bounds of the optimum.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ def search(
     """Solves one problem by differential evolution: feasible profiles rank by speed, all others by violation.
 
     The best of the `known` solutions of other problems and of the published profile joins the first generation. A
-    generation has so many `members` per parameter.
+    generation has `members` candidates per parameter.
 
     Raises:
         ImportError: if scipy is missing.
@@ -226,7 +226,7 @@ def search(
 
 
 def exchange(solutions: Sequence[Solution]) -> list[Solution]:
-    """Gives each problem the best profile that any search found, so that no slack of a search looks like an effect."""
+    """Gives each problem the best profile of any search, so that an incomplete search does not look like an effect."""
     exchanged = []
     for own in solutions:
         found = [replace(assess(own.problem, s.times, s.V1, s.P2), found_by=s.found_by) for s in solutions]

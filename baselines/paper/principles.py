@@ -32,7 +32,7 @@ FAST, SLOW = (20.0, 400.0), (1.3, 20.0)
 
 @dataclass(frozen=True)
 class Cycle:
-    """A motion in samples; a profile's are phase by phase.
+    """The samples of a motion; those of a profile are ordered by phase.
 
     Attributes:
         t: s; the end of a phase and the start of the next are two samples at one time.
@@ -55,8 +55,8 @@ class Demand:
 
     Attributes:
         cycle: the samples.
-        load: what is bounded.
-        limit: its bound at the same samples.
+        load: the bounded quantity.
+        limit: the bound at the same samples.
     """
 
     cycle: Cycle
@@ -65,7 +65,7 @@ class Demand:
 
     @property
     def ratio(self) -> np.ndarray:
-        """Load over limit; infinite where the limit is not positive and so nothing meets it."""
+        """Load over limit; infinite where the limit is not positive and therefore never met."""
         limit = np.broadcast_to(self.limit, self.load.shape)
         return np.divide(self.load, limit, out=np.full_like(self.load, math.inf), where=limit > 0.0)
 

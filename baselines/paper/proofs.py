@@ -1,9 +1,9 @@
 """Two proofs that the published torques cannot give the published velocities on the published plant.
 
-Neither knows the reference, the gains or the law: they hold for every motor torque that stays within the limit. Both
-are certified: what is sampled is widened by a bound on what happens between the samples. They cover either direction
-of slip, stick, and both options for the normal force. What they bound is the torque against the rate; the mean speed
-they leave open.
+Neither depends on the reference, the gains or the law: they hold for every motor torque that stays within the limit.
+Both are certified: sampled quantities are widened by a bound on their change between the samples. They cover either
+direction of slip, stick, and both options for the normal force. They bound the torque against the rate, not the mean
+speed.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ BISECTIONS = 22
 STRONGEST = 4.0
 # ms; a swing that takes longer has come to rest.
 LONGEST_SWING = 2000
-# Of an envelope: so many that the widening costs the bounds on the published swings less than 1e-3 rad/s.
+# Steps of an envelope: the widening changes the bounds on the published swings by less than 1e-3 rad/s.
 STEPS = 100_000
-# Of the first estimate of the peak.
+# Steps of the first estimate of the peak.
 COARSE_STEPS = 10_000
-# Room above that estimate for which the slopes of the widening are valid; more where it proves too little.
+# Factor on that estimate up to which the slopes of the widening are valid, and number of attempts with its powers.
 HEADROOM = 1.05
 ATTEMPTS = 12
 
@@ -98,7 +98,7 @@ def torque_at_peak(
 
 
 class Envelope(NamedTuple):
-    """The largest rate of the pendulum at every angle, for rates > 0; the mirror image serves rates < 0.
+    """The largest rate of the pendulum at every angle, for rates > 0; the mirror image holds for rates < 0.
 
     Attributes:
         theta: evenly spaced angles, rad.
@@ -146,8 +146,8 @@ def integrate_envelope(
         u: the torque limit, N m.
         along_theta: bound on |d theta'' / d theta|, 1/s^2 per rad; 0 for an estimate.
         along_square: bound on the increase of theta'' per theta'^2, 1/rad.
-        plants: with the largest friction coefficient both ways.
-        frictionless: without friction.
+        plants: plants with the largest friction coefficient in both directions.
+        frictionless: a plant without friction.
     """
     h = (high - low) / steps
     squares = np.zeros(steps + 1)
@@ -160,7 +160,7 @@ def integrate_envelope(
 
 
 def upper_envelope(limit: float, low: float, high: float, *plants: Plant) -> Envelope:
-    """The fastest that any torque within +-limit can make the pendulum pass an angle.
+    """The largest rate that any torque within +-limit can give the pendulum at each angle.
 
     Theorem. Let |u| <= limit, let the motion start at rest in [low, high] and stay there. Then theta' <= E(theta),
     where E solves E dE/dtheta = max over the contact modes of theta''(theta, E, u = limit), E(low) = 0, E never
@@ -213,7 +213,7 @@ def _slopes_of_acceleration(limit: float, largest_theta: float, fastest: float, 
 
     theta'' = n / d with d = m l^2 (M + m) - (m l)^2 cos (cos +- mu sin), the pivot's torque bounded by its parts. The
     damper makes theta'' fall with theta' in every mode, so only the centrifugal terms count for the second bound. With
-    the paper's normal force that takes M + m > mu m l / 2.
+    the paper's normal force this requires M + m > mu m l / 2.
     """
     ml, total = p.m * p.l, p.M + p.m
     if p.pivot_torque_on_contact * p.mu * ml >= 2.0 * total:
@@ -231,7 +231,7 @@ def _slopes_of_acceleration(limit: float, largest_theta: float, fastest: float, 
 
 
 def swing_envelope(limit: float, low: float, high: float, capsule: Capsule | None = None) -> Envelope:
-    """Proof 2: the envelope of a swing from rest, whichever option for the normal force holds; see `upper_envelope`."""
+    """Proof 2: the envelope of a swing from rest, for both options of the normal force; see `upper_envelope`."""
     return upper_envelope(limit, low, high, *_both_contacts(capsule or Capsule()))
 
 
@@ -241,10 +241,9 @@ def _both_contacts(capsule: Capsule) -> list[Plant]:
 
 
 def torque_needed(velocity: float, low: float, high: float) -> float:
-    """A torque in N m with which no motion from rest at `low` reaches a velocity (rad/s) before `high`, nor with less.
+    """A torque limit in N m within which no motion from rest at `low` reaches a velocity (rad/s) before `high`.
 
-    The largest that bisection finds whose certified envelope stays below the velocity: a motion with less torque keeps
-    within this limit as well.
+    It is the largest limit that bisection finds whose certified envelope stays below the velocity.
     """
     return bisect(lambda torque: swing_envelope(torque, low, high).fastest < velocity, 0.0, STRONGEST, BISECTIONS)[0]
 

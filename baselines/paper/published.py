@@ -1,4 +1,4 @@
-"""The numbers and claims of the paper (Sect. 5), each once and with its place.
+"""The numbers and claims of the paper (Sect. 5), each with its place.
 
 Liu, Yu, Cang: Optimized adaptive tracking control for an underactuated vibro-driven capsule system, Nonlinear
 Dynamics 94 (2018).
@@ -18,7 +18,7 @@ class Number:
     """A published number.
 
     Attributes:
-        quantity: what it measures.
+        quantity: the measured quantity.
         unit: SI or as printed; empty for a ratio.
         value: as printed.
         digits: decimals as printed.
@@ -35,7 +35,7 @@ class Number:
 _COMPARISON = "Sect. 5, second paragraph"
 _ADAPTIVE = "Sect. 5, third paragraph"
 
-# Of a run, by the name that the reproduction gives it.
+# Numbers of a run, by their names in the reproduction.
 PROPOSED = {
     "peak_velocity": Number("largest theta'", "rad/s", V1, 1, f"{_COMPARISON}, Fig. 3"),
     "swing": Number("largest swing", "deg", 68.75, 2, f"{_COMPARISON}, Fig. 3"),
@@ -43,7 +43,7 @@ PROPOSED = {
     "peak_torque": Number("largest torque", "N m", 0.5367, 4, f"{_COMPARISON}, Fig. 5"),
 }
 SWING_DIFFERENCE = Number("swing, EPC minus proposed", "deg", 17.1, 1, _COMPARISON)
-# EPC's own is not printed.
+# EPC's own swing is not printed.
 _EPC_SWING = round(PROPOSED["swing"].value + SWING_DIFFERENCE.value, 2)
 EPC = {
     "peak_velocity": Number("largest theta'", "rad/s", V1_EPC, 1, f"{_COMPARISON}, Fig. 3"),
@@ -66,7 +66,7 @@ BASE_PARAMETERS = (
     Number("alpha_x: m l", "kg m", 0.0414, 4, _ADAPTIVE),
 )
 
-# Published statements that are no numbers of their own, with their places.
+# Published statements that are not numbers, with their places.
 CLAIMS = {
     "faster": ("the proposed profile is faster than EPC", _COMPARISON),
     "torque": ("its largest torque is lower than EPC's", _COMPARISON),

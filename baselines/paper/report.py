@@ -29,13 +29,13 @@ Results = dict[str, Any]
 
 
 def compute() -> Results:
-    """Computes everything.
+    """Computes all results.
 
     Returns:
         `numbers` and `claims`: published and found. `runs`: both profiles, tracked exactly and under (35). `adaptive`:
-        the law (39). `proof_1`, `proof_2`. `profile_as_printed`: the phases of (9). `table_1`: what each equation of
-        Sect. 3.2 gives. `boundary_condition`: what theta(t3) = +theta_0 would take. `demands`: Principles and Lemmas on
-        both profiles. `lemmas`: what the Lemmas imply. `optimal_profiles`: the committed searches.
+        the law (39). `proof_1`, `proof_2`. `profile_as_printed`: the phases of (9). `table_1`: the result of each
+        equation of Sect. 3.2. `boundary_condition`: the requirements of theta(t3) = +theta_0. `demands`: Principles and
+        Lemmas on both profiles. `lemmas`: implications of the Lemmas. `optimal_profiles`: the archived searches.
     """
     peaks, rates = proofs.check_proof_1(), proofs.check_proof_2()
     runs = tracking.reproduce()
@@ -94,7 +94,7 @@ def numbers_text(results: Results) -> str:
         if row["remark"]:
             remarks.append(f"[{len(remarks) + 1}] {row['remark']}")
             verdict += f" [{len(remarks)}]"
-        # One more digit than print, so that rounding hides nothing.
+        # One more digit than printed, so that rounding hides no difference.
         values = f"{number.value:.{number.digits}f}", f"{row['found']:.{number.digits + 1}f}"
         difference = f"{100.0 * row['difference']:+.1f} %".replace("-0.0", "+0.0")
         cells.append([row["run"], number.quantity, number.unit, *values, difference, row["kind"], verdict])
@@ -129,7 +129,7 @@ def tracking_text(results: Results) -> str:
 
 
 def proofs_text(results: Results) -> str:
-    """Both proofs; every bound is rounded away from the claim that it would help."""
+    """Both proofs; every bound is rounded conservatively."""
     first = [["profile", "theta'", "published", "at least", "sticking", "at", "with"]]
     for row in results["proof_1"]:
         bounds = [printed_below(row[name], 4) for name in ("bound", "sticking")]

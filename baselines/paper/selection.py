@@ -1,8 +1,8 @@
 """Sect. 3 of the paper: the profile (9) as printed, and the selection of its parameters, Eqs. (20) to (31).
 
-Sect. 3.2 presents the times of Table 1 as the outcome of these equations. `evaluate_selection` compares what each one
-gives with Table 1. The equations are kept as printed, errors included: several add an angle to a velocity times a time,
-or a radian to a second. Symbols: V1 = P1 omega; theta_0 = pi/3; N = 1. Times t are t1 to t7 in s.
+Sect. 3.2 presents the times of Table 1 as the outcome of these equations. `evaluate_selection` compares the result of
+each equation with Table 1. The equations are kept as printed, errors included: several add an angle to a velocity times
+a time, or a radian to a second. Symbols: V1 = P1 omega; theta_0 = pi/3; N = 1. Times t are t1 to t7 in s.
 """
 
 from __future__ import annotations

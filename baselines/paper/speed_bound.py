@@ -36,7 +36,7 @@ from capsule_gym.task import HORIZON, START_THETA, TORQUE_LIMIT
 PROG = "python -m baselines.paper.speed_bound"
 # Cells of the angle, and their width for psi' and p, rad/s.
 CELLS, WIDTH = 1200, 0.05
-# Of the values of W that are tried, rad/s.
+# Step between the tried values of W, rad/s.
 STEP = 0.05
 
 Interval = tuple[np.ndarray, np.ndarray]
@@ -63,14 +63,14 @@ def bound_accelerations(capsule: Capsule) -> Accelerations:
     In F Newton's equations give p' = ((cos + mu sin) tau / (m l^2) - (sin - mu cos) theta_dot^2 - mu g / q) / D with
     D = 1 - m / (M + m) cos (cos + mu sin) and the pivot's torque tau.
     """
-    # With it comes numba, which `--help` does not need.
+    # This imports numba, which `--help` does not need.
     from baselines.paper.proofs import swing_envelope
 
     M, m, l, g, mu = capsule.M, capsule.m, capsule.l, capsule.g, capsule.mu
     envelope = swing_envelope(TORQUE_LIMIT, -math.pi / 2.0, math.pi / 2.0, capsule)
     theta = np.linspace(-math.pi / 2.0, math.pi / 2.0, CELLS + 1)
     low, high = theta[:-1], theta[1:]
-    # The envelope never falls.
+    # The envelope never decreases.
     above = np.minimum(np.searchsorted(envelope.theta, theta), envelope.theta.size - 1)
     fastest = envelope.theta_dot[above]
     sin = np.sin(low), np.sin(high)
@@ -107,7 +107,7 @@ def bound_accelerations(capsule: Capsule) -> Accelerations:
 
 
 def excess(W: float, capsule: Capsule, bounds: Accelerations) -> tuple[float, float]:
-    """The largest Q(end) - Q(start) - I of a phase F, N s, at most, and delta, rad/s; W in rad/s."""
+    """An upper bound on Q(end) - Q(start) - I of a phase F, N s, and delta, rad/s; W in rad/s."""
     ml, weight, mu = capsule.m * capsule.l, (capsule.M + capsule.m) * capsule.g, capsule.mu
     # Where a phase meets the next, |theta_dot| = w / cos(theta) is below the envelope towards smaller angles.
     theta, cos = bounds.theta, np.maximum(np.cos(bounds.theta), 1e-12)
@@ -177,7 +177,7 @@ class Args:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
+    """Runs the command; returns the exit status."""
     args = parse(Args, PROG, arguments)
     steady, episode = bound_speed(Capsule(M=args.M, mu=args.mu))
     print(f"at most {steady:.2f} cm/s in the long run, {episode:.2f} cm/s over {HORIZON:g} s from rest")

@@ -30,7 +30,7 @@ PROFILES = (PROPOSED, EPC)
 UNLIMITED = 50.0
 CYCLES = 5
 M_RANGE, MU_RANGE = (0.3, 1.0), (0.003, 1.0)
-# Refined fivefold, no speed of the map changes by more than 1e-5 cm/s.
+# s. Fivefold refinement changes no speed of the map by more than 1e-5 cm/s.
 MAP_STEP = 1e-4
 STEPS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2)
 # Below this speed in cm/s a profile moves only during its first push, and a ratio of speeds is meaningless.
@@ -47,10 +47,10 @@ class Trajectory:
         theta_dot: rad/s.
         x: m.
         x_dot: m/s; exactly 0.0 in stick.
-        torque: the motor's in the millisecond that ends at t, N m.
+        torque: torque of the motor in the millisecond that ends at t, N m.
         reference: rows of the reference table, shape (n, columns).
         memory: the law's memory after its call at t, shape (n, cells).
-        metrics: the episode's, by name; see `Simulation.metrics`.
+        metrics: metrics of the episode, by name; see `Simulation.metrics`.
     """
 
     t: np.ndarray
@@ -65,7 +65,7 @@ class Trajectory:
 
     @property
     def completed(self) -> bool:
-        """Whether it ran to its end without loss of contact or collision of the pendulum with the platform."""
+        """Whether the run ended without loss of contact or collision of the pendulum with the platform."""
         return self.metrics["failed"] == 0.0
 
     @property
@@ -96,8 +96,8 @@ def simulate(
 
     Args:
         controller: the law with its reference, at 1 kHz.
-        plants: M (kg) and mu of each.
-        cycles: of the reference.
+        plants: M (kg) and mu of each plant.
+        cycles: number of cycles of the reference.
         torque_limit: N m.
         options: further options of the environment.
     """
@@ -189,9 +189,9 @@ def step_study(profile: Profile, steps: Sequence[float] = STEPS) -> tuple[np.nda
 def displacements(
     angle: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, p: Plant, friction: np.ndarray, h: float
 ) -> tuple[np.ndarray, float]:
-    """Where the platform is after `CYCLES` cycles from rest, for many friction coefficients at once.
+    """The positions of the platform after `CYCLES` cycles from rest, for many friction coefficients at once.
 
-    Neither load depends on the friction while the pendulum's motion is given, which keeps a map cheap.
+    Neither load depends on the friction for a given motion of the pendulum, so a map is cheap to compute.
 
     Args:
         angle: theta in the middle of every step of one cycle, rad.
@@ -223,10 +223,10 @@ class SpeedMap:
     """Mean speed along one profile over a grid of plants, exact tracking.
 
     Attributes:
-        profile: its name.
+        profile: name of the profile.
         M: kg, shape (rows,).
         mu: friction coefficients, shape (columns,).
-        speed: over five cycles from rest, cm/s, shape (rows, columns).
+        speed: mean speed over five cycles from rest, cm/s, shape (rows, columns).
         smallest_normal_ratio: smallest N / ((M + m) g), shape (rows,); at 0.0 or less contact is lost, and the speed
             belongs to a floor without friction for that time.
     """
@@ -279,7 +279,7 @@ def speed_ratio(proposed: SpeedMap, epc: SpeedMap) -> np.ndarray:
 
 
 def reproduce() -> dict[str, Any]:
-    """Everything of Sect. 5 without the adaptive law; some seconds.
+    """Reproduces Sect. 5 without the adaptive law, in some seconds.
 
     Returns:
         `tracking`: see `track`, by profile and normal force. `frictions`: those that give the published speed, by

@@ -1,4 +1,4 @@
-"""Each published number and claim compared with what is found, with the reason where they differ."""
+"""Comparison of each published number and claim with the computed one, with reasons for differences."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from capsule_gym.task import TORQUE_LIMIT
 
 Results = dict[str, Any]
 
-# Reading a curve off a figure, and the digits of print, are no better.
+# Curves read off a figure, and printed digits, are no more accurate.
 AGREEMENT = 0.02
 # Travel backwards over forwards that still counts as suppressed.
 SUPPRESSED = 0.1
@@ -37,8 +37,8 @@ def compare_numbers(runs: Results, study: Results, peaks: Sequence[Results], rat
     Returns:
         By row: the `run` that it belongs to, the published `number`, ours in the same unit (`found`), its `kind`
         ("calibrated" where a free parameter was set to meet it, "predicted" where nothing was set, "constant" where it
-        restates the plant), why they differ, or what to note although they agree (`remark`), the relative `difference`,
-        and whether they agree (`reproduced`).
+        restates the plant), the reason for a difference or a note on an agreement (`remark`), the relative
+        `difference`, and whether they agree (`reproduced`).
     """
     rows = []
 
@@ -74,7 +74,7 @@ def compare_numbers(runs: Results, study: Results, peaks: Sequence[Results], rat
 
 
 def _speed_reason(runs: Results, name: str) -> str:
-    """Why the published mean speed does not come out."""
+    """The reason why the published mean speed is not reproduced."""
     run, contact = (runs["tracking"][name][force]["mean_speed"] for force in ("newton", "paper"))
     speeds = runs["steps"][name][0]
     rival = "EPC" if name == "proposed" else "proposed"
@@ -95,10 +95,10 @@ def converged(study: Results, quantity: str) -> bool:
 
 
 def judge_claims(runs: Results, study: Results) -> list[Results]:
-    """Every claim of Sect. 5 and Theorem 1 compared with what `reproduce` and `study_adaptive` have found.
+    """Compares every claim of Sect. 5 and Theorem 1 with the results of `reproduce` and `study_adaptive`.
 
     Returns:
-        By row: the key of the `claim` in `published.CLAIMS`, what is `found`, and whether it holds (`reproduced`).
+        By row: the key of the `claim` in `published.CLAIMS`, the result (`found`), and whether it holds (`reproduced`).
     """
     proposed, epc = (runs["tracking"][name]["newton"] for name in ("proposed", "EPC"))
     low, high = runs["ratio"]

@@ -2,13 +2,13 @@
 
 from capsule_gym.parameters import Capsule, Randomization
 
-# Defaults of the tasks that need grip. Their floors are rubber to plastic, and what sticks takes a third more force to
-# move.
+# Defaults of the tasks that need grip. Their floors range from rubber to plastic; static friction is about a third
+# larger than kinetic friction.
 DEFAULTS = {
     "capsule": Capsule(static_ratio=1.3),
     "randomization": Randomization(M=(0.45, 0.55), mu=(0.05, 0.5), log_mu=True),
     "energy_weight": 0.0,
     "termination_penalty": 3.0,
 }
-# Times are sums of the agent's steps, s.
+# Tolerance of times, s, which are sums of the agent's steps.
 ROUNDING = 1e-9

@@ -66,21 +66,21 @@ from capsule_gym.elementary import clip, decay, tanh
 from capsule_gym.task import LARGEST_STATE, TASKS, Draw, Option, Task
 from capsule_gym.tasks import DEFAULTS, ROUNDING
 
-# The displacements that are drawn, and the error that is observed, m.
+# Range of the drawn displacements, and bound of the observed error, m.
 NEAREST, FARTHEST = 0.05, 0.5
 ERROR_BOUND = 1.0
-# How near the goal the platform has to rest, m, and for how long, s.
+# Largest distance from the goal at which the platform must rest, m, and duration of the rest, s.
 TOLERANCE, HOLD = 0.002, 1.0
 
 
 class Memory(NamedTuple):
     """The memory of the task; SI units."""
 
-    # Its position.
+    # Position of the goal.
     goal: float
-    # That less the platform's.
+    # Position of the goal minus that of the platform.
     error: float
-    # Since the start, at rest within the tolerance, and when it first was there for HOLD, 0 before.
+    # Times, s: since the start, at rest within the tolerance, and at which the goal was reached (0 before).
     time: float
     held: float
     reached: float
@@ -96,7 +96,7 @@ def begin(x: float, memory: Memory) -> Memory:
 
 @inlined
 def reward(x: float, x_dot: float, moved: float, dt: float, memory: Memory) -> tuple[float, Memory]:
-    """The reward for the distance to the goal and for rest there, and the renewed memory."""
+    """The reward for the distance to the goal and for rest there, and the updated memory."""
     goal, _, time, held, reached, displacement = memory
     time += dt
     error = goal - x
@@ -123,7 +123,7 @@ def parse_goal(name: str, value: Any) -> list[float]:
     """The displacement of the goal from the start, in m.
 
     Raises:
-        TypeError: if it is no number.
+        TypeError: if it is not a number.
         ValueError: if it is not finite or too large.
     """
     farthest = LARGEST_STATE[2]

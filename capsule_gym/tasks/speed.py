@@ -22,13 +22,13 @@ def reward(x: float, x_dot: float, moved: float, dt: float, memory: Memory) -> t
 
 @inlined
 def begin(x: float, memory: Memory) -> Memory:
-    """Nothing is to be remembered."""
+    """Returns the empty memory."""
     return memory
 
 
 @inlined
 def observe(out: np.ndarray, x: float, memory: Memory) -> None:
-    """Nothing is to be observed: the task does not depend on the position."""
+    """Writes nothing, since the task does not depend on the position."""
 
 
 TASK = Task(

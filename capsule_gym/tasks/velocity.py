@@ -72,16 +72,16 @@ from capsule_gym.elementary import clip, exp, tanh
 from capsule_gym.task import TASKS, Draw, Option, Task
 from capsule_gym.tasks import DEFAULTS, ROUNDING
 
-# Commands of an episode, the largest that is drawn and that may be set, m/s, and how long one lasts, s.
+# Number of commands of an episode, largest drawn and largest accepted command, m/s, and its duration, s.
 COMMANDS = 8
 DRAWN, LARGEST = 0.1, 0.2
 LASTS = (4.0, 8.0)
-# How far the target may be away, m, and the time constant of the observed velocity, s, with its bound, m/s.
+# Largest distance of the target, m, and the time constant of the observed velocity, s, with its bound, m/s.
 LEAD = 0.3
 FILTER, SPEED_BOUND = 0.25, 2.0
 # Time that the metrics leave out after a change, and the shortest measured time of a command that counts, s.
 SETTLING, MEASURED = 1.5, 1.0
-# Within this of the target a command is settled, m.
+# Distance from the target within which a command is settled, m.
 SETTLED = 0.02
 FOREVER = (math.inf,)
 
@@ -91,22 +91,22 @@ class Memory(NamedTuple):
 
     command: float
     target: float
-    # The target's position less the platform's.
+    # Position of the target minus that of the platform.
     error: float
     speed: float
-    # Since the command's change, and how long it lasts.
+    # Time since the change of the command, and its duration.
     since: float
     lasts: float
-    # Of the present command: when its measurement began and where the platform was then, and 1.0 once settled.
+    # Of the present command: time and position of the platform at the start of its measurement, and 1.0 once settled.
     measured_from: float
     measured_x: float
     settled: float
-    # Sums over the commands before: missed and commanded distance, how many were measured, and how many not settled.
+    # Sums over the previous commands: missed and commanded distance, number of measured and of unsettled commands.
     missed: float
     commanded: float
     measured: float
     unsettled: float
-    # The commands to come, the present one first, and how long each lasts.
+    # The present and the next commands, and their durations.
     v_0: float
     v_1: float
     v_2: float
@@ -125,13 +125,13 @@ class Memory(NamedTuple):
     lasts_7: float
 
 
-# Where the commands begin in the memory, and where their times do.
+# Indices in the memory of the first command and of the first duration.
 FIRST, TIMES = Memory._fields.index("v_0"), Memory._fields.index("lasts_0")
 
 
 @inlined
 def begin(x: float, memory: Memory) -> Memory:
-    """The first command, with the target at the platform."""
+    """Sets the first command, with the target at the platform."""
     present = memory.v_0, x, 0.0, 0.0, 0.0, memory.lasts_0, 0.0, 0.0, 0.0
     sums = 0.0, 0.0, 0.0, 0.0
     return Memory(*(present + sums + memory[FIRST:]))
@@ -250,8 +250,8 @@ def with_commands(low: float, high: float) -> Task:
     """The task with commands uniform in [low, high], in m/s: a value of the environment's argument `task`.
 
     Raises:
-        TypeError: if one is not a number.
-        ValueError: if one is further than 0.2 m/s from 0, or low is above high.
+        TypeError: if a limit is not a number.
+        ValueError: if a limit is further than 0.2 m/s from 0, or low is above high.
     """
     accepted = f"a number of m/s within {LARGEST:g} of 0"
     low = check_number("low", low, accepted, -LARGEST, LARGEST)
