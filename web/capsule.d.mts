@@ -1,19 +1,19 @@
-/** What drives a capsule, as `drivers` lists it. */
+/** A driver of a capsule: an entry of `drivers`. */
 export interface Driver {
   name: string;
   description: string;
   kind: "law" | "gait" | "policy" | "recording" | "none";
   /** One of `tasks`. */
   task: string;
-  /** Which law lies inside the step; one of `controllers`. */
+  /** Control law inside the step; one of `controllers`. */
   controller: string;
   /** Seed of a policy's training run. */
   seed?: number;
-  /** Energy weights that a policy can be told, cm/J. */
+  /** Lowest and highest energy weight of a policy that observes it, cm/J. */
   energyWeight?: [number, number];
-  /** Where what it does is recorded: the frozen sets on whose plants alone it drives. */
+  /** Frozen sets of a recorded driver, which drives only on their plants. */
   recorded?: string[];
-  /** How many seeds it takes, where it draws random torques. */
+  /** Number of seeds of a driver that draws random torques. */
   seeds?: number;
   /** Length of a step, s. */
   controlDt: number;
@@ -40,7 +40,7 @@ export interface State {
   x_dot: number;
 }
 
-/** Fields of `capsule_gym.Disturbances`; a pair is a range that each episode draws from. What is left out is ideal. */
+/** Fields of `capsule_gym.Disturbances`; a pair is a range from which each episode draws. Omitted fields are ideal. */
 export interface Disturbances {
   controls?: "both" | "law" | "agent";
   unmeasured?: ("theta" | "theta_dot" | "x_dot")[];
@@ -49,36 +49,37 @@ export interface Disturbances {
   [name: string]: number | [number, number] | string | string[] | undefined;
 }
 
-/** How an episode begins; what is left out is drawn, or nominal. */
+/** Initial conditions of an episode; omitted values are drawn or nominal. */
 export interface Start extends Partial<Plant>, Partial<State> {
   changes?: Change[];
-  /** A whole number, which what is drawn follows from. */
+  /** Seed of all drawn values, a whole number. */
   seed?: number;
-  /** Of a disturbed plant: its other constants by the names in `constants.limits`, and what its episode would draw. */
+  /** Disturbed plants only: the other constants, by the names in `constants.limits`. */
   capsule?: Record<string, number>;
+  /** Disturbed plants only: values that replace drawn disturbances. */
   disturbances?: Record<string, number>;
-  /** Of the task "goal": its displacement from the start, m. */
+  /** Task "goal": displacement of the goal from the start, m. */
   goal?: number;
-  /** Of the task "velocity": in s and m/s. */
+  /** Task "velocity": times t in s and velocities v in m/s. */
   commands?: { t: number; v: number }[];
 }
 
 /** A plant of a frozen set, with its start and its jumps. */
 export interface Frozen {
   set: string;
-  /** From 0. */
+  /** Number of the plant, from 0. */
   plant: number;
-  /** In place of its jumps. */
+  /** Replaces the plant's own jumps. */
   changes?: Change[];
 }
 
-/** What a driver is told besides. */
+/** Further options of `drive`. */
 export interface Told {
   /** cm/J. */
   energyWeight?: number;
-  /** Where something is drawn; that of a frozen plant is its own. */
+  /** Only for an episode that draws values. A frozen plant's default is its own seed. */
   seed?: number;
-  /** Not with a set, which says them. */
+  /** Not accepted with a set, which defines them. */
   disturbances?: "none" | "real" | Disturbances;
 }
 
@@ -92,8 +93,8 @@ export interface FrozenPlant extends Plant {
 }
 
 /**
- * Every quantity of the last step and of the episode, in SI units, under the names of `quantities`, and what the task
- * shows. Of a disturbed plant what the sensors show, and what the episode has drawn.
+ * All quantities of the last step and of the episode, by the names in `quantities`, and values of the task; SI units.
+ * A disturbed plant adds the sensor readings and the values that the episode has drawn.
  */
 export type Info = {
   [quantity: string]: number | string | Record<string, number> | undefined;
@@ -125,13 +126,15 @@ export interface Metrics {
   energy: number;
   /** s. */
   duration: number;
-  /** 1 where the episode has failed, else 0. */
+  /** 1 if the episode has failed, else 0. */
   failed: number;
-  /** Of the task "goal": 1 where it was reached, and when, s. */
+  /** Task "goal": 1 if the goal was reached, else 0. */
   success?: number;
+  /** Task "goal": time at which the goal was reached, s. */
   goal_time?: number;
-  /** Of the task "velocity": in percent of the commands, and the share of those that were not settled. */
+  /** Task "velocity": error in percent of the commanded distance. */
   velocity_error?: number;
+  /** Task "velocity": share of commands that were not settled. */
   unsettled?: number;
 }
 
@@ -143,7 +146,7 @@ export interface StepResult {
   info: Info;
 }
 
-/** All that a capsule and its driver remember. */
+/** The whole state of a capsule and its driver. */
 export interface Snapshot {
   readonly world: Float64Array;
   readonly observation: Float32Array;
@@ -157,7 +160,7 @@ export const sets: Readonly<Record<string, { hash: string; task: string; plants:
 export const constants: {
   control_dt: number;
   steps: number;
-  /** Length of an episode, s, by tasks. */
+  /** Length of an episode by task, s. */
   horizons: Record<string, number>;
   torque_limit: number;
   theta_limit: number;
@@ -165,21 +168,21 @@ export const constants: {
   l: number;
   g: number;
   nominal: Plant & Record<string, number>;
-  /** Where environments draw M and mu from. */
+  /** Ranges from which environments draw M and mu. */
   ranges: Record<string, { M: [number, number]; mu: [number, number] }>;
-  /** What `reset` and `setPlant` accept of M and mu, and `reset` of a disturbed plant's other constants. */
+  /** Accepted ranges: M and mu in `reset` and `setPlant`; a disturbed plant's other constants in `reset`. */
   limits: { M: [number, number]; mu: [number, number] } & Record<string, [number, number]>;
-  /** What `disturbances: "real"` is. */
+  /** The disturbances that "real" selects. */
   real: Disturbances;
   start: State;
   largest_state: State;
 };
 
-/** One capsule with a law inside its step, or with none. */
+/** One capsule, with or without a control law inside its step. */
 export class Capsule {
   private constructor();
   readonly task: string;
-  /** Whether an episode draws anything, and so may have a seed. */
+  /** Whether an episode draws values and accepts a seed. */
   readonly draws: boolean;
   readonly controlDt: number;
   readonly horizon: number;
@@ -187,7 +190,7 @@ export class Capsule {
   readonly observation: Float32Array;
   readonly info: Info;
   readonly metrics: Metrics;
-  /** In the order of `quantities`, then the law's memory, its line of the reference, the task's memory, the history. */
+  /** The `quantities`, the law's memory, its row of the reference table, the task's memory, and the history. */
   readonly world: Float64Array;
   reset(start?: Start): { observation: Float32Array; info: Info };
   step(action: number): StepResult;
@@ -196,12 +199,12 @@ export class Capsule {
   restore(snapshot: Snapshot): void;
 }
 
-/** A capsule and what drives it, in closed loop. */
+/** A capsule and its driver in closed loop. */
 export class Episode extends Capsule {
   readonly driver: string;
   readonly action: number;
   reset(start?: (Start | Frozen) & Pick<Told, "seed">): { observation: Float32Array; info: Info };
-  /** `step`, whose action the driver chooses. */
+  /** Calls `step` with an action of the driver. */
   tick(): StepResult;
 }
 
@@ -210,17 +213,18 @@ export function load(
   options?: { task?: string; disturbances?: "none" | "real" | Disturbances } | { set: string },
 ): Promise<Capsule>;
 export function drive(driver: string, options?: (Start | Frozen) & Told): Promise<Episode>;
-/** A policy of one's own: the JSON of what `web.data.describe_policy` says of it in Python. */
+/** A trained policy of your own: the result of `web.data.describe_policy` in Python as JSON. */
 export interface OwnDriver {
-  /** Not that of another driver. */
+  /** Must differ from the names of other drivers. */
   name: string;
   description: string;
   kind: "policy";
-  /** One of `tasks`, and of `controllers`. */
+  /** One of `tasks`. */
   task: string;
+  /** One of `controllers`. */
   controller: string;
   seed?: number;
-  /** The step's settings, plain and disturbed, of the package's own layout; control_dt in s. */
+  /** The step's settings, plain and disturbed, in the package's internal layout; control_dt in s. */
   settings: {
     fixed: number[];
     varied: number[];
@@ -230,13 +234,13 @@ export interface OwnDriver {
     control_dt: number;
     steps: number;
   };
-  /** The packed network, of the package's own layout. */
+  /** The packed network in the package's internal layout. */
   network: number[];
-  /** The most units of a layer. */
+  /** Largest number of units in a layer. */
   units: number;
 }
 
-/** Makes a policy of one's own one of `drivers`. */
+/** Adds a policy of your own to `drivers`. */
 export function addDriver(driver: OwnDriver): void;
 export function check(
   report?: (result: { name: string; equal: boolean; steps: number; doubles: number }) => void,

@@ -1,20 +1,20 @@
 /**
- * The capsule robot in a browser or in node: the environment's own compiled step, its laws and its trained policies as
- * WebAssembly, with the bits that Python gives. `capsule.d.mts` says the types, docs/live.md shows how to use it.
+ * The capsule robot in a browser or in node. The environment's compiled step, its laws and its trained policies run as
+ * WebAssembly, with the same bits as in Python. `capsule.d.mts` declares the types; docs/live.md shows the usage.
  *
- * Nothing here knows any physics: this file lays arrays out in a memory, calls what is compiled, and reads the results.
+ * This file contains no physics: it lays out arrays in memory, calls the compiled functions, and reads the results.
  *
  * @module
  */
 
-/** What `python -m web.build` puts here: modules, tables, networks, plants; see `web/data.py`. */
+/** The data that `python -m web.build` inserts: modules, tables, networks, plants; see `web/data.py`. */
 const ARCHIVE = "";
 
 const STACK = 65536;
 const PAGE = 65536;
 const LINE = 64;
 
-/** The archive's header, and the bytes behind it. */
+/** Returns the archive's header and the bytes after it. */
 async function unpack(text) {
   const packed = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -31,32 +31,32 @@ const SENSORS = ["theta", "theta_dot", "x_dot"];
 const { lanes: LANES, quantities: QUANTITIES } = LAYOUT;
 const ROW = Object.fromEntries(QUANTITIES.map((name, row) => [name, row]));
 const STATE = Object.keys(HEADER.constants.start);
-/** The quantities that mean something between two steps. */
+/** The quantities that are meaningful between two steps. */
 const SHOWN = QUANTITIES.slice(0, ROW.clock + 1);
 const MODULES = new Map();
 
-/** What a page shows of a driver. */
+/** Returns the public fields of a driver. */
 function describe({ settings, network, units, gaits, recordings, seeds, ...shown }) {
   const own = { controlDt: settings.control_dt, steps: settings.steps };
   return { ...shown, ...own, ...(recordings && { recorded: Object.keys(recordings) }), ...(seeds && { seeds: seeds.count }) };
 }
 
-/** Every driver, with what a page shows of it. */
+/** All drivers with their public fields. */
 export const drivers = DRIVERS.map(describe);
 /** The frozen evaluation sets: hash and plants. */
 export const sets = HEADER.sets;
 /** Numbers of the task and of the plant, in SI units. */
 export const constants = HEADER.constants;
-/** Names of the controllers that `load` takes, and of its tasks. */
+/** Names of the controllers and of the tasks that `load` accepts. */
 export const controllers = Object.keys(CONTROLLERS);
 export const tasks = Object.keys(TASKS);
 /**
- * Names of the rows of `world`, in their order; behind them lie the law's memory, its line of the reference, the task's
- * memory, and the history of a disturbed plant.
+ * Names of the rows of `world`, in their order. The law's memory, its row of the reference table, the task's memory,
+ * and the history of a disturbed plant follow.
  */
 export const quantities = QUANTITIES;
 
-/** A float64 array out of the archive, where its bytes lie by columns and significance. */
+/** Reads a float64 array from the archive, which stores its bytes by column and significance. */
 function readArray({ at, rows, columns }) {
   const bytes = new Uint8Array(8 * rows * columns);
   for (let j = 0; j < columns; j++) {
@@ -68,7 +68,7 @@ function readArray({ at, rows, columns }) {
   return new Float64Array(bytes.buffer);
 }
 
-/** A compiled module, compiled once. */
+/** Returns a compiled module; compiles each once. */
 function compiled(name) {
   if (!MODULES.has(name)) {
     const { at, size } = HEADER.modules[name];
@@ -77,7 +77,7 @@ function compiled(name) {
   return MODULES.get(name);
 }
 
-/** Arrays in one memory: the views, their addresses, and the functions of modules that work in it. */
+/** Allocates arrays in one memory; returns their addresses, the modules' functions, and the views. */
 async function place(sizes, names) {
   let end = STACK;
   const address = {};
@@ -92,7 +92,7 @@ async function place(sizes, names) {
   };
   const call = {};
   for (const name of names) {
-    // The step imports the law, which stands before it.
+    // The step imports the law, which precedes it.
     Object.assign(call, (await WebAssembly.instantiate(await compiled(name), { env: { ...env, ...call } })).exports);
   }
   const views = Object.entries(sizes).map(([name, [Kind, length]]) => [
@@ -102,7 +102,7 @@ async function place(sizes, names) {
   return { address, call, view: Object.fromEntries(views) };
 }
 
-/** Returns a number, or says which argument is none, or out of range. */
+/** Returns a number, or throws an error that names the argument. */
 function checkNumber(name, value, low = -Infinity, high = Infinity) {
   const accepted = `a finite number${Number.isFinite(high) ? ` in [${low}, ${high}]` : ""}`;
   if (typeof value !== "number") throw new TypeError(`${name} must be ${accepted}, got ${String(value)}`);
@@ -112,14 +112,14 @@ function checkNumber(name, value, low = -Infinity, high = Infinity) {
   return value;
 }
 
-/** The entry of that name, or an error that lists the names. */
+/** Returns the entry by its name, or throws an error that lists the names. */
 function find(what, name, entries) {
   const found = entries.find((entry) => entry.name === name);
   if (!found) throw new RangeError(`${what} must be one of ${entries.map((e) => e.name).join(", ")}, got ${name}`);
   return found;
 }
 
-/** Returns an index, or says what is accepted. */
+/** Returns an index, or throws an error with the accepted values. */
 function checkCount(name, value, count) {
   const accepted = `a whole number from 0 to ${count - 1}`;
   if (!Number.isInteger(value)) throw new TypeError(`${name} must be ${accepted}, got ${String(value)}`);
@@ -127,7 +127,7 @@ function checkCount(name, value, count) {
   return value;
 }
 
-/** An object, or says what is accepted. */
+/** Returns an object, or throws an error with the accepted fields. */
 function checkFields(name, value, names) {
   const accepted = `an object with fields out of ${names.join(", ")}`;
   if (typeof value !== "object" || value === null) throw new TypeError(`${name} must be ${accepted}, got ${value}`);
@@ -136,7 +136,7 @@ function checkFields(name, value, names) {
   return value;
 }
 
-/** Disturbances as `capsule_gym.Disturbances` has them, by name or by fields; null for none. */
+/** Returns the fields of `capsule_gym.Disturbances` for a name or an object; null for none. */
 function checkDisturbances(given) {
   if (given === "none") return null;
   if (given === "real") return constants.real;
@@ -159,17 +159,17 @@ function checkDisturbances(given) {
   return found;
 }
 
-/** The nearest whole number, of two the even one. */
+/** Rounds to the nearest whole number, halves to even. */
 function rounded(value) {
   return value + 1.5 * 2 ** 52 - 1.5 * 2 ** 52;
 }
 
-/** Time between two calls of the law, or without one of the integrator, s. */
+/** Time between two calls of the law or, without a law, of the integrator, s. */
 function periodOf(fixed) {
   return fixed[LAYOUT.settings.physics_steps] * fixed[LAYOUT.settings.physics_dt];
 }
 
-/** What the step is given of the plant and of the settings: of an ideal plant, or of a disturbed one. */
+/** Packs plant and settings for the step, for an ideal or a disturbed plant. */
 function packFixed(settings, capsule, disturbed) {
   const fixed = Float64Array.from(disturbed ? settings.varied : settings.fixed);
   CONSTANTS.forEach((name, n) => { if (name in LAYOUT.plant) fixed[LAYOUT.plant[name]] = capsule[n]; });
@@ -184,7 +184,7 @@ function packFixed(settings, capsule, disturbed) {
   return fixed;
 }
 
-/** What `resets.draw_rows` reads: what the task draws into its memory, which begins there, and what a varied plant does. */
+/** The table for `resets.draw_rows`: draws of the task, whose memory begins at row `first`, and of a varied plant. */
 function drawTable(task, first, capsule, disturbed) {
   const table = TASKS[task].table.map(([row, ...line]) => [row + first, ...line]);
   if (!disturbed) return table;
@@ -195,7 +195,7 @@ function drawTable(task, first, capsule, disturbed) {
   }));
 }
 
-/** The commands of an episode as its memory has them: their velocities, and how long each lasts. */
+/** Packs the commands of an episode as in the task's memory: their velocities, then their durations. */
 function packCommands(commands, count) {
   if (!Array.isArray(commands) || commands.length < 1 || commands.length > count) {
     throw new RangeError(`commands must be an array of 1 to ${count} of {t, v}, got ${String(commands)}`);
@@ -208,13 +208,13 @@ function packCommands(commands, count) {
   return [...v, ...Array(rest).fill(v.at(-1)), ...lasts, ...Array(rest).fill(Infinity)];
 }
 
-/** A plant's M and mu, checked. */
+/** Checks and returns a plant's M and mu. */
 function checkPlant(name, plant) {
   const { limits } = constants;
   return { M: checkNumber(`${name}M`, plant.M, ...limits.M), mu: checkNumber(`${name}mu`, plant.mu, ...limits.mu) };
 }
 
-/** The jumps of an episode, checked. */
+/** Checks and returns the jumps of an episode. */
 function checkChanges(changes) {
   if (!Array.isArray(changes)) throw new TypeError(`changes must be an array of {t, M, mu}, got ${String(changes)}`);
   let last = -Infinity;
@@ -237,7 +237,7 @@ class Draws {
     return new Draws(this.state, this.increment);
   }
 
-  /** A number from -1 to 1, as `uniform` draws it. */
+  /** Draws a number from -1 to 1, like numpy's `uniform`. */
   next() {
     const cut = (bits, value) => BigInt.asUintN(bits, value);
     this.state = cut(128, this.state * 0x2360ed051fc65da44385df649fccf645n + this.increment);
@@ -247,7 +247,7 @@ class Draws {
   }
 }
 
-/** One capsule with a law inside its step, or with none. Made by `load`. */
+/** One capsule, with or without a control law inside its step. `load` creates it. */
 export class Capsule {
   #place;
   #settings;
@@ -255,7 +255,7 @@ export class Capsule {
   #changes = [];
   #due = 0;
 
-  /** For `load` and `drive`. */
+  /** Called by `load` and `drive`. */
   constructor(placed, kind, settings) {
     this.#place = placed;
     this.#kind = kind;
@@ -267,7 +267,7 @@ export class Capsule {
     view.table.set(kind.table.flat());
   }
 
-  /** Whether an episode draws anything, and so may have a seed. */
+  /** Whether an episode draws values and accepts a seed. */
   get draws() {
     return this.#kind.table.length > 0;
   }
@@ -288,8 +288,8 @@ export class Capsule {
   }
 
   /**
-   * Begins an episode. What is drawn follows from the seed, or without one from the last one and the episodes since;
-   * what else is not given is nominal, and at rest at the angle that episodes start from.
+   * Begins an episode. The seed determines the drawn values; without one, the last seed and the number of episodes
+   * since then do. By default, M and mu are nominal, and the state is `constants.start`.
    */
   reset({ M = constants.nominal.M, mu = constants.nominal.mu, changes = [], seed, ...others } = {}) {
     const { task, table, disturbed, fixed } = this.#kind;
@@ -336,7 +336,7 @@ export class Capsule {
     return { observation: this.observation, info: this.info };
   }
 
-  /** One step under an action, which is clipped to [-1, 1] and as coarse as a float32. */
+  /** Takes one step; the action is rounded to float32 and clipped to [-1, 1]. */
   step(action) {
     checkNumber("action", action);
     if (this.#get(ROW.termination)) throw new Error("the episode has ended: reset() first");
@@ -356,7 +356,7 @@ export class Capsule {
     };
   }
 
-  /** Lets M and mu jump before the next step. */
+  /** Changes M and mu before the next step. */
   setPlant({ M, mu }) {
     this.#setPlant(checkPlant("", { M, mu }));
   }
@@ -366,14 +366,14 @@ export class Capsule {
     return Object.fromEntries(STATE.map((name) => [name, this.#get(ROW[name])]));
   }
 
-  /** The present observation, as Python shows it. */
+  /** The current observation, as in Python. */
   get observation() {
     return this.#place.view.observations.slice();
   }
 
   /**
-   * Every quantity of the last step and of the episode by name, in SI units, what the task shows, and why the episode
-   * has ended; of a disturbed plant what the sensors show, and what the episode has drawn.
+   * All quantities of the last step and of the episode by name, in SI units, values of the task, and the termination.
+   * A disturbed plant adds the sensor readings and the values that the episode has drawn.
    */
   get info() {
     const shown = Object.fromEntries(SHOWN.map((name) => [name, this.#get(ROW[name])]));
@@ -388,7 +388,7 @@ export class Capsule {
     return { ...shown, termination: LAYOUT.terminations[shown.termination] };
   }
 
-  /** The numbers that the episode so far is judged by; of a failed one the mean speed is over a whole episode. */
+  /** The metrics of the episode so far; a failed episode's mean speed is over the length of a whole episode. */
   get metrics() {
     const is = this.info;
     const failed = is.termination !== LAYOUT.terminations[0];
@@ -413,7 +413,7 @@ export class Capsule {
     };
   }
 
-  /** The task's own, over an episode of that length in s. */
+  /** The task's own metrics, for an episode of length `whole`, s. */
   #taskMetrics(whole) {
     if (this.task === "goal") {
       const reached = this.#remembered("reached");
@@ -422,7 +422,7 @@ export class Capsule {
     if (this.task !== "velocity") return {};
     const is = Object.fromEntries(TASKS.velocity.memory.map((name) => [name, this.#remembered(name)]));
     const duration = is.measured_from > 0 ? is.since - is.measured_from : 0;
-    // A command counts that was measured for a second.
+    // A command counts if it was measured for a second.
     const counts = duration >= 1 - 1e-9 ? 1 : 0;
     const moved = is.target - is.error - is.measured_x;
     const missed = is.missed + counts * Math.abs(moved - is.command * duration);
@@ -432,7 +432,7 @@ export class Capsule {
     return { velocity_error: error, unsettled: measured > 0 ? unsettled / measured : 1 };
   }
 
-  /** A copy of all that the step remembers, in the order of `quantities`: what bits are compared of. */
+  /** A copy of the step's whole memory, in the order of `quantities`; `check` compares its bits. */
   get world() {
     return Float64Array.from({ length: this.#kind.rows }, (_, row) => this.#get(row));
   }
@@ -445,7 +445,7 @@ export class Capsule {
     return { world: this.world, observation: this.observation, changes, due, cells: cells.slice(), drawn };
   }
 
-  /** Goes back to where a snapshot of this capsule was taken. */
+  /** Restores the state from a snapshot of this capsule. */
   restore({ world, observation, changes, due, cells, drawn: [episodes, ...key] }) {
     const { view } = this.#place;
     if (world.length !== this.#kind.rows || cells.length !== view.cells.length) {
@@ -463,12 +463,12 @@ export class Capsule {
     return this.#place.view.world[LANES * row];
   }
 
-  /** A number of the task's memory. */
+  /** A value in the task's memory. */
   #remembered(name) {
     return this.#get(this.#kind.memoryRow + TASKS[this.task].memory.indexOf(name));
   }
 
-  /** By rows of the world, what a reset is given of what would be drawn. */
+  /** Values passed to `reset` that replace drawn ones, by row of the world. */
   #overrides({ capsule = {}, disturbances = {}, goal, commands }) {
     const { fixed, memoryRow, task } = this.#kind;
     const { memory, table } = TASKS[task];
@@ -505,7 +505,7 @@ export class Capsule {
   }
 }
 
-/** A capsule and what drives it, in closed loop. Made by `drive`. */
+/** A capsule and its driver in closed loop. `drive` creates it. */
 export class Episode extends Capsule {
   #driver;
   #place;
@@ -514,7 +514,7 @@ export class Episode extends Capsule {
   #draws = null;
   #action = 0;
 
-  /** For `drive`. */
+  /** Called by `drive`. */
   constructor(placed, kind, driver) {
     super(placed, kind, driver.settings);
     this.#place = placed;
@@ -527,12 +527,12 @@ export class Episode extends Capsule {
     return this.#driver.name;
   }
 
-  /** What it last chose. */
+  /** The driver's last action. */
   get action() {
     return this.#action;
   }
 
-  /** Begins an episode, whose driver remembers nothing of the last one. */
+  /** Begins an episode and clears the driver's memory. */
   reset({ set, plant, seed, ...options } = {}) {
     const { name, recordings, seeds } = this.#driver;
     let start = options;
@@ -558,19 +558,19 @@ export class Episode extends Capsule {
     return super.reset({ ...first, ...(this.draws && (seed !== undefined || set) ? { seed: chosen } : {}) });
   }
 
-  /** `step`, whose action the driver chooses. */
+  /** Calls `step` with an action of the driver. */
   tick() {
     this.#action = Math.fround(this.#choose());
     return this.step(this.#action);
   }
 
-  /** With the driver's memory. */
+  /** The whole state, including the driver's memory. */
   snapshot() {
     const [action, recording, draws] = [this.#action, this.#recording, this.#draws?.copy() ?? null];
     return { ...super.snapshot(), action, recording, draws };
   }
 
-  /** With the driver's memory. */
+  /** Restores the state, including the driver's memory. */
   restore(snapshot) {
     super.restore(snapshot);
     [this.#action, this.#recording] = [snapshot.action, snapshot.recording];
@@ -584,7 +584,7 @@ export class Episode extends Capsule {
     return this.#draws?.next() ?? 0;
   }
 
-  /** The gait of the cell that the plant lies in; the plant is what the observation ends with. */
+  /** The action of the gait for the plant's cell; the observation ends with the plant's M and mu. */
   #perform() {
     const { address, call, view } = this.#place;
     const { M, edges, cells } = this.#driver.gaits;
@@ -606,31 +606,31 @@ export class Episode extends Capsule {
   }
 }
 
-/** A driver's network, which lies in the archive where the driver came with the module. */
+/** Returns a driver's network, from the archive if the module contains the driver. */
 function networkOf(driver) {
   const network = driver?.network ?? new Float64Array(0);
   return network instanceof Float64Array ? network : readArray(network);
 }
 
-/** The generator that Python has for that seed. */
+/** Returns the generator that Python uses for a seed. */
 function drawsOf({ at }, seed) {
   const bytes = new DataView(CONTENT.buffer, CONTENT.byteOffset + at + 32 * seed, 32);
   const number = (place) => (bytes.getBigUint64(place + 8, true) << 64n) | bytes.getBigUint64(place, true);
   return new Draws(number(0), number(16));
 }
 
-/** Of each step on that plant the place of its action in `LAYOUT.torques`. */
+/** Returns the index in `LAYOUT.torques` of each action on a plant. */
 function recordingOf({ at, steps }, plant) {
   const begin = steps.slice(0, plant).reduce((sum, length) => sum + length, at);
   return CONTENT.subarray(begin, begin + steps[plant]);
 }
 
-/** What the environments of a set have in common, as text. */
+/** Returns the common settings of a set's environments, as text. */
 function kindOf({ task, capsule, disturbances }) {
   return JSON.stringify([task, capsule, disturbances]);
 }
 
-/** Places, and the arrays that a controller, a task and a driver need. */
+/** Allocates the arrays that a controller, a task and a driver need. */
 async function prepare(controller, task, settings, given, driver) {
   const { rows, table, memory } = CONTROLLERS[controller];
   const disturbed = checkDisturbances(given.disturbances ?? settings.disturbances);
@@ -669,11 +669,11 @@ async function prepare(controller, task, settings, given, driver) {
 }
 
 /**
- * A capsule with one of `controllers` in its step, at the beginning of a nominal episode.
+ * Creates a capsule with one of `controllers` in its step, at the beginning of a nominal episode.
  *
  * @param controller "direct" or a law.
- * @param options `task`, and `disturbances`: "none", "real" or fields of `capsule_gym.Disturbances`; or the name of a
- *   set, `set`, for what its environments have in common.
+ * @param options `task`, and `disturbances`: "none", "real" or fields of `capsule_gym.Disturbances`; or `set`, the
+ *   name of a set whose environments' common settings apply.
  */
 export async function load(controller, options = {}) {
   if (!Object.hasOwn(CONTROLLERS, controller)) {
@@ -695,9 +695,9 @@ export async function load(controller, options = {}) {
 }
 
 /**
- * An episode of one of `drivers`, at its beginning; the options are those of `reset`, the energy weight, and the
- * disturbances that episodes draw, as of `load`. In place of the former stand the name of a frozen set and the number of
- * a plant in it, and what that set's environments have.
+ * Creates an episode of one of `drivers`, at its beginning. The options are those of `reset`, the energy weight, and
+ * the disturbances, as in `load`. Alternatively, `set` and `plant` select a plant of a frozen set by its number; the
+ * set then defines the start and the disturbances.
  */
 export async function drive(name, { energyWeight, disturbances, ...options } = {}) {
   const driver = find("driver", name, DRIVERS);
@@ -718,7 +718,7 @@ export async function drive(name, { energyWeight, disturbances, ...options } = {
   return episode;
 }
 
-/** Makes a policy from elsewhere one of `drivers`: what `web.data.describe_policy` says of it in Python. */
+/** Adds a policy of your own to `drivers`, as `web.data.describe_policy` describes it in Python. */
 export function addDriver(driver) {
   const { name, task, controller, settings, network, units } = driver;
   if (typeof name !== "string") throw new TypeError(`name must be a string, got ${String(name)}`);
@@ -741,14 +741,14 @@ export function addDriver(driver) {
   drivers.push(describe(added));
 }
 
-/** The sha256 of typed arrays, one behind the other. */
+/** Returns the sha256 of concatenated typed arrays. */
 async function digest(arrays) {
   const content = new Uint8Array(await new Blob(arrays).arrayBuffer());
   const hash = new Uint8Array(await crypto.subtle.digest("SHA-256", content));
   return Array.from(hash, (byte) => byte.toString(16).padStart(2, "0")).join("");
 }
 
-/** Replays one committed episode; resolves to its hash, and how much was compared. */
+/** Replays one committed episode; resolves to its hash and the numbers of steps and doubles. */
 async function replay({ driver, actions, hold, ...options }) {
   const episode = await drive(driver, options);
   const shown = [];
@@ -757,7 +757,7 @@ async function replay({ driver, actions, hold, ...options }) {
     const { terminated, truncated } = actions ? episode.step(action) : episode.tick();
     shown.push(episode.world, episode.observation);
     over = terminated || truncated;
-    // The page stays alive.
+    // Keeps the page responsive.
     if (n % 200 === 199) await new Promise((resolve) => setTimeout(resolve));
   }
   return { hash: await digest(shown), steps: shown.length / 2, doubles: (shown.length / 2) * shown[0].length };
@@ -766,7 +766,7 @@ async function replay({ driver, actions, hold, ...options }) {
 /**
  * Replays the committed episodes, and compares every bit of their worlds and observations with Python's by hash.
  *
- * @param report called with {name, equal, steps, doubles} after each.
+ * @param report called with {name, equal, steps, doubles} after each episode.
  */
 export async function check(report = () => {}) {
   let all = true;

@@ -9,7 +9,7 @@ const LIMIT = constants.torque_limit;
 const MARK = niceStep(LIMIT / 3);
 const DEGREES = 180 / Math.PI;
 
-/** What is shown over time: a channel of a lane, its title, unit and factor, and bounds that it always has. */
+/** The curves over time: channel of a lane, title, unit, factor, and bounds that the axis always contains. */
 export const CURVES = [
   { channel: "theta", title: "Angle θ", unit: "°", factor: DEGREES, bounds: [-90, 90], most: 90, step: 45 },
   { channel: "x_dot", title: "Speed of the platform", unit: "cm/s", factor: 100, bounds: [-5, 5] },
@@ -26,7 +26,7 @@ class Plot {
     this.sheet = new Sheet(canvas, changed);
   }
 
-  /** Takes the picture's place and the ranges of both axes: {left, right, top, bottom}, and maps to it. */
+  /** Maps the ranges of both axes to the canvas and draws the marks; returns {left, right, top, bottom}. */
   frame(across, up, step) {
     const { context, width, height } = this.sheet;
     context.clearRect(0, 0, width, height);
@@ -72,7 +72,7 @@ class Plot {
   }
 }
 
-/** One curve per lane over time; the driver's stick and slip behind them. */
+/** One curve per lane over time, with the driver's stick and slip behind them. */
 export class TimeChart extends Plot {
   constructor(canvas, curve, changed) {
     super(canvas, changed);
@@ -80,9 +80,9 @@ export class TimeChart extends Plot {
   }
 
   /**
-   * @param {Lane[]} lanes the driver's, and the rival's where there is one.
+   * @param {Lane[]} lanes the driver's and, if any, the rival's.
    * @param {number} now s.
-   * @param {number} span how much is shown, s; 0 for the whole episode.
+   * @param {number} span shown length of time, s; 0 for the whole episode.
    */
   draw(lanes, now, span) {
     const from = span ? Math.max(0, now - span) : 0;
@@ -107,7 +107,7 @@ export class TimeChart extends Plot {
     context.restore();
   }
 
-  /** Bands where the driver sticks, and where it slips. */
+  /** Draws bands where the driver sticks and where it slips. */
   shade(lane, from, to) {
     const { context } = this.sheet;
     const { top, bottom } = this.box;
@@ -125,7 +125,7 @@ export class TimeChart extends Plot {
     }
   }
 
-  /** The curve; where many steps share a column of pixels, the lowest and the highest of them. */
+  /** Traces the curve; of steps that share a pixel column, the lowest and the highest value. */
   path(lane, from, to) {
     const { context } = this.sheet;
     const values = lane.trace[this.curve.channel];
@@ -183,7 +183,7 @@ function within(lane, from, to) {
   return [Math.max(0, Math.floor(from / lane.dt)), Math.min(Math.floor(to / lane.dt + 1e-6), lane.steps)];
 }
 
-/** The range of an axis that holds all that was recorded, in whole steps, and the step of its marks. */
+/** The range of an axis that contains all recorded values, in whole steps, and the step of its marks. */
 function range({ channel, factor, bounds, most = Infinity, step }, lanes) {
   let [low, high] = bounds;
   for (const lane of lanes) {

@@ -1,28 +1,28 @@
-// One driver on one plant: an episode, everything that was recorded of it, and the way back to any step.
+// One driver on one plant: an episode, its recorded values, and snapshots for a return to any step.
 
 import { constants, drive, load, sets } from "capsule.mjs";
 import { YOURSELF, disturbancesOf, driverNamed, startOf, titleOf } from "scene.js";
 
-// As `Simulation` compares an episode's time with that of a jump.
+// Tolerance of `Simulation` for the time of a jump, s.
 const TIME_TOLERANCE = 1e-9;
 const SNAPSHOT_SECONDS = 1;
-// Of the help for the reader, rad: the motor does not push a ball further out that leans beyond the first, and the key
-// to hold changes at the two others.
+// Angles of the helper, rad: beyond LET_GO, the motor does not push the ball further out; the key to hold changes at
+// RETURN_AT and PUSH_AT.
 const LET_GO = 0.8;
 const RETURN_AT = 0.7;
 const PUSH_AT = 0.09;
 const CHANNELS = ["theta", "theta_dot", "x", "x_dot", "torque", "normal", "speed", "transport", "action", "target"];
 
-/** The reader: the direct task, and an action that the page changes between two steps. */
+/** The reader as driver: a capsule without a law, and an action that the page changes between two steps. */
 class Hand {
-  /** @param {number[]} replay the actions of its first steps. */
+  /** @param {number[]} replay actions of the first steps. */
   constructor(capsule, replay) {
     this.capsule = capsule;
     this.replay = replay;
     this.live = 0;
     this.action = 0;
     this.helped = false;
-    /** The way to push now, as the help has it: 1 is to the left. */
+    /** The direction in which the helper says to push: 1 is to the left. */
     this.turn = 1;
   }
 
@@ -51,14 +51,14 @@ async function start(name, scene, weight) {
   return { capsule: episode, driver: episode };
 }
 
-/** An episode as it is recorded. */
+/** An episode and its recording. */
 export class Lane {
   /**
    * Opens the lane of a driver at the start of its episode.
    *
    * @param {string} name of the driver.
-   * @param {object} scene whose plant, jumps and hand it gets; of one with a recorded driver `keepFrozen` is true.
-   * @param {number | null} weight the price of energy; null for the driver's own.
+   * @param {object} scene plant, jumps and hand; a recorded driver requires `keepFrozen(scene)` before.
+   * @param {number | null} weight energy weight; null for the driver's own.
    */
   static async open(name, scene, weight) {
     return new Lane(name, await start(name, scene, weight), scene.jumps);
@@ -70,12 +70,12 @@ export class Lane {
     this.capsule = capsule;
     this.driver = driver;
     this.jumps = jumps;
-    /** Length of a step, s, and how many an episode has. */
+    /** Length of a step, s, and number of steps in an episode. */
     this.dt = capsule.controlDt;
     this.horizon = capsule.horizon;
     this.stepsOfSnapshot = Math.round(SNAPSHOT_SECONDS / this.dt);
     this.steps = 0;
-    /** Why the episode ended: "", or what happened. */
+    /** Why the episode failed, or "". */
     this.failure = "";
     this.trace = Object.fromEntries(CHANNELS.map((name) => [name, new Float64Array(this.horizon + 1)]));
     /** Lowest and highest value so far, per channel. */
@@ -85,12 +85,12 @@ export class Lane {
     this.record();
   }
 
-  /** The reader's hands, where they are what drives. */
+  /** The `Hand` if the reader drives, else null. */
   get hand() {
     return this.name === YOURSELF ? this.driver : null;
   }
 
-  /** How far the episode was simulated, s. */
+  /** Simulated time of the episode, s. */
   get time() {
     return this.steps * this.dt;
   }
@@ -99,7 +99,7 @@ export class Lane {
     return this.failure !== "" || this.steps >= this.horizon;
   }
 
-  /** One agent step, unless the episode has ended. */
+  /** Takes one agent step unless the episode has ended. */
   advance() {
     if (this.ended) return;
     this.applyJump();
@@ -116,7 +116,7 @@ export class Lane {
     return Math.min(Math.ceil(time / this.dt - 1e-6), this.horizon);
   }
 
-  /** Forgets what came after that time (s), and stands there again. */
+  /** Rewinds to a time (s), and deletes what was recorded after it. */
   rewind(time) {
     const step = this.stepAt(time);
     if (step >= this.steps) return;
@@ -131,7 +131,7 @@ export class Lane {
     if (this.hand) this.hand.live = live;
   }
 
-  /** What is seen at that time (s), between two steps if `smooth`: SI units. */
+  /** The values to draw at a time (s), interpolated between steps if `smooth`; SI units. */
   at(time, smooth) {
     const { trace } = this;
     const place = Math.min(time / this.dt, this.steps);
@@ -179,7 +179,7 @@ export class Lane {
   }
 }
 
-/** A cubic between two steps through both values and both rates. */
+/** Cubic Hermite interpolation between two steps. */
 function cubic(values, rates, k, share, dt) {
   const [a, b] = [values[k], values[k + 1]];
   const [da, db] = [rates[k] * dt, rates[k + 1] * dt];

@@ -1,6 +1,6 @@
-// Numbers as the page writes them.
+// Functions for numbers.
 
-/** A number with a true minus sign and never "-0"; a dash where it is not finite. */
+/** Formats a number with a true minus sign and never as "-0"; a dash if it is not finite. */
 export function written(value, decimals) {
   if (!Number.isFinite(value)) return "–";
   const text = value.toFixed(decimals);
@@ -13,12 +13,12 @@ export function niceStep(least) {
   return ([1, 2, 5].find((factor) => factor * power >= least * (1 - 1e-9)) ?? 10) * power;
 }
 
-/** How many decimals tell multiples of `step` apart. */
+/** Number of decimals that distinguish multiples of `step`. */
 export function decimals(step) {
   return Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
 }
 
-/** The value, kept within low to high. */
+/** Clamps the value to [low, high]. */
 export function clamp(value, low, high) {
   return Math.min(high, Math.max(low, value));
 }

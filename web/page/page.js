@@ -1,4 +1,4 @@
-// The page: its controls, its lanes, and what is drawn of them.
+// The page: its controls, its lanes, and their drawing.
 
 import { check, constants, drivers, sets } from "capsule.mjs";
 import { CURVES, PhasePortrait, TimeChart } from "charts.js";
@@ -17,13 +17,13 @@ const KINDS = {
   none: "No control",
 };
 const KEYS = { ArrowLeft: 1, a: 1, A: 1, ArrowRight: -1, d: -1, D: -1 };
-// Share of the keys' strength with which the helper brings the ball back.
+// Factor by which the helper reduces the strength of the right key.
 const RETURN_SHARE = 0.25;
 const BEST_KEY = "capsule_gym.best_distance";
-// Pixels that a finger drags for the whole torque.
+// Drag distance for the full torque, pixels.
 const DRAG = 140;
 
-/** The measures of an episode: their names, units, and how they are written; nothing where the task has none. */
+/** The measures of an episode: name, unit, and format; the text is empty if the task has no such measure. */
 const MEASURES = [
   ["Goal reached", "s", ({ success, goal_time }) => success === 1 ? written(goal_time, 2) : success === 0 ? "not yet" : ""],
   ["Velocity error", "%", ({ velocity_error: error }) => (error === undefined ? "" : written(error, 1))],
@@ -53,7 +53,7 @@ const charts = makeCharts();
 
 // --- Lanes -------------------------------------------------------------------------------------------------------
 
-/** Opens the scene's lanes anew, at a time, and plays or waits. */
+/** Opens the scene's lanes again at a time, and plays or pauses. */
 async function open({ time = 0, play = player.playing } = {}) {
   const turn = ++opening;
   player.playing = false;
@@ -94,11 +94,11 @@ function remember(distance) {
   try {
     localStorage.setItem(BEST_KEY, String(distance));
   } catch {
-    // A browser that keeps nothing keeps it until the page is closed.
+    // Without storage, the distance is lost when the page closes.
   }
 }
 
-/** Lets M and mu jump now; before the first step they are the plant's. */
+/** Changes M and mu from now on; before the first step, changes the episode's plant. */
 function jump(M, mu) {
   player.branch();
   if (player.moment === 0) {
@@ -107,7 +107,7 @@ function jump(M, mu) {
   }
   const t = Number(player.moment.toFixed(6));
   const others = scene.jumps.filter((jump) => Math.abs(jump.t - t) > DT / 2);
-  // The lanes hold this very list.
+  // The lanes share this array.
   scene.jumps.splice(0, Infinity, ...[...others, { t, M, mu }].sort((a, b) => a.t - b.t));
   announce(`At ${written(t, 2)} s: ${plantText({ M, mu })}`);
   showPlant();
@@ -122,7 +122,7 @@ function plantText({ M, mu }) {
   return `M ${written(M, 4)} kg, μ ${written(mu, 4)}`;
 }
 
-/** The actions of the hand that drives: those of a link, or those that were recorded. */
+/** The reader's actions: those of a link, or the recorded ones. */
 function handsSoFar() {
   const [lane] = player.lanes;
   if (!lane?.hand) return [];
@@ -130,17 +130,17 @@ function handsSoFar() {
   return replay.length > lane.steps ? replay : Array.from(lane.trace.action.subarray(1, lane.steps + 1));
 }
 
-// --- The reader's hands --------------------------------------------------------------------------------------------
+// --- Manual control ------------------------------------------------------------------------------------------------
 
 const held = new Set();
 
-/** Takes over with that action, from the present step where what follows was recorded. */
+/** Applies an action of the reader; a nonzero one replaces what was recorded after this step. */
 function drive(action) {
   const hand = player.lanes[0]?.hand;
   if (!hand) return;
   const value = handAction(action);
   const text = `${written(value * constants.torque_limit, 2)} N m`;
-  // The angle grows to the left: a torque below zero turns the ball to where the slider is drawn.
+  // The angle is positive to the left, so the slider has the opposite sign of the torque.
   element("torque").value = -value;
   element("torque").setAttribute("aria-valuetext", text);
   show("torque-value", text);
@@ -225,7 +225,7 @@ function bindHands() {
   }
 }
 
-/** Tells the hand whether it is helped. */
+/** Turns the hand's helper on or off. */
 function help() {
   const hand = player.lanes[0]?.hand;
   if (hand) hand.helped = element("help").checked;
@@ -259,11 +259,11 @@ function restart() {
   open({ play: true });
 }
 
-/** Puts the scene into the page's address; with the time where it stands still. */
+/** Writes the scene to the page's address, with the time if the page is paused. */
 function link() {
   const time = player.goal ?? player.now;
   scene.t = player.playing || time === 0 ? null : Number(time.toFixed(3));
-  // Inside of another page an address is relative to that page's.
+  // In a page embedded in another, relative addresses refer to the outer page.
   history.replaceState(null, "", new URL(writeScene({ ...scene, hand: handsSoFar() }), location.href));
 }
 
@@ -313,7 +313,7 @@ function option(value, text) {
   return new Option(text, value);
 }
 
-/** What there is to choose in the scene's task. */
+/** Fills the lists with the choices of the scene's task. */
 function fillChoices() {
   element("driver").replaceChildren(option(YOURSELF, "Yourself"));
   element("rival").replaceChildren(option("", "none"));
@@ -334,7 +334,7 @@ function fillChoices() {
 }
 
 function setRanges() {
-  // Friction spans two powers of ten: its slider is even in the logarithm.
+  // Friction spans two powers of ten: its slider is logarithmic.
   for (const [name, map] of [["M", Number], ["mu", Math.log10]]) {
     [element(name).min, element(name).max] = limits[name].map(map);
     [element(`${name}-number`).min, element(`${name}-number`).max] = limits[name];
@@ -359,7 +359,7 @@ function bindChoices() {
   choose("driver", "driver", () => {
     Object.assign(scene, { weight: null, hand: [] });
     keepFrozen(scene);
-    // A hand begins when the reader does.
+    // With manual control, the reader starts the episode.
     open({ play: scene.driver !== YOURSELF && !reduced.matches });
   });
   choose("rival", "rival", () => {
@@ -458,7 +458,7 @@ function disturbanceText(name, value) {
   return `${written(number, digits)} ${unit}`;
 }
 
-/** A number between two, evenly or evenly in the logarithm, with four digits. */
+/** Draws a number between two, uniformly or log-uniformly, with four digits. */
 function drawn(low, high, logarithmic) {
   const share = Math.random();
   return Number((logarithmic ? low * (high / low) ** share : low + (high - low) * share).toPrecision(4));
@@ -479,12 +479,12 @@ function bindPage() {
   });
   element("share").addEventListener("click", share);
   element("check").addEventListener("click", runCheck);
-  // The scene before may have written its own address since.
+  // The previous scene may have changed the address since the event.
   window.addEventListener("hashchange", (event) => readLink(new URL(event.newURL).hash));
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 }
 
-/** Hands a picture of the stage over to the system's share dialog, with the link; saves it where there is none. */
+/** Shares a picture of the stage and the link by the system's dialog; saves the picture if there is none. */
 async function share() {
   link();
   const { metrics } = player.lanes[0].at(player.now, false);
@@ -503,7 +503,7 @@ async function share() {
 
 let checking = false;
 
-/** Replays the committed episodes before the reader's eyes. */
+/** Replays the committed episodes and shows the results. */
 async function runCheck() {
   setPlaying(false);
   element("checks").showModal();
@@ -533,7 +533,7 @@ async function runCheck() {
   checking = false;
 }
 
-// --- What is shown -------------------------------------------------------------------------------------------------
+// --- Display -------------------------------------------------------------------------------------------------------
 
 function show(id, text) {
   const node = element(id);
@@ -549,7 +549,7 @@ function complain(text) {
   show("trouble", text);
 }
 
-/** Everything that says what the scene is; not what happens in it. */
+/** Shows the scene's settings; `draw` shows all that changes with time. */
 function showScene() {
   fillChoices();
   element("task").value = scene.task;
@@ -671,7 +671,7 @@ function makeRows() {
   }
 }
 
-/** All that changes with time. */
+/** Draws all that changes with time. */
 function draw() {
   const smooth = !reduced.matches;
   const views = player.lanes.map((lane) => ({ name: named(lane), view: lane.at(player.now, smooth) }));
@@ -680,7 +680,7 @@ function draw() {
   if (stage.sheet.seen) stage.draw(driver, rival, { lanes: scene.view === "lane", still: !smooth });
   drawings += 1;
   for (const [index, chart] of charts.entries()) {
-    // What moves is drawn in every second frame, half of the charts in each.
+    // While playing, charts are drawn in every second frame, half of them in each.
     const due = chart.sheet.seen && (index + drawings) % 2 === 0;
     if (due || !player.playing) chart.draw(player.lanes, player.now, span);
   }
@@ -719,7 +719,7 @@ function showFigures({ x, x_dot, torque, metrics, contact }) {
   }
 }
 
-/** What a picture that stands still shows, in words. */
+/** Describes a still picture in words. */
 function describe(views) {
   const told = views.map(({ name, view }) => {
     const contact = view.x_dot === 0 ? "in stick" : `slipping at ${written(100 * view.x_dot, 1)} cm/s`;
@@ -730,22 +730,22 @@ function describe(views) {
   element("scene").setAttribute("aria-label", `At ${written(player.now, 2)} s. ${told.join(". ")}.`);
 }
 
-/** Whether a lane has failed, and that is on the screen. */
+/** Whether a lane has failed and the failure is on the screen. */
 function hasFailed(lane) {
   return lane.failure !== "" && player.now >= lane.time - 1e-9;
 }
 
-/** Whether the reader has failed: a rival goes on only once the reader does. */
+/** Whether the reader has failed; this also stops the rival. */
 function handFailed() {
   return player.lanes[0].hand !== null && hasFailed(player.lanes[0]);
 }
 
-/** A lane's title, and when it failed. */
+/** A lane's title, with the time of its failure if any. */
 function named(lane) {
   return hasFailed(lane) ? `${lane.title} failed at ${written(lane.time, 2)} s` : lane.title;
 }
 
-/** Failures and the end of the episode, once they are on the screen. */
+/** Shows failures and the end of the episode once they are on the screen. */
 function showEnd() {
   const failures = player.lanes.filter(hasFailed).map((lane) => `${named(lane)}: ${lane.failure}.`);
   if (player.over && failures.length < player.lanes.length) failures.push(`The episode of ${END} s has ended.`);
@@ -782,7 +782,7 @@ function frame(time) {
   requestAnimationFrame(frame);
 }
 
-/** Shows what the fragment of an address says. */
+/** Shows the scene of an address's fragment. */
 async function readLink(hash) {
   const { scene: read, complaints } = readScene(hash);
   scene = read;

@@ -1,7 +1,7 @@
-// What every canvas of the page needs: sharp pixels, and the colours of the theme.
+// Common code of the page's canvases: sharp pixels, and the colours of the theme.
 
 const style = getComputedStyle(document.documentElement);
-// Asking for the style is slow, and it changes with the theme and with the window only.
+// Cached: reading the style is slow, and it changes only with the theme and the window.
 const known = new Map();
 const forget = () => known.clear();
 window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", forget);
@@ -12,33 +12,33 @@ function remembered(key, find) {
   return known.get(key);
 }
 
-/** The theme's colour of that name, as page.css and the package have it. */
+/** The theme's colour by name, from page.css and the package. */
 export function colour(name) {
   return remembered(name, () => style.getPropertyValue(`--${name}`).trim());
 }
 
-/** How many CSS pixels a rem is. */
+/** Length of a rem in CSS pixels. */
 export function rem() {
   return remembered(" rem", () => parseFloat(style.fontSize));
 }
 
-/** The page's font at that size in rem. */
+/** The page's font at a size in rem. */
 export function font(rems, weight = 400) {
   return `${weight} ${rems * rem()}px ${remembered(" family", () => style.fontFamily)}`;
 }
 
-/** A canvas that has as many pixels as it covers on the screen, and knows its size in CSS pixels. */
+/** A canvas with one pixel per pixel of the screen; its width and height are in CSS pixels. */
 export class Sheet {
   /**
    * @param {HTMLCanvasElement} canvas
-   * @param {() => void} changed called when it is empty or old: after its size has changed, and when it is scrolled to.
+   * @param {() => void} changed called when the canvas is empty or outdated: after a change of size or scrolling to it.
    */
   constructor(canvas, changed) {
     this.canvas = canvas;
     this.context = canvas.getContext("2d");
     this.width = 0;
     this.height = 0;
-    /** Whether any of it is on the screen. */
+    /** Whether a part of the canvas is on the screen. */
     this.seen = true;
     new IntersectionObserver((entries) => {
       this.seen = entries.at(-1).isIntersecting;

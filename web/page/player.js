@@ -1,50 +1,50 @@
-// Time: what is simulated, what is shown, and how fast.
+// Playback: simulated time, shown time, and speed.
 
 import { constants } from "capsule.mjs";
 import { END } from "scene.js";
 import { clamp } from "numbers.js";
 
 const DT = constants.control_dt;
-// Of a frame of 16.7 ms: so much may be spent on simulating, s and ms.
+// Longest time counted for a frame, s; time for simulation in a frame of 16.7 ms, ms.
 const LONGEST_FRAME = 0.1;
 const BUDGET = 8;
 
-/** The clock of some lanes. */
+/** The clock of the lanes. */
 export class Player {
   constructor() {
     this.lanes = [];
     this.now = 0;
     this.speed = 1;
     this.playing = false;
-    /** The time that is being reached by simulating as fast as can be; null where there is none. */
+    /** The time up to which the lanes are simulated as fast as possible, s; null if none. */
     this.goal = null;
     /** Called after each agent step of a lane. */
     this.stepped = () => {};
   }
 
-  /** The time of the step that is shown, or of the one that comes to be shown, s: a multiple of 20 ms. */
+  /** The shown time, rounded up to a multiple of 20 ms, s. */
   get moment() {
     return Math.min(Math.ceil(this.now / DT - 1e-6) * DT, END);
   }
 
-  /** Whether no lane can go on, and what it did has been shown. */
+  /** Whether all lanes have ended and are shown up to their ends. */
   get over() {
     return this.lanes.every((lane) => lane.ended && this.now >= lane.time - 1e-9);
   }
 
-  /** Goes to that time, simulating what is missing. */
+  /** Goes to a time (s), and simulates the missing steps. */
   seek(time) {
     this.goal = clamp(time, 0, this.reach);
   }
 
-  /** One step on or back, as a pause. */
+  /** Pauses, and goes forward or back by steps. */
   nudge(steps) {
     this.playing = false;
     const step = steps > 0 ? Math.floor(this.now / DT + 1e-6) : Math.ceil(this.now / DT - 1e-6);
     this.seek((step + steps) * DT);
   }
 
-  /** Forgets in every lane what came after the present step. */
+  /** Deletes in every lane what was recorded after the current step. */
   branch() {
     this.now = this.moment;
     this.goal = null;
@@ -52,9 +52,9 @@ export class Player {
   }
 
   /**
-   * Lets `elapsed` seconds of the reader's time pass.
+   * Advances by `elapsed` seconds of real time.
    *
-   * @returns {boolean} whether there is something new to be drawn.
+   * @returns {boolean} whether the shown time has changed.
    */
   pass(elapsed) {
     const before = this.now;
@@ -68,7 +68,7 @@ export class Player {
     return this.now !== before;
   }
 
-  /** Takes every lane up to that time, and answers how far the budget of a frame went. */
+  /** Simulates every lane up to a time (s) within a frame's budget; returns the reached time. */
   simulate(time) {
     const begin = performance.now();
     for (;;) {
@@ -81,12 +81,12 @@ export class Player {
     }
   }
 
-  /** The time at which the last lane ends, as far as is known. */
+  /** The time at which the last lane ends, if known, else END; s. */
   get last() {
     return this.lanes.every((lane) => lane.ended) ? Math.max(...this.lanes.map((lane) => lane.time)) : END;
   }
 
-  /** How far `seek` may go: hands that have not moved yet cannot be foreseen. */
+  /** Latest time of `seek`, s: the reader's future actions are unknown. */
   get reach() {
     const lane = this.lanes.find(({ hand }) => hand);
     if (!lane) return this.last;

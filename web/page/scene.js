@@ -1,27 +1,27 @@
-// What a link says: who drives which plant, how it is shown, and when.
+// The scene of a link: drivers, plant, view and time.
 
 import { constants, drivers, sets } from "capsule.mjs";
 import { clamp } from "numbers.js";
 
-/** The name of the driver who is the reader of the page. */
+/** Name of the reader of the page as a driver. */
 export const YOURSELF = "yourself";
-/** Every torque of a hand is one of these many steps, from -1 to 1, so that a link can hold it exactly. */
+/** Number of values, from -1 to 1, of the reader's actions, so that a link can contain them exactly. */
 export const HAND_STEPS = 41;
 export const SPEEDS = { least: 0.1, most: 20 };
-/** When an episode of the scene's task ends, s. */
+/** Length of an episode of the scene's task, s. */
 export let END = constants.horizons.speed;
-/** The sliders of disturbances: lowest and highest value, of latency in s, noise in shares of the real one's. */
+/** Lowest and highest values of the sliders of disturbances: latency in s, noise relative to the real noise. */
 export const DISTURBED = { latency: [0, 0.03], noise: [0, 2], motor: [0, 0.2], slope: [-3, 3] };
-/** As many draws have numbers. */
+/** Number of seeds. */
 export const SEEDS = 100;
 const IDEAL = { disturbances: "none", latency: 0, noise: 0, motor: 0, slope: 0 };
 
-/** Says which task the page shows. */
+/** Sets the task that the page shows. */
 export function useTask(task) {
   END = constants.horizons[task];
 }
 
-/** What `drive` and `load` are given of a scene's disturbances. */
+/** Returns a scene's disturbances for `drive` and `load`. */
 export function disturbancesOf({ disturbances, latency, noise, motor, slope }) {
   if (disturbances === "real") return "real";
   if (disturbances === "none") return motor || slope ? { stick_threshold: 0 } : "none";
@@ -30,14 +30,14 @@ export function disturbancesOf({ disturbances, latency, noise, motor, slope }) {
   return { latency, ...Object.fromEntries(scaled.map(([name, [low, high = low]]) => [name, [low, high]])) };
 }
 
-/** What an episode of it begins with. */
+/** Returns the start of a scene's episode. */
 export function startOf({ task, M, mu, theta, seed, motor, slope, ...scene }) {
   const drawn = task !== "speed" || disturbancesOf({ motor, slope, ...scene }) !== "none";
   const tilted = motor || slope ? { capsule: { motor_friction: motor, slope: (slope * Math.PI) / 180 } } : {};
   return { M, mu, ...(theta !== undefined && { theta }), ...(drawn && { seed }), ...tilted };
 }
 
-/** Why some drivers leave no choice of M and mu. */
+/** Why M and mu cannot be chosen with some drivers. */
 export const ONLY_FROZEN = "The optimum is recorded on the plants of the sets";
 
 const LETTERS = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNO";
@@ -51,7 +51,7 @@ export const limits = Object.fromEntries(
   }),
 );
 
-/** The row of `drivers` of that name; undefined for the reader, and for nobody. */
+/** The entry of `drivers` by its name; undefined for the reader and for no driver. */
 export function driverNamed(name) {
   return drivers.find((driver) => driver.name === name);
 }
@@ -61,12 +61,12 @@ export function titleOf(name) {
   return name === YOURSELF ? "Yourself" : name;
 }
 
-/** Whether someone in the scene is recorded, who can drive the plants of the frozen sets alone. */
+/** Whether the scene has a recorded driver, which drives only on plants of the frozen sets. */
 export function hasRecorded({ driver, rival }) {
   return [driver, rival].some((name) => driverNamed(name)?.recorded);
 }
 
-/** Gives a scene with someone recorded a plant of a frozen set as it is, if it has another; answers whether it had. */
+/** Gives a scene with a recorded driver an unchanged plant of a frozen set; returns whether it had another plant. */
 export function keepFrozen(scene) {
   const known = [scene.driver, scene.rival].map((name) => driverNamed(name)?.recorded).find(Boolean);
   if (!known || (known.includes(scene.set) && !hasOwnJumps(scene))) return false;
@@ -92,9 +92,9 @@ export function takePlant(scene, set, index) {
 }
 
 /**
- * Reads the part of a link behind its #.
+ * Reads the part of a link after the #.
  *
- * What cannot be shown is left as it was in the first scene, and said.
+ * Invalid parts keep the first scene's values, and add a complaint.
  *
  * @param {string} hash with or without the #.
  * @returns {{scene: object, complaints: string[]}}
@@ -119,7 +119,7 @@ export function readScene(hash) {
   return { scene, complaints };
 }
 
-/** The part of a link behind the #, with all that differs from what `readScene` supposes. */
+/** The part of a link after the #, with all values that differ from the defaults of `readScene`. */
 export function writeScene(scene) {
   const first = firstScene();
   const parts = new URLSearchParams({ driver: scene.driver });
@@ -148,13 +148,13 @@ export function writeScene(scene) {
   return `#${parts}`.replaceAll("%3A", ":").replaceAll("%2C", ",");
 }
 
-/** Whether M and mu jump otherwise than the set has it. */
+/** Whether the jumps of M and mu differ from those of the set. */
 export function hasOwnJumps({ set, plant, jumps }) {
   const expected = set ? (sets[set].plants[plant].changes ?? []) : [];
   return writeJumps(jumps) !== writeJumps(expected);
 }
 
-/** The nearest action that a link can hold. */
+/** The nearest action that a link can contain. */
 export function handAction(action) {
   return Math.round(clamp(action, -1, 1) * HALF) / HALF;
 }
@@ -182,7 +182,7 @@ function readTask(given, complaints) {
   return "speed";
 }
 
-/** What is drawn, and by which disturbances. */
+/** Reads the seed and the disturbances. */
 function readDisturbances(given, scene, complaints) {
   scene.seed = Math.trunc(readNumber(given, "seed", 0, SEEDS - 1, complaints) ?? 0);
   if (scene.task !== "speed") return;
@@ -247,7 +247,7 @@ function writeJumps(jumps) {
   return jumps.map(({ t, M, mu }) => [t, M, mu].map(shortened).join(":")).join(",");
 }
 
-/** Run lengths: a letter per torque, before it how often it stands where that is not once. */
+/** Run-length encoding: a letter per torque, preceded by the number of repetitions if above 1. */
 function writeHand(actions) {
   const letters = actions.map((action) => LETTERS[Math.round((action + 1) * HALF)]).join("");
   return letters.replace(/(.)\1+/g, (run, letter) => run.length + letter);

@@ -1,4 +1,5 @@
-// The robot on its floor, as `capsule_gym.rendering` draws it, with trail and speed arrow. Lengths are that drawing's pixels; SCALE maps them.
+// The robot as `capsule_gym.rendering` draws it, with trail and speed arrow. Lengths are that drawing's pixels;
+// `lane` scales them.
 
 import { constants } from "capsule.mjs";
 import { figure } from "figure.js";
@@ -9,19 +10,19 @@ const { ROD, BALL, PIVOT, SHELL_HALF, SHELL_HEIGHT, GAUGE } = figure;
 const PER_METRE = ROD / constants.l;
 // The labelled marks of the ruler, m.
 const MAJOR = niceStep(50 / PER_METRE);
-// Room of a lane above the shell and below the floor.
+// Space in a lane above the shell and below the floor.
 const ABOVE = 44;
 const BELOW = 40;
 const WIDEST = 1.6;
-// Changes of the contact's colour in a second; three flashes, which are six, may harm.
+// Most changes of the contact's colour in a second; three flashes (six changes) may harm.
 const MOST_CHANGES = 4;
 const TURN = 2 * Math.PI;
-// Pixels of the speed arrow per m/s, and its longest.
+// Length of the speed arrow, pixels per m/s, and its maximum, pixels.
 const SPEED_ARROW = 320;
 const SPEED_ARROW_LIMIT = 220;
 const TRAIL_SECONDS = 0.07;
 
-/** Stick or slip, as it can be shown: neither, where it would flash. */
+/** The contact to show: stick or slip, or "both" if the colour would flash. */
 export class Contact {
   constructor() {
     this.stuck = true;
@@ -50,9 +51,9 @@ export class Stage {
   }
 
   /**
-   * @param {{name: string, view: object}} driver a title, and what `Lane.at` gives.
+   * @param {{name: string, view: object}} driver a title, and the result of `Lane.at`.
    * @param {{name: string, view: object} | null} rival
-   * @param {{lanes: boolean, still: boolean}} how `lanes` gives the rival one of its own; `still` draws no trail.
+   * @param {{lanes: boolean, still: boolean}} how `lanes` draws the rival in its own lane; `still` draws no trail.
    */
   draw(driver, rival, { lanes, still }) {
     const { context, width, height } = this.sheet;
@@ -66,7 +67,7 @@ export class Stage {
     }
   }
 
-  /** The picture that is shown, as a PNG with a line of text below. */
+  /** Returns the shown picture as a PNG with a line of text below. */
   picture(text) {
     const { canvas } = this.sheet;
     const copy = document.createElement("canvas");
@@ -117,7 +118,7 @@ export class Stage {
   }
 }
 
-/** The point at that angle from the upright, growing to the left, and that distance from the pivot. */
+/** The point at an angle from the upright, positive to the left, and a distance from the pivot. */
 function polar(angle, radius) {
   return [-radius * Math.sin(angle), -PIVOT - radius * Math.cos(angle)];
 }
@@ -145,7 +146,7 @@ function disc(context, [x, y], radius, fill) {
   context.fill();
 }
 
-/** The ruler as it passes beneath the robot, and the flag at the start. */
+/** Draws the floor with its ruler, and the flag at the start. */
 function drawFloor(context, x, half, scale, height) {
   const major = MAJOR * PER_METRE;
   const every = major * scale < 44 ? 2 : 1;
@@ -180,13 +181,13 @@ function drawFloor(context, x, half, scale, height) {
   context.fillRect(-half, -1, 2 * half, 2);
 }
 
-/** What the middle of the platform is to reach, on the ruler; at the edge where it is out of the picture. */
+/** Draws the target of the platform's centre on the ruler, or at the edge if it is out of the picture. */
 function drawTarget(context, offset, half) {
   const at = clamp(offset, 10 - half, half - 10);
   polygon(context, [[at, 4], [at - 11, 26], [at + 11, 26]], colour("accent"));
 }
 
-/** The shell, the platform and the gauge's scale; the contact beneath. */
+/** Draws the shell, the platform, the gauge's scale, and the contact. */
 function drawBody(context, state) {
   const { PLATFORM_HALF, PLATFORM_HEIGHT, SPRING_OUTER } = figure;
   const contact = colour(state === "both" ? "tick" : state);
@@ -219,12 +220,12 @@ function drawBody(context, state) {
   context.fillRect(-flat, -1, 2 * flat, 7);
 }
 
-/** Whether a robot with that offset is out of the picture. */
+/** Whether a robot at an offset is out of the picture. */
 function isAway(offset, half) {
   return Math.abs(offset) > half + SHELL_HALF;
 }
 
-/** The rival's outline where it is; an arrow at the edge where that is out of the picture. */
+/** Draws the rival's outline, or an arrow at the edge if it is out of the picture. */
 function drawGhost(context, view, offset, half, scale) {
   const ink = colour("rival");
   context.save();
@@ -253,7 +254,7 @@ function drawGhost(context, view, offset, half, scale) {
   context.restore();
 }
 
-/** An arrow above the shell, as long as the platform is fast. */
+/** Draws an arrow above the shell for the platform's velocity. */
 function drawSpeed(context, x_dot) {
   const length = clamp(SPEED_ARROW * x_dot, -SPEED_ARROW_LIMIT, SPEED_ARROW_LIMIT);
   if (Math.abs(length) < 1) return;
@@ -265,7 +266,7 @@ function drawSpeed(context, x_dot) {
   polygon(context, [[length, y], [length - head, y - wide], [length - head, y + wide]], slip);
 }
 
-/** An arc arrow around the pivot: from the upright, a quarter turn at the limit, the way the motor turns. */
+/** Draws the torque as an arc arrow around the pivot, from the upright; the limit is a quarter turn. */
 function drawTorque(context, share) {
   if (!(Math.abs(share) >= 0.01)) return;
   const torque = colour("torque");
@@ -281,7 +282,7 @@ function drawTorque(context, share) {
   polygon(context, [polar(end, GAUGE), polar(base, GAUGE - wide), polar(base, GAUGE + wide)], torque);
 }
 
-/** The spring, the rod, and the ball with a trail of its last moments. */
+/** Draws the spring, the rod, and the ball with a trail. */
 function drawPendulum(context, { theta, theta_dot }, still) {
   const { SPRING_INNER, SPRING_OUTER, SPRING_TURNS } = figure;
   const ball = colour("ball-colour");
@@ -296,7 +297,7 @@ function drawPendulum(context, { theta, theta_dot }, still) {
     }
     context.globalAlpha = 1;
   }
-  // The inner end turns with the rod, the outer one is held by the platform.
+  // The inner end turns with the rod; the outer end is fixed to the platform.
   const spiral = Array.from({ length: 60 }, (_, i) => {
     const share = i / 59;
     return polar(theta + (TURN * SPRING_TURNS - theta) * share, SPRING_INNER + (SPRING_OUTER - SPRING_INNER) * share);
