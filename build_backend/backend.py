@@ -1,9 +1,9 @@
-"""The package's build backend: setuptools', with machine code in the wheel.
+"""The package's build backend: setuptools, with machine code added to the wheel.
 
-The machine code lets the environment's first step compile nothing and import no numba (`capsule_gym.compilation`). An
-editable installation is built without it, and needs nothing but setuptools.
+With the machine code, the environment's first step compiles nothing and does not import numba
+(`capsule_gym.compilation`). An editable installation has no machine code and needs only setuptools to build.
 
-The environment variable REPOSITORY_URL, the address of the repository, gives the metadata its URLs and the README its
+The environment variable REPOSITORY_URL sets the repository's address: the metadata gets its URLs, and the README gets
 absolute links. Two builds of the same files give the same bytes.
 """
 
@@ -28,7 +28,7 @@ from setuptools.config.pyprojecttoml import read_configuration
 # Times in the archives: 1980-01-01, the earliest that a wheel can hold.
 os.environ.setdefault("SOURCE_DATE_EPOCH", "315532800")
 os.umask(0o022)
-# Otherwise setuptools warns that it compiles no bytecode, which a wheel has none of anyway.
+# Otherwise setuptools warns that it compiles no bytecode. A wheel contains none.
 sys.dont_write_bytecode = False
 
 
@@ -39,7 +39,7 @@ def get_requires_for_build_wheel(config_settings=None):
 
 
 def build_sdist(sdist_directory, config_settings=None):
-    """Builds the sdist without the times, owners and modes of the files that it was made of."""
+    """Builds the sdist without the times, owners and modes of the original files."""
     name = build_meta.build_sdist(sdist_directory, config_settings)
     path = Path(sdist_directory, name)
     epoch = int(os.environ["SOURCE_DATE_EPOCH"])
@@ -60,7 +60,7 @@ def build_sdist(sdist_directory, config_settings=None):
 
 
 def link_absolutely(text, files):
-    """The Markdown text with its relative links below the URL `files`; without a URL, with their words alone."""
+    """Makes relative links of Markdown text absolute below the URL `files`; without a URL, keeps only their words."""
 
     def link(match):
         image, words, target = match.groups()
@@ -97,14 +97,14 @@ class BuildPy(build_py):
         program = Path(__file__).with_name("compile_package.py")
         with tempfile.TemporaryDirectory() as cache:
             environment = {**os.environ, "PYTHONPATH": str(Path(self.build_lib).resolve()), "NUMBA_CACHE_DIR": cache}
-            # Started elsewhere, it imports the copy.
+            # The working folder is another one, so that Python imports the copy.
             subprocess.run([sys.executable, str(program)], env=environment, cwd=cache, check=True)
         for path in Path(self.build_lib).rglob("*"):
             path.chmod(0o755 if path.is_dir() else 0o644)
 
 
 class BdistWheel(bdist_wheel):
-    """Names the wheel after the version of Python and the platform that its machine code is for."""
+    """Names the wheel after the Python version and the platform of its machine code."""
 
     def finalize_options(self):
         self.distribution.has_ext_modules = lambda: True

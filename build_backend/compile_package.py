@@ -1,4 +1,4 @@
-"""Compiles what the package runs, for every kind of processors of this platform, into `capsule_gym/machine_code`."""
+"""Compiles the package's functions for every processor type of this platform, into `capsule_gym/machine_code`."""
 
 import shutil
 

@@ -1,4 +1,4 @@
-"""Hooks of mkdocs: pages of the notebooks, links to the live page, and words that a line does not break."""
+"""Hooks of mkdocs: pages of the notebooks, links to the live page, and words without line breaks."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ ROW = re.compile(r"(?<=<tr>).*?(?=</tr>)", re.DOTALL)
 # On a telephone a figure is too small to read: a tap opens it alone.
 FIGURE = re.compile(r'<img\b[^>]*\bsrc="(?P<file>[^"]*figures/[^"]*)"[^>]*>')
 CELL = re.compile(r"(?<=<td>).*?(?=</td>)")
-# On a telephone a line would break after the hyphens of --set and of 1e-12, and short names inside the word.
+# A telephone would break a line after the hyphens of --set and of 1e-12, and inside short names.
 INLINE_CODE = re.compile(r"(?<!<pre><code>)(?<!<span></span><code>)(?<=<code>)[^<]+(?=</code>)")
 EXPONENTIAL = re.compile(r"\b\d(?:\.\d+)?e-\d+\b")
 LONGEST_WHOLE = 20
-# On GitHub such a link leads to the page about the live page, on the site to the scene itself.
+# On GitHub such a link leads to the page about the live page; on the site it leads to the scene.
 SCENE = re.compile(r"\[(?P<text>[^\]]+)\]\(live\.md#(?P<scene>driver=[^)\s]+)\)")
 COLAB = "https://colab.research.google.com/github/"
 
@@ -117,13 +117,13 @@ def on_page_content(content: str, page: Any, **_: Any) -> str:
 
 
 def _whole(word: re.Match[str]) -> str:
-    """A short word, which a line does not break; a longer word unchanged."""
+    """Prevents line breaks in a short word; returns a longer word unchanged."""
     short = len(html.unescape(word[0])) <= LONGEST_WHOLE
     return f'<span class="whole">{word[0]}</span>' if short else word[0]
 
 
 def _watched(page: Any, table: str) -> str:
-    """A ranking with links of its policies to the live page; another table unchanged."""
+    """Links the policies of a ranking to the live page; returns another table unchanged."""
     heads = re.findall("<th>(.*?)</th>", table)
     if not {"policy", f"x {BASELINE}"} <= {*heads}:
         return table
@@ -131,7 +131,7 @@ def _watched(page: Any, table: str) -> str:
 
 
 def _watched_row(page: Any, row: str, column: int) -> str:
-    """A row of a ranking; if the live page can show its policy, with a link behind the first cell."""
+    """Adds a link after the first cell of a ranking's row if the live page can show its policy."""
     cells = CELL.findall(row)
     if not cells or cells[column] not in drivers():
         return row

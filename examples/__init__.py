@@ -1,1 +1,1 @@
-"""One short program for each library that the page "Works with" names; every one runs by itself."""
+"""One short program for each library that the page "Works with" names; every program runs on its own."""

@@ -1,4 +1,4 @@
-"""CleanRL: its scripts (PPO, SAC, TD3, ..) as they are, under gymnasium 1, which they were not written for.
+"""Runs CleanRL's scripts (PPO, SAC, TD3, ..), written for an older gymnasium, unchanged under gymnasium 1.
 
 python examples/cleanrl_scripts.py cleanrl/cleanrl/ppo_continuous_action.py --env-id capsule_gym:CapsuleStickSlip-v0
 """
@@ -15,13 +15,13 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 
 class SameStep(SyncVectorEnv):
-    """Ends of episodes as gymnasium 0.29 told them, which these scripts read."""
+    """Reports the ends of episodes as gymnasium 0.29 did, which these scripts expect."""
 
     def __init__(self, env_fns: Any) -> None:
         super().__init__(env_fns, autoreset_mode=AutoresetMode.SAME_STEP)
 
     def step(self, actions: np.ndarray) -> Any:
-        """Steps, and gives the infos of that time."""
+        """Steps and returns the infos in gymnasium 0.29's format."""
         observations, rewards, terminated, truncated, info = super().step(actions)
         if "final_obs" in info:
             ended, last = info["_final_obs"], info["final_info"]["episode"]

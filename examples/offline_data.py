@@ -26,7 +26,7 @@ Act = Callable[[np.ndarray], np.ndarray]
 
 
 def actor(quality: str) -> Act:
-    """A policy for a batch: observations of shape (n, entries) to actions of shape (n, 1)."""
+    """A policy for a batch: maps observations of shape (n, entries) to actions of shape (n, 1)."""
     rng = np.random.default_rng(0)
     if quality == "random":
         return lambda observations: rng.uniform(-1.0, 1.0, (len(observations), 1)).astype(np.float32)
@@ -41,7 +41,7 @@ def actor(quality: str) -> Act:
 
 
 def episodes(act: Act, first_seed: int) -> Iterator[EpisodeBuffer]:
-    """Whole episodes without end, of the seeds from the first on."""
+    """Yields complete episodes endlessly, with seeds from `first_seed` on."""
     env = gym.make_vec(ID, num_envs=BATCH)
     while True:
         observation, _ = env.reset(seed=first_seed)
@@ -62,12 +62,12 @@ def episodes(act: Act, first_seed: int) -> Iterator[EpisodeBuffer]:
 
 
 def record(quality: str, steps: int) -> None:
-    """Records one dataset with at least so many steps, where Minari keeps its own."""
+    """Records one dataset of at least `steps` steps in Minari's folder."""
     parts = ("random", "medium", "expert") if quality == "mixed" else (quality,)
     buffers = []
     for part in parts:
         recorded = 0
-        # The mixed episodes are others than those of the three.
+        # The mixed dataset has other episodes than the three datasets.
         for buffer in episodes(actor(part), 1_000_000 if quality == "mixed" else 0):
             buffers.append(buffer)
             recorded += len(buffer.rewards)
@@ -87,7 +87,7 @@ def record(quality: str, steps: int) -> None:
 
 
 def main() -> None:
-    """Records all four."""
+    """Records all four datasets."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=float, default=1e6, help="of each dataset")
     steps = int(parser.parse_args().steps)

@@ -21,9 +21,9 @@ HORIZON = 33.0
 
 
 def load(quality: str) -> MDPDataset:
-    """A dataset of Minari as d3rlpy's, without each episode's last observation, which no action follows.
+    """Converts a Minari dataset for d3rlpy, without each episode's last observation, which no action follows.
 
-    d3rlpy's own `get_minari` keeps these, and so pairs the actions of later episodes with earlier observations.
+    d3rlpy's own `get_minari` keeps it, and so pairs the actions of later episodes with earlier observations.
     """
     episodes = list(minari.load_dataset(f"capsule/{quality}-v0"))
     return MDPDataset(
@@ -36,7 +36,7 @@ def load(quality: str) -> MDPDataset:
 
 
 def evaluate(algorithm: QLearningAlgoBase) -> tuple[float, int, int]:
-    """Mean speed in cm/s, which counts a failed episode until its end, failed episodes, and all."""
+    """Mean speed in cm/s, number of failed episodes, and number of all; a failed episode counts up to its end."""
     frozen = load_set("paper")
     plants = [plant.reset_options() for plant in frozen.plants]
     env = gym.make_vec(ID, num_envs=len(plants), **frozen.env_kwargs)
@@ -53,7 +53,7 @@ def evaluate(algorithm: QLearningAlgoBase) -> tuple[float, int, int]:
 
 
 def main() -> None:
-    """Trains and evaluates both."""
+    """Trains and evaluates both algorithms."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quality", default="mixed")
     parser.add_argument("--steps", type=int, default=5000, help="of each algorithm")

@@ -1,4 +1,4 @@
-"""Stable-Baselines3 as it is: PPO with its default hyperparameters on one environment, and its learning curve."""
+"""Unmodified Stable-Baselines3: PPO with its default hyperparameters on one environment, and its learning curve."""
 
 import argparse
 import csv
@@ -28,7 +28,7 @@ class LearningCurve(BaseCallback):
 
     def _on_step(self) -> bool:
         if self.num_timesteps % self.every == 0:
-            # Far from the seeds of training.
+            # These seeds are far from those of training.
             observations, _ = self.envs.reset(seed=1_000_000)
             ended = np.zeros(16, bool)
             while not ended.all():

@@ -21,7 +21,7 @@ hyperparams: dict[str, dict[str, Any]] = {
         "n_timesteps": 500_000,
         "policy": "MlpPolicy",
         "policy_kwargs": "dict(net_arch=[64, 64])",
-        # The Zoo's rate falls to 0.
+        # The Zoo's schedule decreases the learning rate to 0.
         "learning_rate": "lin_1e-3",
         "batch_size": 256,
         "buffer_size": 400_000,

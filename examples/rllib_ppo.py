@@ -16,7 +16,7 @@ def main() -> None:
         PPOConfig()
         # The prefix makes the worker import the package, which registers the environment.
         .environment("capsule_gym:CapsuleStickSlip-v0", env_config={"randomization": "paper"})
-        # Without the mode, RLlib makes 8 environments and steps them one after the other, with the same results.
+        # Without gym_env_vectorize_mode, RLlib creates 8 environments and steps them one by one, with the same results.
         .env_runners(num_env_runners=1, num_envs_per_env_runner=8, gym_env_vectorize_mode="vector_entry_point")
         .training(train_batch_size=args.batch)
         .debugging(seed=0)

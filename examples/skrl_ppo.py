@@ -19,7 +19,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=20_000, help="of each environment")
     steps = parser.parse_args().steps
 
-    # skrl takes what a step returns for the next observation: with SAME_STEP that is the new episode's first.
+    # skrl takes the returned observation for the next one. With SAME_STEP, it is the first of the new episode.
     env = wrap_env(gym.make_vec(ID, num_envs=64, autoreset_mode="SAME_STEP"))
     spaces = {"observation_space": env.observation_space, "action_space": env.action_space, "device": env.device}
     models = {

@@ -9,7 +9,7 @@ ID = "capsule_gym:CapsuleStickSlip-v0"
 
 
 def main() -> None:
-    """Shows the three."""
+    """Shows the three rollouts."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=200)
     steps = parser.parse_args().steps
@@ -21,7 +21,7 @@ def main() -> None:
     pixels = GymEnv(ID, from_pixels=True, pixels_only=True)
     print(pixels.rollout(3)["pixels"].shape)
 
-    # TorchRL knows two modes of autoreset; gymnasium's own default is the third.
+    # TorchRL supports two autoreset modes; gymnasium's default is the third.
     batch = GymWrapper(gym.make_vec(ID, num_envs=64, autoreset_mode="SAME_STEP"))
     batch.set_seed(0)
     data = batch.rollout(steps, break_when_any_done=False)

@@ -1,7 +1,7 @@
-"""Runs the notebooks and keeps what they show: `python notebooks`, which `make notebooks` runs.
+"""Runs the notebooks and stores their outputs: `python notebooks`, which `make notebooks` runs.
 
-A notebook whose cells show the same as before stays as it is: kept are neither the times of day at which cells ran nor
-what is said while numba compiles, in a first run alone. One that fails stays, too, and ends the command.
+A notebook with unchanged outputs stays unchanged: execution times and numba's compilation messages are not stored.
+A notebook that fails also stays unchanged, and ends the command.
 """
 
 import time
@@ -14,7 +14,7 @@ from capsule_gym.files import write_atomically
 
 
 def main() -> None:
-    """Runs all of them, one after the other."""
+    """Runs all notebooks, one after the other."""
     for path in sorted(Path(__file__).parent.resolve().glob("*.ipynb")):
         start = time.monotonic()
         notebook = nbformat.read(path, as_version=4)

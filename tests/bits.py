@@ -1,10 +1,10 @@
-"""The bits of whole episodes: `python -m tests.bits` compares them with the committed ones, `--write` commits new ones.
+"""The bits of whole episodes: `python -m tests.bits` compares them with committed hashes, `--write` writes new ones.
 
 `bits.json` holds a sha256 for the plant under random torques, for every law of `baselines` under random residuals, for
-every scripted policy without a law, for every committed policy, and for two made ones that do what policies can: all
-observations, rewards and states of a batch over a whole episode, and the metrics at its end. Some of its environments
-run alone as well, and trained policies in one compiled call on two threads: neither may change a bit. Nor may the
-processor or the libraries of elementary functions, which `--variants` replaces, in processes of their own.
+every scripted policy without a law, for every committed policy, and for two made ones that use the options of policies.
+A hash covers all observations, rewards and states of a batch over a whole episode, and the metrics at its end. Some
+environments also run alone, and trained policies also run in one compiled call on two threads: the bits must be equal.
+`--variants` also changes the processor and the libraries of elementary functions, each in a process of its own.
 """
 
 from __future__ import annotations
@@ -38,12 +38,11 @@ if TYPE_CHECKING:
     from capsule_gym import CapsuleVectorEnv, Policy
 
 FILE = Path(__file__).with_name("bits.json")
-# Two blocks of lanes, the second with one in use.
+# Two blocks of lanes, the second with one lane in use.
 NUM_ENVS = 65
-# Of these environments one is also run alone, of half the subjects the one among many, of the others the only one of
-# its block.
+# Environments that also run alone: one among many for half of the subjects, the only one of its block for the others.
 ALONE = (1, 64)
-# A random torque holds for so many steps, or nothing would move.
+# A random torque is held for so many steps; otherwise nothing would move.
 HOLD = 5
 CYCLE = 400
 
@@ -51,13 +50,13 @@ Act = Callable[[np.ndarray], np.ndarray]
 
 
 class Subject(NamedTuple):
-    """What has a hash.
+    """A case with a hash.
 
     Attributes:
-        name: in the file.
-        env_kwargs: of its environment.
-        start: takes the seeds of environments and returns what acts in them.
-        policy: what that is of, where it is a trained policy's.
+        name: the key in the file.
+        env_kwargs: arguments of the environment.
+        start: takes the seeds of environments and returns a function from observations to actions.
+        policy: the trained policy, if the subject is one.
     """
 
     name: str
@@ -90,14 +89,14 @@ def random_actions(scale: float) -> Callable[[Sequence[int]], Act]:
 
 
 def make_policy(inputs: int, env_kwargs: dict[str, Any], **changes: Any) -> Policy:
-    """A policy that identifies M and mu, and pumps energy into the pendulum by all that it is given.
+    """A policy that identifies M and mu, and pumps energy into the pendulum with all of its inputs.
 
     Args:
-        inputs: how many it is given.
-        env_kwargs: of its environment.
+        inputs: number of inputs.
+        env_kwargs: arguments of the policy's environment.
         **changes: fields of the policy.
     """
-    # Uniform numbers are exact, others come out of a library's logarithms.
+    # Uniform numbers are exact; others come from a library's logarithms.
     rng = np.random.default_rng(0)
     first, last = rng.uniform(-0.1, 0.1, (8, inputs)), np.full((1, 8), 0.25)
     first[:, :2] += -0.5, 0.035
@@ -119,7 +118,7 @@ def make_policy(inputs: int, env_kwargs: dict[str, Any], **changes: Any) -> Poli
 
 
 def subjects() -> Iterator[Subject]:
-    """Everything that has a hash."""
+    """Yields all subjects."""
     wide = {"randomization": "wide"}
     capsule = Capsule(static_ratio=1.4, backward_ratio=1.3)
     yield Subject("plant", {**wide, "observe_parameters": True}, random_actions(0.15))
@@ -138,7 +137,7 @@ def subjects() -> Iterator[Subject]:
     )
     for name in baselines.__all__:
         yield Subject(f"law {name}", {"controller": f"baselines:{name}"}, random_actions(0.05))
-    # Its bits differ from those of the law without a filter where the platform is light.
+    # On a light platform, the bits differ from those of the law without a filter.
     light = {"controller": "baselines:gait_identifying", "randomization": "broad"}
     yield Subject("law gait_identifying broad", light, random_actions(0.05))
     for policy in SCRIPTED.values():
@@ -156,7 +155,7 @@ def subjects() -> Iterator[Subject]:
 
 
 class Trajectory(NamedTuple):
-    """Recorded episodes; the first axis are the steps, the second the environments."""
+    """Recorded episodes; the first axis is the step, the second the environment."""
 
     observations: np.ndarray
     rewards: np.ndarray
@@ -168,7 +167,7 @@ class Trajectory(NamedTuple):
 
 
 def batched(subject: Subject) -> tuple[Trajectory, dict[str, np.ndarray]]:
-    """The episodes of a batch, whose environments stand still where theirs have ended, and their metrics."""
+    """The episodes of a batch and their metrics; an environment stands still after its episode has ended."""
     env = batch(subject)
     observations, _ = env.reset(seed=0)
     act = subject.start(range(NUM_ENVS))
@@ -182,7 +181,7 @@ def batched(subject: Subject) -> tuple[Trajectory, dict[str, np.ndarray]]:
 
 
 def alone(subject: Subject, i: int) -> tuple[bytes, int]:
-    """The bytes of environment i of such a batch, run by itself, and how many steps its episode took."""
+    """The bytes of environment i of such a batch, run alone, and the number of steps of its episode."""
     env = capsule_gym.CapsuleEnv(**subject.env_kwargs)
     observation, _ = env.reset(seed=i)
     act = subject.start([i])
@@ -197,14 +196,14 @@ def alone(subject: Subject, i: int) -> tuple[bytes, int]:
 
 
 def batch(subject: Subject, threads: int = 1) -> CapsuleVectorEnv:
-    """The batch of a subject, whose episodes end for good."""
+    """The batch of a subject, without autoreset."""
     kwargs = {**subject.env_kwargs, "max_episode_steps": subject.steps, "threads": threads}
     return capsule_gym.CapsuleVectorEnv(NUM_ENVS, autoreset_mode=AutoresetMode.DISABLED, **kwargs)
 
 
 def compute(subject: Subject) -> tuple[str, list[str]]:
-    """The hash of a subject, and where an episode differs from itself, one line each."""
-    # numba takes most of a second to import, which --help need not wait for.
+    """The hash of a subject, and one line for each difference between runs of the same episode."""
+    # numba takes most of a second to import, and --help does not need it.
     from capsule_gym.network import rollout
 
     trajectory, metrics = batched(subject)
@@ -227,13 +226,13 @@ def compute(subject: Subject) -> tuple[str, list[str]]:
 
 
 def processors() -> dict[str, dict[str, str]]:
-    """Environment variables under which numba compiles for another processor, of those that this one can execute.
+    """Environment variables that make numba compile for other processors that this one can execute.
 
-    Without fused instructions and with narrow vectors; with 256 bits, of two makers; with 512.
+    One processor has no fused instructions and narrow vectors, two of different makers have 256 bits, and one has 512.
     """
     needed = {"generic": set(), "haswell": {"avx2", "fma"}, "znver3": {"avx2", "fma"}, "skylake-avx512": {"avx512bw"}}
-    # The name alone would leave numba what it has found on this processor: the features follow from the name only
-    # where they are emptied.
+    # With the name alone, numba would keep this processor's features. It derives the features from the name only if
+    # they are empty.
     return {
         name: {"NUMBA_CPU_NAME": name, "NUMBA_CPU_FEATURES": ""}
         for name, features in needed.items()
@@ -242,16 +241,16 @@ def processors() -> dict[str, dict[str, str]]:
 
 
 def own_features() -> set[str]:
-    """What this processor can, as Linux calls it."""
+    """The features of this processor, as Linux names them."""
     path = Path("/proc/cpuinfo")
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     return set(next((line for line in lines if line.startswith("flags")), "").split())
 
 
 def libraries() -> dict[str, dict[str, str]]:
-    """Environment variables under which numpy and the C library compute elementary functions otherwise."""
+    """Environment variables that make numpy and the C library compute elementary functions differently."""
     found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
-    # The C library's own names, and those that it had before 2.33; it passes over what it does not know.
+    # The C library's names, and those before version 2.33; the library ignores unknown names.
     absent = [f"-{name}{ending}" for name in ("AVX2", "FMA", "FMA4", "AVX512F") for ending in ("", "_Usable")]
     return {
         "numpy without vectors": {"NPY_DISABLE_CPU_FEATURES": " ".join(found)},
@@ -260,16 +259,16 @@ def libraries() -> dict[str, dict[str, str]]:
 
 
 def both_libraries() -> dict[str, str]:
-    """The environment variables of all of them together."""
+    """The environment variables of all libraries together."""
     return {name: value for variables in libraries().values() for name, value in variables.items()}
 
 
 def run(variables: dict[str, str], *names: str) -> subprocess.CompletedProcess[str]:
-    """Compares in a process of its own.
+    """Compares in a separate process.
 
     Args:
-        variables: of its environment. What is compiled for another processor is kept nowhere.
-        names: of the subjects; all where none is given.
+        variables: environment variables. Code for another processor is not kept.
+        names: of the subjects; all subjects if none is given.
     """
     command = [sys.executable, "-m", "tests.bits", *(("--only", *names) if names else ())]
     with tempfile.TemporaryDirectory() as folder:
@@ -301,7 +300,7 @@ class Args:
 
 
 def compare(names: Sequence[str]) -> list[str]:
-    """What differs from the committed bits, one line each."""
+    """Differences from the committed bits, one line each."""
     committed: dict[str, str] = json.loads(FILE.read_text(encoding="utf-8"))
     wanted = {subject.name: subject for subject in subjects() if not names or subject.name in names}
     wrong = [f"{name}: unknown subject" for name in names or committed if name not in wanted]

@@ -1,4 +1,4 @@
-"""Hypothesis: the same few examples in every run of the tests, many and other ones with `--hypothesis-profile fuzz`."""
+"""Hypothesis: the same few examples in every test run; many, and other ones, with `--hypothesis-profile fuzz`."""
 
 from __future__ import annotations
 

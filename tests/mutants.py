@@ -31,7 +31,7 @@ from capsule_gym.command_line import Count, parse
 ROOT = Path(__file__).resolve().parents[1]
 AGENTS = ("training", "fast_ppo", "evaluation", "leaderboard")
 FOLDERS = ("capsule_gym", "baselines/laws", *(f"agents/{name}" for name in AGENTS))
-# Where the tests of a folder are, if not in the folder of that name.
+# Folders of tests whose name differs from that of the tested folder.
 TESTS = {"agents/fast_ppo": "agents/training"}
 SWAPS: dict[type, type] = {
     **{ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult},
@@ -129,7 +129,7 @@ def passes(clone: Path, tests: list[Path], seconds: float) -> bool:
     """Whether the tests pass in time.
 
     Raises:
-        FileNotFoundError: if there are none.
+        FileNotFoundError: if there are no tests.
     """
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *map(str, tests)]
     environment = {**os.environ, "PYTHONPATH": str(clone), "OMP_NUM_THREADS": "1"}

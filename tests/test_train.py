@@ -104,13 +104,13 @@ def test_help_explains_every_hyperparameter_with_its_default(task, algo, capsys)
         text, _, default = helps[option].partition("(default: ")
         written = " ".join(map(str, value)) if isinstance(value, tuple) else value
         assert default.startswith(f"{written})") or name == "wrapper"
-        # What it takes, and what that means.
+        # The help states the accepted values and their meaning.
         assert len(text.split()) >= 3, text
 
 
 @pytest.fixture
 def run(tmp_path):
-    """The folder of a run that has begun."""
+    """The folder of a run that has started."""
     folder = tmp_path / "run"
     config = dataclasses.replace(PRESETS["direct", "sac"], seed=5, total_steps=1000, observe_parameters=True)
     content = {"task": "direct", "algo": "sac", "hyperparameters": config.to_dict()}

@@ -15,7 +15,7 @@ def tiny_file(tmp_path):
 
 @pytest.fixture
 def world(tmp_path, monkeypatch):
-    """Two scripted policies and a checkpoint of two seeds."""
+    """Two scripted policies and a checkpoint with two seeds."""
     known = {name: Sine(amplitude, name=name) for name, amplitude in (("adaptive", 0.3), ("bold", 0.5))}
     monkeypatch.setattr(policies, "SCRIPTED", known)
     monkeypatch.setattr(policies, "CHECKPOINTS", tmp_path / "checkpoints")

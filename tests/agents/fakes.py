@@ -1,4 +1,4 @@
-"""Policies and training runs for the tests of the evaluation, quick to run and quick to write."""
+"""Small policies and training runs for the tests of the evaluation."""
 
 from dataclasses import dataclass, field
 
@@ -42,7 +42,7 @@ class Sine:
 
 @dataclass
 class Twitch:
-    """A torque whose sign hangs on the last digits of the rate: chaotic from its second step on."""
+    """A torque whose sign depends on the last digits of the rate: chaotic from its second step on."""
 
     amplitude: float = 0.4
     name: str = "twitch"
@@ -61,7 +61,7 @@ quiet = Controller("quiet", no_torque, np.zeros((1, 2)))
 
 
 def make_policy(seed=0, **changes):
-    """A policy that pumps energy into the pendulum, a little more with each seed; a network of one layer."""
+    """A policy with one layer that pumps energy into the pendulum, a little more with each seed."""
     weights = np.array([[-1.0, 0.05 + 0.02 * seed, 0.0, 0.0, 0.0]], np.float32)
     fields = {
         "name": "learnt",
@@ -81,6 +81,6 @@ def make_policy(seed=0, **changes):
 
 
 def write_run(folder, seed, **changes):
-    """The folder of a training run, as far as an evaluation needs it."""
+    """Writes the files of a training run that an evaluation needs."""
     folder.mkdir(parents=True, exist_ok=True)
     make_policy(seed, **changes).save(folder / POLICY)

@@ -30,7 +30,7 @@ SHORT = make_set("short", (0.5, 0.01), (0.5, 0.01))
 
 
 def make_row(name, seeds=(), speed=1.0, base=None, failed=0):
-    """A row whose speeds are known: each seed half a centimetre per second faster than the one before."""
+    """A row with known speeds: each seed is half a centimetre per second faster than the one before."""
     count = max(1, len(seeds))
     values = np.ones((len(COLUMNS), count, 4))
     values[COLUMNS.index("mean_speed")] = speed + 0.5 * np.arange(count)[:, None]
@@ -111,7 +111,7 @@ def test_a_large_energy_weight_gives_slow_and_cheap_motion():
     assert free.failures == "0/2"
     (_, _, first, second) = cells(pareto.table([free, dear]))
     assert first[0] == "0.2" and float(first[3]) > 0.0 and second[-1] == "0/2"
-    # At the speed of a gait the ratio is that of the costs; beyond the fastest there is none.
+    # At the speed of a gait, the ratio is the ratio of the costs; beyond the fastest gait, there is none.
     cost, speed = fronts()["best-known gaits"][3]
     twice = dataclasses.replace(free.cost, value=2.0 * cost)
     at, beyond = (
@@ -147,7 +147,7 @@ def test_animations_are_written(tmp_path, monkeypatch):
 
 
 def test_stale_tables_are_found(tmp_path, capsys):
-    """The committed tables of the sweep are those of its committed results."""
+    """The committed tables of the sweep match its committed results."""
     assert analysis.main(["residual_limit", "--check"]) == 0
     assert analysis.main(["residual_limit", "--check", "--output", str(tmp_path)]) == 1
     assert re.search(r"residual_limit_tables\.md is not up to date: run `python -m", capsys.readouterr().out)
@@ -195,7 +195,7 @@ def test_pictures_are_as_often_as_asked_for():
 
 
 def made(period, seconds=30.0):
-    """A motion that is known: a sine of theta, and a platform that follows it."""
+    """A known motion: theta is a sine, and the platform follows it."""
     t = np.arange(0.0, seconds, 1e-3)
     theta = np.sin(2.0 * np.pi * t / period)
     theta_dot = np.gradient(theta, t)
@@ -255,7 +255,7 @@ def test_friction_bounds_what_moves_the_centre_of_mass():
 
 
 def test_the_least_time_to_a_goal_is_that_of_a_mass_without_a_ball():
-    # It accelerates by a = mu g and brakes to the velocity a / 2, which friction could take from it within the second.
+    # It accelerates by a = mu g and brakes to the velocity a / 2, which friction could remove within the final second.
     plant, capsule = PlantSpec(0.5, 0.01, 0, goal=-0.302), Capsule(m=1e-9)
     a = 0.01 * capsule.g
     fastest = np.sqrt(0.3 * a + 0.5 * (0.5 * a) ** 2)

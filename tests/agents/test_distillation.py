@@ -83,7 +83,7 @@ def test_a_torque_that_leaves_less_normal_force_than_the_margin_costs_more():
 
     small, large = regrets(margin=1.0), regrets(margin=20.0)
     assert large.mean() > small.mean() + 10.0
-    # Before anything is known the weight is uncertain by its prior.
+    # Before any observation, the weight's uncertainty is that of the prior.
     uncertain = regrets(margin=1.0, deviations=2.0)
     np.testing.assert_allclose(uncertain, regrets(margin=1.0 + 2.0 * NOMINAL.g * DEVIATION_M), rtol=1e-4, atol=1e-4)
     assert (uncertain != small).any()

@@ -19,12 +19,12 @@ from tests.agents.training.small import small
 ROOT = Path(__file__).resolve().parents[2]
 
 
-NAME = "a$\\bad$b"  # not to be taken for a formula
+NAME = "a$\\bad$b"  # must not be read as a formula
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """A run's folder with what a report reads of it."""
+    """The folder of a run with the files that a report reads."""
     folder = tmp_path_factory.mktemp("runs") / NAME
     write_run(folder, 3)
     (folder / "evaluations.csv").write_text("steps,mean_speed_cm_s,failed\n100,1.0,0\n200,2.0,0\n")
@@ -50,7 +50,7 @@ def test_a_report_shows_the_numbers_of_the_leaderboard(both, monkeypatch):
     assert "Learning curve on validation plants" in text and f"{NAME} in motion on the nominal plant" in text
     board = json.loads((ROOT / "leaderboard.json").read_text())
     tables = text.split("<h3>")[1:]
-    # Not the sets of 1,000 plants: they would take a report too long.
+    # The report omits the sets of 1,000 plants, which would take too long.
     assert [each.partition("<")[0] for each in tables] == list(SET_NAMES)
     rows = {row["policy"]: row["results"] for row in board["rows"]}
     for name in ("paper", "wide"):

@@ -1,4 +1,4 @@
-"""Rates, their tables, files and error messages of the benchmarks: nothing here measures a time."""
+"""Rates, their tables, files and error messages of the benchmarks. These tests measure no time."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_throughput_writes_its_table(tmp_path, monkeypatch, capsys) -> None:
     cells = dict(zip(header, fast, strict=True))
     assert (cells["ratio"], cells["to"], cells["env-steps/s"], cells["IQR"]) == ("2", "slow", "3,000", "10%")
     assert slow[header.index("ratio")] == lonely[header.index("ratio")] == ""
-    # What cannot be measured is named with the reason.
+    # The output names everything that cannot be measured, with the reason.
     assert f"gone is left out: {ABSENT}" in capsys.readouterr().out and "wide, 1000 threads is left out" in lines[-1]
 
 

@@ -1,4 +1,4 @@
-"""Learning and speed of trainings: nothing here measures a time."""
+"""Learning and speed of trainings. These tests measure no time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What several tests of the environment make: laws, rollouts, the layout of an info."""
+"""Helpers for several tests of the environment: laws, rollouts, the layout of an info."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from capsule_gym import Controller
 from capsule_gym.layout import Row
 
-# Orders, and scratch that every step begins anew; all other rows are the episode's.
+# Inputs of a step, and values that every step overwrites; all other rows belong to the episode.
 SCRATCH = {"action", "active", "mass_ratio", "before_x", "slip", "elapsed", "halt", "eventful"} | {
     *("next_theta", "next_theta_dot", "next_x", "next_x_dot"),
     *("theta_ddot", "x_ddot", "first_normal_force", "least_normal_force"),
@@ -29,7 +29,7 @@ def make_law(gain, function=helper):
 
 
 def picky(theta, theta_dot, x, x_dot, memory, reference):
-    """A law that counts its calls, and whose torque is nothing to compute with in some places."""
+    """A law that counts its calls, and whose torque is too large or not finite in some places."""
     (count,) = memory
     torque = 0.1
     if x > 50.0:
@@ -46,7 +46,7 @@ def picky_controller() -> Controller:
 
 
 def layout(info: dict) -> dict:
-    """The keys of an info with the type, dtype and shape of each value; of a batch's also what lies inside."""
+    """The keys of an info with the type, dtype and shape of each value, also inside dictionaries."""
     return {
         key: layout(value) if isinstance(value, dict) else (type(value), np.asarray(value).dtype, np.shape(value))
         for key, value in info.items()

@@ -1,6 +1,6 @@
-"""Random arguments: an invalid one raises an error that names it, with valid ones all numbers are finite.
+"""Random arguments: an invalid argument raises an error that names it; valid arguments give finite numbers.
 
-`make fuzz` runs these tests with many examples, of another seed each time.
+`make fuzz` runs these tests with many examples, and with another seed each time.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ anything = st.recursive(
     ),
     max_leaves=8,
 )
-# Numbers of which some are taken.
+# Numbers of which some are valid.
 likely = st.floats(1e-12, 1e12) | st.floats(0.0, 2.0) | st.integers(0, 3)
 states = st.lists(st.floats(-1.6, 1.6) | st.floats(-2e6, 2e6), min_size=4, max_size=4)
 changes = st.lists(st.fixed_dictionaries(dict.fromkeys(CHANGE, likely)), max_size=3)
 
 
 def taken(names: tuple[str, ...], function: Callable[..., Any], **arguments: Any) -> Any:
-    """What a call returns; None where it is refused by one of the names."""
+    """Returns the result of a call; None if the call raises an error that contains one of the names."""
     try:
         return function(**arguments)
     except (TypeError, ValueError) as error:
@@ -56,7 +56,7 @@ def taken(names: tuple[str, ...], function: Callable[..., Any], **arguments: Any
 
 
 def check_finite(where: str, value: Any) -> None:
-    """Also inside dictionaries and arrays of objects."""
+    """Checks that a value is finite, also inside dictionaries and arrays of objects."""
     if isinstance(value, dict):
         for name, entry in value.items():
             check_finite(f"{where}[{name!r}]", np.where(np.isposinf(entry), 0.0, entry) if name in INFINITE else entry)
@@ -68,7 +68,7 @@ def check_finite(where: str, value: Any) -> None:
 
 
 def check_reset(env: Any, names: tuple[str, ...] = (), **arguments: Any) -> None:
-    """Resets, where the arguments are not refused."""
+    """Resets the environment and checks the result, unless the arguments are refused."""
     result = taken(names, env.reset, **arguments)
     if result is not None:
         assert env.observation_space.contains(result[0])
@@ -87,7 +87,7 @@ OWN = {CapsuleEnv: (), CapsuleVectorEnv: ("num_envs", "max_episode_steps", "auto
 )
 @given(value=anything | likely)
 def test_an_argument_of_an_environment(kind, name, value):
-    # So many would be taken, and fill the memory.
+    # Such a large number would be accepted, and would fill the memory.
     if name != "num_envs" or not isinstance(value, int) or not 1000 < value <= MOST_ENVS:
         env = taken((name,), kind, **{name: value})
         if env is not None:
@@ -97,7 +97,7 @@ def test_an_argument_of_an_environment(kind, name, value):
 @pytest.mark.parametrize("name", names_of(Capsule))
 @given(value=anything | likely)
 def test_a_constant_of_a_capsule(name, value):
-    # A mass or a friction may admit Painleve's paradox with others.
+    # A mass or a friction may admit Painleve's paradox with the other constants.
     capsule = taken((name, "mu"), Capsule, **{name: value})
     if capsule is not None:
         env = taken(("physics_dt",), CapsuleEnv, capsule=capsule, randomization="none", observe_parameters=True)
@@ -118,7 +118,7 @@ def test_a_range_of_a_randomization(name, value, log_mu):
 
 @lru_cache
 def made(batch: bool) -> Any:
-    """What is reset again and again."""
+    """A shared environment or batch that the tests reset again and again."""
     return CapsuleVectorEnv(3) if batch else CapsuleEnv()
 
 
@@ -180,7 +180,7 @@ BATCH_ARGUMENTS = {
     "max_episode_steps": st.sampled_from([1, 7, 1650]),
     "autoreset_mode": st.sampled_from(["NEXT_STEP", "SAME_STEP", "DISABLED"]),
 }
-# How an episode is driven: noise, bang-bang, full torque, none, numbers next to the largest and the smallest.
+# Actions of an episode: noise, bang-bang, full torque, none, numbers next to the largest and the smallest.
 DRIVES: tuple[Callable[[np.random.Generator, int, int], np.ndarray], ...] = (
     lambda rng, step, n: rng.uniform(-1.5, 1.5, (n, 1)),
     lambda rng, step, n: np.full((n, 1), 1.0 if step % 20 < 10 else -1.0),
@@ -198,7 +198,7 @@ def test_a_short_episode(batch, data, drive, steps):
     if batch:
         arguments |= data.draw(st.fixed_dictionaries(BATCH_ARGUMENTS))
     env = taken(("physics_dt", "Randomization", "M"), CapsuleVectorEnv if batch else CapsuleEnv, **arguments)
-    # A plant may be too stiff for the step, or admit Painleve's paradox where the ranges reach.
+    # A plant may be too stiff for the step, or the ranges may admit Painleve's paradox.
     if env is None:
         return
     rng, n = np.random.default_rng(steps), arguments.get("num_envs", 1)

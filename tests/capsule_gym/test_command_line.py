@@ -1,4 +1,4 @@
-"""Command lines out of dataclasses: what they accept, and how they refuse."""
+"""Command lines from dataclasses: valid arguments and error messages."""
 
 from __future__ import annotations
 

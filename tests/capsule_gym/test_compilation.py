@@ -1,4 +1,4 @@
-"""Compiled code: fingerprints, the disk cache, how a law enters the kernel, and what compiled code may be given."""
+"""Compiled code: fingerprints, the disk cache, laws in the kernel, and valid arguments."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PLANT = Capsule().plant()
 
 @pytest.fixture(autouse=True)
 def numbas_variables():
-    """numba reads its variables anew where they have changed."""
+    """Makes numba read its environment variables again after each test."""
     yield
     numba.config.reload_config()
 
@@ -55,14 +55,14 @@ def test_an_edit_of_the_layout_changes_the_fingerprint_of_the_kernel(monkeypatch
     with monkeypatch.context() as patch:
         patch.setattr(kernels, "AT", layout.AT._replace(mu=1 + layout.AT.mu))
         assert fingerprint(kernels.advance) != before
-    # The code holds the names of the fields; numba learns their order and types from the class.
+    # The code contains the names of the fields; numba takes their order and types from the class.
     first, second, *rest = StepSettings.__annotations__.items()
     for fields in ([second, first, *rest], [(first[0], complex), second, *rest]):
         monkeypatch.setattr(kernels, "StepSettings", NamedTuple("StepSettings", fields))
         assert fingerprint(kernels.advance) != before
 
 
-# The values of functions out of one factory, and how many were compiled.
+# Prints the values of functions from one factory, and whether numba was imported.
 SCRIPT = """
 import sys
 from capsule_gym.compilation import compile_entry
@@ -104,7 +104,7 @@ def test_the_disk_cache_serves_other_processes_and_never_another_law(tmp_path, d
     script = tmp_path / "script.py"
 
     def run(*gains: float, factor: float = 1.0) -> tuple[str, int]:
-        # The same size and the same date: nothing of the file but its content tells of an edit.
+        # The size and the date stay the same, so that only the content shows an edit.
         script.write_text(SCRIPT.replace("DEFINITIONS", definitions).replace("FACTOR", str(factor)))
         os.utime(script, (1e9, 1e9))
         command = [sys.executable, str(script), *map(str, gains)]
@@ -113,7 +113,7 @@ def test_the_disk_cache_serves_other_processes_and_never_another_law(tmp_path, d
 
     assert run(0.5) == ("[50] True", 1)
     assert run(0.25) == ("[25] True", 1)
-    # Where nothing has to be compiled numba is not imported.
+    # If nothing has to be compiled, numba is not imported.
     jitted = definitions is JITTED
     assert run(0.5, 0.25) == (f"[50, 25] {jitted}", 0)
     assert run(0.5, factor=3.0) == ("[150] True", 1)
@@ -125,7 +125,7 @@ def shifted(x: float) -> int:
 
 
 def compiled(monkeypatch) -> int:
-    """The function's value at 1, from the disk or compiled anew."""
+    """The function's value at 1, loaded from the disk or compiled."""
     monkeypatch.setattr(compilation, "_loaded", {})
     return compile_entry(shifted, "int64(float64)", "a function").call(1.0)
 
@@ -157,7 +157,7 @@ def test_damaged_machine_code_is_compiled_again(tmp_path, monkeypatch, capsys, d
         assert capsys.readouterr().err.count("compiling a function") == expected
     (entry,) = tmp_path.rglob("*.o")
     damage(entry)
-    # Repaired, where it can be.
+    # The entry is repaired if possible.
     for expected in (1, damage is occupy):
         assert compiled(monkeypatch) == 8
         assert capsys.readouterr().err.count("compiling a function") == expected
@@ -280,6 +280,6 @@ def test_plant_and_settings_survive_packing():
     settings = StepSettings(1.5, 3.0, True, 1e-3, 7, 20, 0.1, 10.0, True, False, 2)
     fixed = pack(PLANT, settings, np.zeros((3, 2)))
     assert numba.njit(unpack)(fixed, PLANT.pivot_torque_on_contact, PLANT.extended) == (PLANT, settings)
-    # numpy makes objects of integers that fit none of its types: to the kernel these would be addresses.
+    # numpy stores integers that fit none of its types as objects; the kernel would read these as addresses.
     fixed = pack(PLANT, settings._replace(physics_steps=10**300), np.zeros((3, 2), np.float32))
     assert fixed.dtype == np.float64 and fixed.shape == (layout.CONSTANTS + 6,)

@@ -1,4 +1,4 @@
-"""The contract of control laws: what is refused, what a user's own law meets."""
+"""The contract of control laws: errors of invalid laws, and calls of a user's own law."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_law_that_is_not_finite_is_named_with_the_state_that_it_was_asked_abou
     assert env.observation_space.contains(observations)
     assert np.isfinite(info["law_torque"]).all()
     sound.reset(options={"reset_mask": np.arange(70) == 3})
-    # The others have gone on, and so does it after a reset.
+    # The other environments have continued, and the failed one continues after a reset.
     others = np.arange(70) != 66
     assert env.simulation.rows(0, 4)[:, others].tobytes() == sound.simulation.rows(0, 4)[:, others].tobytes()
     env.reset(options={"reset_mask": ~others})
@@ -140,7 +140,7 @@ GAINS = SimpleNamespace(gain=1.0)
     [
         (law_of(np.float16(2.0)), "float16'"),
         (importing, r"IMPORT_NAME\) found. Raised from .* \(\d+\)"),
-        # Compiled code would never free them.
+        # Compiled code would never free the list.
         (lambda *state: (np.array([state[0]])[0], state[4]), r"array\(list\(float64\).*"),
         (lambda *state: (max([state[0], 0.1]), state[4]), r"max\(list\(float64\).*"),
         (lambda *state: (GAINS.gain * state[0], state[4]), r"'GAINS': .* \(test_controller\.py, line \d+\)"),

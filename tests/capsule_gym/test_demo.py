@@ -1,4 +1,4 @@
-"""The demo: agents are found by name, an episode is the environment's, and the command writes and refuses."""
+"""The demo: names of agents, episodes equal to the environment's, files and error messages of the command."""
 
 from __future__ import annotations
 

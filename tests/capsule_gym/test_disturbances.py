@@ -39,13 +39,13 @@ ROUGH = Disturbances(
 
 
 def swing(steps: int, count: int = 1, seed: int = 0) -> np.ndarray:
-    """Torques that swing the pendulum, and in some environments throw it over."""
+    """Torques that swing the pendulum, and throw it over in some environments."""
     rng = np.random.default_rng(seed)
     return np.repeat(rng.uniform(-0.6, 0.6, (steps // 10 + 1, count, 1)), 10, axis=0)[:steps].astype(np.float32)
 
 
 def run(env: CapsuleEnv, actions: np.ndarray, **reset: object) -> list[dict]:
-    """The infos of an episode with these actions, with the observations in them."""
+    """The infos of an episode with these actions, including the observations."""
     observation, info = env.reset(**reset)
     infos = [{**info, "observation": observation}]
     for action in actions[:, 0]:
@@ -89,7 +89,7 @@ def test_drawn_constants_make_the_plant_of_a_capsule_with_these():
 
 
 def drawn_of(info: dict) -> tuple[np.ndarray, np.ndarray]:
-    """What the episodes have drawn, each of shape (.., number of values)."""
+    """The values that the episodes have drawn, each of shape (.., number of values)."""
     return tuple(
         np.stack([info[name][key] for key in keys], axis=-1)
         for name, keys in (("disturbances", DISTURBANCES), ("capsule", CONSTANTS))
@@ -157,7 +157,7 @@ def test_readings_are_late_by_the_latency():
     for now, past in zip(infos[2:], infos, strict=False):
         np.testing.assert_array_equal(now["reading"][[0, 1, 3]], past["state"][[0, 1, 3]])
         np.testing.assert_allclose(now["observation"][:3], past["state"][[0, 1, 3]], rtol=1e-6)
-    # Until the first state has come, the sensors show that of the start.
+    # Until the first delayed state arrives, the sensors show the initial state.
     np.testing.assert_array_equal(infos[1]["reading"][[0, 1, 3]], infos[0]["state"][[0, 1, 3]])
 
 
@@ -185,7 +185,7 @@ def test_the_errors_of_readings_have_the_sizes_and_the_memory_that_are_asked_for
         assert stats.kstest(white[:, :, n].ravel(), "norm").pvalue > 1e-3
         assert abs((white[1:, :, n] * white[:-1, :, n]).mean()) < independent
         assert abs((white[:, :, n] * white[:, :, n - 1]).mean()) < independent
-        # Stationary from the start, with the memory exp(-t / drift_time) from reading to reading, 20 ms later.
+        # The drift is stationary from the start; between readings 20 ms apart, its correlation is exp(-t / drift_time).
         assert stats.kstest(drift[0, :, n], "norm").pvalue > 1e-3
         assert stats.kstest(drift[-1, :, n], "norm").pvalue > 1e-3
         memory = (drift[1:, :, n] * drift[:-1, :, n]).mean() / (drift[:, :, n] ** 2).mean()
@@ -202,7 +202,7 @@ def test_normal_numbers_are_normal():
 
 
 def proportional(theta, theta_dot, x, x_dot, memory, reference):
-    """A torque that shows what the law sees."""
+    """A torque that depends on every value that the law observes."""
     return 0.1 * theta + 0.01 * theta_dot + 0.1 * x + x_dot, memory
 
 
@@ -262,21 +262,21 @@ def test_a_push_changes_the_momentum_by_its_impulse():
     per_second = np.diff(momenta[::50])
     assert len(per_second) == 10 and np.abs(per_second).max() <= 0.4 * 0.1 + 1e-9
     steps = np.diff(momenta)
-    # 0.1 s of every second, 20 ms a step: at most six steps hold a part of it.
+    # A push lasts 0.1 s of every second. At 20 ms a step, at most six steps contain a part of it.
     for second in range(10):
         assert 5 <= np.count_nonzero(np.abs(steps[50 * second : 50 * second + 50]) > 1e-9) <= 6
     assert len(set(np.round(per_second, 9))) == 10
 
 
 def test_a_push_and_a_slope_of_the_same_force_agree_on_the_platform_that_sticks():
-    """Static friction holds a push below mu N, and not above."""
+    """Static friction balances a push below mu N, but not above."""
     rest = {"state": [0.0, 0.0, 0.0, 0.0]}
     for push, moves in ((0.5, False), (2.0, True)):
         env = CapsuleEnv(disturbances=Disturbances(push=push), randomization=Randomization(M=(0.5, 0.5), mu=(0.1, 0.1)))
         reached = np.array(
             [abs(info["state"][3]) for info in run(env, np.zeros((150, 1, 1), np.float32), options=rest, seed=3)]
         )
-        # The pendulum falls from the upright by no torque of its own: the platform stands still until it is pushed.
+        # Without a torque, the upright pendulum does not fall: the platform stands still until it is pushed.
         assert (reached[:150] > 0.0).any() == moves
 
 

@@ -63,7 +63,7 @@ def losses(state: tuple, slip: float, u: float, p: Plant) -> tuple[float, float,
     theta, theta_dot, _, x_dot = state
     alpha, _, normal = compiled_rates(theta, theta_dot, x_dot, slip, u, p)
     if slip == 0.0:
-        # At rest friction is what holds the platform: row two of Eq. (1) with x'' = 0.
+        # At rest, friction balances the load on the platform: row two of Eq. (1) with x'' = 0.
         force = p.m * p.l * (math.cos(theta) * alpha - math.sin(theta) * theta_dot**2)
     else:
         force = slip * (p.mu if slip > 0.0 else p.mu * p.backward_ratio) * normal
@@ -72,10 +72,10 @@ def losses(state: tuple, slip: float, u: float, p: Plant) -> tuple[float, float,
 
 @njit
 def audit(torques: np.ndarray, state: tuple, p: Plant, hold: float, steps: int) -> tuple[np.ndarray, np.ndarray, int]:
-    """Runs the plant in steps of hold / steps and integrates what enters and leaves it along the way.
+    """Runs the plant in steps of hold / steps and integrates its gains and losses along the way.
 
-    The run goes on from the full steps alone. Each is only taken again in fine pieces for the quadrature, cut at the
-    events by bisection, so that Simpson's rule always meets smooth functions.
+    Only the full steps advance the run. For the quadrature, each step is repeated in fine pieces, cut at the events by
+    bisection, so that Simpson's rule integrates smooth functions.
 
     Returns:
         Final state; sums of work of the torque, damper loss, friction loss, friction impulse, absolute work and
@@ -216,14 +216,14 @@ def test_without_friction_the_centre_of_mass_keeps_its_velocity():
 @pytest.mark.parametrize("mu", [0.01, 0.2])
 def test_a_load_below_the_threshold_never_moves_the_platform(ratio, mu):
     p = Capsule(mu=mu).plant()
-    # The load drifts while a torque is held, and 99.9 % leaves it little room: hold it for 0.05 ms.
+    # The load drifts while a torque is held; at 99.9 % the margin is small, so a torque is held for 0.05 ms.
     start = (-0.6, 0.0, 0.123456789, 0.0)
     final, moved, angles = hold_load(ratio, start, p, 5e-5, 200_000)
     assert moved == 0
     assert final[3] == 0.0
     assert final[2] == 0.123456789
     assert -math.pi / 2 < angles[0] < angles[1] < math.pi / 2
-    # The same load just above the threshold does move it.
+    # The same load just above the threshold moves the platform.
     assert hold_load(1.001, start, p, 5e-5, 2)[1] > 0
 
 
@@ -256,13 +256,13 @@ def test_agreement_with_the_reference_after_ten_seconds(mu, name, torques, optio
     # Rounding must not make the phases chatter.
     assert run.most_events <= 3
     forward, backward, stuck, swept = run.sums.T
-    # To rounding: what moved forwards less what moved backwards is the displacement.
+    # Up to rounding, forward motion minus backward motion is the displacement.
     assert np.abs(forward - backward - run.states[:, 2]).max() < 1e-12
     assert np.abs(forward - expected.forward).max() < 1e-8
     assert np.abs(backward - expected.backward).max() < 1e-8
-    # A vanishing event (the platform just about sticks, or just not) moves the stuck time by more than the states.
+    # A vanishing event (the platform just sticks, or just does not) changes the stuck time more than the states.
     assert np.abs(stuck - expected.stuck).max() < 1e-7
-    # |theta_dot| has a kink wherever the pendulum turns; there the step takes theta'' for constant.
+    # |theta_dot| has a kink where the pendulum reverses; there the step assumes a constant theta''.
     assert np.abs(swept - expected.swept).max() < 2e-6
 
 
@@ -312,7 +312,7 @@ def test_a_load_at_the_limit_to_the_last_bit_neither_hangs_nor_chatters():
     rng = np.random.default_rng(43)
     nearly = 1.0 + np.array([0.0, 0.0, 2.3e-16, -1.2e-16, 1e-15, -1e-15, 1e-12, -1e-12, 1e-6])
     for i in range(4000):
-        # Little friction makes the load pass from one limit to the other soon, which is the awkward case.
+        # With little friction, the load soon passes from one limit to the other, which is the difficult case.
         capsule = Capsule(mu=10.0 ** rng.uniform(-5.0, -0.5))
         p = capsule.plant()
         theta, theta_dot = rng.uniform(-1.2, 1.2), rng.choice([0.0, rng.uniform(-6, 6)])
@@ -321,7 +321,7 @@ def test_a_load_at_the_limit_to_the_last_bit_neither_hangs_nor_chatters():
         h = rng.choice([1e-3, 5e-3])
         motion = step(theta, theta_dot, 0.0, x_dot, u, p, h)
         assert motion.events <= 5
-        # The whole step has passed: a torque off by a billionth, away from the limit, makes much the same motion.
+        # The step covers its whole duration: a torque off by 1e-9, away from the limit, gives nearly the same motion.
         if i % 10 == 0:
             beside = [step(theta, theta_dot, 0.0, 0.0, u + off, p, h) for off in (-1e-9, 1e-9)]
             error = min(np.abs(np.array(motion[:4]) - other[:4]).max() for other in beside)
@@ -357,7 +357,7 @@ def test_friction_never_pushes_a_platform_that_has_lost_contact():
                 assert energy(motion[:4], p) - energy(state, p) < 1e-10
                 if motion.normal_force == 0.0:
                     lifted += 1
-                    # So contact has been lost all the way to this step's start; within it, it may come back.
+                    # Contact has been lost until the start of this step; within the step, it may come back.
                     assert momentum(state, p) == pytest.approx(drift, abs=1e-10)
                     assert energy(state, p) == pytest.approx(start, rel=1e-10)
                 elif lifted > 0:
@@ -366,7 +366,7 @@ def test_friction_never_pushes_a_platform_that_has_lost_contact():
             assert lifted > 200
             for _ in range(200):
                 state = step(*state, 0.0, p, 1e-4)[:4]
-            # With the contact back friction takes energy away.
+            # Once contact is back, friction dissipates energy.
             assert energy(state, p) < start - 1e-3
 
 

@@ -1,4 +1,4 @@
-"""The elementary functions: how exact they are, and that compiled code computes the same bits."""
+"""The elementary functions: their accuracy, and the same bits in compiled code."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from capsule_gym.elementary import arccos, exp, log, sincos, sines_and_cosines, 
 mpmath = pytest.importorskip("mpmath", exc_type=ImportError)
 
 HALF_TURN = math.pi / 2
-# What ten million random angles of each range did not exceed by more than the last digit.
+# Largest errors of ten million random angles of each range, to the last digit.
 NEAR_ERROR, FAR_ERROR = 3.4e-16, 1.2e-15
-# Of those angles the ones that came closest.
+# The angles with the largest errors.
 NEAR_WORST, FAR_WORST = 1.5515752168417596, 3.111995651295123
 
 compiled_sincos = njit(sincos)
@@ -33,7 +33,7 @@ def quarters(turns: int) -> list[float]:
 
 
 def largest_error(points: list[float]) -> float:
-    """Of either function, against 40 digits."""
+    """The largest error of either function, compared with 40 digits."""
     worst = 0.0
     with mpmath.workdps(40):
         for angle in points:
@@ -94,7 +94,7 @@ def test_the_coefficients_are_the_interpolation_that_the_module_names():
     assert cosine == [getattr(elementary, f"C_{degree}") for degree in range(8)]
 
 
-# What ten million random numbers did not exceed, relative to the exact value, and those that came closest.
+# Largest errors of ten million random numbers, relative to the exact value, and the numbers with these errors.
 EXP_ERROR, TANH_ERROR, LOG_ERROR = 1.7e-16, 4.3e-16, 2.2e-16
 EXP_WORST, TANH_WORST = (0.36194805464755997, -29.44537109825084), (0.17385258259706, 0.17331649703049387)
 
@@ -107,7 +107,7 @@ def numbers(seed: int, low: float, high: float, count: int) -> list[float]:
 
 
 def relative_error(function, exact, points) -> float:
-    """Relative to the exact value, against 40 digits."""
+    """The largest error relative to the exact value, compared with 40 digits."""
     with mpmath.workdps(40):
         return max(abs(float(function(x) / exact(x) - 1)) for x in map(mpmath.mpf, points))
 

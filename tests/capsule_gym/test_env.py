@@ -39,13 +39,13 @@ def test_the_checker_is_silent_and_observations_lie_within_tight_bounds(kwargs):
     space, rng, seen = env.observation_space, np.random.default_rng(0), []
     env.reset(seed=0)
     for _ in range(800):
-        # Full torque in long stretches: the extremes of the state space.
+        # Full torque in long stretches reaches the extremes of the state space.
         observation, _, terminated, _, _ = env.step(np.sign(rng.uniform(-1, 1, 1)).astype(np.float32))
         assert space.contains(observation)
         seen.append(observation)
         if terminated:
             env.reset()
-    # Clipping would show as values that sit exactly on the bounds of the rates.
+    # Clipping would show as values exactly on the bounds of the rates.
     largest = np.abs(np.array(seen)).max(axis=0)
     assert largest[1] < space.high[1] and largest[2] < space.high[2]
 
@@ -66,7 +66,7 @@ def test_every_plant_that_can_occur_lies_in_the_observation_space(kwargs):
         observation, info = env.reset(seed=seed)
         assert space.contains(observation)
         np.testing.assert_allclose(observation[-2:], [info["M"], info["mu"]], rtol=1e-6)
-    # What a reset may set goes as far as the space, and no further.
+    # A reset accepts values up to the bounds of the space, and no larger ones.
     M, mu = space.high[-2:].tolist()
     largest = {"M": M * (1.0 - 1e-6), "mu": min(mu * (1.0 - 1e-6), 1.0)}
     observation, _ = env.reset(options={**largest, "changes": [{"t": 0.0, "M": largest["M"], "mu": 0.0}]})
@@ -154,12 +154,12 @@ def test_the_largest_states_of_a_reset_stay_finite(signs):
 
 
 def test_a_plant_that_the_step_does_not_resolve_ends_as_diverged():
-    # A ball of 1 mg: the torque of 1 N m takes it around thousands of times within a substep.
+    # A ball of 1 mg: a torque of 1 N m turns it thousands of times within a substep.
     env = CapsuleEnv(capsule=Capsule(m=1e-6, k=0.0, c=0.0), randomization="none")
     env.reset(seed=0)
     observation, reward, terminated, _, info = env.step(np.ones(1, np.float32))
     assert terminated and info["termination"] == Termination.diverged
-    # Nothing of the substep that was none is left.
+    # The diverged substep changes nothing.
     assert info["state"].tolist() == [-np.pi / 3, 0.0, 0.0, 0.0]
     assert reward == info["reward_termination"] == -10.0
     assert info["energy"] == 0.0
@@ -196,7 +196,7 @@ def test_options_set_state_plant_and_changes():
     masses = [env.step(np.zeros(1, np.float32))[4]["M"] for _ in range(4)]
     assert masses == [0.7, 0.7, 0.9, 0.9]
     assert env.reset()[1]["M"] != 0.7
-    # A reset forgets changes that had not come yet.
+    # A reset discards pending changes.
     env.reset(options={"M": 0.7, "mu": 0.2, "changes": [{"t": 1.0, "M": 0.9, "mu": 0.1}]})
     env.reset(options={"M": 0.7, "mu": 0.2})
     assert {env.step(np.zeros(1, np.float32))[4]["M"] for _ in range(60)} == {0.7}
@@ -236,7 +236,7 @@ def test_metrics_against_the_definitions():
 
 @pytest.mark.parametrize("attribute", ["adaptive", "feedback_linearising"])
 def test_zero_residual_is_the_scripted_baseline_bit_for_bit(attribute):
-    # With a residual limit of zero the law acts alone.
+    # With a residual limit of zero, the law acts alone.
     alone = Simulation(1, EnvConfig(controller=f"baselines:{attribute}", residual_limit=0.0))
     residual = CapsuleEnv(controller=getattr(baselines, attribute), residual_limit=3.0)
     residual.reset(seed=5)
@@ -311,7 +311,7 @@ def test_spec_survives_json():
 
 
 def play(env: gym.Env, rng: np.random.Generator, steps: int) -> list[bytes]:
-    """What steps and the resets between them return, and the metrics, in bytes."""
+    """The results of steps and of the resets between them, and the metrics, in bytes."""
     seen = []
     for _ in range(steps):
         *result, info = env.step(rng.uniform(-1.0, 1.0, 1).astype(np.float32))
@@ -333,12 +333,12 @@ def test_a_copy_goes_on_with_the_episode_bit_for_bit_and_on_its_own(kwargs, make
         with pytest.raises(gym.error.ResetNeeded):
             early.step(np.ones(1, np.float32))
     env.reset(seed=3)
-    # In the middle of the second episode, with a jump to come.
+    # The copy is made in the middle of the second episode, before the second jump.
     env.reset(options={"changes": [{**JUMP, "t": 0.05}, JUMP]})
     play(env, np.random.default_rng(0), 5)
     twin = make_copy(env)
     one = play(env, np.random.default_rng(1), 100)
-    # The original has gone on meanwhile; a third goes on from the second.
+    # The original has continued; a third copy continues from the second.
     assert play(make_copy(twin), np.random.default_rng(1), 100) == one
     assert play(twin, np.random.default_rng(1), 100) == one
     assert twin.unwrapped.np_random.random() == env.unwrapped.np_random.random()

@@ -1,4 +1,4 @@
-"""Evaluation sets: what their files may hold, their hash, and which plant comes first."""
+"""Evaluation sets: valid files, their hash, and the plant that comes first."""
 
 from __future__ import annotations
 

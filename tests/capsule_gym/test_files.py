@@ -1,4 +1,4 @@
-"""Files are written atomically; JSON has no number that is not finite; hashes see content alone."""
+"""Files are written atomically, JSON contains finite numbers only, and hashes depend on the content alone."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from capsule_gym.files import canonical_hash, naming, replacing, to_json, write_
 
 
 def lowest_free_descriptor() -> int:
-    """The descriptor that the next file gets: it grows if one stays open."""
+    """The descriptor of the next file; it grows if a file stays open."""
     with open(os.devnull, "rb") as file:
         return file.fileno()
 

@@ -1,7 +1,7 @@
-"""The fingerprint of a law: an edit of anything that its compiled code depends on changes it.
+"""The fingerprint of a law: any edit that affects its compiled code changes the fingerprint.
 
-Each law is a package of modules out of a grammar: helpers, nested modules, modules that are named as libraries are,
-defaults, constants, arrays, closures, nested factories, named tuples and ufuncs.
+A grammar generates each law as a package of modules: helpers, nested modules, modules named like libraries, defaults,
+constants, arrays, closures, nested factories, named tuples and ufuncs.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 """
-# By name what stands before the law, and a term of its torque. An edit changes the number A; K tells parts apart.
+# By name: the code before the law, and a term of its torque. An edit changes the number A; K distinguishes the parts.
 PARTS = {
     "literal": ("", "A * x"),
     "global": ("gK = A", "gK * x"),
@@ -63,7 +63,7 @@ MODULES = {
 
 
 def make_fingerprint(parts: list[tuple[str, int]]) -> str | None:
-    """That of a law which is made anew from these parts and their numbers."""
+    """The fingerprint of a law that is written anew from these parts and their numbers."""
     numbers = dict(parts)
     of_module = {
         "math_laws.gains": numbers.get("module", 1),
@@ -110,7 +110,7 @@ def test_an_edit_anywhere_changes_the_fingerprint(parts, change):
 def test_only_what_cannot_be_read_has_no_fingerprint():
     without = {part for part in PARTS if make_fingerprint([(part, 2)]) is None}
     assert without == {"enumeration", "ufunc", "closure over a ufunc", "dictionary", "object of a library"}
-    # One ufunc of numba's own, of which a process can only make a few thousand.
+    # A ufunc of numba's own; a process can make only a few thousand.
     ufunc = numba.vectorize(lambda v: 2.0 * v)
     assert fingerprint(lambda x: ufunc(x)) is None
     assert fingerprint(lambda x: np.sqrt(x)) is not None

@@ -1,4 +1,4 @@
-"""The compiled network: what it computes, that a row is the same in any batch, and the same on any instruction set."""
+"""The compiled network: its outputs, and their equality in any batch and on any instruction set."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def make_layers(widths: tuple[int, ...], seed: int = 0) -> list[network.Layer]:
 
 
 def make_header(layers: list[network.Layer], clip: float = 10.0, **changes: object) -> Header:
-    """A network's that is given the observation as it is."""
+    """The header of a network that takes the observation unchanged."""
     inputs = layers[0][0].shape[1]
     counts = {"layers": len(layers), "clip": clip, "inputs": inputs, "observed": inputs}
     kinds = dict.fromkeys(("relu", "tanh_squashing", "identifies", "observes_energy_weight"), False)
@@ -52,7 +52,7 @@ def make_network(
 
 
 def expected(layers, observations, mean, scale, clip, relu, tanh_squashing) -> np.ndarray:
-    """The same network by numpy, in the order that numpy likes."""
+    """The same network in numpy, in numpy's order of operations."""
     values = np.clip((observations.astype(np.float64) - mean) * scale, -clip, clip)
     for n, (weights, bias) in enumerate(layers):
         values = values @ weights.astype(np.float64).T + bias
@@ -78,7 +78,7 @@ def test_it_computes_what_numpy_does(widths, relu, tanh_squashing):
     observations = rng.normal(0.0, 2.0, (2 * LANES + 5, widths[0])).astype(np.float32)
     actions = run(packed, observations)
     exact = expected(layers, observations, mean, scale, 2.5, relu, tanh_squashing)
-    # One rounding to float32 and those of float64.
+    # The errors are one rounding to float32 and those of float64.
     np.testing.assert_allclose(actions, exact, rtol=6.1e-8, atol=1e-13)
     assert np.unique(actions).size > 20
     assert (np.abs(actions) <= 1.0).all()
@@ -111,16 +111,16 @@ def test_a_wanted_torque_is_reached_within_the_residual_limit():
     for law_torque in np.linspace(-1.5, 1.5, 25):
         for wanted in np.linspace(-SATURATION, SATURATION, 31):
             action = to_action(header, wanted, law_torque)
-            # As the environment makes a torque of it.
+            # The environment computes the torque from the action in this way.
             torque = np.clip(law_torque + header.residual_limit * action, -header.torque_limit, header.torque_limit)
             assert abs(action) <= 1.0
             assert torque == pytest.approx(header.torque_limit * wanted, abs=1e-12)
-        # The law's torque may change before the next action: no less would keep the sum at the limit.
+        # The law's torque may change before the next action; only a full action keeps the sum at the limit.
         for wanted in (np.nextafter(SATURATION, 1.0), 1.0, 7.0):
             assert (to_action(header, wanted, law_torque), to_action(header, -wanted, law_torque)) == (1.0, -1.0)
     weak = header._replace(residual_limit=0.5)
     assert (to_action(weak, 0.8, -1.5), to_action(weak, -0.8, 1.5)) == (1.0, -1.0)
     assert to_action(weak, 0.5, 0.7) == pytest.approx(0.1)
-    # An output that is an action is clipped and no more.
+    # If the output is an action, it is only clipped.
     for output, action in ((0.3, 0.3), (0.95, 0.95), (1.7, 1.0), (-1e300, -1.0)):
         assert to_action(make_header(make_layers((5, 1))), output, 0.7) == action

@@ -1,4 +1,4 @@
-"""M and mu from the observations of one slip: exact where the physics is, in doubt where it jumps, silent in stick."""
+"""Estimates of M and mu from slip: accurate for exact physics, uncertain after jumps, constant in stick."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ PLANTS = [(0.35, 0.3), (0.5, 0.01), (0.75, 0.05)]
 
 
 def states(M: float, mu: float, seconds: float = 4.0, changes: Any = (), capsule: Capsule = CAPSULE) -> np.ndarray:
-    """The states of a capsule under a torque that drives its pendulum to and fro, in float64: theta, theta', x'."""
+    """The states of a capsule under a torque that swings its pendulum, in float64: theta, theta', x'."""
     env = CapsuleEnv(capsule=capsule)
     _, info = env.reset(seed=0, options={"M": M, "mu": mu, "changes": list(changes)})
     rows = [info["state"]]
@@ -48,7 +48,7 @@ def states(M: float, mu: float, seconds: float = 4.0, changes: Any = (), capsule
 
 
 def memories_of(rows: np.ndarray, memory: Memory = EMPTY) -> list[Memory]:
-    """The memories after each of some observations."""
+    """The memory after each observation."""
     found = []
     for row in rows.tolist():
         memory = identify(memory, *row, **PLANT)
@@ -62,12 +62,12 @@ def test_both_are_found_in_slip(M, mu):
     first, *_, last = memories_of(rows)
     assert first[0] == 1.0
     assert estimates(first) == (observation.PRIOR_M, observation.PRIOR_LOG_MU, DEVIATION_M, DEVIATION_LOG_MU)
-    # The observations' float32 is enough.
+    # The float32 precision of observations is sufficient.
     assert estimates(memories_of(rows.astype(np.float32).astype(np.float64))[-1])[0] == pytest.approx(M, rel=4e-3)
     found_M, found_log_mu, deviation_M, deviation_log_mu = estimates(last)
-    # The pairs are exact, the noise that the filter reckons with is not: what the prior weighs fades with every pair.
+    # The pairs are exact, but the filter assumes noise: the weight of the prior fades with every pair.
     assert found_M == pytest.approx(M, rel=1e-3)
-    # Little friction changes a velocity by little.
+    # A small friction changes the velocity little.
     assert found_log_mu == pytest.approx(math.log(mu), abs=0.02)
     assert abs(found_M - M) < 3.0 * deviation_M < 0.05
     assert abs(found_log_mu - math.log(mu)) < 3.0 * deviation_log_mu < 2.0
@@ -81,7 +81,7 @@ def test_a_jump_brings_doubt_and_is_found():
     assert estimates(before)[0] == pytest.approx(0.4, rel=0.01)
     deviations = np.array([estimates(memory)[2] for memory in memories[round(jump / CONTROL_DT) :]])
     assert deviations[0] < 0.02
-    # What was known is forgotten at the first pairs that contradict it.
+    # The filter forgets its estimates at the first pairs that contradict them.
     assert deviations[:25].max() > 3.0 * deviations[0]
     M, log_mu, *_ = estimates(memories[-1])
     assert M == pytest.approx(0.7, rel=0.02)
@@ -96,7 +96,7 @@ def test_a_jump_brings_doubt_and_is_found():
 def test_nothing_is_learnt_in_stick_and_where_it_turns(x_dot, next_x_dot):
     known = memories_of(states(0.5, 0.05, 1.0))[-1]
     one = identify(known, 0.1, 2.0, x_dot, **PLANT)
-    # The first pair may be a slip that began before.
+    # The first pair may belong to a slip that began earlier.
     next_one = identify(one, 0.4, -3.0, next_x_dot, **PLANT)
     assert next_one[1:6] == one[1:6]
     assert next_one[6:] == pytest.approx((-3.0 * math.cos(0.4), -3.0 * math.sin(0.4), next_x_dot))
@@ -104,7 +104,7 @@ def test_nothing_is_learnt_in_stick_and_where_it_turns(x_dot, next_x_dot):
 
 @pytest.mark.parametrize("scale", [1.0, 30.0, 1e4])
 def test_whatever_is_observed_the_estimates_stay_within_their_range(scale):
-    # Far from any physics: what a user may feed it, and what a clipped observation may look like.
+    # The observations are far from any physics, as from a user or after clipping.
     rng = np.random.default_rng(0)
     rows = rng.normal(0.0, 1.0, (4000, 3)) * (1.0, scale, scale) + (0.0, 0.0, scale)
     prior = np.array([DEVIATION_M**2, DEVIATION_LOG_MU**2])

@@ -1,4 +1,4 @@
-"""The plant's constants, their ranges and the options of an environment: what is refused, and how."""
+"""The plant's constants, their ranges and the options of an environment: invalid values and their errors."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_painleves_paradox_is_refused_exactly_where_the_slip_equations_can_be_si
     outcomes = set()
     for _ in range(60):
         M, m, mu = rng.uniform(0.01, 1.0), rng.uniform(0.1, 2.0), rng.uniform(0.0, 6.0)
-        # Whether the determinant of the slip equations vanishes at some angle.
+        # True if the determinant of the slip equations vanishes at some angle.
         singular = bool(np.any(M + m * np.sin(theta) ** 2 - mu * m * np.sin(theta) * np.cos(theta) <= 0.0))
         outcomes.add(singular)
         if singular:
@@ -92,7 +92,7 @@ def test_the_plant_takes_another_mass_and_friction_and_checks_them():
 
 
 def eigenvalue(theta: float, slip: float, plant: Plant) -> float:
-    """The larger one, by size, of the pendulum linearised at rest at that angle, where a torque holds it."""
+    """The larger eigenvalue, by size, of the pendulum linearised at rest at that angle, where a torque holds it."""
     mu = dynamics.kinetic_friction(slip, plant)
 
     def turn(theta: float, theta_dot: float, u: float) -> float:
@@ -122,7 +122,7 @@ def test_the_fastest_rate_bounds_every_eigenvalue_closely(normal_force, close):
         angles = np.linspace(-1.57, 1.57, 50).tolist()
         found = max(eigenvalue(theta, slip, capsule.plant()) for theta in angles for slip in (1.0, -1.0))
         assert close * rate < found < rate * (1.0 + 1e-4), fields
-        # A lighter platform and a rougher floor are faster: of ranges one corner has to be checked.
+        # A lighter platform and a rougher floor give faster rates, so only one corner of the ranges has to be checked.
         assert capsule.fastest_rate(1.1 * capsule.M, capsule.mu) < rate
         assert capsule.fastest_rate(capsule.M, 0.9 * capsule.mu) < rate
 

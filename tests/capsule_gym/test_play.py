@@ -1,4 +1,4 @@
-"""The game: what its keys do, that both robots share plant and time, and how an episode and the command end."""
+"""The game: its keys, the plant and time that both robots share, and the end of an episode and of the command."""
 
 from __future__ import annotations
 

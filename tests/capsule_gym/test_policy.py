@@ -1,4 +1,4 @@
-"""Policy files: what is written is what loads, what they are known by, and what a hostile file does (nothing)."""
+"""Policy files: saving and loading, names, and hostile files, which have no effect."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def make_policy(**changes: object) -> Policy:
 
 
 def make_remembering(**changes: object) -> Policy:
-    """A policy that identifies M and mu and observes the energy weight, and pumps by all of what it is given."""
+    """A policy that identifies M and mu, observes the energy weight, and pumps with all of its inputs."""
     weights = np.array([[-1.0, 0.07, 0.02, 0.0, 0.01, 0.4, 0.05, 0.3, -0.02, 0.03]], np.float32)
     values: dict[str, object] = {
         "layers": ((weights, np.full(1, 0.1, np.float32)),),
@@ -55,9 +55,9 @@ def make_remembering(**changes: object) -> Policy:
     return make_policy(**{**values, **changes})
 
 
-# What a policy on top of a control law has.
+# Fields of a policy on top of a control law.
 TEN_ENTRIES = {"layers": tuple(make_layers((10, 1))), "mean": np.zeros(10), "variance": np.ones(10)}
-# What one has that observes the energy weight and identifies nothing.
+# Fields of a policy that observes the energy weight and identifies nothing.
 ENTRIES_AND_WEIGHT = {
     "layers": ((np.array([[-0.1, 0.07, 0.02, 0.0, 0.01, 0.1]], np.float32), np.full(1, 0.1, np.float32)),),
     "mean": np.zeros(6),
@@ -102,7 +102,7 @@ def test_a_file_is_what_the_format_says(tmp_path):
     expected = float64 | {f"layers.{name}": ("float32", shape) for name, shape in shapes.items()}
     assert {name: (array.dtype.name, array.shape) for name, array in tensors.items()} == expected
     content = (tmp_path / POLICY).read_bytes()
-    # As safetensors asks for, so that readers can map the tensors into memory.
+    # safetensors asks for this alignment, so that readers can map the tensors into memory.
     assert int.from_bytes(content[:8], "little") % 8 == 0
     header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
     assert header["__metadata__"] == {
@@ -185,13 +185,13 @@ def test_every_pretrained_policy_loads_and_drives_its_environment(name):
     policy = load_policy(name)
     assert (policy.name, policy.training_seed) == (name, 0)
     env = gym.make(capsule_gym.ENV_ID, **policy.env_kwargs)
-    # A plant of its training.
+    # The plant comes from the ranges of the policy's training.
     observation, _ = env.reset(seed=0)
     act = policy.start([0])
     for _ in range(round(3.0 / env.unwrapped.simulation.options.control_dt)):
         observation, _, terminated, _, _ = env.step(act(observation))
         assert not terminated
-    # The laws below them make 1.4 cm/s.
+    # The laws alone reach 1.4 cm/s.
     assert env.unwrapped.episode_metrics()["mean_speed"] > 3.0 or policy.env_kwargs.get("task", "speed") != "speed"
     env.close()
 
@@ -233,7 +233,7 @@ def test_a_run_folder_means_its_best_policy(tmp_path):
         assert (loaded.name, loaded.training_seed) == ("my-run", seed)
 
 
-# Files from elsewhere.
+# Files from other sources.
 
 
 def test_another_law_asks_for_consent(tmp_path):
@@ -353,7 +353,7 @@ HOSTILE_METADATA = [
 
 
 def refused(tmp_path: Path, tensors: dict[str, np.ndarray | None], metadata: dict[str, str | None]) -> str:
-    """The error of a good file after some changes; None takes an entry away."""
+    """The error message of a valid file after some changes; None removes an entry."""
     make_policy().save(tmp_path / POLICY)
     content = (tmp_path / POLICY).read_bytes()
     described = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])["__metadata__"] | metadata

@@ -1,4 +1,4 @@
-"""The canvas, the frames, the window and the GIF: what they show, and that frames need no display."""
+"""The canvas, the frames, the window and the GIF: their content, and frames without a display."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ STAGE = slice(HEADER + 1, FLOOR)
 
 
 def frame(capsule: Capsule | None = None, **changes: Any) -> NDArray[np.uint8]:
-    """One frame by a renderer of its own, so that nothing carries over."""
+    """One frame from a new renderer, so that nothing carries over."""
     renderer = Renderer(capsule or Capsule(), "rgb_array", 50, 1.5)
     pixels = renderer.draw(**{**STATE, **changes})
     renderer.close()
@@ -40,7 +40,7 @@ def frame(capsule: Capsule | None = None, **changes: Any) -> NDArray[np.uint8]:
     return pixels
 
 
-# What a frame shows, in blocks of pixels: `python -m tests.capsule_gym.test_rendering` draws the picture anew.
+# Frames in blocks of pixels: `python -m tests.capsule_gym.test_rendering` draws the picture anew.
 EXPECTED = Path(__file__).with_name("frames.png")
 BLOCK = 6
 SCENES: tuple[dict[str, Any], ...] = (
@@ -64,7 +64,7 @@ def draw_scenes() -> NDArray[np.float64]:
 def test_the_frames_are_those_that_were_looked_at() -> None:
     with Image.open(EXPECTED) as picture:
         expected = np.asarray(picture.convert("RGB"), float)
-    # Another version of the font moves its edges by a part of a pixel.
+    # Another version of the font moves its edges by a fraction of a pixel.
     np.testing.assert_allclose(draw_scenes(), expected, atol=8.0)
 
 

@@ -1,4 +1,4 @@
-"""How an episode begins: the compiled draws are numpy's, and every environment has its own."""
+"""The start of an episode: compiled draws equal numpy's, and every environment has its own."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_what_is_drawn_are_the_numbers_of_numpys_philox_bit_for_bit(randomizatio
             else:
                 assert (column[Row.theta], column[Row.theta_dot]) == (START_THETA + 0.05 * noise[0], 0.0)
             assert column[Row.largest_theta] == abs(column[Row.theta])
-    # The present capsule's where nothing is drawn.
+    # A constant that is not drawn is the present capsule's.
     if simulation.randomization.M is None:
         assert (simulation.row(Row.M) == 0.6).all()
 
@@ -49,7 +49,7 @@ def test_a_range_is_drawn_as_its_formula_says():
         M, mu = draw_plant(wide, Capsule(), random_stream(seed, 0, Stream.parameters))
         assert M == 0.35 + (0.75 - 0.35) * shares[0]
         assert mu == pytest.approx(0.005 * (0.3 / 0.005) ** shares[1], rel=1e-15)
-        # Ranges do not shift the stream, and what has none is the capsule's own.
+        # Ranges do not shift the stream, and a constant without a range is the capsule's own.
         assert draw_plant(uniform, Capsule(M=0.7), random_stream(seed, 0, Stream.parameters)) == (
             0.7,
             0.1 + (0.4 - 0.1) * shares[1],

@@ -1,4 +1,4 @@
-"""Whole episodes in one compiled call: the same bits as stepping the batch, whatever happens on the way."""
+"""Whole episodes in one compiled call: the same bits as stepping the batch, also with jumps and failures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.capsule_gym.test_policy import make_policy, make_remembering
 
 
 def begun(policy: Policy, n: int, changes: list[list[dict[str, float]]] | None = None, **kwargs: Any):
-    """A batch at the start of its episodes, which end for good."""
+    """A batch at the start of its episodes, without autoreset."""
     settings = {**policy.env_kwargs, **kwargs}
     env = CapsuleVectorEnv(n, autoreset_mode="DISABLED", max_episode_steps=10_000, **settings)
     observations, _ = env.reset(seed=3, options={} if changes is None else {"changes": changes})
@@ -35,7 +35,7 @@ def stepped(env: CapsuleVectorEnv, policy: Policy, observations: np.ndarray, ste
 
 
 def assert_same(one: Simulation, other: Simulation, rows: Sequence[int] | None = None) -> None:
-    """The same bits in all that the environments hold, or in some rows of it."""
+    """Asserts equal bits in all rows of the environments, or in some rows."""
     assert one.observations.tobytes() == other.observations.tobytes()
     for row in range(one.world.shape[1]) if rows is None else rows:
         assert one.row(row).tobytes() == other.row(row).tobytes(), row
@@ -44,7 +44,7 @@ def assert_same(one: Simulation, other: Simulation, rows: Sequence[int] | None =
 
 
 def jumps(n: int) -> list[list[dict[str, float]]]:
-    """Jumps of M and mu, four, none, one or three: between steps, on one, two at once, and one after the end."""
+    """Four, none, one or three jumps of M and mu: between steps, on a step, two in one step, and one after the end."""
     one = [{"t": 0.3, "M": 0.6, "mu": 0.1}]
     three = [{"t": 0.505, "M": 0.4, "mu": 0.02}, {"t": 0.51, "M": 0.7, "mu": 0.05}, {"t": 1.9, "M": 0.5, "mu": 0.2}]
     return [([*three, {"t": 50.0, "M": 0.5, "mu": 0.01}], [], one, three)[i % 4] for i in range(n)]
@@ -69,7 +69,7 @@ def test_a_rollout_gives_the_bits_of_a_loop_in_python(name, n, with_changes):
 
 
 def on_a_law() -> Policy:
-    """A policy that identifies, and wants torques of a law that it observes."""
+    """A policy that identifies M and mu, observes a law's torque, and outputs torques."""
     policy = make_remembering()
     (weights, bias), *_ = policy.layers
     wider = np.insert(weights, [5] * 5, 0.0, axis=1)
@@ -86,9 +86,9 @@ def test_what_is_remembered_gives_the_same_bits_alone_in_a_batch_and_compiled(ma
     rolled, _ = begun(policy, n, jumps(n), threads=2)
     stepped(looped, policy, observations, 130)
     metrics = rollout(rolled.simulation, policy, 130)
-    # What an environment that stands still does with its action counts for nothing.
+    # The action of an environment whose episode has ended has no effect.
     assert_same(looped.simulation, rolled.simulation, EPISODE_ROWS)
-    # It moves, so that there is something to identify.
+    # The platform moves, so that the policy can identify M and mu.
     assert np.median(metrics["distance"] + metrics["backward_ratio"]) > 0.01
     for i in {0, n // 2, n - 1}:
         alone = CapsuleEnv(**policy.env_kwargs)
@@ -104,7 +104,7 @@ def test_what_is_remembered_gives_the_same_bits_alone_in_a_batch_and_compiled(ma
 
 
 def falling() -> Policy:
-    """A policy that pushes one way until the pendulum lies down."""
+    """A policy that pushes in one direction until the pendulum lies down."""
     weights, bias = np.zeros((1, 5), np.float32), np.full(1, 3.0, np.float32)
     return make_policy(layers=((weights, bias),), env_kwargs={"torque_limit": 1.5, "randomization": "wide"})
 
@@ -117,7 +117,7 @@ def test_a_rollout_goes_on_from_where_it_is_and_steps_go_on_from_there():
     stepped(mixed, policy, observations, 20)
     rollout(mixed.simulation, policy, 8)
     rollout(mixed.simulation, policy, 22)
-    # The first environment's too.
+    # The first environment has pending changes, too.
     assert 0 in mixed.simulation._changes
     stepped(mixed, policy, mixed.simulation.observations.copy(), 40)
     assert_same(looped.simulation, mixed.simulation)

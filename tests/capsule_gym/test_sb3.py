@@ -38,7 +38,7 @@ def test_sb3_batch_is_the_native_batch_with_terminal_observations():
                 assert info["metrics"]["failed"] == float(expected[2][i])
                 returns[i], lengths[i] = 0.0, 0
                 seen.add((bool(expected[2][i]), bool(expected[3][i])))
-    # Both kinds of end were met: failures and time limits.
+    # Both kinds of end occurred: failures and time limits.
     assert {(True, False), (False, True)} <= seen
 
 

@@ -1,4 +1,4 @@
-"""Environments side by side: every quantity is that of the environment alone, in any lane, block and thread."""
+"""A batch of environments: every quantity equals that of the environment alone, in any lane, block and thread."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def test_every_quantity_is_that_of_the_environment_alone(kwargs, n, threads):
         each.reset(np.array([0]))
     batch.reset(np.arange(n))
     rows = [*EPISODE_ROWS, *range(ROWS, batch.world.shape[1])]
-    # The torques differ by a factor of ten between environments: some fail, each at another step.
+    # The torques differ by a factor of ten between environments, so that some fail, each at another step.
     for actions in rng.uniform(-1.0, 1.0, (60, n)) * rng.uniform(0.1, 1.0, n):
         running = batch.row(Row.termination) == 0.0
         batch.step(actions, None if running.all() else running)
         for i in np.flatnonzero(running):
             alone[i].step_one(actions[i])
         columns, expected = batch.columns(np.arange(n)), np.array([each.world[0, :, 0] for each in alone]).T
-        # Who stands still earns nothing; all else stays as the last step has left it.
+        # An ended environment gets no reward; its other values stay as the last step left them.
         expected[Row.reward, ~running] = 0.0
         assert columns[rows].tobytes() == expected[rows].tobytes()
         assert batch.observations.tobytes() == b"".join(each.observations.tobytes() for each in alone)
@@ -50,7 +50,7 @@ def test_every_quantity_is_that_of_the_environment_alone(kwargs, n, threads):
         own = [each.metrics(np.array([0]), 60)[name] for each in alone]
         assert values.tobytes() == np.concatenate(own).tobytes(), name
     batch.close()
-    # A second time does nothing.
+    # A second close does nothing.
     batch.close()
 
 
@@ -78,7 +78,7 @@ def test_a_substep_in_which_contact_is_lost_is_that_of_the_plant():
     ],
 )
 def test_more_substeps_than_a_kernel_should_take_are_refused(kwargs, message):
-    # Once counts that fit no integer made an array of objects, and the kernel wrote beyond it.
+    # Without this limit, counts that fit no integer would make an array of objects, and the kernel write beyond it.
     with pytest.raises(ValueError, match=message):
         Simulation(1, EnvConfig(**kwargs))
 
@@ -96,7 +96,7 @@ def test_a_plant_too_stiff_for_the_step_is_refused_with_a_step_that_would_do(fie
         Simulation(1, EnvConfig(capsule=capsule))
     would_do = float(re.search(r"physics_dt=(\S+) would do", str(caught.value))[1])
     simulation = Simulation(1, EnvConfig(capsule=capsule, physics_dt=would_do))
-    # With that it runs, and with a quarter more it is refused.
+    # The simulation runs with this step, and refuses a step a quarter longer.
     simulation.reset(np.array([0]))
     for _ in range(50):
         simulation.step_one(0.0)

@@ -1,4 +1,4 @@
-"""What keeps the environment fast and small, as counts: no times are measured here."""
+"""Counts that show whether the environment is fast and small. These tests measure no time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STEPS = 500
 
 
 def growth(step: Callable[[], object]) -> int:
-    """Bytes that Python and numpy hold more after STEPS steps than before them, the first steps left out."""
+    """Bytes that Python and numpy hold more after STEPS steps than before; the first steps are not counted."""
     for _ in range(50):
         step()
     gc.collect()
@@ -40,13 +40,13 @@ def test_stepping_does_not_grow_memory(num_envs):
     env = CapsuleVectorEnv(BATCH, max_episode_steps=NEVER, threads=2) if num_envs else CapsuleEnv()
     env.reset(seed=0)
     actions = np.zeros((BATCH, 1) if num_envs else 1, np.float32)
-    # A reference kept per step would be 4 kB already.
+    # One reference kept per step would take 4 kB.
     assert growth(lambda: env.step(actions)) < 4_000
     env.close()
 
 
 def calls(n: int, *, reset: bool) -> Counter[str]:
-    """Functions that a reset calls, or a step in which no episode ends, of n environments with seeds, and how often."""
+    """Counts the functions that a reset calls, or a step in which no episode ends, of n environments with seeds."""
     env, found = CapsuleVectorEnv(n, max_episode_steps=NEVER, initial_noise=0.1), Counter[str]()
     env.reset(seed=0)
     actions = np.zeros((n, 1), np.float32)

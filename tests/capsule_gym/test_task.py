@@ -1,4 +1,4 @@
-"""What every task shares: termination, bounds."""
+"""Properties that all tasks share: termination, bounds."""
 
 from __future__ import annotations
 

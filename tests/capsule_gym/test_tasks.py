@@ -1,4 +1,4 @@
-"""The tasks besides speed: their environments keep every contract of the speed task's, and mean what they say."""
+"""The tasks other than speed keep every contract of the speed task; rewards and metrics follow their definitions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from capsule_gym.tasks.velocity import with_commands
 from tests.capsule_gym.fakes import layout
 
 OTHERS = [name for name in TASKS if name != "speed"]
-# For each task, what a reset may set and `info` then shows.
+# For each task: options of a reset, and the entry and value that `info` then shows.
 GIVEN = {
     "goal": ({"goal": -0.2}, "goal", -0.2),
     "velocity": ({"commands": [{"t": 0.0, "v": 0.05}, {"t": 0.1, "v": -0.1}]}, "command", 0.05),
@@ -34,7 +34,7 @@ GIVEN = {
 
 
 def actions(seed: int, steps: int, count: int) -> np.ndarray:
-    """Torques that swing the pendulum, and throw it over at times."""
+    """Torques that swing the pendulum, and sometimes throw it over."""
     rng = np.random.default_rng(seed)
     return np.repeat(rng.uniform(-1.0, 1.0, (steps // 5 + 1, count, 1)), 5, axis=0)[:steps].astype(np.float32)
 
@@ -115,7 +115,7 @@ def test_what_an_episode_draws_are_numpys_numbers_and_a_reset_may_set_it(name):
     assert CapsuleEnv(task=name).reset(seed=0, options=options)[1][shown] == value
     several = {key: [given] * 5 for key, given in options.items()}
     assert (batch.reset(options=several)[1][shown] == value).all()
-    # Of the plant and the first angle the draws are those of the speed task.
+    # The plant and the first angle are the same draws as those of the speed task.
     masses = [CapsuleEnv(task=each, randomization="paper").reset(seed=3)[1]["M"] for each in (name, "speed")]
     assert masses[0] == masses[1]
 
@@ -200,7 +200,7 @@ OWN = Task(
 
 def test_a_task_of_ones_own_is_an_object_and_its_law_reads_its_memory():
     def law(theta, theta_dot, x, x_dot, memory, reference):
-        # Behind the two columns of the reference: the best, and the wanted.
+        # The best and the wanted height follow the two columns of the reference.
         return 0.1 * reference[3], memory
 
     made = Controller("follows", law, np.zeros((1, 2)), task=OWN)
@@ -253,7 +253,7 @@ def test_velocity_is_measured_as_its_definition_says():
         _, _, _, _, info = env.step(np.zeros(1, np.float32))
         x.append(info["state"][2])
         commands.append(info["command"])
-        # The target moves with the command before, and begins at the platform with the next.
+        # The target moves with the previous command, and restarts at the platform with the next command.
         target = x[-1] + np.clip(target + 0.02 * commands[-2] - x[-1], -0.3, 0.3)
         error = abs(target - x[-1])
         gains.append(info["reward_tracking"])
@@ -263,7 +263,7 @@ def test_velocity_is_measured_as_its_definition_says():
         assert info["target"] == pytest.approx(target, abs=1e-12)
         assert info["error"] == pytest.approx(target - x[-1], abs=1e-12)
     assert commands[:200] == [0.05] * 200 and commands[200:450] == [-0.05] * 250 and commands[450:] == [0.1] * 51
-    # The third command has been there for 1 s.
+    # The third command has lasted for 1 s.
     spans = [(75, 200, 0.05), (275, 450, -0.05)]
     missed = sum(abs(x[last] - x[first] - v * 0.02 * (last - first)) for first, last, v in spans)
     commanded = sum(abs(v) * 0.02 * (last - first) for first, last, v in spans)
@@ -291,7 +291,7 @@ def test_a_platform_that_moves_as_it_is_told_has_no_velocity_error():
     assert metrics["velocity_error"] == pytest.approx(0.0, abs=1e-9) and metrics["unsettled"] == 0.0
     assert reward == pytest.approx(0.03) and abs(info["error"]) < 1e-12
     assert observation[-1] == pytest.approx(0.08, rel=1e-5)
-    # A command of which too little was measured does not count.
+    # A command does not count if too little of it was measured.
     env.reset(options={"commands": [{"t": 0.0, "v": 0.08}], "mu": 0.0})
     assert env.episode_metrics()["velocity_error"] == 100.0
 
@@ -305,7 +305,7 @@ def test_a_bad_goal_is_named(goal, error):
 
 
 def test_the_goal_is_reached_after_a_second_of_rest_within_2_mm():
-    # At rest from the start, 1.9 mm or 2.1 mm away: in stick under no torque, or in slip under some.
+    # The platform starts at rest, 1.9 mm or 2.1 mm from the goal; without a torque it stays in stick.
     for goal, reached in ((0.0019, 1.0), (-0.0019, 1.0), (0.0021, 0.0)):
         env = CapsuleEnv(task="goal")
         env.reset(seed=0, options={"goal": goal, "mu": 0.4, "state": [0.0, 0.0, 3.0, 0.0]})
@@ -320,14 +320,14 @@ def test_the_goal_is_reached_after_a_second_of_rest_within_2_mm():
             metrics = env.episode_metrics(750)
             assert metrics["success"] == (reached if n >= 49 else 0.0)
             assert metrics["goal_time"] == pytest.approx(1.0 if metrics["success"] else 0.02 * (n + 1))
-    # A step that began in slip does not count, and a goal that was reached stays so.
+    # A step that began in slip does not count, and a reached goal stays reached.
     env.reset(options={"goal": 0.001, "mu": 0.4, "state": [0.0, 0.0, 0.0, 0.02]})
     for n in range(120):
         _, _, _, _, info = env.step(np.full(1, 1.0 if n == 100 else 0.0, np.float32))
         assert n > 100 or (info["held"] == 0.0) == (n in (0, 100))
     first = env.episode_metrics()
     assert first["success"] == 1.0 and first["goal_time"] == pytest.approx(1.02)
-    # A failure counts as the whole episode.
+    # After a failure, the time is that of the whole episode.
     env.reset(options={"state": [1.5, 5.0, 0.0, 0.0]})
     assert env.step(np.zeros(1, np.float32))[2]
     assert env.episode_metrics()["goal_time"] == 15.0

@@ -45,13 +45,13 @@ def singles(n: int, horizon: int, mode: AutoresetMode, **kwargs) -> SyncVectorEn
 
 
 def assert_same_metrics(ours, theirs, i):
-    """Bit for bit, but for the mean speed of a failed episode: a single environment does not know its time limit."""
+    """Asserts equal bits, except a failed episode's mean speed: a single environment does not know its time limit."""
     for name in METRICS:
         assert ours[name][i] == theirs[name][i] or name == "mean_speed", name
 
 
 def assert_same_infos(ours, theirs):
-    """Keys, types and bits, but for those of `WithMetrics` and of how episodes have ended."""
+    """Asserts equal keys, types and bits, except the entries of `WithMetrics` and of ended episodes."""
     assert set(ours) == set(theirs) - {"metrics", "_metrics"}
     for key in set(ours) - {"final_obs", "final_info"}:
         if isinstance(ours[key], dict):
@@ -136,7 +136,7 @@ def test_disabled_autoreset_stands_still_until_the_mask_names_it():
 
 
 def flat(value) -> list:
-    """Everything in nested infos, in bytes."""
+    """All values of nested infos, in bytes."""
     if isinstance(value, dict):
         return [entry for key in value for entry in (key, *flat(value[key]))]
     if isinstance(value, (tuple, list)) or value.dtype == object:
@@ -158,7 +158,7 @@ def test_a_copy_goes_on_with_the_episodes_bit_for_bit_and_on_its_own(make_copy, 
         rng = np.random.default_rng(seed)
         return [flat(batch.step(rng.uniform(-1.0, 1.0, (n, 1)).astype(np.float32))) for _ in range(steps)]
 
-    # Once in the middle of the episodes, and once where they have just ended.
+    # The batch is copied in the middle of the episodes, and just after they have ended.
     for steps in (10, 20):
         play(env, 0, steps)
         twin = make_copy(env)
@@ -197,7 +197,7 @@ def test_no_step_before_every_environment_has_begun():
 @pytest.mark.parametrize("mode", AutoresetMode)
 def test_one_environment_that_diverges_ends_alone(mode):
     n, lost = 130, [3, 64, 129]
-    # A million N m, which a law may ask for where it is allowed, no step resolves.
+    # No step resolves a million N m, which a law may request if the limit allows it.
     kwargs = {"controller": picky_controller, "torque_limit": 1e6, "residual_limit": 0.5}
     calm, env = (CapsuleVectorEnv(n, autoreset_mode=mode, threads=2, **kwargs) for _ in range(2))
     states = np.tile([-1.0, 0.0, 0.0, 0.0], (n, 1))
@@ -227,7 +227,7 @@ def digest(env: CapsuleVectorEnv) -> str:
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
-# Python 3.12 on: other threads may hold locks; ours are idle.
+# From Python 3.12 on, fork warns that other threads may hold locks. The threads of this package are idle.
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_forked_process_steps_on():
     env, context = CapsuleVectorEnv(130, threads=2), multiprocessing.get_context("fork")
@@ -247,7 +247,7 @@ def test_seeds_as_a_sequence():
     masses = env.reset(seed=[5, 9, 2])[1]["M"]
     assert masses[0] == other.reset(seed=5)[1]["M"][0]
     assert masses[1] == other.reset(seed=9)[1]["M"][0]
-    # None goes on with the stream that is there.
+    # None continues the existing stream.
     again = env.reset(seed=[5, None, 2])[1]["M"]
     assert again[0] == masses[0] and again[1] != masses[1] and again[2] == masses[2]
 

@@ -1,6 +1,6 @@
-"""Every example runs with a small budget where its library is installed; data and notebooks are what they show.
+"""Every example runs with a small budget if its library is installed; data replay exactly, notebooks show no error.
 
-`make test` runs the examples of Stable-Baselines3; the others need minutes and run where EXAMPLES is set.
+`make test` runs the examples of Stable-Baselines3; the others need minutes and run if EXAMPLES is set.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ EXAMPLES = ROOT / "examples"
 ID = "capsule_gym:CapsuleStickSlip-v0"
 ZOO = "-m rl_zoo3.train --env CapsuleStickSlip-v0 --gym-packages capsule_gym --device cpu -n 4096"
 PLAIN = f"{EXAMPLES}/plain_sb3.py --steps 2048 --every 2048"
-# The module that it needs, its command, and a word of what it prints at its end.
+# The required module, the command, and words that it prints at its end.
 PROGRAMS = {
     "sb3": ("stable_baselines3", f"{EXAMPLES}/sb3_ppo.py --steps 2048", "return of an episode"),
     "sb3-direct": ("stable_baselines3", f"{PLAIN} direct", "2,048 steps:"),
@@ -33,8 +33,8 @@ PROGRAMS = {
     "torchrl": ("torchrl", f"{EXAMPLES}/torchrl_envs.py --steps 50", "failures"),
     "minari": ("minari", f"{EXAMPLES}/offline_data.py --steps 2000", "mixed: "),
 }
-# SAC and TD3 read more of an episode that reaches its time limit, and begin with random torques without a seed: these
-# episodes of 10 steps end in time.
+# SAC and TD3 read more of an episode that reaches its time limit, and begin with unseeded random torques. Episodes of
+# 10 steps reach the time limit.
 SHORT = """
 import gymnasium as gym
 
@@ -48,7 +48,7 @@ CLEANRL = {
 
 
 def run(command: str, folder: Path) -> str:
-    """What the command prints, run as by a user who has installed the package."""
+    """Runs a command as a user with the installed package does, and returns its output."""
     variables = {"MINARI_DATASETS_PATH": str(folder), "OMP_NUM_THREADS": "1", "SDL_VIDEODRIVER": "dummy"}
     variables["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(folder)])
     command_line, environment = [sys.executable, *command.split()], {**os.environ, **variables}
@@ -68,7 +68,7 @@ def test_program_runs(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("script", CLEANRL)
 def test_cleanrl_runs_as_it_is(script: str, tmp_path: Path) -> None:
-    # A checkout of CleanRL, which is no package.
+    # CleanRL is a checkout, not a package.
     path = Path(os.environ.get("CLEANRL", ""), "cleanrl", f"{script}.py").resolve()
     if not path.is_file():
         pytest.skip("CLEANRL names no checkout of CleanRL")

@@ -1,11 +1,11 @@
-"""Kills, stops and starves trainings as a machine can, and counts what is lost: `python -m tests.faults`.
+"""Injects a machine's faults into trainings and counts the lost steps: `python -m tests.faults`.
 
-| fault | what must hold afterwards |
+| fault | expected result |
 |---|---|
-| kill -9 after a checkpoint, while one is written, at the start | checkpoints are whole or absent, and the run goes on to the policy of one that nobody disturbed, bit for bit, training at most one interval again |
+| kill -9 after a checkpoint, while one is written, at the start | checkpoints are complete or absent; the resumed run ends with the policy of an undisturbed run, bit for bit, and repeats at most one interval |
 | SIGTERM and Ctrl-C while training, importing and compiling, and Ctrl-C twice | no traceback, exit status 130, and the same policy |
-| files that may not grow, folders that cannot be written to | one line that names them, and the run goes on once there is room |
-| processes that compile at once for one empty cache | the same bits from all |
+| files that may not grow, folders that cannot be written to | one line names them, and the run can be resumed once there is room |
+| processes that compile at once for one empty cache | all give the same bits |
 
-Everything is bounded: a process that does not end in time counts as broken. Needs Linux.
+Every wait is bounded: a process that does not end in time counts as broken. Needs Linux.
 """  # noqa: E501

@@ -13,7 +13,7 @@ from capsule_gym.command_line import parse
 
 @dataclass(frozen=True)
 class Args:
-    """Injects faults of a machine into trainings, and reports what is lost.
+    """Injects faults of a machine into trainings, and reports the lost steps.
 
     Examples:
       python -m tests.faults --short
@@ -27,7 +27,7 @@ class Args:
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status, 1 if something broke."""
     args = parse(Args, "python -m tests.faults", arguments)
-    # After the options, so that the help comes without torch.
+    # Imported after the options are parsed, so that the help does not import torch.
     from tqdm import tqdm
 
     from tests.faults.run import Faults

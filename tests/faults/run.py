@@ -1,4 +1,4 @@
-"""The faults, and the processes that they are injected into."""
+"""The faults, and the processes that receive them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from capsule_gym import CapsuleVectorEnv
 from tests.agents.training.small import differences, log
 
 HANG_SECONDS = 240.0
-# Modules are imported once, by a process that is forked for each child.
+# One process imports the modules, and is forked for each child.
 CONTEXT = multiprocessing.get_context("forkserver")
 CONTEXT.set_forkserver_preload(["agents.training.loop", "agents.report.page", "train", "tests.faults.run"])
 # Trainings of seconds with many checkpoints. An update is 128 steps (PPO) or 8 (SAC).
@@ -40,7 +40,7 @@ TINY = {
 }
 # Steps between checkpoints.
 INTERVAL = {"ppo": 1024, "sac": 512}
-# Moments of a kill or a stop: name, when, the signals (one of them, or both if they are equal), and times.
+# Kills and stops: name, moment, signals (one of them, or both if they are equal), and number of times.
 MOMENTS = (
     ("kill -9 after a checkpoint", "training", (SIGKILL,), 60),
     ("kill -9 while a checkpoint is written", "writing", (SIGKILL,), 25),
@@ -57,7 +57,7 @@ class Child:
     """A process that calls a function; its output goes to a file.
 
     Args:
-        output: that file.
+        output: the file.
         function: the function.
         arguments: of the function.
     """
@@ -87,11 +87,11 @@ class Child:
         return status
 
     def printed(self) -> str:
-        """The end of its output."""
+        """The last part of the output."""
         return self.output.read_text(errors="replace")[-2000:]
 
     def handles_signals(self) -> bool:
-        """Whether it has run the first lines of train.py."""
+        """Whether the process has run the first lines of train.py."""
         try:
             status = Path(f"/proc/{self.process.pid}/status").read_text()
         except OSError:
@@ -102,7 +102,7 @@ class Child:
 
 def _call(output: str, function: Callable[..., None], arguments: Sequence[Any]) -> None:
     """In the child: calls the function, with its output in a file."""
-    # Ctrl-C in a terminal is for the parent.
+    # Ctrl-C in a terminal is meant for the parent.
     os.setsid()
     descriptor = os.open(output, os.O_WRONLY | os.O_APPEND)
     os.dup2(descriptor, 1)
@@ -114,7 +114,7 @@ def _call(output: str, function: Callable[..., None], arguments: Sequence[Any]) 
 
 
 def train(arguments: Sequence[str], cache: str, limit: int) -> None:
-    """In the child: train.py; `cache` is a folder of compiled code or "", `limit` the largest size of a file or 0."""
+    """In the child: runs train.py; `cache` is a folder of compiled code or "", `limit` the largest file size or 0."""
     import train as command
 
     command.QUIET_EXIT.install()
@@ -126,7 +126,7 @@ def train(arguments: Sequence[str], cache: str, limit: int) -> None:
 
 
 def execute(arguments: Sequence[str]) -> None:
-    """In the child: a new Python with train.py."""
+    """In the child: runs train.py in a new Python."""
     os.execv(sys.executable, [sys.executable, "train.py", *arguments])
 
 
@@ -145,8 +145,8 @@ class Faults:
     """Injects faults and collects the results.
 
     Args:
-        folder: of all files.
-        short: whether each is injected once or a few times only.
+        folder: the folder of all files.
+        short: whether to inject each fault only once or a few times.
 
     Attributes:
         broken: messages about what went wrong.
@@ -162,7 +162,7 @@ class Faults:
         self._references: dict[str, Path] = {}
 
     def inject(self) -> Iterator[str]:
-        """Injects all faults; yields a fault's name after every time."""
+        """Injects all faults; yields the fault's name after each injection."""
         moments = [
             (name, when, signals)
             for name, when, signals, times in MOMENTS
@@ -176,7 +176,7 @@ class Faults:
         yield from self.compile_at_once(2 if self.short else 8)
 
     def expect(self, name: str, condition: bool, message: str) -> None:
-        """Notes what does not hold."""
+        """Records a condition that does not hold."""
         if not condition:
             self.broken.append(f"{name}: {message}")
 
@@ -196,7 +196,7 @@ class Faults:
         return Child(self.new("log"), train, self.arguments(algo, run), cache, limit)
 
     def finish(self, name: str, algo: str, run: Path) -> None:
-        """Resumes a run to its end, and compares it with one without faults."""
+        """Resumes a run to its end, and compares it with a run without faults."""
         if algo not in self._references:
             reference = self.new(f"whole-{algo}")
             if (child := self.train(algo, reference)).end() != 0:
@@ -226,7 +226,7 @@ class Faults:
                 child.send(number)
                 time.sleep(0.05)
             status, printed = child.end(), child.printed()
-            # 0: it was complete before.
+            # 0: the run was already complete.
             expected = (0, -SIGKILL) if SIGKILL in signals else (0, INTERRUPTED)
             right = status in expected and "Traceback" not in printed
             self.expect(name, right, f"exit status {status}: {printed}")

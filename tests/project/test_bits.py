@@ -1,6 +1,6 @@
-"""The bits of whole episodes on this processor, and on a lesser one with other libraries of elementary functions.
+"""The bits of whole episodes on this processor, on a simpler one, and with other libraries of elementary functions.
 
-`make bits-check` compares those of one training seed of each policy, `make bits` all of them on every processor that
+`make bits-check` compares one training seed of each policy; `make bits` compares all seeds on every processor that
 this one can emulate.
 """
 
@@ -20,7 +20,7 @@ def test_bits_are_the_committed_ones(capsys) -> None:
 
 @pytest.mark.parametrize("other", ["processor", "libraries of elementary functions"])
 def test_bits_do_not_depend_on_the(other: str) -> None:
-    # Other processors are known by their names on x86 alone; without fused instructions one takes minutes for a law.
+    # Only x86 has names for other processors; without fused instructions, a law takes minutes.
     variables, subject = bits.processors().get("generic", {}), "plant"
     if other != "processor":
         variables, subject = bits.both_libraries(), SUBJECTS[-1]

@@ -1,4 +1,4 @@
-"""Properties of all commands: help at once with examples and without heavy imports, errors that name the argument."""
+"""Properties of all commands: fast help with examples and without heavy imports, and errors that name the argument."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-# Started by another command.
+# Another command starts these modules.
 INNER = {"web.modules"}
 HEAVY = {"torch", "stable_baselines3", "sb3_contrib", "matplotlib", "scipy", "numba", "joblib", "optuna", "mujoco"}
-# Shows the help of every command in a process of its own, forked after the imports that all need.
+# Shows the help of every command in a process of its own, forked after the shared imports.
 HELP = """
 import contextlib, io, json, os, runpy, sys
 import numpy, tyro, gymnasium

@@ -24,7 +24,7 @@ FENCE = re.compile(r"^( *)```(\w+)\b[^\n]*\n(.*?)^\1```\s*$", re.DOTALL | re.MUL
 SHELL = ("bash", "sh", "shell", "console")
 # The JavaScript of docs/live.md runs in tests/web.
 KNOWN = {"python", "text", "js", *SHELL}
-# Programs that are not this project's.
+# Programs of other projects.
 ELSEWHERE = {"git", "bash", "cd", "tensorboard", "pre-commit", "pip", "venv"}
 MODULES_ELSEWHERE = {"pytest", "venv", "pip", "rl_zoo3.train"}
 
@@ -42,7 +42,7 @@ def texts(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def blocks() -> Iterator[tuple[str, int, str, str]]:
-    """File, lines before it, language and code of every fenced block."""
+    """File, number of lines before it, language and code of every fenced block."""
     for path in (*PAGES, *MODULES):
         for first, text in texts(path):
             for match in FENCE.finditer(text):
@@ -75,7 +75,7 @@ def test_block_runs(name: str, line: int, language: str, code: str, tmp_path: Pa
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setenv("MPLBACKEND", "agg")
-    # A real file, because compiled control laws read their own source; padded, so that line numbers are the page's.
+    # A real file, because compiled laws read their own source; padding gives it the line numbers of the page.
     script = tmp_path / f"{Path(name).stem}.py"
     script.write_text("\n" * line + code, encoding="utf-8")
     runpy.run_path(str(script), run_name="__main__")
@@ -90,7 +90,7 @@ def test_examples_give_what_they_show(path: Path) -> None:
 
 @cache
 def help_of(name: str, *words: str) -> str:
-    """What `--help` of a module prints after these words."""
+    """The output of `--help` of a module after these words."""
     spec = importlib.util.find_spec(name)
     assert spec is not None, f"there is no module {name}"
     module = importlib.import_module(f"{name}.__main__" if spec.submodule_search_locations else name)
@@ -102,7 +102,7 @@ def help_of(name: str, *words: str) -> str:
 
 @pytest.mark.parametrize("line", COMMANDS)
 def test_commands_and_their_options_exist(line: str) -> None:
-    # The body of a loop, without variables of the environment.
+    # Takes the body of a loop, without environment variables.
     line = re.sub(r"^for \w+ in .*?; do (.*?)[;&] *done.*$", r"\1", line)
     words = shlex.split(re.sub(r"^(\w+=\S* )+", "", line), comments=True)
     program, rest = Path(words[0]).name, words[1:]
@@ -119,7 +119,7 @@ def test_commands_and_their_options_exist(line: str) -> None:
     elif rest[0] == "-m":
         assert rest[1] in MODULES_ELSEWHERE or {each for each in options if each not in help_of(rest[1])} == set()
     elif rest[0] == "train.py":
-        # The options of an algorithm are shown for that algorithm.
+        # The help shows an algorithm's options only for that algorithm.
         chosen = [word for n, word in enumerate(rest) if "--algo" in (word, rest[n - 1])]
         assert {each for each in options if each not in help_of("train", *chosen)} == set()
     else:

@@ -1,4 +1,4 @@
-"""No command reads a pickle of a folder or file that it is given, unless an option says that it may."""
+"""No command unpickles a file or folder that it is given, unless an option allows it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MARK = "unpickled"
 
 
 class Touch:
-    """A pickle of this makes a file when it is loaded."""
+    """A pickle of this object creates a file when it is loaded."""
 
     def __reduce__(self):
         return Path.touch, (Path(MARK),)
@@ -40,7 +40,7 @@ PICKLE = pickle.dumps(Touch())
 
 
 def archive() -> bytes:
-    """A model of Stable-Baselines3's, each part of which is such a pickle."""
+    """A Stable-Baselines3 model whose parts are all such pickles."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as parts:
         data = {"policy_class": {":type:": "type", ":serialized:": base64.b64encode(PICKLE).decode()}}
@@ -51,14 +51,14 @@ def archive() -> bytes:
 
 
 def arrays() -> bytes:
-    """A numpy archive with such a pickle in it."""
+    """A numpy archive that contains such a pickle."""
     content = io.BytesIO()
     np.savez(content, nominal=np.array([Touch()], object), values=np.array([Touch()], object))
     return content.getvalue()
 
 
 def write_run(folder: Path, algo: str, config: Config | None = None) -> None:
-    """The folder of a run whose files are such pickles, but for its configuration."""
+    """Writes the folder of a run whose files are such pickles, except the configuration."""
     (folder / "best").mkdir(parents=True)
     settings = (config or small("direct", algo)).to_dict()
     (folder / "config.json").write_text(json.dumps({"task": "direct", "algo": algo, "hyperparameters": settings}))
@@ -73,7 +73,7 @@ def write_run(folder: Path, algo: str, config: Config | None = None) -> None:
 
 @pytest.fixture
 def hostile(tmp_path, monkeypatch) -> Path:
-    """A working folder with every kind of file and folder that a command may be given."""
+    """A working folder with every kind of file and folder that a command may read."""
     monkeypatch.chdir(tmp_path)
     write_run(tmp_path / "run", "ppo")
     write_run(tmp_path / "lstm", "recurrent-ppo")
@@ -92,7 +92,7 @@ def hostile(tmp_path, monkeypatch) -> Path:
 
 
 PATHS = ("run", "lstm", "run/best", "lstm/best", "lstm/best/model.zip", "model.zip", "policy.safetensors", "archive")
-# The commands that take a path which they read, and how.
+# The commands that read a path, with their arguments.
 READERS = {
     "agents.evaluate": [*([path] for path in PATHS), ["adaptive", "--set", "set.json"], ["zero", "--against", "run"]],
     "agents.report": [[path, "-o", "page.html"] for path in PATHS],
@@ -104,7 +104,7 @@ READERS = {
     "capsule_gym.play": [["--rival", "run"], ["--set", "set.json"]],
     "train": [["--run", "run"], ["--run", "lstm", "--task", "direct", "--algo", "recurrent-ppo"]],
 }
-# Those that read what an option names as trusted.
+# The commands with an option that trusts the path.
 TRUSTING = (
     ["agents.report", "lstm", "-o", "page.html", "--trust-pickle"],
     ["agents.study", "direct-ppo", "--runs", "study", "--seeds", "0", "--resume"],
@@ -113,7 +113,7 @@ TRUSTING = (
 
 
 def main_of(command: str) -> Callable[[list[str]], int]:
-    """The function of a command's line."""
+    """The `main` function of a command."""
     module = importlib.import_module(command)
     return (module if hasattr(module, "main") else importlib.import_module(f"{command}.__main__")).main
 
@@ -130,7 +130,7 @@ def test_nothing_is_unpickled_that_is_not_trusted(command, hostile, monkeypatch,
 
 
 def test_what_reads_a_path_is_among_these():
-    """A new command has to say whether it reads what it is given."""
+    """Every command is listed as one that reads a path, or as one that does not."""
     others = {name for name in commands() if name.startswith(("benchmarks", "tests", "web"))}
     only_written = {"agents.analysis", "agents.distillation", "agents.evaluation.sets", "agents.leaderboard"}
     only_written |= {"baselines.paper", "baselines.paper.optimal_profiles", "baselines.paper.speed_bound"}

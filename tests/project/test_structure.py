@@ -1,4 +1,4 @@
-"""What is installed and imported: packages and data, light imports, import contracts."""
+"""Installation and imports: packages and data, light imports, import contracts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-# Without the optional packages: an environment with and without a law is made and stepped.
+# Without the optional packages, an environment with and without a law is created and stepped.
 MINIMAL = """
 import sys
 for name in ("agents", "torch", "stable_baselines3", "pygame", "PIL", "matplotlib", "tyro", "tqdm"):
@@ -40,7 +40,7 @@ def test_another_package_baselines_is_named(tmp_path: Path) -> None:
     (tmp_path / "baselines").mkdir()
     (tmp_path / "baselines" / "__init__.py").touch()
     code = "from capsule_gym import CapsuleEnv; CapsuleEnv(controller='baselines:adaptive')"
-    # The folder in which Python starts comes first.
+    # Python searches the folder in which it starts first.
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
@@ -67,7 +67,7 @@ def test_no_tracked_file_is_large_or_names_a_path_of_a_machine() -> None:
     listing = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     files = [path for name in listing.split("\0") if name and (path := ROOT / name).is_file()]
     assert [path for path in files if path.stat().st_size > 5_000_000] == []
-    # Put together here, so that this file does not hold them itself.
+    # The strings are joined here, so that this file does not contain them.
     paths = [("/work/" + "main").encode(), ("/ro" + "ot/").encode()]
     contents = {path: path.read_bytes() for path in files}
     assert [

@@ -11,7 +11,7 @@ from web import build
 
 @pytest.fixture(scope="session")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder that `make web` writes, in another place."""
+    """The folder that `make web` writes, built in a temporary place."""
     folder = tmp_path_factory.mktemp("site") / "live"
     build.main(["--output", str(folder)])
     return folder

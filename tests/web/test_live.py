@@ -24,9 +24,9 @@ COMMITTED = json.loads(episodes.FILE.read_text(encoding="utf-8"))
 
 @pytest.fixture(scope="session")
 def node(site: Path) -> Node:
-    """Runs JavaScript in which the module is `live`, and `show` hands a value over; returns the value.
+    """Runs JavaScript with the module as `live`, and returns the value passed to `show`.
 
-    A user's machine may have no node, CI must.
+    node is optional on a user's machine and required in CI.
     """
     if shutil.which("node") is None and "CI" not in os.environ:
         pytest.skip("needs node")
@@ -167,7 +167,7 @@ def test_disturbances_are_drawn_and_set_as_in_python(node: Node) -> None:
     plant = {"M": 0.5, "mu": 0.01}
     fixed = {**plant, "capsule": {"slope": 0.02, "m": 0.14}, "disturbances": {"latency": 0.007}}
     worlds, drawn = [], []
-    # The second episode follows from the seed as well.
+    # The seed also determines the second episode.
     for seed, options in ((2**40 + 5, plant), (None, fixed)):
         _, info = env.reset(seed=seed, options=options)
         drawn.append(info["disturbances"]["latency"])

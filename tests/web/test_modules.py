@@ -32,7 +32,7 @@ def test_numbas_optimiser_must_be_off() -> None:
 
 
 def exact(a: float, b: float, c: float) -> float:
-    """a b + c rounded once, by fractions."""
+    """a b + c rounded once, computed with fractions."""
     value = Fraction(a) * Fraction(b) + Fraction(c)
     return float(value) if value else a * b + c if 0.0 in (a, b) else 0.0
 

@@ -16,12 +16,12 @@ from web import episodes
 
 Open = Callable[..., Any]
 COMMITTED = json.loads(episodes.FILE.read_text(encoding="utf-8"))
-# .ci/run installs the first where there is none.
+# .ci/run installs the first browser if none is present.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 LAW = "#driver=adaptive&M=0.5&mu=0.01"
 PAUSED = f"{LAW}&t=0.1"
-# Milliseconds that a machine with other work may take over anything here, but for the check.
+# Time that a busy machine may take for a wait, ms; the check may take longer.
 PATIENCE = 60_000
 MINUS = "\N{MINUS SIGN}"
 SIZE = {"width": 1280, "height": 800}
@@ -29,7 +29,7 @@ SIZE = {"width": 1280, "height": 800}
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """A headless browser. A user's machine may have none, CI must."""
+    """A headless browser. It is optional on a user's machine and required in CI."""
     executable = next(filter(None, map(shutil.which, BROWSERS)), None)
     if executable is None and "CI" not in os.environ:
         pytest.skip(f"needs a browser: one of {', '.join(BROWSERS)}")
@@ -44,7 +44,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def open_page(browser: Any, site: Path) -> Iterator[Open]:
-    """Opens the page with a hash; at the end no page may have written to the console or asked for another file."""
+    """Opens the page with a hash; at the end, checks that no page wrote to the console or requested another file."""
     live = (site / "index.html").as_uri()
     contexts: list[Any] = []
     said: list[str] = []
@@ -77,18 +77,18 @@ def figure(page: Any, name: str) -> float:
 
 
 def reaches(page: Any, time: float) -> None:
-    """Waits until that time is shown, or a later one."""
+    """Waits until the page shows that time or a later one."""
     page.wait_for_function("time => Number(document.getElementById('figure-time').textContent) >= time", arg=time)
 
 
 def shows(page: Any, name: str, text: str, patience: int = PATIENCE) -> None:
-    """Waits until an element holds that text."""
+    """Waits until an element contains that text."""
     holds = "([id, text]) => document.getElementById(id).textContent.includes(text)"
     page.wait_for_function(holds, arg=[name, text], timeout=patience)
 
 
 def link(page: Any) -> dict[str, str]:
-    """What the address says behind the #."""
+    """The parameters behind the # of the address."""
     return {key: values[0] for key, values in parse_qs(page.evaluate("location.hash.slice(1)")).items()}
 
 
@@ -98,7 +98,7 @@ def measures(page: Any) -> list[str]:
 
 
 def playing(page: Any) -> bool:
-    """Whether time goes on."""
+    """Whether the scene is playing."""
     return page.locator("#play").get_attribute("aria-label") == "Pause"
 
 
@@ -308,7 +308,7 @@ def test_links_hold_the_whole_scene(open_page: Open, scene: str) -> None:
 
 def test_what_is_wrong_in_a_link_is_shown(open_page: Open) -> None:
     page = open_page(PAUSED)
-    # The scene before may write its own address before the page reads the new one.
+    # The previous scene may write its own address before the page reads the new one.
     follow = "scene => { location.hash = scene; history.replaceState(null, '', '#driver=epc'); }"
     for scene, words in WRONG:
         page.evaluate(follow, scene)
@@ -316,7 +316,7 @@ def test_what_is_wrong_in_a_link_is_shown(open_page: Open) -> None:
         assert page.locator("#trouble").is_visible()
 
 
-# Seconds that each key is held in turn: 1 is the left one, 0 is none. All begin with what the reader sees first.
+# Seconds for which each key is held in turn: 1 is the left key, 0 is none. All start from the page's first view.
 PATTERNS = {
     "hold left": [(1, 9)],
     "hold right": [(-1, 9)],
@@ -327,7 +327,7 @@ PATTERNS = {
     "taps": [(1, 0.2), (0, 0.4)],
     "the rule": [(1, 0.3), (-1, 0.9)],
 }
-# Follows the pattern, or without one the helper's light as late as a reader, for 10 s; distance in cm.
+# Follows the pattern, or without a pattern the helper's light with a reader's delay, for 10 s; distance in cm.
 FOLLOW = """async ([pattern, late]) => {
     const { Lane } = await import("lane.js");
     const { readScene } = await import("scene.js");

@@ -76,7 +76,7 @@ def test_training_settings_do_not_change_the_episodes():
     kwargs = {"randomization": "wide", "initial_noise": 0.3, "num_envs": 7, "max_episode_steps": 3}
     kwargs |= {"autoreset_mode": "SAME_STEP"}
     assert evaluate(Sine(0.3, env_kwargs=kwargs), TINY, horizon=1.0) == plain
-    # The agent's step is the policy's own; the episode is as long.
+    # The policy determines the control interval; the duration of the episode stays the same.
     assert evaluate(Sine(0.3, env_kwargs={"control_dt": 0.01}), TINY, horizon=1.0)[0]["duration"] == pytest.approx(1.0)
 
 
@@ -129,12 +129,12 @@ def test_noise_on_the_actions_is_the_same_every_time():
     quiet = evaluate(Noted(0.0), TINY, horizon=1.0)
     first, same = (evaluate(Noted(0.0), TINY, horizon=1.0, action_noise=1e-3) for _ in range(2))
     assert first == same != quiet
-    # Uniform, in parts of the torque limit of 1.5 N m; another in every episode.
+    # The noise is uniform, relative to the torque limit of 1.5 N m, and differs in every episode.
     for episode in first:
         assert 0.9e-3 < episode["peak_torque"] / 1.5 <= 1.0001e-3
         assert episode["rms_torque"] / 1.5 == pytest.approx(1e-3 / np.sqrt(3.0), rel=0.2)
     assert len({episode["rms_torque"] for episode in first}) == 3
-    # A trained policy is then called at every step.
+    # With noise, a trained policy is called at every step.
     policy = make_policy()
     assert evaluate(policy, TINY, horizon=0.5, action_noise=1e-3) != evaluate(policy, TINY, horizon=0.5)
 

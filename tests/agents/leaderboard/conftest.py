@@ -11,7 +11,7 @@ README = f"# Title\n\nBefore.\n\n{START}\n{END}\n\nAfter.\n"
 
 @pytest.fixture
 def world(tmp_path, monkeypatch):
-    """Scripted policies, one that fails everywhere, a chaotic one and one of a task; a checkpoint; a README."""
+    """Scripted policies: ordinary, failing everywhere, chaotic and of another task; a checkpoint; a README."""
     known = {name: Sine(amplitude, name=name) for name, amplitude in (("adaptive", 0.3), ("bold", 0.6))}
     known["wild"] = Sine(1.5, period=10.0, name="wild")
     known["twitch"] = Twitch()

@@ -81,7 +81,7 @@ def test_check_finds_another_plant(written, monkeypatch):
 
 @pytest.fixture
 def main(world, monkeypatch):
-    """The command on a small set of two tasks each."""
+    """The command on a small set for each of two tasks."""
     monkeypatch.setattr(leaderboard, "SETS", ("paper", "goal"))
     of_task = {"paper": "speed", "goal": "goal"}
     monkeypatch.setattr(leaderboard, "load_set", lambda name: replace(make_set(name, (0.5, 0.2)), task=of_task[name]))
@@ -110,7 +110,7 @@ def test_command_line(main, world, capsys):
     write_run(world / "checkpoints" / "fresh" / "seed-0", 0)
     contents = {path.name: path.read_bytes() for path in (world / RESULTS).iterdir()}
     assert main("learnt", "fresh", "bold") == 0
-    # The results of a row that has not changed are the same bytes.
+    # The results of an unchanged row keep their bytes.
     new = {path.name: path.read_bytes() for path in (world / RESULTS).iterdir()}
     assert {name for name in new if contents.get(name) != new[name]} == {"fresh.npz", "learnt.npz"}
     assert "|fresh|" in (world / "LEADERBOARD.md").read_text()

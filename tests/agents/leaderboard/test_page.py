@@ -41,10 +41,10 @@ def test_every_committed_checkpoint_has_its_command():
 def test_pages_of_other_boards(written):
     text = (written / "leaderboard.json").read_text()
     board = json.loads(text, parse_constant=lambda name: pytest.fail(name))
-    # What does not fit a telephone is folded.
+    # Content that does not fit a telephone is folded.
     page = render(board)
     assert page.count("<details") == page.count("</details>") == 4
-    # A few failures of many are not rounded to none.
+    # A small share of failures is not rounded to zero.
     row_of(board, "bold")["results"]["paper"] |= {"failures": 1, "episodes": 1000}
     lines = {row[0]: row for row in table(render(board), "## On every set")}
     assert lines["bold"][-1].replace("\N{NO-BREAK SPACE}", " ").endswith(" (< 1 %)")
@@ -54,7 +54,7 @@ def test_pages_of_other_boards(written):
     assert {row[2] for row in table(head({**board, "rows": rows}))[2:]} == {"-"}
     names = [row[0] for row in table(head({**board, "rows": [*rows, *board["rows"]]}))[2:]]
     assert names == [f"better-{i:02}" for i in range(count)] + ["adaptive"]
-    # The fastest on another set are there, too, with their speed on it.
+    # The table also contains the fastest policies on another set, with their speed on that set.
     fast = copy.deepcopy(row_of(board, "wild")) | {"policy": "elsewhere"}
     speed = {"iqm": 99.0, "low": 98.0, "high": 99.5}
     fast["results"]["sticky"] = fast["results"]["paper"] | {"mean_speed": speed, "failures": 0}

@@ -1,4 +1,4 @@
-"""Shared by the tests of the leaderboard: sets of a few short episodes; how to read and change what is written."""
+"""Helpers of the leaderboard's tests: sets of a few short episodes, and functions that write, read and change rows."""
 
 import dataclasses
 import json
@@ -20,7 +20,7 @@ SETS = [make_set("nominal", (0.5, 0.01)), make_set("paper", (0.5, 0.01), (0.55, 
 
 
 def write_all(root):
-    """What `python -m agents.leaderboard` writes."""
+    """Writes the files of `python -m agents.leaderboard`."""
     rows = list(evaluate(all_candidates(), SETS, horizon=HORIZON))
     for row in rows:
         save_row(root / RESULTS, row)
@@ -43,7 +43,7 @@ def read(root):
 
 
 def edit_row(root, name, change):
-    """Changes a row's results, and writes what is made of them."""
+    """Changes a row's results, and writes the files that depend on them."""
     row = load_row(path_of(root / RESULTS, name))
     row = dataclasses.replace(row, scores={name: values.copy() for name, values in row.scores.items()})
     change(row)

@@ -1,4 +1,4 @@
-"""Studies: which runs there are, what stops them, and what may be published."""
+"""Studies: the plan of runs, failures and interruptions, and publication of results."""
 
 import dataclasses
 import json
@@ -56,7 +56,7 @@ def test_a_run_that_fails_does_not_stop_the_others(tmp_path, monkeypatch):
     assert jobs[1].finished and not jobs[0].finished
     assert "tiny/seed-1" in results_table(jobs) and "2,048" in results_table(jobs)
     assert "Traceback" in jobs[0].run.with_name("seed-0.log").read_text()
-    # A finished run is not touched again.
+    # A finished run is not trained again.
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
     assert train_all(jobs[1:], 1) == {}
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before

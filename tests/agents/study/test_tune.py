@@ -45,7 +45,7 @@ def test_a_search_resumes_where_it_was_stopped(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(ROWS, "tiny", small("direct", "ppo"))
     monkeypatch.setitem(tune.SPACES, "ppo", {"learning_rate": (1e-4, 1e-3), "one_minus_gamma": (1e-3, 1e-1)})
     words = ["tiny", "--trials", "2", "--total-steps", "1024", "--runs", str(tmp_path)]
-    # Ctrl-C in the first trial, which is tried again with the same parameters.
+    # Ctrl-C interrupts the first trial; the resumed search repeats it with the same parameters.
     assert tune.main(words) == 130
     with pytest.raises(SystemExit):
         tune.main(words)
@@ -59,7 +59,7 @@ def test_a_search_resumes_where_it_was_stopped(tmp_path, monkeypatch, capsys):
     assert first != second
     assert len([path for path in (tmp_path / "tiny").glob("*") if path.is_dir()]) == 2
     assert content["trials"][0]["evaluations"][0] == {"steps": 512.0, "score_cm_s": 5.0}
-    # The number of trials is reached.
+    # The search has reached the number of trials.
     assert tune.main(words) == 0
     assert json.loads((tmp_path / "tiny" / "trials.json").read_text())["trials"] == content["trials"]
     assert "Best of 2 complete trials: 5.00 cm/s" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""Configurations small enough to train within a test, and whether two runs are the same, bit for bit."""
+"""Configurations small enough to train within a test, and comparisons of runs, bit for bit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from capsule_gym import load_policy
 from capsule_gym.policy import POLICY
 
 SMALL = {"num_envs": 8, "batch_size": 64, "hidden": 8, "evaluation_episodes": 2, "evaluate_every": 10_000}
-# Columns of times, and counts since the last resumption.
+# Columns with times, and with counts since the last resumption.
 CLOCKS = ("core_seconds", "time/fps", "time/time_elapsed", "time/iterations")
 
 
@@ -44,7 +44,7 @@ class Killed(BaseException):
 
 
 def train_until(run: Path, steps: int, monkeypatch: pytest.MonkeyPatch, *, killed: bool) -> None:
-    """Trains, and kills the training after so many agent steps, or sends it Ctrl-C."""
+    """Trains, and kills the training after so many agent steps or sends it Ctrl-C."""
     step = TrainingCallback._on_step
 
     def stopped(self: TrainingCallback) -> bool:
@@ -68,13 +68,13 @@ def weights(model: Any) -> np.ndarray:
 
 
 def parameters(archive: Path) -> dict[str, Any]:
-    """Networks and optimisers of an archive, without unpickling."""
+    """Networks and optimisers of an archive, loaded without unpickling."""
     _, states, variables = load_from_zip_file(archive, load_data=False, device="cpu")
     return {"states": states, "variables": variables}
 
 
 def network(folder: Path) -> bytes:
-    """The numbers of the policy in a folder, whatever run it says that it is of; none where it has no file."""
+    """The policy's parameters in a folder as bytes, without the name of the run; empty if the folder has no policy."""
     if not (folder / POLICY).is_file():
         return b""
     policy = load_policy(folder / POLICY)
@@ -82,7 +82,7 @@ def network(folder: Path) -> bytes:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Whether two nests of containers hold the same bits."""
+    """Whether two nested containers hold the same bits."""
     if isinstance(a, torch.Tensor):
         return torch.equal(a, b)
     if isinstance(a, dict):
@@ -100,7 +100,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 
 def log(run: Path) -> dict[int, dict[str, str]]:
-    """The lines of a run's log by agent steps; a process that resumes writes those after its first step again."""
+    """The lines of a run's log by agent steps; a resumed process writes the lines after its first step again."""
     found: dict[int, dict[str, str]] = {}
     for path in sorted((run / "logs").glob("progress-*.csv")):
         start = int(path.stem.removeprefix("progress-"))

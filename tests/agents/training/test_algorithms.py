@@ -1,4 +1,4 @@
-"""Agents: policy files and archives act as the agent, faster classes learn as SB3's; stock classes and wrappers."""
+"""Agents: policy files and archives act like the agent, faster classes learn like SB3's; stock classes and wrappers."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from capsule_gym.policy import POLICY
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 from tests.agents.training.small import differences, finished, rows, small, train_until, weights
 
-# Largest difference of an action from torch's, which computes in float32.
+# Largest difference between an action and torch's, which computes in float32.
 AGREEMENT = 2e-6
 PLANTS = EvaluationSet("two", (PlantSpec(M=0.5, mu=0.01, seed=0), PlantSpec(M=0.46, mu=0.01, seed=1)))
 SWING = "tests.agents.training.wrappers:Swing"
@@ -48,7 +48,7 @@ SWING = "tests.agents.training.wrappers:Swing"
 
 
 def agent(kind: type[BaseAlgorithm], **policy_kwargs: Any) -> BaseAlgorithm:
-    """An agent whose weights are large enough to reach an end of the actions, and whose statistics are not trivial."""
+    """An agent with weights large enough to reach the bounds of the actions, and with nontrivial statistics."""
     rng = np.random.default_rng(1)
     env = VecNormalize(CapsuleSB3VecEnv(2, seed=0), clip_obs=3.0)
     env.obs_rms.mean[:], env.obs_rms.var[:] = rng.normal(0.0, 0.3, 5), rng.uniform(0.1, 4.0, 5)
@@ -88,7 +88,7 @@ def test_policy_file_and_archive_act_as_the_agent(kind, policy_kwargs, labels, t
     loaded_agent = kind.load(tmp_path / "model.zip", device="cpu")
     normalised = pickle.loads((tmp_path / "vecnormalize.pkl").read_bytes()).normalize_obs(observations)
     assert np.array_equal(loaded_agent.predict(normalised, deterministic=True)[0], expected)
-    # Later training changes nothing in a policy.
+    # Later training does not change an exported policy.
     with torch.no_grad():
         for parameter in model.policy.parameters():
             parameter.zero_()
@@ -109,7 +109,7 @@ def test_fast_sac_makes_the_updates_of_sb3(n_steps):
         config = small("residual", "sac", learning_starts=400, stock=stock, n_steps=n_steps)
         model: Any = make_model(config, make_env(config, 0))
         assert type(model) is (SAC if stock else FastSAC)
-        # Too few steps for an update: both hold the same transitions and the same networks.
+        # The steps are too few for an update, so both agents hold the same transitions and the same networks.
         model.learn(400)
         np.random.seed(0)
         torch.manual_seed(0)
@@ -161,7 +161,7 @@ def test_action_noise_has_its_deviation_and_correlation_time(noise_time):
     values = np.array([noise()[0] for _ in range(40_000)])[1000:]
     assert values.std() == pytest.approx(0.5, rel=0.1)
     later = np.corrcoef(values[:-5], values[5:])[0, 1]
-    # Five steps of 20 ms are the correlation time.
+    # Five steps of 20 ms equal the correlation time.
     assert later == pytest.approx(math.exp(-1.0) if noise_time else 0.0, abs=0.08)
 
 

@@ -1,4 +1,4 @@
-"""Rollouts in one compiled call: the bits of a loop in Python over the batch, whatever happens on the way."""
+"""Rollouts in one compiled call: the same bits as a Python loop over the batch, also with failures and jumps."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def draws(env: RolloutVecEnv, steps: int, seed: int = 0) -> tuple[np.ndarray, np
 
 
 class Loop:
-    """The same environments, stepped in Python with the actions that were drawn."""
+    """Steps the same environments in Python with the drawn actions."""
 
     def __init__(self, count: int, **changes: Any) -> None:
         settings: dict[str, Any] = {"episode_steps": 40, **changes}
@@ -95,7 +95,7 @@ class Loop:
         return low + random_stream(SEED + i, self.episodes[i], Stream.disturbances).random() * (high - low)
 
     def perceive(self, rows: Any) -> np.ndarray:
-        """The inputs of some environments, out of `observations`, and remembers them."""
+        """Returns the inputs of some environments, computed from `observations`, and updates `memory`."""
         capsule, found = self.simulation.capsule, []
         for i in rows:
             row = self.observations[i].tolist()
@@ -119,7 +119,7 @@ class Loop:
                 lane[Row.M], lane[Row.mu] = plant_at(lines, share_M, share_mu)
 
     def follow(self, env: RolloutVecEnv, rollout: Rollout, chances: np.ndarray) -> dict[str, int]:
-        """Holds a rollout to what the batch does with its actions; returns how often what has happened."""
+        """Compares a rollout with the batch under the same actions; returns the number of events of each kind."""
         happened = dict.fromkeys(("failed", "cut", "diverged", "jumped"), 0)
         cut, cut_inputs, infos = {}, {}, {}
         for t, drawn in enumerate(rollout.actions):
@@ -148,7 +148,7 @@ class Loop:
                 place = (i // LANES, t, i)
                 if not terminated[i]:
                     self.observations[i] = info["final_obs"][i]
-                    # The plant of the episode that ends: the batch has begun the next.
+                    # Uses the plant of the ended episode; the batch has already begun the next episode.
                     lane = self.simulation.world[i // LANES, :, i % LANES]
                     present = lane[[Row.M, Row.mu]].copy()
                     lane[[Row.M, Row.mu]] = final["M"][i], final["mu"][i]
@@ -181,7 +181,7 @@ def test_a_rollout_gives_the_bits_of_a_loop_in_python(changes, count):
     network, happened = make_network(env), {"failed": 0, "cut": 0, "diverged": 0, "jumped": 0}
     for n, steps in enumerate((70, 1, 30)):
         noise, chances = draws(env, steps, n)
-        # Actions hold for a while, or nothing would move.
+        # Each action is held for several steps; otherwise nothing would move.
         noise = np.repeat(noise[:: 1 + steps // 10], 1 + steps // 10, axis=0)[:steps]
         rollout = env.collect(network, 2.0, np.ascontiguousarray(noise), chances)
         for name, number in loop.follow(env, rollout, chances).items():
@@ -211,7 +211,7 @@ def test_without_noise_it_acts_as_the_policy_does(changes):
     count, steps = LANES + 2, 35
     env = make_env(count, episode_steps=10_000, **changes)
     own = {name: changes[name] for name in changes if name not in OWN}
-    # It pumps energy into the pendulum, by all that it is given.
+    # The policy pumps energy into the pendulum with all of its inputs.
     weights = np.full((1, env.header.inputs), 0.01, np.float32)
     weights[0, :2] = -1.0, 0.05
     layers = [(weights, np.full(1, 0.1, np.float32))]
@@ -276,7 +276,7 @@ def test_returns_and_advantages_are_those_of_stable_baselines(changes):
     spaces = (env.observation_space, env.action_space)
     buffer = RolloutBuffer(config.n_steps, *spaces, gae_lambda=0.9, gamma=config.gamma, n_envs=config.num_envs)
     with torch.no_grad():
-        # As SB3's own collection does it: a step that a time limit ends is worth what would have followed.
+        # As in SB3's collection, a step that a time limit ends also gets the value of the last inputs.
         for (t, i), inputs in zip(rollout.cut.tolist(), rollout.cut_inputs, strict=True):
             rewards[t, i] += config.gamma * values(inputs[None]).item()
         for t, inputs in enumerate(rollout.inputs):

@@ -1,4 +1,4 @@
-"""What a run logs while it trains."""
+"""Logs of a training run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WATCHED = ("mean_speed", "failed", "stuck_fraction", "reward_progress", "reward_
 
 
 class FakeWandb(SimpleNamespace):
-    """What of wandb is used; remembers what it is told."""
+    """The part of wandb that a run uses; records its calls."""
 
     def __init__(self) -> None:
         super().__init__(begun=[], lines=[], finished=0, errors=SimpleNamespace(Error=ConnectionError))
@@ -52,7 +52,7 @@ def test_the_log_holds_the_terms_of_the_reward(tmp_path, monkeypatch):
     assert "100%" in screen.getvalue() and "1.00k/1.00k" in screen.getvalue()
     lines = log(tmp_path / "run")
     assert list(lines) == [512, 768, 1024]
-    # Episodes that get nowhere have an infinite cost, which is not logged.
+    # Episodes without progress have an infinite cost, which is not logged.
     line = {name: float(value) for name, value in lines[768].items() if name.startswith(("episodes/", "evaluation/"))}
     assert {f"episodes/{name}" for name in WATCHED} | {"evaluation/stuck_fraction"} <= set(line)
     assert 0.0 <= line["episodes/stuck_fraction"] <= 1.0 and line["episodes/reward_energy"] <= 1e-4
@@ -67,7 +67,7 @@ def test_weights_and_biases_is_told_the_same_lines(tmp_path, monkeypatch):
     steps = [step for step, _ in fake.lines]
     assert steps == sorted(steps) and steps[-1] == 768
     assert "episodes/mean_speed" in fake.lines[-1][1] and "evaluation/score" in {k for _, v in fake.lines for k in v}
-    # Gone on with, it is the same run there.
+    # A resumed run continues the same run of wandb.
     train_briefly(tmp_path / "run", wandb=True)
     assert fake.begun[1]["id"] == fake.begun[0]["id"] and fake.begun[0]["resume"] == "allow"
 

@@ -1,4 +1,4 @@
-"""The loop: determinism, what a run's folder holds, interruption and resumption."""
+"""The training loop: determinism, content of a run's folder, interruption and resumption."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from tests.agents.training.small import SMALL, differences, finished, log, rows,
 
 
 def test_bootstrap_happens_at_time_limits_only():
-    # SB3 adds gamma V(terminal observation) to the reward where TimeLimit.truncated says so: with a critic that says 1
-    # everywhere the collected rewards show where.
+    # SB3 adds gamma V(terminal observation) to the reward if TimeLimit.truncated is set. With a large constant V, the
+    # collected rewards show these steps.
     config = small("direct", "ppo", total_steps=256, episode_seconds=0.4)
     env = make_env(config, 0)
     model = make_model(config, env)
@@ -36,7 +36,7 @@ def test_bootstrap_happens_at_time_limits_only():
             torch.nn.init.constant_(parameter, 1000.0 if name.endswith("bias") else 0.0)
     model.learn(256)
     buffer = model.rollout_buffer
-    # Of 32 steps, in episodes of 20.
+    # Each environment takes 32 steps, in episodes of 20.
     ended, rewards = buffer.episode_starts[1:] == 1.0, buffer.rewards[:-1]
     failed = rewards < -0.9 * config.termination_penalty
     assert (ended & ~failed).sum() >= 8 > failed.sum() > 0
@@ -69,7 +69,7 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
     assert content["revision"]
     with (run / "evaluations.csv").open() as file:
         steps = [int(row["steps"]) for row in csv.DictReader(file)]
-    # The first rollout is for the statistics of the observations, and an evaluation comes after one more.
+    # The first rollout estimates the statistics of the observations, and an evaluation follows the next rollout.
     assert steps == [512, 768]
     assert log(run)[768]["evaluation/score"] and list((run / "logs").glob("events*"))
 
@@ -80,14 +80,14 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
     env = make_env(config, 0)
     header = env.venv.header
     env.close()
-    # The last and the best, as file and as archive; the archive takes normalised observations.
+    # The last and the best policy, as file and as archive; the archive takes normalised observations.
     observations = np.random.default_rng(0).normal(size=(5, 10)).astype(np.float32)
     for folder in (run, run / "best"):
         policy = load_policy(folder / "policy.safetensors")
         agent = PPO.load(folder / "model.zip", device="cpu")
         normalise = pickle.loads((folder / "vecnormalize.pkl").read_bytes()).normalize_obs
         torques, _ = agent.predict(normalise(observations), deterministic=True)
-        # The archive knows nothing of the law.
+        # The archive does not contain the law.
         pairs = zip(torques[:, 0].tolist(), observations[:, LAW_TORQUE].tolist(), strict=True)
         wanted = [[to_action(header, torque, law_torque)] for torque, law_torque in pairs]
         np.testing.assert_allclose(policy(observations), wanted, atol=2e-6)
@@ -130,7 +130,7 @@ def test_a_run_in_another_environment_is_judged_by_its_task(tmp_path, monkeypatc
     assert (plants.capsule.static_ratio, policy.env_kwargs.get("capsule")) == (
         (1.5, plants.capsule) if config.static_ratio else (1.3, None)
     )
-    # The file knows its task: the column is that of its best evaluation.
+    # The file names its task, and the policy reproduces its best evaluation.
     values = scores(evaluate(policy, plants), column.rpartition("_")[0])
     assert f"{interquartile_mean(values)[0]:.4f}" in {f"{float(line[column]):.4f}" for line in lines}
 

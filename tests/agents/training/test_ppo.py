@@ -19,7 +19,7 @@ RATE = 1e-3
 
 
 def agent(samples: int = 250, inputs: int = 7, policy_inputs: int = 7, batch_size: int = 96, **changes: Any) -> FastPPO:
-    """An agent with a rollout to learn from, the same for the same arguments."""
+    """An agent with a rollout; the same arguments give the same agent."""
     of_policy = {"net_arch": [13, 6], "activation_fn": FastTanh, "tanh_mean": False, "least_log_std": -20.0}
     of_policy = {name: changes.pop(name, value) for name, value in of_policy.items()}
     options = {"ent_coef": 0.01, "n_epochs": EPOCHS, "learning_rate": RATE, "seed": 3, "device": "cpu", **changes}
@@ -42,7 +42,7 @@ def agent(samples: int = 250, inputs: int = 7, policy_inputs: int = 7, batch_siz
 
 
 def give_rollout(model: FastPPO) -> None:
-    """Samples whose ratios of probabilities lie on all sides of the clipping range."""
+    """Fills the buffer with samples whose probability ratios lie below, within and above the clipping range."""
     random, buffer = np.random.default_rng(5), model.rollout_buffer
 
     def normal(*shape: int) -> np.ndarray:
@@ -59,14 +59,14 @@ def give_rollout(model: FastPPO) -> None:
 
 
 def train_by_sb3(model: FastPPO, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same update with the same minibatches."""
+    """Runs SB3's update with the same minibatches."""
     with monkeypatch.context() as patch:
         patch.setattr(np.random, "permutation", lambda count: torch.randperm(count).numpy())
         PPO.train(model)
 
 
 def moments(model: FastPPO, name: str) -> np.ndarray:
-    """What Adam remembers of all parameters."""
+    """A moment of Adam for all parameters."""
     state = model.policy.optimizer.state
     return np.concatenate([state[parameter][name].numpy().ravel() for parameter in model.policy.parameters()])
 
@@ -87,7 +87,7 @@ AGENTS = {
 def test_an_update_is_that_of_stable_baselines(changes, monkeypatch):
     ours, theirs = agent(**changes), agent(**changes)
     before = weights(ours)
-    # The second update goes on from the moments of the first.
+    # The second update continues with the moments of the first.
     for _ in range(2):
         torch.manual_seed(1)
         ours.train()
@@ -118,7 +118,7 @@ def test_torch_goes_on_from_a_compiled_update(monkeypatch):
 
 
 def test_the_divergence_is_that_of_stable_baselines(monkeypatch):
-    # SB3's is that of the last epoch, ours the mean of all.
+    # SB3 logs the divergence of the last epoch, FastPPO the mean of all epochs.
     ours, theirs = agent(n_epochs=1), agent(n_epochs=1)
     torch.manual_seed(1)
     ours.train()
@@ -158,7 +158,7 @@ def test_the_policy_file_of_every_option_acts_as_the_agent(tanh_mean):
     policy = export("run", model, config, "abc")
     assert policy.squashing == ("tanh" if tanh_mean else "clip")
     observations = np.random.default_rng(0).normal(size=(50, 5)).astype(np.float32)
-    # The inputs of the critic alone do not matter.
+    # The inputs that only the critic receives do not affect the action.
     further = np.full((50, 3), np.log(config.energy_weight), np.float32)
     expected, _ = model.predict(env.normalize_obs(np.hstack([observations, further])), deterministic=True)
     np.testing.assert_allclose(policy(observations), expected, atol=2e-6)

@@ -1,4 +1,4 @@
-"""The hyperparameters of training: what they share with the environment is the environment's."""
+"""The hyperparameters of training: options shared with the environment have its descriptions and defaults."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from examples import rl_zoo_sac
 def test_the_command_line_of_a_training_run_takes_its_words_and_defaults_from_the_options():
     fields = {field.name: field for field in dataclasses.fields(PPOConfig)}
     hints = get_type_hints(PPOConfig, include_extras=True)
-    # A run's task is whether there is a law under the action.
+    # The `task` of a run states whether a law acts in addition to the action.
     shared = [name for name in DOCS if name in fields and name != "task"]
     assert set(shared) > {"torque_limit", "residual_limit", "observe_parameters", "energy_weight"}
-    # What policies of before these options do not name.
+    # Policies older than these options do not name them.
     later = {"total_torque", "disturbances", "stack_size", "initial_range"}
     assert set(PPOConfig().env_kwargs()) == set(shared) - later
     for name in ("torque_limit", "observe_parameters", "energy_weight"):
@@ -79,7 +79,7 @@ def test_a_committed_policy_acts_as_its_rows_settings_say(name):
     settings = ROWS[name]
     settings.check()
     assert settings.seed == 0
-    # Policies of before off-policy algorithms had this option do not name it.
+    # Policies trained before off-policy algorithms had this option do not name it.
     default = {"control_dt": EnvConfig.control_dt}
     for policy in find_candidate(name).policies:
         assert default | dict(policy.env_kwargs) == default | settings.env_kwargs()

@@ -1,4 +1,4 @@
-"""Resuming: a run that was killed and stopped ends as one that was not; damaged and broken files are named."""
+"""Resuming: a killed and resumed run ends like an undisturbed run; errors name damaged and broken files."""
 
 from __future__ import annotations
 
@@ -84,14 +84,14 @@ def whole(tmp_path_factory) -> dict[str, Path]:
 def test_a_run_that_was_killed_and_stopped_ends_with_the_same_policy(tmp_path, monkeypatch, whole, algo):
     run = tmp_path / "run"
     begin(run, small(algo))
-    # Before the first checkpoint, and after it.
+    # The run is killed before the first checkpoint, and after it.
     train_until(run, 100, monkeypatch, killed=True)
     assert steps_of(run) == 0
     train_until(run, 390, monkeypatch, killed=True)
     assert 200 <= steps_of(run) < 390
     train_until(run, 410, monkeypatch, killed=False)
     assert 410 <= steps_of(run) < 600
-    # Random numbers drawn in between belong to no run.
+    # Random numbers drawn in between do not affect the run.
     for draw in (random.random, np.random.random, lambda: torch.rand(1)):
         draw()
     assert train(run)
@@ -120,7 +120,7 @@ def test_a_run_goes_on_from_the_checkpoint_before_a_damaged_one(tmp_path, capsys
     run = copy_of(whole["ppo"], tmp_path / "run")
     older, newer = sorted(run.glob("checkpoint-*"))
     flip(newer)
-    # The files of the end, and of a process that was killed while it wrote.
+    # Removes a final file, and adds partial files of a process that was killed while it wrote.
     (run / "model.zip").unlink()
     left = [run / ".model.77.tmp.zip", run / "best" / ".policy.77.tmp.safetensors"]
     for path in left:
@@ -188,7 +188,7 @@ def test_two_processes_cannot_train_one_run(tmp_path, capsys, whole):
     finally:
         holder.kill()
         holder.communicate()
-    # The system has released it.
+    # The operating system has released the lock.
     with locked(run):
         with pytest.raises(RunError, match="being trained by another"), locked(run):
             pass
@@ -240,7 +240,7 @@ REFUSED = [
 def test_what_cannot_be_trained_makes_no_folder(tmp_path, capsys, arguments):
     run = tmp_path / "runs" / "run"
     assert command_line.main(["--total-steps", "64", "--no-comparison", *arguments, "--run", str(run)]) == 2
-    # A law that is new to this machine is compiled before it can be checked, which is said.
+    # A law that is new to this machine is compiled before the check, with a message.
     error = "\n".join(line for line in capsys.readouterr().err.splitlines() if not line.startswith("capsule_gym: "))
     assert error.startswith("train.py: error: ") and "\n" not in error
     named = arguments[2] if arguments[0] == "--algo" else arguments[0]

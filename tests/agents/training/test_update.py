@@ -30,7 +30,7 @@ def parameters(random: np.random.Generator) -> tuple[list[Layer], np.ndarray]:
 
 
 def updated(**changes: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-    """Parameters and moments after some steps, packed, and the losses."""
+    """Packed parameters and moments after some steps, and the losses."""
     random = np.random.default_rng(0)
     packed = [pack(*parameters(random)), *(np.zeros_like(pack(*parameters(random))) for _ in range(2))]
     samples = {
@@ -53,7 +53,7 @@ def test_what_is_packed_is_unpacked():
 
 
 def test_padding_stays_zero():
-    # A padding unit would otherwise learn and count in the norm of the gradient.
+    # A nonzero padding unit would learn, and count in the norm of the gradient.
     packed, losses = updated()
     assert np.isfinite(losses).all()
     for array in packed:
@@ -75,7 +75,7 @@ def test_nan_stays_nan():
 
 
 def test_the_compiled_code_is_found_again_by_any_process():
-    # What has no representation of its own, or a set, would give every process another name, and all would compile.
+    # A default representation or the order of a set would change the name in every process, and all would compile.
     code = "from agents.fast_ppo.update import gradients_of; from capsule_gym.compilation import fingerprint as of"
     code += "; print(of(gradients_of))"
     environment = {**os.environ, "PYTHONHASHSEED": "1"}

@@ -1,11 +1,11 @@
-"""Wrappers of a user for the tests of train.py."""
+"""A user's wrappers, for the tests of train.py."""
 
 import gymnasium as gym
 import numpy as np
 
 
 class Swing(gym.Wrapper):
-    """Rewards the speed of the pendulum, and observes the angle and its speed alone."""
+    """Rewards the speed of the pendulum, and observes only its angle and speed."""
 
     def __init__(self, env):
         super().__init__(env)

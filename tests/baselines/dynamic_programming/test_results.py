@@ -1,4 +1,4 @@
-"""The results on file, the command that computes them, and the policies."""
+"""The stored results, the command that computes them, and the policies."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec
 from capsule_gym.parameters import NOMINAL, Capsule
 
 ROOT = Path(__file__).resolve().parents[3]
-# On a heavy platform with much friction gaits gain from changing their torque every 10 ms.
+# On a heavy platform with much friction, gaits gain by changing their torque every 10 ms.
 SHORTER_INTERVAL_WINS = {(0.75, 0.5), (1.0, 0.5)}
 
 
@@ -49,7 +49,7 @@ def test_the_plants_of_the_sets_are_solved_themselves():
     solved = np.array([optimal_speed(*plant) for plant in plants])
     ratios = np.array([known.interpolated_speed(*plant) for plant in plants]) / solved
     assert 0.001 < np.abs(ratios - 1.0).mean() < 0.02 and np.abs(ratios - 1.0).max() < 0.05
-    # A solution on a much coarser grid is slower, but not by much.
+    # A solution on a much coarser grid is slightly slower.
     coarse = solve_plant(Problem(M=plants[1][0], mu=plants[1][1]), known, (13, 18, 7))
     assert 0.9 < coarse.metrics["mean_speed"][0] / solved[1] < 1.01
 
@@ -67,7 +67,7 @@ def test_speeds_between_the_plants():
         optimal_speed(0.3, 0.1)
     corners, *_ = GRID.cell(0.6, 0.07)
     assert [PLANTS[corner] for corner in corners] == [(M, mu) for M in (0.5, 0.75) for mu in (0.03, 0.1)]
-    # Rounding of the observation and plants outside the grid take the edge.
+    # Rounded observations and plants outside the grid use its edge.
     assert GRID.cell(float(np.float32(0.35)), 0.6) == GRID.cell(0.35, 0.5)
     assert GRID.cell(2.0, 0.0) == GRID.cell(1.0, 0.005)
 
@@ -108,7 +108,7 @@ def test_results_survive_the_file(tmp_path, monkeypatch):
     written.save(tmp_path)
     read = load_archive(tmp_path)
     assert read.results == written.results
-    # The trajectory of the largest reward.
+    # `repeat` returns the trajectory of the largest reward.
     assert (read.repeat(Problem()).choices == fast.choices).all()
     again = read.solution(Problem())
     np.testing.assert_allclose(again.values, values, atol=0.003)
@@ -154,7 +154,7 @@ def test_the_command_solves_what_is_missing_and_keeps_it(tmp_path, monkeypatch, 
     assert command.main([*arguments, "--check"]) == 0
     assert "5 trajectories repeated: 0 differ" in capsys.readouterr().out
     monkeypatch.undo()
-    # The tables are those of the page.
+    # The tables match those of the page.
     assert command.main(["--report"]) == 0
     page = (ROOT / "docs" / "optimum.md").read_text(encoding="utf-8")
     written = {line.replace(" ", "") for line in page.splitlines()}

@@ -1,4 +1,4 @@
-"""Grid, transitions and solver: against the environment, closed forms and value iteration in numpy."""
+"""Grid, transitions and solver, compared with the environment, closed forms and value iteration in numpy."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def make_grid(shape=SHAPE, w=(-2.0, 5.0)):
 
 @pytest.fixture
 def coarse(monkeypatch):
-    """Five torques at every node and no more."""
+    """Five torques at every node, without refinement."""
     monkeypatch.setattr(solver, "TORQUES", 5)
     monkeypatch.setattr(solver, "REFINEMENTS", 0)
 
@@ -34,11 +34,11 @@ def test_nodes_lie_at_their_own_positions():
     grid = make_grid()
     states = grid.nodes()
     expected = np.stack(np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij"), axis=-1).reshape(-1, 3)
-    # Rounding may put the outermost nodes off the grid, and the rate of others is clipped.
+    # Rounding may move the outermost nodes off the grid, and the rate of other nodes is clipped.
     inner = ((expected > 0) & (expected < np.array(SHAPE) - 1)).all(axis=1) & (np.abs(states[1]) < 39.0)
     np.testing.assert_allclose(grid.positions(states)[inner], expected[inner], atol=2e-4)
     assert inner.mean() > 0.3
-    # Stick lies on nodes.
+    # Stick states lie on nodes.
     assert (states[2] == 0.0).sum() == SHAPE[0] * SHAPE[2]
     position = grid.positions(np.array([[0.3], [2.0], [0.0]]))[0, 1]
     assert position == pytest.approx(round(position), abs=1e-5)
@@ -50,7 +50,7 @@ def test_a_transition_is_a_step_of_the_environment_bit_for_bit():
     starts[::3, 3] = 0.0
     actions = rng.uniform(-1.0, 1.0, 40).astype(np.float32)
     model = Transitions(Problem(mu=0.2, energy_weight=0.3), 40)
-    # A batch that has been used is as good as a new one, and every state may have its own plant.
+    # A batch can be used again, and every state may have its own plant.
     model.step(rng.uniform(-1.0, 1.0, (3, 40)), np.ones(40))
     M = rng.uniform(0.4, 0.6, 40)
     model.set_plants(M, np.full(40, 0.2))
@@ -80,7 +80,7 @@ def test_a_transition_with_a_law_is_what_the_running_episodes_do_next():
     places = 2 * np.arange(3) + chosen
     _, found, terminated, _, info = env.step(actions[places, None])
     assert not terminated.any() and not failed.any()
-    # From x = 0, where the episodes are farther on: equal but for rounding.
+    # The model starts at x = 0 and the episodes are farther on: the results are equal up to rounding.
     np.testing.assert_allclose(ends[:, places], info["state"].T[[0, 1, 3]], rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(rewards[places], found, rtol=1e-9)
     assert np.abs(ends[:, places] - ends[:, 2 * np.arange(3) + 1 - chosen]).max() > 1e-4
@@ -103,7 +103,7 @@ def test_lost_contact_the_end_of_the_swing_and_the_edge_of_the_grid_fail():
 
 
 def test_the_solution_is_that_of_value_iteration(coarse):
-    """Relative value iteration in numpy, with scipy's interpolation, on the same transitions."""
+    """Compares with relative value iteration in numpy on the same transitions, with scipy's interpolation."""
     solution = solve(Problem(), make_grid())
     grid, torques = solution.grid, np.tile(np.linspace(-1.0, 1.0, 5), (np.prod(SHAPE), 1))
     positions, rewards = transitions(Problem(), grid, torques)
@@ -116,7 +116,7 @@ def test_the_solution_is_that_of_value_iteration(coarse):
 
     values = solution.values.astype(np.float64)
     alive = values > 0.5 * FAILURE_VALUE
-    # Without the parabola along w: of that it is exact, as of linear functions.
+    # scipy's interpolation omits the parabola along w. `at` interpolates this parabola and linear functions exactly.
     a, b, c = np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij")
     states = np.random.default_rng(0).uniform([[-1.0], [-3.0], [-0.1]], [[1.0], [3.0], [0.1]], (3, 50))
     states = states[:, grid.positions(states)[:, 0] != FAILED]
@@ -124,7 +124,7 @@ def test_the_solution_is_that_of_value_iteration(coarse):
     bent = (2.0 * a - 3.0 * b + 0.5 * c * c).astype(np.float32)
     found = replace(solution, values=bent, curvature=0.5 / grid.axes[2, 1] ** 2).at(states)
     np.testing.assert_allclose(found, 2.0 * x - 3.0 * y + 0.5 * z * z, rtol=1e-5, atol=1e-4)
-    # Its own values change by the gain alone, and other initial values converge to them.
+    # The operator shifts the solution's values by the gain alone, and other initial values converge to them.
     assert np.ptp((operator(values) - values)[alive]) < 0.05 * Problem().control_dt + 1e-4
     origin = grid.positions(np.array([[-np.pi / 3.0], [0.0], [0.0]])).T
     other = np.zeros(SHAPE)
@@ -137,7 +137,7 @@ def test_the_solution_is_that_of_value_iteration(coarse):
 
 
 def test_without_friction_nothing_is_gained(coarse):
-    # The centre of mass stays where it is, and the platform within an arm's length of it.
+    # The centre of mass stays at rest, and the platform stays within an arm's length of it.
     frictionless = solve(Problem(mu=0.0), make_grid(w=(-1.0, 1.0)))
     trajectory = run_policy(frictionless, np.array([START_THETA]), horizon=4.0)
     assert abs(trajectory.states[-1, 2, 0]) < 2.0 * frictionless.grid.q

@@ -20,7 +20,7 @@ from tests.baselines.gaits.test_gaits import make_gait
 
 @pytest.fixture
 def quick(monkeypatch):
-    """A search of seconds: two plants, short episodes, few candidates."""
+    """A search that takes seconds: two plants, short episodes, few candidates."""
     pytest.importorskip("cma")
     for module in (archive, search):
         monkeypatch.setattr(module, "PLANTS", ((0.5, 0.01), (0.5, 0.1)))
@@ -35,7 +35,7 @@ def test_a_search_never_worsens_an_entry(quick):
     found, history = Archive(), []
     for _ in islice(search.search(found, 0, 10.0), 15):
         history.append({key: gait.score for key, gait in found.gaits.items()})
-    # Three families on two plants, fastest and most of them tolerant.
+    # Three families on two plants give the fastest gaits and most of the tolerant ones.
     assert len(found.gaits) >= 10 and found.front
     for before, after in pairwise(history):
         assert all(after[key] >= score for key, score in before.items())
@@ -54,7 +54,7 @@ def test_failures_score_below_everything_and_better_late():
     }
     scores = search.score(results, 10.0)
     assert scores[0] == 5.0 > 0.0 > scores[1] > scores[2]
-    # On the front the cost counts, and missing the required speed counts more.
+    # On the front, the cost counts; a speed below the required one counts more.
     required = search.score(results, 10.0, np.array([6.0, 50.0, 50.0]))
     assert required[0] == -3.0 - search.FRONT_PENALTY and required[1] > required[2]
 
@@ -64,7 +64,7 @@ def test_the_map_takes_the_gait_whose_slowest_run_is_fastest(monkeypatch):
     monkeypatch.setattr(search, "MAP_MU", (0.01, 0.02, 2))
 
     def simulate(family, parameters, M, mu, *, variants, **kwargs):
-        # One gait is fast but fails at the edge of the heavier cells, the other one is slow.
+        # One gait is fast but fails at the edge of the heavier cells; the other gait is slow.
         heavy = np.outer(variants[:, 0], M) > 0.62
         failed = heavy if family == "harmonics" else np.zeros(heavy.shape)
         speed = np.full(heavy.shape, 20.0 if family == "harmonics" else 5.0)
@@ -116,6 +116,6 @@ def test_a_law_search_writes_better_parameters_only(monkeypatch, tmp_path):
     content = json.loads(path.read_text(encoding="utf-8"))
     assert tuple(content["parameters"]) == PARAMETERS
     assert content["found"]["command"] == "python -m baselines.gaits --law 3 --seed 0"
-    # The same seed finds the same parameters, which are not better.
+    # The same seed finds the same parameters. They are no better, so the file stays the same.
     assert command.main(["--law", "3"]) == 0
     assert json.loads(path.read_text(encoding="utf-8")) == content

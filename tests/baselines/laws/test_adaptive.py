@@ -1,4 +1,4 @@
-"""The adaptive law (37) to (39): every term against the paper's equations and the plant's, and what the law reaches."""
+"""The adaptive law (37) to (39): every term compared with the paper's equations and the plant's, and tracking."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from baselines.laws.reference import COLUMNS, reference_table
 from capsule_gym import Capsule, dynamics
 from capsule_gym.parameters import NOMINAL
 
-# No two are equal, so that none passes for another.
+# All values differ, so that no gain can be confused with another.
 GAINS = Gains(Lambda_theta=11.0, Lambda_x=7.0, K1=1.7, K2=3.0, K3=13.0, Gamma_1=0.19, Gamma_2=0.23)
 FORMS = {"regularised": REGULARISED, "unregularised": UNREGULARISED}
 
@@ -28,7 +28,7 @@ def some_constants(choices=REGULARISED, *, contact="newton", dt=1e-3, **changes)
 
 
 def draw(rng, *, n=1):
-    """A random call: state, memory and reference, with nothing small that could hide."""
+    """A random call: state, memory and reference, without terms small enough to hide an error."""
     theta, theta_dot, x = (rng.uniform(-1.0, 1.0, 3) * [1.2, 5.0, 0.2]).tolist()
     x_dot = rng.choice([-1.0, 1.0]) * rng.uniform(0.05, 0.4)
     root = rng.uniform(0.2, 3.0) ** (1.0 / (2 * n + 1))
@@ -37,7 +37,7 @@ def draw(rng, *, n=1):
 
 
 def printed(state, memory, reference, constants, n):
-    """(37) to (39) as the paper sets them, in matrices, with the corrections of the physics page.
+    """(37) to (39) as the paper prints them, in matrices, with the corrections of the physics page.
 
     Returns:
         The torque, the rates of the estimates, and the rate of the root of eta.
@@ -73,7 +73,7 @@ def printed(state, memory, reference, constants, n):
 @pytest.mark.parametrize("n", [1, 2, 3])
 @pytest.mark.parametrize("contact", ["newton", "paper"])
 def test_every_term_and_the_euler_step_are_the_papers(form, n, contact):
-    # Free estimates and a bound far away: nothing is clamped.
+    # The estimates are free and the bound is far away, so nothing is clamped.
     wide = {"estimate_range": math.inf, "eta_bound": 1e6}
     constants = some_constants(FORMS[form], n=n, beta=0.7, contact=contact, dt=2e-4, **wide)
     rng = np.random.default_rng(n)
@@ -91,10 +91,10 @@ def test_every_term_and_the_euler_step_are_the_papers(form, n, contact):
             # Stick: no friction.
             state = (theta, theta_dot, x, 0.0)
         elif trial % 5 == 3:
-            # The floor never pulls a platform that is thrown up.
+            # The floor never pulls a platform that loses contact.
             state = (0.1 * theta, 20.0, *state[2:])
         elif trial == 4:
-            # On the reference: sgn(0) = 0.
+            # The state is on the reference: sgn(0) = 0.
             state = (reference[0], reference[1], *state[2:])
         expected, alpha_dot, root_rate = printed(state, memory, reference, constants, n)
         torque, after = adaptive_step(*state, memory, reference, constants)
@@ -108,7 +108,7 @@ def test_every_term_and_the_euler_step_are_the_papers(form, n, contact):
 @pytest.mark.parametrize("contact", ["newton", "paper"])
 def test_error_dynamics_are_those_of_the_plant(contact):
     # Eq. (38), M delta' + C delta = [T, 0] - [Y_theta alpha_theta, Y_x alpha_x], with the plant's own accelerations
-    # and normal force: no sign and no factor of a regressor is free.
+    # and normal force, determines every sign and factor of the regressors.
     constants = some_constants(contact=contact)
     p = constants.plant
     alpha = np.array(nominal_estimates(p))
@@ -121,7 +121,7 @@ def test_error_dynamics_are_those_of_the_plant(contact):
         if normal <= 0.0:
             continue
         checked += 1
-        # The law puts theta_d'' in place of theta'' in N: with the one equal to the other its N is the plant's.
+        # The law uses theta_d'' in place of theta'' in N. If both are equal, its N is the plant's.
         reference = (*reference[:2], theta_ddot, *reference[3:])
         terms = adaptive_terms(theta, theta_dot, x, x_dot, memory, reference, constants)
         e_dot, e_x_dot = theta_dot - reference[1], x_dot - reference[4]
@@ -154,14 +154,14 @@ def test_x_d_starts_anew_or_goes_on_at_the_start_of_a_cycle(form, expected):
     start = state[2] if expected == "x" else memory[MEMORY.index("x_anchor")] + constants.cycle_advance
     torque, after = adaptive_step(*state, memory, begins, constants)
     assert after[-1] == start
-    # The call itself uses it already.
+    # The same call already uses the new start.
     terms = adaptive_terms(*state, (*memory[:-1], start), reference, constants)
     assert torque == terms.T_c + terms.T_n
     assert constants.cycle_advance == pytest.approx(reference_table(PROPOSED, constants.plant)[-1, 3]) and start != 0.0
 
 
 def test_plant_without_friction_or_spring_has_bounds_too():
-    # Zero times infinity is no bound: the free estimate of a constant that is 0 on the nominal plant stays free.
+    # Zero times infinity is not a valid bound: a free estimate stays free if its constant is 0 on the nominal plant.
     plant = Capsule(mu=0.0, k=0.0).plant()
     constants = constants_of(GAINS, UNREGULARISED, plant, reference_table(PROPOSED, plant), 1e-3)
     state, memory, reference = draw(np.random.default_rng(8))

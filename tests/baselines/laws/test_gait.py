@@ -1,4 +1,4 @@
-"""The gait as a law: its torque, the guard of the contact, and what it reaches without observing the plant."""
+"""The gait as a law: its torque, the guard of the contact, and its speed without observing the plant."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FREE = (*known_parameters()[:-2], 0.0, 0.0)
 
 
 def episodes(controller, M, mu, horizon=HORIZON):
-    """The environment after an episode without residual on these plants."""
+    """Runs an episode without residual on these plants and returns the environment."""
     env = CapsuleVectorEnv(len(M), controller=controller, control_dt=0.1, autoreset_mode="DISABLED")
     env.reset(seed=0, options={"M": np.array(M), "mu": np.array(mu)})
     for _ in range(round(horizon / 0.1)):
@@ -68,7 +68,7 @@ def test_an_identifying_guard_keeps_the_contact_of_lighter_platforms():
     metrics = kept.episode_metrics()
     assert metrics["failed"].sum() == 0.0 < lost.episode_metrics()["failed"].sum()
     assert metrics["mean_speed"].min() > 10.0
-    # Its estimates are those of the plants.
+    # The law's estimates match the plants.
     assert kept.simulation.row(ROWS + 1) == pytest.approx(np.array(LIGHT[0]), rel=0.02)
 
 
@@ -77,7 +77,7 @@ def test_on_other_platforms_the_identifying_guard_changes_nothing():
     one, other = (episodes(controller, M, mu).simulation for controller in (gait(), gait_identifying()))
     for row in (Row.theta, Row.theta_dot, Row.x, Row.x_dot, Row.torque):
         assert one.row(row).tolist() == other.row(row).tolist()
-    # The observation shows no reference.
+    # The observation contains no reference.
     assert one.observations[:, 5:9].tolist() == [[0.0, 0.0, 0.0, 1.0]] * 4
 
 

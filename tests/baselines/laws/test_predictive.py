@@ -1,4 +1,4 @@
-"""The observer and the predictor: what they estimate, and what the laws reach on late measurements."""
+"""The observer and the predictor: their estimates, and the performance of the laws on late measurements."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import HORIZON, START_THETA, TORQUE_LIMIT
 
 PLANT = NOMINAL.plant()
-# Where the memory of `late` has the motor's torque, and then the law's own; before it are the measurements.
+# Places in the memory of `late`: the motor's torque, then the law's own memory. The measurements come first.
 MOTOR = 3 * LATENCY
 OWN = MOTOR + 1
 SLIDING = Estimate(1.0, 0.4, -5.0, 0.3, 0.5, NOMINAL.M, NOMINAL.mu, 0.0)
 
 
 def advance(state, motor, torque, plant, steps=1):
-    """The plant and its motor, with lag and friction, a call of the law later.
+    """Advances the plant and its motor, with lag and friction, by one call of the law.
 
     Args:
         state: theta (rad), theta_dot (rad/s), x (m), x_dot (m/s).
-        motor: its torque behind the lag, N m.
-        torque: of the law, N m.
-        plant: of the platform.
-        steps: of the integrator, for each of which the motor's torque is constant.
+        motor: the motor's torque behind the lag, N m.
+        torque: the law's torque, N m.
+        plant: the plant's constants.
+        steps: integrator steps; the motor's torque is constant during each.
     """
     h = LAW_DT / steps
     for _ in range(steps):
@@ -58,7 +58,7 @@ def advance(state, motor, torque, plant, steps=1):
 
 
 def late(controller):
-    """The law with measurements that are LATENCY calls late, and with the motor's lag and friction."""
+    """Wraps the law: its measurements are LATENCY calls late, and the motor has lag and friction."""
     inner, share = numba.njit(controller.law), 1.0 - math.exp(-LAW_DT / LAG)
 
     def law(theta, theta_dot, x, x_dot, memory, reference):
@@ -73,7 +73,7 @@ def late(controller):
 
 
 def episode(controller, plants):
-    """The batch of M (kg) and mu after an episode."""
+    """Runs an episode on plants of M (kg) and mu, and returns the batch."""
     env = CapsuleVectorEnv(len(plants), controller=controller, control_dt=0.1, autoreset_mode="DISABLED")
     M, mu = np.array(plants).T
     env.reset(seed=0, options={"M": M, "mu": mu})
@@ -108,7 +108,7 @@ def test_the_prediction_follows_the_plant_through_the_queued_torques():
     moved = np.subtract((state[0], state[1], state[3]), (SLIDING.theta, SLIDING.theta_dot, SLIDING.x_dot))
     missed = np.subtract((present.theta, present.theta_dot, present.x_dot), (state[0], state[1], state[3]))
     assert (np.abs(missed) < 0.05 * np.abs(moved)).all()
-    # Without the oldest torque, and without the newest, which the law adds.
+    # The memory drops the oldest torque; the law adds the newest one.
     assert kept[len(SLIDING) :] == queue[1:]
 
 
@@ -123,7 +123,7 @@ def test_mass_and_friction_are_learnt_and_the_gait_is_fast_on_late_measurements(
     assert M == pytest.approx(np.array(plants)[:, 0], rel=0.15)
     assert mu == pytest.approx(np.array(plants)[:, 1], rel=0.25)
     assert np.abs(bias).max() < 0.02
-    # The gait by itself, with the same sensors and motor.
+    # The gait without observer and predictor, with the same sensors and motor.
     alone = episode(late(gait()), plants).episode_metrics()
     assert (alone["mean_speed"] < 5.0).all()
 

@@ -33,7 +33,7 @@ def test_a_profile_is_closed_and_continuous_with_consistent_derivatives(profile)
 
 
 def test_profiles_have_the_published_swing_and_peak():
-    # Calibrated to three or four digits, so the last published one may be off by one.
+    # The profiles are calibrated to three or four digits, so the last published digit may be off by one.
     assert math.degrees(PROPOSED.peak_to_peak) - 60.0 == pytest.approx(68.75, abs=0.01)
     assert math.degrees(EPC.peak_to_peak) - 60.0 == pytest.approx(85.85, abs=0.01)
     assert PROPOSED.evaluate(np.array([0.15]))[1][0] == 7.8
@@ -69,12 +69,12 @@ def test_reference_platform_obeys_the_second_row():
         state = (table["theta_d"][n], table["theta_d_dot"][n], table["theta_d_ddot"][n])
         friction = math.copysign(p.mu * dynamics.normal_force(*state, p), table["x_d_dot"][n])
         residual = (p.M + p.m) * table["x_d_ddot"][n] - dynamics.driving_force(*state, p) + friction
-        # The columns are taken half a fine step apart.
+        # The columns are sampled half a fine step apart.
         assert abs(residual) < 0.02
     # Within a phase the integrated columns are consistent, to the second order of the fine step.
     np.testing.assert_allclose(np.gradient(table["x_d"], 1e-3)[300:850], table["x_d_dot"][300:850], atol=1e-4)
     assert table["cycle_start"].tolist() == [1.0] + [0.0] * (len(rows) - 1)
-    # Laws share it.
+    # Laws share the table.
     assert not rows.flags.writeable
 
 

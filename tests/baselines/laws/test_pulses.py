@@ -1,4 +1,4 @@
-"""The laws for the tasks `goal` and `velocity`: they reach, follow and keep the platform on the floor."""
+"""The laws for the tasks `goal` and `velocity`: they reach the goal, follow the target and keep contact."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_a_smooth_floor_is_crossed_by_strokes():
     metrics = env.episode_metrics()
     assert metrics["success"].all() and metrics["failed"].sum() == 0.0
     assert np.median(metrics["goal_time"]) < 4.0
-    # The platform rests at the goal before the pendulum does, whose momentum friction takes up.
+    # The platform rests at the goal before the pendulum does; friction absorbs the pendulum's momentum.
     first = [next(info for info in seen if info["held"][n] > 0.0)["state"][n] for n in range(100)]
     momentum = [abs(0.138 * 0.3 * np.cos(theta) * rate) for theta, rate, *_ in first]
     assert 0.02 < np.median(momentum) and max(momentum) < 0.15

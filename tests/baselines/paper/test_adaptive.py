@@ -1,4 +1,4 @@
-"""The adaptive law over ranges, open choices, rates and long runs, and why its Lyapunov function rises."""
+"""The adaptive law over ranges, open choices, rates and long runs, and the rise of its Lyapunov function."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_lyapunov_function_by_hand():
     theta, theta_dot, _, x_d, x_d_dot = run.reference.T[:5]
     memory = np.tile(controller.memory, (len(run.t), 1))
     exact = replace(run, theta=theta, theta_dot=theta_dot, x=x_d, x_dot=x_d_dot, memory=memory)
-    # Without errors the term of eta = 1 is left.
+    # Without errors, only the term of eta = 1 is left.
     np.testing.assert_allclose(lyapunov(exact, controller.memory, PLANT), 1.5, rtol=1e-12)
     off = Capsule(mu=mu + 0.1).plant()
     np.testing.assert_allclose(lyapunov(exact, controller.memory, off), 1.5 + 0.5 * 0.1**2 / 0.1, rtol=1e-12)
@@ -58,7 +58,7 @@ def test_regularised_law_over_the_ranges(laws):
     assert law.worst("error_rms")["error_rms"] < 1e-4 and law.worst("peak_torque")["peak_torque"] < 1.31
     speeds = [law.worst("mean_speed", smallest=smallest)["mean_speed"] for smallest in (True, False)]
     assert speeds == pytest.approx([1.26, 1.53], abs=0.01)
-    # V rises off the nominal plant, where the proof fails.
+    # V rises on plants other than the nominal one, where the proof fails.
     assert len(law.lyapunov) == 5
     light = next(v for v in law.lyapunov if (v["M"], v["mu"]) == pytest.approx(LIGHT))
     assert light["end"] - light["start"] == pytest.approx(light["rise"] - light["fall"], abs=1e-9)
@@ -67,10 +67,10 @@ def test_regularised_law_over_the_ranges(laws):
 
 def test_unregularised_law_fails_on_most_of_the_ranges(laws):
     _, corrected, limited = laws
-    # Which plants fail is chaotic at the edge; that nearly all do is not.
+    # At the edge, small perturbations change which plants fail, but nearly all plants fail.
     assert corrected.failures >= 7 and limited.failures >= 3
     assert not corrected.runs[4]["failed"] and corrected.runs[4]["M"] == 0.5
-    # eta only grows, and on some plant up to its bound.
+    # eta never decreases, and on some plant it reaches its bound.
     assert limited.worst("eta")["eta"] == pytest.approx(UNREGULARISED.eta_bound)
 
 
@@ -83,7 +83,7 @@ def test_no_choice_saves_the_plants_of_another_mass():
 
 def test_error_on_the_nominal_plant_is_that_of_the_zero_order_hold():
     slow, fast = (run_cycles(adaptive(dt=dt), [(0.5, 0.01), LIGHT], cycles=1)[1][0] for dt in (1e-3, 2e-4))
-    # The rows are the errors of angle and rate, and delta_theta; the columns the plants.
+    # The rows are the errors of angle and rate, and delta_theta; the columns are the plants.
     assert slow / fast == pytest.approx(np.array([[5.0, 1.0]] * 3), rel=0.1)
 
 

@@ -14,7 +14,7 @@ QUARTER = math.pi / 2.0
 
 
 def test_envelope_of_a_free_pendulum_is_known():
-    # A platform that cannot move, no spring, no damper, no gravity to speak of: w = 2 u (theta - low) / (m l^2).
+    # A fixed platform, no spring, no damper and negligible gravity: w = 2 u (theta - low) / (m l^2).
     free = Capsule(M=1e9, g=1e-9, k=0.0, c=0.0, mu=0.0)
     envelope = upper_envelope(0.5, -1.0, 1.0, free.plant())
     exact = np.sqrt(2.0 * 0.5 * (envelope.theta + 1.0) / (free.m * free.l**2))
@@ -53,7 +53,7 @@ def test_no_motion_crosses_the_envelope(name):
         torque = -limit
         for n in range(600):
             if trial % 3 == 0:
-                # Energy goes in wherever the torque follows the motion.
+                # A torque in the direction of the motion adds energy.
                 torque = -limit if theta < -1.3 and theta_dot < -2.0 else math.copysign(limit, theta_dot or 1.0)
             elif n % 20 == 0:
                 torque = rng.choice([-limit, limit, rng.uniform(-limit, limit)])
@@ -64,7 +64,7 @@ def test_no_motion_crosses_the_envelope(name):
             bound = float(np.interp(mirrored, envelope.theta, envelope.theta_dot))
             assert abs(theta_dot) <= bound
             closest = max(closest, abs(theta_dot) / max(bound, 1.0))
-    # The bound is no empty one.
+    # The bound is not trivial.
     assert closest > 0.7
 
 

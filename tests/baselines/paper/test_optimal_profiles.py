@@ -68,7 +68,7 @@ def test_short_search_is_seeded_and_says_when_it_fails():
 
 def test_command_solves_and_keeps_what_an_interrupted_search_found(tmp_path, monkeypatch, capsys):
     known = [SOLUTIONS[Problem(limit)] for limit in (1.0, 1.5)]
-    # The best profile of all searches counts.
+    # The best profile of all searches is kept.
     poor = replace(known[0], problem=Problem(1.5), mean_speed=0.0, found_by="poor")
     monkeypatch.setattr(optimal_profiles, "problems", lambda: [each.problem for each in known])
     monkeypatch.setattr(optimal_profiles, "search", lambda problem, found, **options: [known[0], poor][len(found)])

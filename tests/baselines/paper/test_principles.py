@@ -1,4 +1,4 @@
-"""Principles 1 to 4 and both Lemmas: values computed by hand, and what implies what."""
+"""Principles 1 to 4 and both Lemmas: values computed by hand, and implications between them."""
 
 from __future__ import annotations
 
@@ -41,19 +41,19 @@ def test_principles_3_and_4_are_normal_force_and_driving_force(form):
         normal = dynamics.normal_force(theta, theta_dot, theta_ddot, p)
         assert contact.limit - contact.load[0] == pytest.approx(normal, rel=1e-12)
         force = dynamics.driving_force(theta, theta_dot, theta_ddot, p)
-        # The print counts the torque of spring and damper as a force.
+        # The printed form counts the torque of spring and damper as a force.
         force += (form == "paper") * (p.k * theta + p.c * theta_dot) * math.cos(theta)
         assert standstill.load[0] == pytest.approx(abs(force), rel=1e-9)
         assert standstill.limit[0] == pytest.approx(p.mu * 2.0 * (3.0 if force < 0.0 else 1.0) * normal, rel=1e-9)
 
 
 def test_lemma_1_is_neither_sufficient_nor_necessary():
-    # (10) does not keep contact: upright at 15 rad/s with a = 0.
+    # (10) is not sufficient for contact: upright at 15 rad/s with a = 0.
     flying = state(0.0, 15.0, -0.0923 * 15.0 / ML)
     assert lemma_1(flying, NOMINAL, "paper").load[0] == pytest.approx(0.0, abs=1e-9)
     assert lemma_1(flying, NOMINAL, "paper").limit == pytest.approx(WEIGHT**2 / (2 * ML))
     assert principle_3(flying, NOMINAL, "paper").ratio[0] == pytest.approx(ML * 225.0 / WEIGHT)
-    # Nor does contact need it: upright the acceleration does not enter (7).
+    # (10) is not necessary for contact: upright, the acceleration does not enter (7).
     standing = state(0.0, 10.0, 400.0)
     assert lemma_1(standing, NOMINAL).ratio[0] > 1.0 > principle_3(standing, NOMINAL).ratio[0]
 
@@ -83,7 +83,7 @@ def test_demands_on_the_profiles_are_those_of_the_page():
             margins = [row["restoring"] for row in rows if row["demand"] == demand and row["form"] in forms]
             assert " | ".join(f"{max(0.0, factor):.2f}" for phases in margins for factor in phases) in page
     met = [row["profile"] for row in rows if row["met"] and row["demand"].startswith("Principle")]
-    # Principle 2, rate and acceleration, which the proposed profile defines; Principle 3 in both forms.
+    # The proposed profile defines Principle 2, rate and acceleration; both profiles meet Principle 3 in both forms.
     assert met == ["proposed"] * 4 + ["EPC"] * 2
     largest = [row["progressive"] for row in rows if row["demand"].startswith("Principle 2")]
     assert largest == pytest.approx([1.0, 1.0, 11.0 / 7.8, 11.0 * math.pi / 0.2 / 129.627], rel=1e-5)

@@ -53,7 +53,7 @@ def test_proof_2(rates):
         assert row["holds"] and row["torque"] < row["torque_needed"] < row["torque_enough"]
         assert row["from_start"] < row["bound"]
         swing = START, SWINGS[row["name"]]
-        # With a thousandth more than the needed torque the envelope reaches the rate.
+        # With 0.1 % more than the required torque, the envelope reaches the rate.
         assert proofs.swing_envelope(row["torque_needed"], *swing).fastest < row["published"]
         assert proofs.swing_envelope(1.001 * row["torque_needed"], *swing).fastest > row["published"]
 

@@ -18,7 +18,7 @@ pytest.importorskip("matplotlib")
 
 @pytest.fixture(scope="module")
 def made(laws, rates):
-    """The results; what other modules test is taken from them or replaced by a few numbers."""
+    """The results; parts that other modules test are shared with them or replaced by a few numbers."""
     errors = dict.fromkeys(adaptive.SHOWN_CYCLES, (1e-4, 1e-3, 1e-3))
     long_runs = dict.fromkeys(adaptive.RATES, [errors] * 5)
     study = {"laws": laws, "variants": [(0.01, 1.0, 1, 1000, 24, 17)], "long_runs": long_runs}
@@ -30,7 +30,7 @@ def made(laws, rates):
 
 
 def text_of(figure):
-    """Everything written in a figure, one line."""
+    """All text of a figure in one line."""
     from matplotlib.text import Text
 
     return " ".join(" ".join(text.get_text() for text in figure.findobj(Text)).split())
@@ -96,7 +96,7 @@ def test_figures_show_the_numbers_of_the_table(made, monkeypatch):
 
 
 def test_every_figure_is_written_twice_and_identically_at_every_run(tmp_path, monkeypatch):
-    # Coarse pictures: what is drawn does not depend on the resolution, the time does.
+    # Coarse pictures save time; the resolution does not change their content.
     monkeypatch.setattr(drawing, "DPI", 60)
     monkeypatch.setattr(figures, "FIGURES", {"fig4_displacement": figures.draw_displacement})
     for module, draw in (("gaits", "draw_gaits"), ("dynamic_programming", "draw_optimum")):

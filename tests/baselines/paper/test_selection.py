@@ -22,7 +22,7 @@ def test_printed_profile_by_hand():
     assert math.degrees(sum(phase["printed"][2] for phase in phases.values())) == pytest.approx(-378, abs=0.5)
 
 
-# What each row gives and implies, to half a unit of the last digit given.
+# Given and implied values of each row, to half a unit of the last given digit.
 EXPECTED = [
     ("(21)", "0.76", "2.11", False),
     ("(22)", "0.88", "2.09", False),
@@ -54,7 +54,7 @@ def test_boundary_condition_contradicts_the_published_peak():
     condition = selection.boundary_condition()
     assert condition["V1"] == pytest.approx(10.45, abs=5e-3)
     assert math.degrees(condition["largest_angle"]) == pytest.approx(98.3, abs=0.05)
-    # At 7.8 rad/s the pendulum reaches half of theta_0 by t3, and P3 = 0.563 takes it back too far.
+    # At 7.8 rad/s, the pendulum reaches half of theta_0 by t3, and P3 = 0.563 returns it too far.
     assert math.degrees(condition["reached"]) == pytest.approx(30.4, abs=0.05)
     P3 = selection.eq_23_p3(selection.eq_27_p2())
     assert condition["drift"] == pytest.approx((P3 - PROPOSED.restoring_speed) * 4.9, rel=1e-9)
