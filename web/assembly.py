@@ -1,7 +1,7 @@
 """Compiles functions to a WebAssembly module: numba's intermediate code, LLVM's optimiser and backend, an export list.
 
-The same versions of Python, numba and LLVM give the same bytes on every processor. Numba's own optimiser, which depends
-on the processor's features, must therefore be off (`NUMBA_OPT=0`), and loops stay scalar.
+The same versions of Python, numba and LLVM give the same bytes on every processor of an architecture: numba's optimiser
+works for a generic one (`compiler.lower`), and loops stay scalar.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
-import numba
 from numba import types
 
 from capsule_gym.compiler import lower
@@ -61,13 +60,7 @@ class Entry(NamedTuple):
 
 
 def optimise(entries: Sequence[Entry]) -> Any:
-    """Compiles functions to an LLVM module, optimised for WebAssembly; all other functions in it are internal.
-
-    Raises:
-        RuntimeError: if numba's optimiser is on.
-    """
-    if numba.config.OPT != 0:
-        raise RuntimeError(f"NUMBA_OPT must be 0, got {numba.config.OPT}: the module would depend on this processor")
+    """Compiles functions to an LLVM module, optimised for WebAssembly; all other functions in it are internal."""
     linked = _lower(Entry("fused", fused.py_func, types.float64, (types.float64,) * 3))
     linked.link_in(llvm.parse_assembly(RUNTIME))
     for entry in entries:

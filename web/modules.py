@@ -9,11 +9,8 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import os
 import platform
-import subprocess
 import sys
-import tempfile
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -176,26 +173,26 @@ def entries_of(name: str) -> list[Entry]:
 
 
 def build(names: Sequence[str], cache: Path | None = CACHE) -> dict[str, bytes]:
-    """Builds modules by name (`COMMON`, or a key of `STEPS` or `LAWS`), or reads them from the cache.
-
-    Raises:
-        subprocess.CalledProcessError: if a module cannot be built. The compiler's messages and the progress are on
-            stderr.
-    """
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = cache or Path(temporary)
-        folder.mkdir(parents=True, exist_ok=True)
-        # Laws that differ only in their tables share a module.
-        files = {name: folder / f"{_digest(name)}.wasm" for name in names}
-        missing = {file: name for name, file in files.items() if not file.is_file()}
-        if missing:
-            print(f"compiling {len(missing)} modules to WebAssembly, once; a minute or two:", file=sys.stderr)
-            # numba's optimiser depends on this processor.
-            environment = {**os.environ, "NUMBA_OPT": "0"}
-            # Without the optimiser, numba does not cache some functions on disk, and warns about each.
-            command = [sys.executable, "-W", "ignore", "-m", "web.modules", str(folder), *missing.values()]
-            subprocess.run(command, cwd=ROOT, env=environment, check=True)
-        return {name: file.read_bytes() for name, file in files.items()}
+    """Builds modules by name (`COMMON`, or a key of `STEPS` or `LAWS`), or reads them from the cache."""
+    # Laws that differ only in their tables share a module.
+    digests = {name: _digest(name) for name in names}
+    built: dict[str, bytes] = {}
+    if cache:
+        files = {digest: cache / f"{digest}.wasm" for digest in digests.values()}
+        built = {digest: file.read_bytes() for digest, file in files.items() if file.is_file()}
+    missing = {digest: name for name, digest in digests.items() if digest not in built}
+    if missing:
+        print(f"compiling {len(missing)} modules to WebAssembly, once; a minute or two:", file=sys.stderr)
+        # numba looks up the address of every called function.
+        llvm.add_symbol(LAW, ctypes.cast(ctypes.pythonapi.Py_IsInitialized, ctypes.c_void_p).value)
+    for digest, name in missing.items():
+        entries = entries_of(name)
+        built[digest] = assemble(optimise(entries), [entry.name for entry in entries])
+        if cache:
+            cache.mkdir(parents=True, exist_ok=True)
+            write_atomically(cache / f"{digest}.wasm", built[digest])
+        print(f"  {name}", file=sys.stderr, flush=True)
+    return {name: built[digest] for name, digest in digests.items()}
 
 
 def _digest(name: str) -> str:
@@ -205,23 +202,3 @@ def _digest(name: str) -> str:
     parts += [Path(assembly.__file__).read_bytes(), fingerprint(fused)]
     parts += [(entry.name, entry.arguments, fingerprint(entry.function)) for entry in entries]
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
-
-
-def main() -> int:
-    """Builds modules in this process, without numba's optimiser; the arguments are a folder and the modules' names."""
-    if len(sys.argv) < 3:
-        print("web.modules: started by python -m web.build", file=sys.stderr)
-        return 2
-    folder, *names = sys.argv[1:]
-    # numba looks up the address of every called function.
-    llvm.add_symbol(LAW, ctypes.cast(ctypes.pythonapi.Py_IsInitialized, ctypes.c_void_p).value)
-    for name in names:
-        entries = entries_of(name)
-        module = assemble(optimise(entries), [entry.name for entry in entries])
-        write_atomically(Path(folder) / f"{_digest(name)}.wasm", module)
-        print(f"  {name}", file=sys.stderr, flush=True)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

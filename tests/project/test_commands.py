@@ -12,8 +12,6 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-# Another command starts these modules.
-INNER = {"web.modules"}
 HEAVY = {"torch", "stable_baselines3", "sb3_contrib", "matplotlib", "scipy", "numba", "joblib", "optuna", "mujoco"}
 # Shows the help of every command in a process of its own, forked after the shared imports.
 HELP = """
@@ -46,7 +44,7 @@ def commands() -> list[str]:
             guarded = any(ast.unparse(guard.test) == "__name__ == '__main__'" for guard in guards)
             if guarded and not path.name.startswith("test_"):
                 found.add(".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__main__"))
-    return sorted(found - INNER)
+    return sorted(found)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
