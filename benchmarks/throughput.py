@@ -197,14 +197,9 @@ def ours() -> list[Contender]:
                 batch = partial(step_batch, ENV_ID, num_envs, **endless, **kwargs)
                 peer = mujoco_contender(FRICTIONS[0], physics_dt, threads).name
                 found.append(Contender(f"{label}, gym.make_vec", batch, num_envs, substeps, threads, peer))
-    for label, physics_dt, kwargs in kinds:
-        single = partial(step_single, ENV_ID, **kwargs, **DISTURBED)
-        endless = {"physics_dt": physics_dt, "max_episode_steps": sys.maxsize}
-        batch = partial(step_batch, ENV_ID, PEER_BATCH, **endless, **kwargs, **DISTURBED)
-        for function, num_envs, make in (("gym.make", 1, single), ("gym.make_vec", PEER_BATCH, batch)):
-            names = (f"{label}, {function}", num_envs)
-            exact = next(contender for contender in found if (contender.label, contender.environments) == names)
-            found.append(replace(exact, label=f"{label}, disturbed, {function}", make=make, peer=exact.name))
+    for exact in [each for each in found if each.environments in (1, PEER_BATCH) and each.threads == 1]:
+        label = exact.label.replace(", ", ", disturbed, ")
+        found.append(replace(exact, label=label, make=partial(exact.make, **DISTURBED), peer=exact.name))
     drawn = partial(step_single, ENV_ID, ACTION_SCALE, render_mode="rgb_array")
     found.append(Contender(f"{DIRECT}, drawn", drawn, peer=DRAWN_PEER))
     return found

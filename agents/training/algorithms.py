@@ -57,7 +57,8 @@ class EpisodeMetrics(gym.Wrapper[Any, Any, Any, Any]):
         observation, reward, terminated, truncated, info = self.env.step(action)
         if terminated or truncated:
             steps = self.get_wrapper_attr("spec").max_episode_steps
-            info = {**info, "metrics": self.env.unwrapped.episode_metrics(steps)}  # type: ignore[attr-defined]  # ours
+            # Only Gymnasium's base class lacks this method of `CapsuleEnv`.
+            info = {**info, "metrics": self.env.unwrapped.episode_metrics(steps)}  # type: ignore[attr-defined]
         return observation, reward, terminated, truncated, info
 
 
