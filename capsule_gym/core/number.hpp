@@ -1,0 +1,205 @@
+// Numbers of one environment (double, bool) and of several (Pack, Mask) under the same operators and functions, so that
+// the physics is written once, as templates over the number type. Conditions are masks, joined with & and |; `select`
+// chooses by them. A new number type, such as a dual number, supplies what Pack supplies here.
+#pragma once
+
+// Equal bits on every machine need every operation rounded as it is written.
+#if defined(__FAST_MATH__) || !defined(CAPSULE_FP_CONTRACT_OFF)
+#error "compile with -ffp-contract=off -DCAPSULE_FP_CONTRACT_OFF and without -ffast-math"
+#endif
+
+#if defined(__x86_64__)
+#include <immintrin.h>
+#elif defined(__aarch64__)
+#include <arm_neon.h>
+#endif
+
+#define INLINE inline __attribute__((always_inline))
+// For what is rare: inlined, it would take registers from the loops over environments.
+#define NOINLINE __attribute__((noinline))
+
+#if defined(__AVX512F__)
+#define LANES_IN_PACK 8
+#elif defined(__AVX__)
+#define LANES_IN_PACK 4
+#else
+#define LANES_IN_PACK 2
+#endif
+
+// Each level of instructions is a namespace, so that the linker cannot mix their functions.
+#ifndef LEVEL
+#define LEVEL portable
+#endif
+
+namespace LEVEL {
+
+constexpr double INFINITE = __builtin_inf();
+constexpr double PI = 3.141592653589793;
+
+typedef unsigned long long Word;
+
+// --- one environment ---
+
+#if defined(__wasm__)
+// WebAssembly has no fused instruction. Exact products and sums, the last but one rounded to odd (Boldo and Melquiond,
+// "Emulation of a FMA and correctly rounded sums", 2008). The library takes what might over- or underflow.
+struct Sum {
+  double value, error;
+};
+INLINE Sum two_sum(double a, double b) {
+  double s = a + b, t = s - a;
+  return {s, (a - (s - t)) + (b - t)};
+}
+NOINLINE inline double fma(double a, double b, double c) {
+  double p = a * b, size = __builtin_fabs(p), size_c = __builtin_fabs(c);
+  if (p == 0.0 && (a == 0.0 || b == 0.0)) return p + c;
+  if (!(size > 1e-200 && size < 1e200 && __builtin_fabs(a) < 1e200 && __builtin_fabs(b) < 1e200 && size_c < 1e200))
+    return __builtin_fma(a, b, c);
+  if (c == 0.0) return p;
+  if (size_c < 1e-200) return __builtin_fma(a, b, c);
+  constexpr double SPLIT = 134217729.0;  // halves a significand of 53 bits (Veltkamp)
+  double a_h = a * SPLIT, b_h = b * SPLIT;
+  a_h = a_h - (a_h - a), b_h = b_h - (b_h - b);
+  double a_l = a - a_h, b_l = b - b_h;
+  double rest = ((a_h * b_h - p) + a_h * b_l + a_l * b_h) + a_l * b_l;
+  Sum t = two_sum(c, rest), v = two_sum(p, t.value), z = two_sum(t.error, v.error);
+  Word word;
+  __builtin_memcpy(&word, &z.value, 8);
+  if (z.error != 0.0 && !(word & 1)) {
+    // Away from zero where the error has the sign of the sum, else towards it.
+    word += (z.error > 0.0) == (z.value > 0.0) ? 1 : -1;
+    __builtin_memcpy(&z.value, &word, 8);
+  }
+  return v.value + z.value;
+}
+#else
+INLINE double fma(double a, double b, double c) { return __builtin_fma(a, b, c); }
+#endif
+INLINE double abs(double x) { return __builtin_fabs(x); }
+INLINE double sqrt(double x) { return __builtin_sqrt(x); }
+INLINE double floor(double x) { return __builtin_floor(x); }
+INLINE double copysign(double size, double sign) { return __builtin_copysign(size, sign); }
+INLINE double select(bool condition, double a, double b) { return condition ? a : b; }
+INLINE Word bits_of(double x) { return __builtin_bit_cast(Word, x); }
+INLINE double from_bits(Word word) { return __builtin_bit_cast(double, word); }
+// One bit per environment.
+INLINE unsigned lanes(bool condition) { return condition; }
+
+// --- as many environments as a register holds ---
+
+constexpr int PACK = LANES_IN_PACK;
+typedef double Doubles __attribute__((vector_size(8 * PACK)));
+typedef long long Integers __attribute__((vector_size(8 * PACK)));
+typedef Word Words __attribute__((vector_size(8 * PACK)));
+
+struct Mask {
+  Integers m;
+  friend INLINE Mask operator&(Mask a, Mask b) { return {a.m & b.m}; }
+  friend INLINE Mask operator|(Mask a, Mask b) { return {a.m | b.m}; }
+  friend INLINE Mask operator!(Mask a) { return {~a.m}; }
+};
+
+struct Pack {
+  Doubles v;
+  Pack() = default;
+  INLINE Pack(Doubles v) : v(v) {}
+  // The difference is x in all lanes, also for -0.0 and NaN.
+  INLINE Pack(double x) : v(x - Doubles{}) {}
+  friend INLINE Pack operator+(Pack a, Pack b) { return a.v + b.v; }
+  friend INLINE Pack operator-(Pack a, Pack b) { return a.v - b.v; }
+  friend INLINE Pack operator*(Pack a, Pack b) { return a.v * b.v; }
+  friend INLINE Pack operator/(Pack a, Pack b) { return a.v / b.v; }
+  friend INLINE Pack operator-(Pack a) { return -a.v; }
+  friend INLINE Mask operator<(Pack a, Pack b) { return {a.v < b.v}; }
+  friend INLINE Mask operator>(Pack a, Pack b) { return {a.v > b.v}; }
+  friend INLINE Mask operator<=(Pack a, Pack b) { return {a.v <= b.v}; }
+  friend INLINE Mask operator>=(Pack a, Pack b) { return {a.v >= b.v}; }
+  friend INLINE Mask operator==(Pack a, Pack b) { return {a.v == b.v}; }
+  friend INLINE Mask operator!=(Pack a, Pack b) { return {a.v != b.v}; }
+};
+
+INLINE Pack select(Mask condition, Pack a, Pack b) { return condition.m ? a.v : b.v; }
+INLINE Pack abs(Pack a) { return (Doubles)((Integers)a.v & 0x7fffffffffffffffLL); }
+INLINE Words bits_of(Pack x) { return (Words)x.v; }
+INLINE Pack from_bits(Words words) { return (Doubles)words; }
+INLINE Pack copysign(Pack size, Pack sign) {
+  constexpr Word SIGN = 1ULL << 63;
+  return from_bits((bits_of(size) & ~SIGN) | (bits_of(sign) & SIGN));
+}
+
+INLINE Pack fma(Pack a, Pack b, Pack c) {
+#if defined(__clang__)
+  return __builtin_elementwise_fma(a.v, b.v, c.v);
+#elif defined(__AVX512F__)
+  return (Doubles)_mm512_fmadd_pd((__m512d)a.v, (__m512d)b.v, (__m512d)c.v);
+#elif defined(__FMA__)
+  return (Doubles)_mm256_fmadd_pd((__m256d)a.v, (__m256d)b.v, (__m256d)c.v);
+#elif defined(__aarch64__)
+  return (Doubles)vfmaq_f64((float64x2_t)c.v, (float64x2_t)a.v, (float64x2_t)b.v);
+#else
+  Doubles r;
+  for (int i = 0; i < PACK; i++) r[i] = __builtin_fma(a.v[i], b.v[i], c.v[i]);
+  return r;
+#endif
+}
+
+INLINE Pack sqrt(Pack x) {
+#if defined(__AVX512F__)
+  return (Doubles)_mm512_maskz_sqrt_pd(0xff, (__m512d)x.v);
+#elif defined(__AVX__)
+  return (Doubles)_mm256_sqrt_pd((__m256d)x.v);
+#else
+  Doubles r;
+  for (int i = 0; i < PACK; i++) r[i] = __builtin_sqrt(x.v[i]);
+  return r;
+#endif
+}
+
+INLINE Pack floor(Pack x) {
+#if defined(__AVX512F__)
+  return (Doubles)_mm512_maskz_roundscale_pd(0xff, (__m512d)x.v, _MM_FROUND_TO_NEG_INF);
+#elif defined(__AVX__)
+  return (Doubles)_mm256_floor_pd((__m256d)x.v);
+#else
+  Doubles r;
+  for (int i = 0; i < PACK; i++) r[i] = __builtin_floor(x.v[i]);
+  return r;
+#endif
+}
+
+INLINE unsigned lanes(Mask condition) {
+#if defined(__AVX512DQ__)
+  return _mm512_movepi64_mask((__m512i)condition.m);
+#elif defined(__AVX__)
+  return (unsigned)_mm256_movemask_pd((__m256d)condition.m);
+#elif defined(__SSE2__)
+  return (unsigned)_mm_movemask_pd((__m128d)condition.m);
+#else
+  unsigned r = 0;
+  for (int i = 0; i < PACK; i++) r |= (unsigned)(condition.m[i] != 0) << i;
+  return r;
+#endif
+}
+
+// --- both ---
+
+template <class T> constexpr int WIDTH = sizeof(T) / sizeof(double);
+template <class T> INLINE T load(const double* at) {
+  T values;
+  __builtin_memcpy(&values, at, sizeof values);
+  return values;
+}
+template <class T> INLINE void store(double* at, T values) { __builtin_memcpy(at, &values, sizeof values); }
+template <class M> INLINE bool any(M condition) { return lanes(condition) != 0; }
+
+// `min` and `max` of a NaN and of zeros of both signs give the first argument, as Python's.
+#define CAPSULE_FUNCTIONS(T)                                                                         \
+  INLINE T min(T a, T b) { return select(b < a, b, a); }                                             \
+  INLINE T max(T a, T b) { return select(b > a, b, a); }                                             \
+  /* The value within -limit to limit; NaN stays NaN. */                                             \
+  INLINE T clip(T value, T limit) { return select(value > limit, limit, select(value < -limit, -limit, value)); } \
+  INLINE T sign_of(T x) { return select(x > 0.0, T(1.0), select(x < 0.0, T(-1.0), T(0.0))); }
+CAPSULE_FUNCTIONS(double)
+CAPSULE_FUNCTIONS(Pack)
+
+}  // namespace LEVEL
