@@ -26,7 +26,7 @@ template <class T> struct Motion {
   T stuck;              // time in stick, s
   T swept;              // integral of |theta_dot|, rad
   T normal_force;       // the smallest met at the start of a phase, N; 0.0 where contact was lost
-  int events;           // changes of phase located inside the step
+  T events;             // number of changes of phase located inside the step
 };
 
 // The start of a phase of contact; `first` is `pressed_accelerations` there.
@@ -154,7 +154,7 @@ NOINLINE inline Motion<T> event_step(const Phase<P>& start, const Piece<T>& whol
   T slip = start.slip, u = start.u;
   const P& p = start.p;
   T forward = 0.0, backward = 0.0, stuck = 0.0, turned = 0.0, smallest_normal = INFINITE;
-  int events = 0;
+  T events = 0.0;
   T h = whole.tau, remaining = h;
   Phase<P> phase = start;
   Piece<T> done = whole;
@@ -178,7 +178,7 @@ NOINLINE inline Motion<T> event_step(const Phase<P>& start, const Piece<T>& whol
     s = done.end;
     remaining = remaining - tau;
     if (!ended) break;
-    events++;
+    events = events + 1.0;
     if (slip == 0.0) {
       // At the boundary rounding could give either phase, so the direction of the load decides.
       slip = stick_margin(s.theta, s.theta_dot, u, p).force > 0.0 ? 1.0 : -1.0;
@@ -235,7 +235,7 @@ INLINE auto pass_rest(const Phase<P>& start, T theta_1, T theta_dot_1, T x_dot_1
   T stuck = select(next_slip == 0.0, remaining, T(0.0));
   holds = holds & last.lasts & (remaining > 0.0);
   return Passed<T, decltype(holds)>{
-      {e, forward, backward, stuck, turned, min(first.normal, last.first.normal), 1}, next_slip, holds};
+      {e, forward, backward, stuck, turned, min(first.normal, last.first.normal), 1.0}, next_slip, holds};
 }
 
 }  // namespace LEVEL

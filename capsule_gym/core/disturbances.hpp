@@ -1,0 +1,170 @@
+// Disturbances of sensors, motor and platform; `Disturbances` in parameters.py documents them. Random numbers are hashes
+// of the episode's key and a counter, so that a reading is the same alone and in a batch.
+#pragma once
+#include "layout.hpp"
+#include "random.hpp"
+
+namespace LEVEL {
+
+// Added to a whole number: the lowest 52 bits of the sum are those of the number.
+constexpr double WHOLE = 4503599627370496.0;
+// Duration of the push in every second, and tolerance of the episode's time, s.
+constexpr double PUSH_TIME = 0.1, ROUNDING_OF_TIME = 1e-9;
+
+// One of the eight random words of a reading.
+template <class T> INLINE auto word_of(T key, T count, Word place) {
+  constexpr Word GOLDEN = 0x9E3779B97F4A7C15;  // the odd number nearest to 2^64 over the golden ratio
+  return scramble(bits_of(key) + GOLDEN * (bits_of(count + WHOLE) * 8ULL + place));
+}
+
+// The multiple of the resolution that is nearest to the value, or the value where the resolution is 0.
+template <class T> INLINE T rounded(T value, T resolution) {
+  auto rounds = resolution > 0.0;
+  T unit = select(rounds, resolution, T(1.0));
+  return select(rounds, ((value / unit + ROUNDING) - ROUNDING) * unit, value);
+}
+
+// Disturbances of a block of N environments, with the number type T; `history` holds the last states, HISTORY_ROWS each.
+template <class T, int N> struct Disturbed {
+  static constexpr int W = WIDTH<T>;
+  const Settings& q;
+  Block<N>& b;
+  double* history;
+  const int n;
+
+  // Reads and writes of a row at the lanes from j on.
+#define GET(row) load<T>(b.row + j)
+#define PUT(row, value) store<T>(b.row + j, value)
+
+  // The period of the law, s, and the time between readings: this period, or without a law the agent's step.
+  double period() const { return q.physics_steps * q.physics_dt; }
+  double time_between_readings() const { return q.with_reference != 0.0 ? period() : period() * q.law_steps; }
+  double* entry(int place) const { return history + HISTORY_ROWS * N * place; }
+
+  // Derives the constants of the plants that begin an episode, and fills their history.
+  NOINLINE void begin() {
+    for (int j = 0; j < n; j++) {
+      if (b.active[j] == 0.0) continue;
+      auto [sin, cos] = sincos(b.drawn_slope[j]);
+      double g = b.drawn_g[j], speed = b.drawn_stribeck_speed[j], lag = b.lag[j], key = b.key[j];
+      b.plant_m[j] = b.drawn_m[j], b.plant_l[j] = b.drawn_l[j], b.plant_k[j] = b.drawn_k[j], b.plant_c[j] = b.drawn_c[j];
+      b.plant_g[j] = g * cos, b.plant_downhill[j] = g * sin, b.plant_viscous[j] = b.drawn_viscous[j];
+      b.plant_static_ratio[j] = b.drawn_static_ratio[j], b.plant_backward_ratio[j] = b.drawn_backward_ratio[j];
+      b.plant_stribeck_excess[j] = speed > 0.0 ? b.drawn_static_ratio[j] - 1.0 : 0.0;
+      b.plant_stribeck_rate[j] = speed > 0.0 ? 1.0 / speed : 0.0;
+      b.plant_motor_friction[j] = b.drawn_motor_friction[j] + b.motor_friction[j];
+      b.plant_push[j] = 0.0;
+      b.normal_force[j] = (b.M[j] + b.plant_m[j]) * g * cos;
+      b.delay[j] = (b.latency[j] / period() + ROUNDING) - ROUNDING;
+      b.drift_share[j] = decay(time_between_readings() / b.drift_time[j]);
+      b.motor_share[j] = lag > 0.0 ? 1.0 - decay(period() / lag) : 1.0;
+      // The drift begins in its stationary distribution.
+      auto [first, second] = normals(word_of(key, 0.0, 6));
+      b.drift_of_theta[j] = b.theta_drift[j] * first, b.drift_of_theta_dot[j] = b.theta_dot_drift[j] * second;
+      b.drift_of_x_dot[j] = b.x_dot_drift[j] * normals(word_of(key, 0.0, 7)).first;
+      b.read_x[j] = b.x[j];
+      b.readings[j] = b.motor[j] = 0.0;
+      for (int i = 0; i < (int)q.history; i++) {
+        double* state = entry(i) + j;
+        state[0] = b.theta[j], state[N] = b.theta_dot[j], state[2 * N] = b.x_dot[j];
+      }
+    }
+  }
+
+  // Whether every floor is level with Coulomb friction alone, and nothing pushes.
+  NOINLINE bool is_level() const {
+    for (int j = 0; j < n; j++)
+      if (!(b.plant_downhill[j] == 0.0 && b.plant_viscous[j] == 0.0 && b.plant_stribeck_excess[j] == 0.0 && b.push[j] == 0.0))
+        return false;
+    return true;
+  }
+
+  // The motor's torque in N m for a command, and the push on the platform, from now on.
+  template <bool pushes, class M> INLINE T drive(int j, T command, M going) {
+    T motor = GET(motor);
+    motor = motor + select(going, GET(motor_share), T(0.0)) * (rounded(command, GET(torque_resolution)) - motor);
+    PUT(motor, motor);
+    if constexpr (pushes) {
+      T time = GET(duration) + ROUNDING_OF_TIME, second = floor(time);
+      auto [begins, size] = uniforms(scramble(bits_of(GET(key)) + 0x5851F42D4C957F2DULL * bits_of(second + WHOLE)));
+      T since = time - second - (1.0 - PUSH_TIME) * (begins - 1.0);
+      PUT(plant_push, select((since >= 0.0) & (since < PUSH_TIME), GET(push) * (2.0 * size - 3.0), T(0.0)));
+    } else {
+      PUT(plant_push, T(0.0));
+    }
+    return motor;
+  }
+
+  // Writes the present states into the history.
+  void remember() {
+    int cursor = (int)b.cursor[0] + 1;
+    cursor = cursor < (int)q.history ? cursor : 0;
+    b.cursor[0] = cursor;
+    double* here = entry(cursor);
+    for (int j = 0; j < n; j += W) {
+      store(here + j, GET(theta)), store(here + N + j, GET(theta_dot)), store(here + 2 * N + j, GET(x_dot));
+    }
+  }
+
+  // Takes a reading of every sensor of the environments that take part.
+  NOINLINE void read_sensors() {
+    for (int j = 0; j < n; j++) {
+      int place = (int)b.cursor[0] - (int)b.delay[j];
+      const double* state = entry(place < 0 ? place + (int)q.history : place) + j;
+      b.late_theta[j] = state[0], b.late_theta_dot[j] = state[N], b.late_x_dot[j] = state[2 * N];
+    }
+    double pause = time_between_readings();
+    for (int j = 0; j < n; j += W) {
+      auto active = GET(active) != 0.0;
+      // The law is not called any more where the step has ended early.
+      if (q.with_reference != 0.0) active = active & (GET(halt) != HALTED);
+      T key = GET(key), count = GET(readings);
+      auto [white_0, white_1] = normals(word_of(key, count, 0));
+      auto [white_2, slow_2] = normals(word_of(key, count, 1));
+      auto [slow_0, slow_1] = normals(word_of(key, count, 2));
+      T kept = GET(drift_share), fresh = sqrt(1.0 - kept * kept);
+      T drift_0 = kept * GET(drift_of_theta) + fresh * slow_0 * GET(theta_drift);
+      T drift_1 = kept * GET(drift_of_theta_dot) + fresh * slow_1 * GET(theta_dot_drift);
+      T drift_2 = kept * GET(drift_of_x_dot) + fresh * slow_2 * GET(x_dot_drift);
+      T error_0 = GET(theta_bias) + drift_0 + white_0 * GET(theta_noise);
+      T error_1 = GET(theta_dot_bias) + drift_1 + white_1 * GET(theta_dot_noise);
+      T error_2 = GET(x_dot_bias) + drift_2 + white_2 * GET(x_dot_noise);
+      T theta = q.with_theta != 0.0 ? rounded(GET(late_theta) + error_0, GET(theta_resolution)) : T(0.0);
+      T theta_dot = q.with_theta_dot != 0.0 ? rounded(GET(late_theta_dot) + error_1, GET(theta_dot_resolution)) : T(0.0);
+      T x_dot = q.with_x_dot != 0.0 ? rounded(GET(late_x_dot) + error_2, GET(x_dot_resolution)) : T(0.0);
+      T x = GET(read_x) + min(count, T(1.0)) * pause * x_dot;
+      PUT(drift_of_theta, select(active, drift_0, GET(drift_of_theta)));
+      PUT(drift_of_theta_dot, select(active, drift_1, GET(drift_of_theta_dot)));
+      PUT(drift_of_x_dot, select(active, drift_2, GET(drift_of_x_dot)));
+      PUT(read_theta, select(active, theta, GET(read_theta)));
+      PUT(read_theta_dot, select(active, theta_dot, GET(read_theta_dot)));
+      PUT(read_x, select(active, x, GET(read_x)));
+      PUT(read_x_dot, select(active, x_dot, GET(read_x_dot)));
+      PUT(readings, select(active, count + 1.0, count));
+    }
+  }
+
+  // Reads the sensors where law or agent need it, and replaces the state by the reading for the law. `begins`: whether
+  // episodes begin, whose history `begin` has filled; `last`: whether the agent's step ends.
+  void measure(bool begins, bool last) {
+    if (!begins) remember();
+    if (begins || last || q.with_reference != 0.0) read_sensors();
+    if (q.law_reads == 0.0) return;
+    for (int j = 0; j < n; j += W) {
+      PUT(true_theta, GET(theta)), PUT(true_theta_dot, GET(theta_dot)), PUT(true_x, GET(x)), PUT(true_x_dot, GET(x_dot));
+      PUT(theta, GET(read_theta)), PUT(theta_dot, GET(read_theta_dot)), PUT(x, GET(read_x)), PUT(x_dot, GET(read_x_dot));
+    }
+  }
+
+  // Restores the state after a call of the law.
+  void restore_state() {
+    if (q.law_reads == 0.0) return;
+    for (int j = 0; j < n; j += W) {
+      PUT(theta, GET(true_theta)), PUT(theta_dot, GET(true_theta_dot)), PUT(x, GET(true_x)), PUT(x_dot, GET(true_x_dot));
+    }
+  }
+#undef GET
+#undef PUT
+};
+
+}  // namespace LEVEL

@@ -1,0 +1,115 @@
+// How the numbers of environments lie in memory: blocks of N environments, one row per quantity. The lists of names are
+// written here once; Python sees the same names.
+#pragma once
+#include "plant.hpp"
+
+// The constants that an episode draws besides M and mu, and the sizes of its disturbances, as in `Randomization` and
+// `Disturbances`.
+#define CAPSULE_DRAWN                                                                                                  \
+  DRAWN(m) DRAWN(l) DRAWN(g) DRAWN(k) DRAWN(c) DRAWN(static_ratio) DRAWN(backward_ratio) DRAWN(viscous)                \
+  DRAWN(stribeck_speed) DRAWN(slope) DRAWN(motor_friction)
+#define CAPSULE_DISTURBANCES                                                                                           \
+  ROW(theta_noise) ROW(theta_dot_noise) ROW(x_dot_noise) ROW(theta_bias) ROW(theta_dot_bias) ROW(x_dot_bias)           \
+  ROW(theta_drift) ROW(theta_dot_drift) ROW(x_dot_drift) ROW(drift_time) ROW(theta_resolution)                         \
+  ROW(theta_dot_resolution) ROW(x_dot_resolution) ROW(latency) ROW(lag) ROW(motor_friction) ROW(torque_resolution)     \
+  ROW(push)
+
+// The quantities of an environment; SI units. `info` shows the first ones under these names.
+#define CAPSULE_ROWS                                                                                                   \
+  ROW(theta) ROW(theta_dot) ROW(x) ROW(x_dot) ROW(M) ROW(mu) ROW(torque) ROW(law_torque) ROW(normal_force) ROW(energy) \
+  ROW(reward_progress) ROW(reward_energy) ROW(reward_termination)                                                      \
+  /* The result of the agent step. */                                                                                  \
+  ROW(reward) ROW(termination) ROW(steps)                                                                              \
+  /* Sums and extreme values of the episode. weight_distance is the distance weighted with (M + m) g, J: the           \
+     denominator of the cost of transport, also where M changes on the way. */                                         \
+  ROW(start_x) ROW(duration) ROW(episode_energy) ROW(weight_distance) ROW(torque_squared) ROW(peak_torque)             \
+  ROW(forward) ROW(backward) ROW(stuck) ROW(smallest_normal_ratio) ROW(largest_theta) ROW(largest_theta_dot)           \
+  /* Row of the reference that the law has seen last. */                                                               \
+  ROW(clock)                                                                                                           \
+  /* Input of the step: the action, and 1.0 where the environment takes part. */                                       \
+  ROW(action) ROW(active)                                                                                              \
+  /* Of the running step: m / (M + m), x at its start, the phase of the contact, how far the environment has stopped,  \
+     and the time that its present torque has acted. */                                                                \
+  ROW(mass_ratio) ROW(before_x) ROW(slip) ROW(halt) ROW(elapsed)                                                       \
+  /* Written only where a substep has an event: its end if the phase lasted, the accelerations at its start. */        \
+  ROW(next_theta) ROW(next_theta_dot) ROW(next_x) ROW(next_x_dot) ROW(theta_ddot) ROW(x_ddot)                          \
+  ROW(first_normal_force) ROW(least_normal_force)                                                                      \
+  /* Down to the end only for varied plants. The constants of `Plant`, those that the episode has drawn, its           \
+     disturbances, and the key of its noise. */                                                                        \
+  CAPSULE_PLANT(PLANT_ROW) CAPSULE_DRAWN CAPSULE_DISTURBANCES ROW(key)                                                 \
+  /* Derived: the latency in periods, the shares of drift and of motor lag after one period; readings so far. */       \
+  ROW(delay) ROW(drift_share) ROW(motor_share) ROW(readings)                                                           \
+  /* In the first lane: the entry of the history that was written last. */                                             \
+  ROW(cursor)                                                                                                          \
+  /* The motor's torque, N m; the drift of each sensor. */                                                             \
+  ROW(motor) ROW(drift_of_theta) ROW(drift_of_theta_dot) ROW(drift_of_x_dot)                                           \
+  /* The last reading, with the integral of its x_dot. */                                                              \
+  ROW(read_theta) ROW(read_theta_dot) ROW(read_x) ROW(read_x_dot)                                                      \
+  /* The state that the next reading shows; the true state, while the reading replaces it for the law. */              \
+  ROW(late_theta) ROW(late_theta_dot) ROW(late_x_dot) ROW(true_theta) ROW(true_theta_dot) ROW(true_x) ROW(true_x_dot)
+#define PLANT_ROW(name) ROW(plant_##name)
+#define DRAWN(name) ROW(drawn_##name)
+
+// Environments of a block in a batch. One environment alone is a block of one lane, so that its rows lie side by side.
+constexpr int LANES = 64;
+// Largest number of cells in the memory of a law.
+constexpr int MOST_CELLS = 256;
+
+template <int N> struct Block {
+#define ROW(name) double name[N];
+  CAPSULE_ROWS
+#undef ROW
+};
+
+// Values of the row `halt`: under way; stopped in the present substep, with one call of the law left; and halted.
+constexpr double UNDER_WAY = 0.0, ENDING = 1.0, HALTED = 2.0;
+// Rows of a state in the history: theta, theta_dot, x_dot.
+constexpr int HISTORY_ROWS = 3;
+
+// The settings of a step, SI units; conditions are 0.0 or 1.0.
+#define CAPSULE_SETTINGS(FIELD)                                                                                        \
+  FIELD(torque_limit) FIELD(residual_limit) FIELD(total_torque) FIELD(physics_dt) FIELD(physics_steps)                 \
+  FIELD(law_steps) FIELD(energy_weight) FIELD(termination_penalty) FIELD(with_reference) FIELD(with_parameters)        \
+  FIELD(stack_size)                                                                                                    \
+  /* Disturbances: number of states in the history, whether law and agent observe the sensors, the sensors that exist, \
+     and the measured speed up to which the observation's `stick` is 1. */                                             \
+  FIELD(history) FIELD(law_reads) FIELD(agent_reads) FIELD(with_theta) FIELD(with_theta_dot) FIELD(with_x_dot)         \
+  FIELD(stick_threshold)                                                                                               \
+  /* The plant: whether it is extended, and differs in more than M and mu; and its constants. */                       \
+  FIELD(extended) FIELD(varied) FIELD(pivot_torque_on_contact) CAPSULE_PLANT(FIELD)
+
+struct Settings {
+#define FIELD(name) double name;
+  CAPSULE_SETTINGS(FIELD)
+#undef FIELD
+};
+
+// Calls a law that is not part of the core for n environments of a block whose rows begin at `block`: replaces their
+// memory and writes their torques, NaN where the law raises an exception.
+typedef void (*UserLaw)(void* data, double* block, double* torques, long long n);
+
+// Everything that belongs to the environments of a simulation: arrays, by their addresses, and their sizes.
+#define CAPSULE_BATCH(FIELD)                                                                                           \
+  /* The blocks, each with the law's memory, its line of the reference, the task's memory and the history behind it.   \
+     `lanes` is LANES or 1. */                                                                                         \
+  FIELD(double*, world) FIELD(long long, num_envs) FIELD(long long, lanes)                                             \
+  /* Shape (num_envs, entries). */                                                                                     \
+  FIELD(float*, observations) FIELD(long long, entries)                                                                \
+  FIELD(const Settings*, settings)                                                                                     \
+  /* Numbers of the task and of the law in their lists. */                                                             \
+  FIELD(long long, task) FIELD(long long, task_size)                                                                   \
+  FIELD(long long, law) FIELD(const double*, law_constants) FIELD(UserLaw, user_law) FIELD(void*, user_data)           \
+  FIELD(const double*, memory) FIELD(long long, memory_size)                                                           \
+  FIELD(const double*, reference) FIELD(long long, reference_rows) FIELD(long long, reference_size)                    \
+  /* Resets: keys (num_envs, 2), episodes since the seeding, the environments that begin (count,), their first         \
+     quantities (6, num_envs), and the distributions of M and mu and of the initial state. */                          \
+  FIELD(const unsigned long long*, keys) FIELD(long long*, episodes) FIELD(const long long*, rows)                     \
+  FIELD(double*, starts) FIELD(const double*, ranges) FIELD(const double*, start)                                      \
+  /* Further draws: lines of (row, stream, place, low, range, signed), and the values (lines, num_envs). */            \
+  FIELD(const double*, draw_table) FIELD(long long, draw_lines) FIELD(double*, drawn)
+
+struct Batch {
+#define FIELD(type, name) type name;
+  CAPSULE_BATCH(FIELD)
+#undef FIELD
+};

@@ -1,0 +1,40 @@
+// The core at one level of instructions: compiled once for each, with -DLEVEL=name and its -march.
+#include "level.hpp"
+#include "functions.hpp"
+#include "resets.hpp"
+#include "step.hpp"
+
+namespace LEVEL {
+
+void begin_episodes(const Batch& batch, long long count) {
+  if (batch.lanes == 1) return begin_blocks<1>(batch, count, block_size<1>(batch));
+  begin_blocks<LANES>(batch, count, block_size<LANES>(batch));
+}
+
+template <class Law>
+void torques_of(const Law& law, const double* states, double* memory, const double* rows, double* torques, long long n) {
+  for (long long i = 0; i < n; i++) {
+    const double* s = states + 4 * i;
+    torques[i] = law(State<double>{s[0], s[1], s[2], s[3]}, memory + Law::MEMORY * i, rows + Law::COLUMNS * i);
+  }
+}
+
+void law_torques(long long law, const double* constants, const double* states, double* memory, const double* rows,
+                 double* torques, long long n) {
+  int number = 0;
+#define LAW(Law) \
+  if (law == number++) return torques_of(Law(constants), states, memory, rows, torques, n);
+  CAPSULE_LAWS(LAW)
+#undef LAW
+}
+
+}  // namespace LEVEL
+
+#define TEXT(x) #x
+#define NAME_OF(x) TEXT(x)
+#define JOIN(a, b) a##b
+#define SYMBOL(x) JOIN(capsule_level_, x)
+
+extern "C" const Level SYMBOL(LEVEL);
+extern "C" const Level SYMBOL(LEVEL) = {NAME_OF(LEVEL),        LEVEL::advance,  LEVEL::draw_episodes,
+                                        LEVEL::begin_episodes, LEVEL::evaluate, LEVEL::law_torques};

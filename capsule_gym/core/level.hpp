@@ -1,0 +1,15 @@
+// The entry points of the core at one level of instructions.
+#pragma once
+#include "layout.hpp"
+
+struct Level {
+  const char* name;
+  long long (*advance)(const Batch&, long long first, long long last, bool begin);
+  void (*draw_episodes)(const Batch&, long long count);
+  void (*begin_episodes)(const Batch&, long long count);
+  void (*evaluate)(int function, const double* in, double* out, long long n, const Settings*);
+  // Torques of a law of the core, from arrays of shape (n, numbers): the state, the memory, which is replaced, and the row
+  // of the reference with the task's memory.
+  void (*law_torques)(long long law, const double* constants, const double* states, double* memory, const double* rows,
+                      double* torques, long long n);
+};

@@ -1,0 +1,473 @@
+// One agent step, from the action to the observation, of any number of environments: `Step::run` is its outline.
+//
+// The environments of a block are stepped together, as many at once as the number type holds. One in which an event
+// happens (a change of the contact phase, the end of the episode) is left out of its substep and stepped by itself.
+#pragma once
+#include "contact.hpp"
+#include "disturbances.hpp"
+#include "laws.hpp"
+#include "layout.hpp"
+#include "observation.hpp"
+#include "tasks.hpp"
+
+namespace LEVEL {
+
+// Stands for the phase of a platform at rest until `smooth_substep` has found it.
+constexpr double AT_REST = 2.0;
+// |theta_dot| + |x_dot| (rad/s, m/s) at an event, such as the end of an episode, beyond which the motion counts as lost.
+constexpr double RATE_LIMIT = 1e4;
+
+// Reasons for the termination of an episode: the ball meets the platform, the platform leaves the floor, the integrator
+// cannot resolve the motion.
+enum Termination { NONE = 0, PENDULUM = 1, CONTACT = 2, DIVERGED = 3 };
+
+INLINE Termination termination(double theta, double normal_force) {
+  return abs(theta) >= THETA_LIMIT ? PENDULUM : normal_force <= 0.0 ? CONTACT : NONE;
+}
+
+// Whether `termination` is NONE and both are numbers. This check finds every step that overflows: within the limits of
+// plant and torque, accelerations that overflow grow so fast from stage to stage that none cancels another in theta.
+template <class T> INLINE auto continues(T theta, T normal_force) {
+  return (abs(theta) < THETA_LIMIT) & (normal_force > 0.0);
+}
+
+// Whether the rates are those of a motion that the integrator resolves; false for NaN.
+template <class T> INLINE auto bounded(T theta_dot, T x_dot) { return abs(theta_dot) + abs(x_dot) <= RATE_LIMIT; }
+
+// A block of N environments, of which n take part in loops, stepped with the number type T.
+template <class T, int N> struct Step {
+  static constexpr int W = WIDTH<T>;
+  const Batch& batch;
+  const Settings& q;
+  Block<N>& b;
+  const int n;
+  float* const observations;
+  // Behind the rows: memory of the law, its line of the reference, and the task's memory.
+  double *const memory, *const line, *const task;
+  Disturbed<T, N> disturbed;
+  // Lanes with an event in the present substep.
+  int events[N], count = 0;
+
+  Step(const Batch& batch, Block<N>& block, int n, float* observations)
+      : batch(batch), q(*batch.settings), b(block), n(n), observations(observations), memory((double*)(&block + 1)),
+        line(memory + batch.memory_size * N), task(line + batch.reference_size * N),
+        disturbed{q, block, task + batch.task_size * N, n} {}
+
+#define EACH for (int j = 0; j < n; j += W)
+  // Reads and writes of a row at the lanes from j on.
+#define GET(row) load<T>(b.row + j)
+#define PUT(row, value) store<T>(b.row + j, value)
+
+  // One agent step, or with `begin` the first call of the law in an episode.
+  void run(bool begin) {
+    bool varied = q.varied != 0.0;
+    if (begin && varied) disturbed.begin();
+    if (begin_step(begin) == 0 && begin) return;
+    if (begin) start_task();
+    bool level = varied && !begin && disturbed.is_level();
+    int ticks = begin ? 1 : (int)q.law_steps;
+    for (int tick = 0; tick < ticks; tick++) {
+      if (!begin) hold_torque(level);
+      // Law and agent observe a past state with sensor errors.
+      if (varied) disturbed.measure(begin, tick + 1 == ticks);
+      call_law(begin ? 0.0 : 1.0);
+      if (varied) disturbed.restore_state();
+    }
+    if (!begin) finish_step();
+    observe(begin);
+  }
+
+  // --- the start of a step ---
+
+  // Clips the action; returns how many environments take part.
+  NOINLINE int begin_step(bool begin) {
+    int taking_part = 0;
+    EACH {
+      auto active = GET(active) != 0.0;
+      T m = q.varied != 0.0 ? GET(plant_m) : T(q.m);
+      PUT(halt, select(active, T(UNDER_WAY), T(HALTED)));
+      PUT(action, clip(GET(action), T(1.0)));
+      PUT(mass_ratio, m / (GET(M) + m));
+      PUT(before_x, GET(x));
+      PUT(energy, select(active, T(0.0), GET(energy)));
+      // The smallest of the step; at the start of an episode the weight, which `begin_episodes` has written.
+      if (!begin) PUT(normal_force, select(active, T(INFINITE), GET(normal_force)));
+      taking_part += __builtin_popcount(lanes(active));
+    }
+    return taking_part;
+  }
+
+  // --- the torque, constant until the law is called again ---
+
+  void hold_torque(bool level) {
+    if (q.varied != 0.0) return level ? hold_on<Kind::level>() : hold_on<Kind::varied>();
+    if (q.extended != 0.0) return hold_on<Kind::extended>();
+    return q.pivot_torque_on_contact != 0.0 ? hold_on<Kind::paper>() : hold_on<Kind::coulomb>();
+  }
+
+  template <Kind kind> NOINLINE void hold_on() {
+    double h = q.physics_dt;
+    int substeps = (int)q.physics_steps;
+    for (int substep = 0; substep < substeps; substep++) {
+      count = 0;
+      EACH {
+        if (substep == 0) apply_torque<kind>(j);
+        T slip = GET(slip);
+        // Where nothing sticks a third of the work is left out.
+        if (any((slip == 0.0) | (slip == AT_REST))) smooth_substep<kind, true>(j, slip, h);
+        else smooth_substep<kind, false>(j, slip, h);
+      }
+      if (count) handle_events<kind>(h, (substep + 1) * h);
+    }
+  }
+
+  // u = clip(law torque + residual)
+  template <Kind kind> INLINE void apply_torque(int j) {
+    auto going = GET(halt) == UNDER_WAY;
+    T law_torque = GET(law_torque), action = GET(action), x_dot = GET(x_dot);
+    T residual = q.total_torque != 0.0 ? clip(q.torque_limit * action - law_torque, T(q.residual_limit))
+                                       : q.residual_limit * action;
+    T torque = clip(law_torque + residual, T(q.torque_limit));
+    if constexpr (Plant<T, kind>::varied) torque = disturbed.template drive<kind == Kind::varied>(j, torque, going);
+    torque = select(going, torque, GET(torque));
+    PUT(torque, torque);
+    PUT(peak_torque, max(GET(peak_torque), abs(torque)));
+    PUT(elapsed, T(q.physics_steps * q.physics_dt));
+    PUT(slip, select(going & (x_dot == 0.0), T(AT_REST), select(x_dot < 0.0, T(-1.0), T(1.0))));
+  }
+
+  // The plants of the lanes from j on, with the number type S.
+  template <Kind kind, class S = T> INLINE Plant<S, kind> plant_at(int j) const {
+    Plant<S, kind> p;
+    p.M = load<S>(b.M + j), p.mu = load<S>(b.mu + j), p.mass_ratio = load<S>(b.mass_ratio + j);
+    p.pivot_torque_on_contact = q.pivot_torque_on_contact;
+#define FIELD(name)                                                            \
+  if constexpr (Plant<S, kind>::varied) p.name = load<S>(b.plant_##name + j); \
+  else p.name = q.name;
+    CAPSULE_PLANT(FIELD)
+#undef FIELD
+    return p;
+  }
+
+  // Takes the lanes from j on through one substep, unless it has an event: then they are listed.
+  template <Kind kind, bool may_stick> INLINE void smooth_substep(int j, T slip, T h) {
+    auto p = plant_at<kind>(j);
+    State<T> s = {GET(theta), GET(theta_dot), GET(x), GET(x_dot)};
+    T torque = GET(torque);
+    if constexpr (may_stick) {
+      slip = select(slip == AT_REST, phase_at_rest(s.theta, s.theta_dot, torque, p), slip);
+      PUT(slip, slip);
+    }
+    auto r = smooth_step<may_stick>(s, slip, torque, p, h);
+    auto going = GET(halt) == UNDER_WAY;
+    auto smooth = r.lasts & continues(r.end.theta, r.first.normal);
+    auto commit = going & smooth;
+    if (unsigned eventful = lanes(going & !smooth)) {
+      for (; eventful; eventful &= eventful - 1) events[count++] = j + __builtin_ctz(eventful);
+      PUT(next_theta, r.end.theta), PUT(next_theta_dot, r.end.theta_dot);
+      PUT(next_x, r.end.x), PUT(next_x_dot, r.end.x_dot);
+      PUT(theta_ddot, r.first.theta_ddot), PUT(x_ddot, r.first.x_ddot);
+      PUT(first_normal_force, r.first.normal), PUT(least_normal_force, r.smallest);
+    }
+    PUT(theta, select(commit, r.end.theta, s.theta));
+    PUT(theta_dot, select(commit, r.end.theta_dot, s.theta_dot));
+    PUT(x, select(commit, r.end.x, s.x));
+    PUT(x_dot, select(commit, r.end.x_dot, s.x_dot));
+    T moved = select(commit, r.end.x - s.x, T(0.0));
+    T turned = select(commit, swept(s.theta_dot, r.end.theta_dot, r.end.theta - s.theta, h), T(0.0));
+    PUT(energy, GET(energy) + abs(torque) * turned);
+    PUT(forward, GET(forward) + max(T(0.0), moved));
+    PUT(backward, GET(backward) + max(T(0.0), -moved));
+    if constexpr (may_stick) PUT(stuck, GET(stuck) + select(commit & (slip == 0.0), h, T(0.0)));
+    PUT(normal_force, min(GET(normal_force), select(commit, r.first.normal, T(INFINITE))));
+    PUT(largest_theta, max(GET(largest_theta), select(commit, abs(r.end.theta), T(0.0))));
+    PUT(largest_theta_dot, max(GET(largest_theta_dot), select(commit, abs(r.end.theta_dot), T(0.0))));
+  }
+
+  // --- events ---
+
+  template <Kind kind> NOINLINE void handle_events(double h, double elapsed) {
+    int left = count;
+    if constexpr (N > 1) {
+      if (count > 1) left = pass_events<kind>(h);
+    }
+    for (int e = 0; e < left; e++) step_with_events<kind>(events[e], h, elapsed);
+  }
+
+  // Steps the environments that come to rest once in the substep, several at a time; returns how many others are left.
+  template <Kind kind> NOINLINE int pass_events(double h) {
+    int left = 0;
+    for (int first = 0; first < count; first += W) {
+      // Lanes behind the last environment repeat it, and are ignored.
+      int many = count - first < W ? count - first : W, lane[W];
+      for (int i = 0; i < W; i++) lane[i] = events[first + (i < many ? i : many - 1)];
+      auto gather = [&](const double* row) {
+        double values[W];
+        for (int i = 0; i < W; i++) values[i] = row[lane[i]];
+        return load<T>(values);
+      };
+      Plant<T, kind> p;
+      p.M = gather(b.M), p.mu = gather(b.mu), p.mass_ratio = gather(b.mass_ratio);
+      p.pivot_torque_on_contact = q.pivot_torque_on_contact;
+#define FIELD(name)                                                              \
+  if constexpr (Plant<T, kind>::varied) p.name = gather(b.plant_##name); \
+  else p.name = q.name;
+      CAPSULE_PLANT(FIELD)
+#undef FIELD
+      Phase<Plant<T, kind>> start = {{gather(b.theta), gather(b.theta_dot), gather(b.x), gather(b.x_dot)},
+                                     gather(b.slip), gather(b.torque), p,
+                                     {gather(b.theta_ddot), gather(b.x_ddot), gather(b.first_normal_force)}};
+      auto r = pass_rest(start, gather(b.next_theta), gather(b.next_theta_dot), gather(b.next_x_dot), T(h));
+      const auto& m = r.motion;
+      auto holds = r.holds & continues(m.end.theta, m.normal_force) & bounded(m.end.theta_dot, m.end.x_dot) &
+                   (abs(m.end.x + m.swept) < INFINITE) & (gather(b.least_normal_force) >= 0.0);
+      unsigned passed = lanes(holds);
+      T slip = r.slip;
+      for (int i = 0; i < many; i++) {
+        if (!(passed >> i & 1)) {
+          events[left++] = lane[i];
+          continue;
+        }
+        auto at = [i](const T& values) { return ((const double*)&values)[i]; };
+        b.slip[lane[i]] = at(slip);
+        add_motion(lane[i], {{at(m.end.theta), at(m.end.theta_dot), at(m.end.x), at(m.end.x_dot)}, at(m.forward),
+                             at(m.backward), at(m.stuck), at(m.swept), at(m.normal_force), at(m.events)});
+      }
+    }
+    return left;
+  }
+
+  // Writes the state at the end of a substep, and adds its contributions to the step and to the episode.
+  INLINE void add_motion(int j, const Motion<double>& m) {
+    b.theta[j] = m.end.theta, b.theta_dot[j] = m.end.theta_dot, b.x[j] = m.end.x, b.x_dot[j] = m.end.x_dot;
+    b.energy[j] += abs(b.torque[j]) * m.swept;
+    b.forward[j] += m.forward;
+    b.backward[j] += m.backward;
+    b.stuck[j] += m.stuck;
+    b.normal_force[j] = min(b.normal_force[j], m.normal_force);
+    b.largest_theta[j] = max(b.largest_theta[j], abs(m.end.theta));
+    b.largest_theta_dot[j] = max(b.largest_theta_dot[j], abs(m.end.theta_dot));
+  }
+
+  // Steps one environment through a substep with any event.
+  template <Kind kind> NOINLINE void step_with_events(int j, double h, double elapsed) {
+    auto p = plant_at<kind, double>(j);
+    State<double> s = {b.theta[j], b.theta_dot[j], b.x[j], b.x_dot[j]};
+    Phase<Plant<double, kind>> start = {s, b.slip[j], b.torque[j], p, {b.theta_ddot[j], b.x_ddot[j], b.first_normal_force[j]}};
+    State<double> end = {b.next_theta[j], b.next_theta_dot[j], b.next_x[j], b.next_x_dot[j]};
+    auto whole = b.least_normal_force[j] >= 0.0 ? finish(start, h, end, start.first.x_ddot, start.first.normal)
+                                                : piece(start, h);
+    auto m = event_step(start, whole);
+    double sum = m.end.theta + m.end.x + m.swept + m.normal_force;
+    if (!(bounded(m.end.theta_dot, m.end.x_dot) && abs(sum) < INFINITE)) {
+      // The substep is discarded: the environment keeps the state at its start.
+      auto a = accelerations(s.theta, s.theta_dot, s.x_dot, start.slip, start.u, p);
+      b.normal_force[j] = min(b.normal_force[j], a.normal);
+      return end_episode(j, DIVERGED, elapsed - h);
+    }
+    add_motion(j, m);
+    b.slip[j] = contact_phase(m.end, start.u, p);
+    if (auto reason = termination(m.end.theta, m.normal_force)) end_episode(j, reason, elapsed);
+  }
+
+  INLINE void end_episode(int j, Termination reason, double elapsed) {
+    b.termination[j] = reason;
+    b.halt[j] = ENDING;
+    b.elapsed[j] = elapsed;
+    b.slip[j] = 1.0;
+  }
+
+  // --- the law ---
+
+  NOINLINE void call_law(double tick) {
+    // The only row of a reference stays where the first call has written it.
+    if (batch.reference_rows > 1 || tick == 0.0) read_reference(tick);
+    int number = 0;
+#define LAW(Law) \
+  if (batch.law == number++) return evaluate_law(Law(batch.law_constants), tick);
+    CAPSULE_LAWS(LAW)
+#undef LAW
+    evaluate_user_law(tick);
+  }
+
+  // Writes the present lines of the reference, `tick` rows further on.
+  INLINE void read_reference(double tick) {
+    double cycle = (double)batch.reference_rows;
+    bool same = true;
+    for (int j = 0; j < n; j++) {
+      double clock = b.clock[j] + (b.halt[j] != HALTED ? tick : 0.0);
+      b.clock[j] = clock < cycle ? clock : 0.0;
+      same &= b.clock[j] == b.clock[0];
+    }
+    for (int r = 0; r < batch.reference_size; r++)
+      for (int j = 0; j < n; j++)
+        line[r * N + j] = batch.reference[(long long)b.clock[same ? 0 : j] * batch.reference_size + r];
+  }
+
+  // Calls the law with the present state; its torque acts until the next call.
+  template <class Law> NOINLINE void evaluate_law(const Law law, double tick) {
+    // A law with branches takes one environment at a time.
+    using S = typename Choose<Law::BRANCHES, double, T>::type;
+    for (int j = 0; j < n; j += WIDTH<S>) {
+      // The task's memory follows the line.
+      S cells[Law::MEMORY], row[Law::COLUMNS];
+      for (int r = 0; r < Law::MEMORY; r++) cells[r] = load<S>(memory + r * N + j);
+      for (int r = 0; r < Law::COLUMNS; r++) row[r] = load<S>(line + r * N + j);
+      State<S> s = {load<S>(b.theta + j), load<S>(b.theta_dot + j), load<S>(b.x + j), load<S>(b.x_dot + j)};
+      S torque = law(s, cells, row);
+      auto called = load<S>(b.halt + j) != HALTED;
+      for (int r = 0; r < Law::MEMORY; r++)
+        store<S>(memory + r * N + j, select(called, cells[r], load<S>(memory + r * N + j)));
+      keep_torque(j, torque, tick);
+    }
+  }
+
+  NOINLINE void evaluate_user_law(double tick) {
+    long long size = batch.memory_size * N;
+    // It writes the memory of every lane. Those that have halted get theirs back, and those whose law has failed, so that it
+    // can be called again with the same arguments.
+    double torques[N], kept[MOST_CELLS * N];
+    __builtin_memcpy(kept, memory, size * sizeof(double));
+    batch.user_law(batch.user_data, (double*)&b, torques, n);
+    for (int j = 0; j < n; j++) {
+      if (b.halt[j] == HALTED || !(abs(torques[j]) < INFINITE))
+        for (long long r = 0; r < batch.memory_size; r++) memory[r * N + j] = kept[r * N + j];
+      keep_torque(j, torques[j], tick);
+    }
+  }
+
+  template <class S> INLINE void keep_torque(int j, S torque, double tick) {
+    S halt = load<S>(b.halt + j), acted = load<S>(b.torque + j);
+    auto called = halt != HALTED;
+    // Infinity must not pass for a clipped torque: infinity minus itself is NaN. The state stays as the law saw it.
+    S clipped = clip(torque, S(q.torque_limit)) + (torque - torque);
+    store<S>(b.law_torque + j, select(called, clipped, load<S>(b.law_torque + j)));
+    S elapsed = select(called, load<S>(b.elapsed + j), S(0.0));
+    store<S>(b.duration + j, load<S>(b.duration + j) + tick * elapsed);
+    store<S>(b.torque_squared + j, load<S>(b.torque_squared + j) + tick * elapsed * acted * acted);
+    store<S>(b.halt + j, select((halt == UNDER_WAY) & (clipped == clipped), S(UNDER_WAY), S(HALTED)));
+  }
+
+  // --- the task ---
+
+  template <class Call> INLINE void with_task(Call call) {
+    int number = 0;
+#define TASK(Task) \
+  if (batch.task == number++) return call(Task());
+    CAPSULE_TASKS(TASK)
+#undef TASK
+  }
+
+  template <class S, class Task> INLINE typename Task::template Memory<S> read_task(int j) const {
+    typename Task::template Memory<S> m;
+    for (int r = 0; r < Task::ROWS; r++) ((S*)&m)[r] = load<S>(task + r * N + j);
+    return m;
+  }
+
+  NOINLINE void start_task() {
+    with_task([&](auto kind) {
+      using Task = decltype(kind);
+      for (int j = 0; j < n; j++) {
+        if (b.active[j] == 0.0) continue;
+        auto m = read_task<double, Task>(j);
+        Task::begin(b.x[j], m);
+        for (int r = 0; r < Task::ROWS; r++) task[r * N + j] = ((double*)&m)[r];
+      }
+    });
+  }
+
+  // Ends an agent step: rewards, the task's memory, and the sums of the episode.
+  NOINLINE void finish_step() {
+    with_task([&](auto kind) { finish_task<decltype(kind)>(); });
+  }
+
+  template <class Task> INLINE void finish_task() {
+    double dt = q.law_steps * q.physics_steps * q.physics_dt;
+    bool varied = q.varied != 0.0;
+    EACH {
+      auto active = GET(active) != 0.0;
+      T share = select(active, T(1.0), T(0.0));
+      T mass = GET(M) + (varied ? GET(plant_m) : T(q.m)), g = varied ? GET(plant_g) : T(q.g);
+      T gravity = g;
+      if (varied || q.extended != 0.0) {
+        T downhill = varied ? GET(plant_downhill) : T(q.downhill);
+        gravity = sqrt(g * g + downhill * downhill);
+      }
+      T moved = GET(x) - GET(before_x), energy = GET(energy);
+      auto m = read_task<T, Task>(j);
+      T gain = Task::reward(GET(x), GET(x_dot), moved, dt, m);
+      for (int r = 0; r < Task::ROWS; r++)
+        store<T>(task + r * N + j, select(active, ((T*)&m)[r], load<T>(task + r * N + j)));
+      T energy_cost = -q.energy_weight * energy;
+      T penalty = select(GET(termination) != 0.0, T(-q.termination_penalty), T(0.0));
+      PUT(reward, select(active, gain + energy_cost + penalty, T(0.0)));
+      PUT(reward_progress, select(active, gain, GET(reward_progress)));
+      PUT(reward_energy, select(active, energy_cost, GET(reward_energy)));
+      PUT(reward_termination, select(active, penalty, GET(reward_termination)));
+      PUT(steps, GET(steps) + share);
+      PUT(episode_energy, GET(episode_energy) + share * energy);
+      PUT(weight_distance, GET(weight_distance) + share * (mass * gravity) * moved);
+      T smallest = min(GET(smallest_normal_ratio), GET(normal_force) / (mass * g));
+      PUT(smallest_normal_ratio, select(active, smallest, GET(smallest_normal_ratio)));
+    }
+  }
+
+  // --- the observation ---
+
+  NOINLINE void observe(bool begin) {
+    with_task([&](auto kind) { observe_task<decltype(kind)>(begin); });
+  }
+
+  template <class Task> INLINE void observe_task(bool begin) {
+    int entries = (int)batch.entries / (int)q.stack_size, all = (int)batch.entries;
+    bool reads = q.varied != 0.0 && q.agent_reads != 0.0;
+    for (int j = 0; j < n; j++) {
+      if (b.active[j] == 0.0) continue;
+      float* out = observations + j * batch.entries;
+      // Shifts the stacked observations; at the start of an episode all of them are the first.
+      for (int entry = all - 1; entry >= entries; entry--) out[entry] = out[entry - entries];
+      Observed seen = {b.theta[j], b.theta_dot[j], b.x_dot[j], q.stick_threshold, begin ? 0.0 : b.action[j]};
+      if (reads) seen.theta = b.read_theta[j], seen.theta_dot = b.read_theta_dot[j], seen.x_dot = b.read_x_dot[j];
+      float* next = write_state(out, seen);
+      if (q.with_reference != 0.0)
+        next = write_law(next, {line[j], line[N + j], b.clock[j] / (double)batch.reference_rows, b.law_torque[j]});
+      if (q.with_parameters != 0.0) next = write_parameters(next, b.M[j], b.mu[j]);
+      Task::observe(next, read_task<double, Task>(j));
+      if (begin)
+        for (int entry = entries; entry < all; entry++) out[entry] = out[entry - entries];
+    }
+  }
+#undef EACH
+#undef GET
+#undef PUT
+};
+
+// Doubles of a block of N environments.
+template <int N> constexpr long long block_size(const Batch& batch) {
+  long long rows = batch.memory_size + batch.reference_size + batch.task_size;
+  return sizeof(Block<N>) / 8 + (rows + HISTORY_ROWS * (long long)batch.settings->history) * N;
+}
+
+// Steps the environments first..last-1, or begins their episodes; `first` is a multiple of N. Returns the index of an
+// environment whose law returned a torque that is not finite, or -1.
+template <class T, int N> long long advance_blocks(const Batch& batch, long long first, long long last, bool begin) {
+  long long broken = -1;
+  for (long long at = first; at < last; at += N) {
+    auto& block = *(Block<N>*)(batch.world + at / N * block_size<N>(batch));
+    // Whole vectors: environments behind the last one are inactive.
+    int n = last - at < N ? (int)(last - at) : N, width = (n + WIDTH<T> - 1) / WIDTH<T> * WIDTH<T>;
+    Step<T, N>(batch, block, width, batch.observations + at * batch.entries).run(begin);
+    for (int j = 0; j < n; j++)
+      if (block.active[j] != 0.0 && !(abs(block.law_torque[j]) < INFINITE)) broken = at + j;
+  }
+  return broken;
+}
+
+inline long long advance(const Batch& batch, long long first, long long last, bool begin) {
+#ifndef CAPSULE_ONE_ENVIRONMENT
+  if (batch.lanes != 1) return advance_blocks<Pack, LANES>(batch, first, last, begin);
+#endif
+  return advance_blocks<double, 1>(batch, first, last, begin);
+}
+
+}  // namespace LEVEL

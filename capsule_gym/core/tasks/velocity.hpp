@@ -1,0 +1,84 @@
+// The task to follow a commanded mean velocity, which changes during the episode.
+#pragma once
+#include "goal.hpp"
+
+namespace LEVEL {
+
+// Largest distance of the target, m; time constant of the observed velocity, s, and its bound, m/s.
+constexpr double LEAD = 0.3, FILTER = 0.25, SPEED_BOUND = 2.0;
+// Time that the metrics leave out after a change, and the shortest measured time of a command that counts, s; distance
+// from the target within which a command is settled, m.
+constexpr double SETTLING = 1.5, MEASURED = 1.0, SETTLED = 0.02;
+constexpr int COMMANDS = 8;
+
+struct Velocity {
+  static constexpr const char* NAME = "velocity";
+  // The command, m/s; position of the target, and that minus the platform's, m; filtered velocity, m/s; time since the
+  // change of the command, and its duration, s. Of the present command: time and position at the start of its
+  // measurement, and 1.0 once settled. Sums over the previous commands: missed and commanded distance, m, number of
+  // measured and of unsettled commands. The present and the next commands, and their durations.
+#define VELOCITY_MEMORY(FIELD)                                                                                         \
+  FIELD(command) FIELD(target) FIELD(error) FIELD(speed) FIELD(since) FIELD(lasts)                                     \
+  FIELD(measured_from) FIELD(measured_x) FIELD(settled) FIELD(missed) FIELD(commanded) FIELD(measured)                 \
+  FIELD(unsettled)
+#define FIELD(name) #name " "
+  static constexpr const char* FIELDS = VELOCITY_MEMORY(FIELD)
+      "v_0 v_1 v_2 v_3 v_4 v_5 v_6 v_7 lasts_0 lasts_1 lasts_2 lasts_3 lasts_4 lasts_5 lasts_6 lasts_7";
+#undef FIELD
+  template <class T> struct Memory {
+#define FIELD(name) T name;
+    VELOCITY_MEMORY(FIELD)
+#undef FIELD
+    T v[COMMANDS], lasts_for[COMMANDS];
+  };
+  static constexpr int ROWS = WIDTH<Memory<double>>, ENTRIES = 4;
+
+  // Sets the first command, with the target at the platform.
+  template <class T> static INLINE void begin(T x, Memory<T>& m) {
+    m.command = m.v[0], m.target = x, m.lasts = m.lasts_for[0];
+    m.error = m.speed = m.since = m.measured_from = m.measured_x = m.settled = 0.0;
+    m.missed = m.commanded = m.measured = m.unsettled = 0.0;
+  }
+
+  // The reward for the distance to the target; moves the target, and changes the command when that is due.
+  template <class T> static INLINE T reward(T x, T, T moved, double dt, Memory<T>& m) {
+    m.target = x + clip(m.target + m.command * dt - x, LEAD);
+    m.error = m.target - x;
+    T size = abs(m.error);
+    T gain = dt * (exp(-size / 0.02) + 0.5 * exp(-size / 0.1) - 0.5 * size);
+    m.speed = m.speed + (moved / dt - m.speed) * (dt / (FILTER + dt));
+    m.since = m.since + dt;
+    auto measures = m.since >= SETTLING - TIME_TOLERANCE, begins = measures & (m.measured_from == 0.0);
+    m.measured_from = select(begins, m.since, m.measured_from);
+    m.measured_x = select(begins, x, m.measured_x);
+    m.settled = select(measures & (size <= SETTLED), T(1.0), m.settled);
+    auto ends = m.since >= m.lasts - TIME_TOLERANCE;
+    T duration = m.since - m.measured_from;
+    auto counts = ends & (m.measured_from > 0.0) & (duration >= MEASURED - TIME_TOLERANCE);
+    m.missed = m.missed + select(counts, abs(x - m.measured_x - m.command * duration), T(0.0));
+    m.commanded = m.commanded + select(counts, abs(m.command) * duration, T(0.0));
+    m.measured = m.measured + select(counts, T(1.0), T(0.0));
+    m.unsettled = m.unsettled + select(counts, 1.0 - m.settled, T(0.0));
+    // The last command stays.
+    for (int i = 0; i < COMMANDS; i++) {
+      bool last = i == COMMANDS - 1;
+      m.v[i] = select(ends, m.v[last ? i : i + 1], m.v[i]);
+      m.lasts_for[i] = select(ends, last ? T(INFINITE) : m.lasts_for[i + 1], m.lasts_for[i]);
+    }
+    m.command = select(ends, m.v[0], m.command), m.lasts = select(ends, m.lasts_for[0], m.lasts);
+    m.target = select(ends, x, m.target);
+    m.error = select(ends, T(0.0), m.error), m.since = select(ends, T(0.0), m.since);
+    m.measured_from = select(ends, T(0.0), m.measured_from), m.measured_x = select(ends, T(0.0), m.measured_x);
+    m.settled = select(ends, T(0.0), m.settled);
+    return gain;
+  }
+
+  static INLINE void observe(float* out, const Memory<double>& memory) {
+    out[0] = (float)memory.command;
+    out[1] = (float)tanh(memory.error / 0.05);
+    out[2] = (float)tanh(memory.error / 0.2);
+    out[3] = (float)clip(memory.speed, SPEED_BOUND);
+  }
+};
+
+}  // namespace LEVEL
