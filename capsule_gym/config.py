@@ -69,7 +69,7 @@ def find_task(value: Any) -> Task:
     """
     if isinstance(value, Task):
         return value
-    # Only the module of this task is imported, and compiled.
+    # Only the module of this task is imported.
     found: Task = importlib.import_module(f"capsule_gym.tasks.{check_name('task', value, Task, task.TASKS)}").TASK
     return found
 

@@ -8,13 +8,15 @@ import re
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from capsule_gym import _core, native
 from capsule_gym.checks import check_number, first_cause, written
 from capsule_gym.config import LAW_DT, find_task
 from capsule_gym.task import Task
+from capsule_gym.user_law import bind_user_law
 
 Law = Callable[..., tuple[float, tuple[float, ...]]]
 
@@ -25,11 +27,60 @@ LARGEST_TABLE = 10_000_000
 MOST_COLUMNS = 256
 
 
+class CoreLaw:
+    """A control law of the core, which the step calls without Python.
+
+    Args:
+        name: a key of `_core.LAWS`.
+        **constants: the law's constants by their names, numbers or sequences of numbers.
+    """
+
+    def __init__(self, name: str, **constants: Any) -> None:
+        names, self.memory_size, self.columns = _core.LAWS[name]
+        self.name, self.number = name, list(_core.LAWS).index(name)
+        parts = [np.ravel(constants[each.partition(":")[0]]) for each in names.split()]
+        self.constants = np.concatenate([*parts, np.zeros(1)]).astype(np.float64)
+
+    def __call__(
+        self, theta: float, theta_dot: float, x: float, x_dot: float, memory: Any, reference: Any
+    ) -> tuple[float, tuple[float, ...]]:
+        """The torque in N m and the next memory, as those of a law in Python."""
+        state, row = np.array([theta, theta_dot, x, x_dot], np.float64), np.array(reference, np.float64)
+        cells, torque = np.array(memory, np.float64), np.empty(1)
+        arrays = [native.address(each) for each in (self.constants, state, cells, row, torque)]
+        _core.law_torques(native.LEVEL, self.number, *arrays, 1)
+        return float(torque[0]), tuple(cells.tolist())
+
+
+class BoundLaw(NamedTuple):
+    """A law as the core calls it.
+
+    Attributes:
+        fields: fields of the core's `Batch`.
+        kept: what must be kept alive.
+    """
+
+    fields: dict[str, int]
+    kept: Any
+
+
+def bind_law(controller: Controller, lanes: int) -> BoundLaw:
+    """Binds the law of a controller, for blocks of `lanes` environments."""
+    law = controller.law
+    fields = {"law": len(_core.LAWS), "law_constants": 0, "user_law": 0, "user_data": 0}
+    if isinstance(law, CoreLaw):
+        fields |= {"law": law.number, "law_constants": native.address(law.constants)}
+        return BoundLaw(fields, law)
+    task_size = 0 if controller.task is None else find_task(controller.task).rows
+    function, data, kept = bind_user_law(controller, controller.reference.shape[1] + task_size, lanes)
+    return BoundLaw({**fields, "user_law": function, "user_data": data}, kept)
+
+
 @dataclass(frozen=True, eq=False)
 class Controller:
     """A control law with its reference table and its initial memory.
 
-    The law is a pure scalar function that numba can compile:
+    The law is a pure scalar function:
 
         law(theta, theta_dot, x, x_dot, memory, reference) -> (torque, memory)
 

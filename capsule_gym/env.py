@@ -24,7 +24,7 @@ Value = TypeVar("Value")
 RESET_OPTIONS = ("M", "mu", "state", "changes", "capsule", "disturbances")
 # Constants: looking them up in `Row` takes a tenth of a step.
 _STATE, _X_DOT, _REWARD, _TERMINATION = slice(Row.theta, Row.M), Row.x_dot, Row.reward, Row.termination
-_M, _MU, _TORQUE, _LAW_TORQUE, _NORMAL_FORCE, _ENERGY, _PROGRESS, _ENERGY_COST, _FAILURE = Row[Row.M : Row.reward]
+_M, _MU, _TORQUE, _LAW_TORQUE, _NORMAL_FORCE, _ENERGY, _PROGRESS, _ENERGY_COST, _FAILURE = range(Row.M, Row.reward)
 _FIRST = np.zeros(1, np.int64)
 # Entries of a task's info that are places on the floor, m; renderings mark them.
 _PLACES = ("goal", "target")
@@ -204,7 +204,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         memory = self.simulation.world[0, self.simulation.task_row :, 0]
         self._memory = None if self.simulation.task is SPEED else memory
         # Further entries of `info` for varied plants.
-        self._reading = self.simulation.world[0, Row.read_theta : Row.true_theta, 0]
+        self._reading = self.simulation.world[0, Row.read_theta : Row.late_theta, 0]
         self._bind_drawn()
         self._observation = self.simulation.observations[0]
         self._step = self.simulation.step_one
@@ -250,7 +250,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         return self._observation.copy(), self._info(self._rows.tolist())
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
-        """One agent step: `capsule_gym.kernels.step`, compiled with the control law.
+        """One agent step: `Step::run` in `capsule_gym/core/step.hpp`.
 
         Args:
             action: shape (1,), torque in units of `residual_limit`, or with `total_torque` of `torque_limit`; clipped to

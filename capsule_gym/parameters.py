@@ -9,6 +9,7 @@ from functools import partial
 from itertools import product
 from typing import Any, Literal, NamedTuple
 
+from capsule_gym import _core
 from capsule_gym.checks import check_name, check_number, written
 
 NormalForce = Literal["newton", "paper"]
@@ -19,14 +20,10 @@ SMALLEST, LARGEST = 1e-12, 1e12
 SHORTEST_STEP, LONGEST_STEP = 1e-9, 1e6
 # rad: largest slope of the floor.
 LARGEST_SLOPE = 1.5
-# Rate in rad/s below which the motor's Coulomb friction is smooth, so that the integrator resolves a change of sign.
-MOTOR_WIDTH = 1.0
-# Its slope at rest, 35 / 16, in units of the friction over that rate.
-MOTOR_SLOPE = 2.1875
 
 
 class Plant(NamedTuple):
-    """The constants of one plant as the compiled functions read them: SI units, float64, no validation.
+    """The constants of one plant as the core reads them: SI units, float64, no validation.
 
     The first three differ between the environments of a batch. mass_ratio, m / (M + m), follows from others and saves
     divisions in the integrator. g is the component of gravity perpendicular to the floor.
@@ -44,7 +41,7 @@ class Plant(NamedTuple):
     c: float
     static_ratio: float
     backward_ratio: float
-    # Read only where `extended` is not 0.0: g sin(slope), the viscous coefficient of the floor, static_ratio - 1 and
+    # Read only where `extended` is 1.0: g sin(slope), the viscous coefficient of the floor, static_ratio - 1 and
     # the inverse of the speed of the Stribeck curve (both 0.0 without one), and the motor's friction.
     downhill: float
     viscous: float
@@ -54,11 +51,6 @@ class Plant(NamedTuple):
     # A force that pushes the platform forwards, N.
     push: float
 
-
-# `Plant.extended` where the floor may slope, and its friction and the motor's may depend on the speed; where the
-# constants from m on differ between the environments as well; and where they do so on a level floor with Coulomb's
-# friction alone, without pushes.
-EXTENDED, VARIED, LEVEL = 1.0, 2.0, 3.0
 
 
 def _check_size(name: str, value: Any, smallest: float) -> float:
@@ -176,7 +168,7 @@ class Capsule:
         # The paper's normal force, which the pivot's torque changes, adds this share of that torque at most.
         pivot = 0.5 * mu * share * self.l if self.normal_force == "paper" else 0.0
         # The friction of the motor is steepest at rest, the Stribeck curve, which falls, at v_s / sqrt(3).
-        damping = (1.0 + pivot) * (self.c + MOTOR_SLOPE * self.motor_friction / MOTOR_WIDTH) / inertia
+        damping = (1.0 + pivot) * (self.c + _core.MOTOR_SLOPE * self.motor_friction / _core.MOTOR_WIDTH) / inertia
         weight = self.m * self.g * self.l
         steepest = 0.65 * mu * (self.static_ratio - 1.0) * self.g / self.stribeck_speed if self.stribeck_speed else 0.0
         floor = self.viscous / M + steepest * (M + self.m) / M
@@ -189,7 +181,7 @@ class Capsule:
         return max(rates) + floor
 
     def plant(self, M: float | None = None, mu: float | None = None) -> Plant:
-        """The constants as the compiled functions read them.
+        """The constants as the core reads them.
 
         Args:
             M: mass of the platform in kg; this capsule's own where None.
@@ -199,7 +191,7 @@ class Capsule:
         derived = {
             "mass_ratio": float(capsule.m / (capsule.M + capsule.m)),
             "pivot_torque_on_contact": float(capsule.normal_force == "paper"),
-            "extended": EXTENDED * any((self.viscous, self.stribeck_speed, self.slope, self.motor_friction)),
+            "extended": float(any((self.viscous, self.stribeck_speed, self.slope, self.motor_friction))),
             "g": float(self.g * math.cos(self.slope)),
             "downhill": float(self.g * math.sin(self.slope)),
             "stribeck_excess": self.static_ratio - 1.0 if self.stribeck_speed else 0.0,

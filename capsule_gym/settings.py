@@ -1,22 +1,50 @@
-"""The settings of the compiled step that follow from the options of an environment."""
+"""The settings of the core's step that follow from the options of an environment."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
-from capsule_gym import kernels, layout, task
+import numpy as np
+
+from capsule_gym import layout, task
 from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, MOST_SUBSTEPS, EnvConfig, find_task
-from capsule_gym.controller import Controller
+from capsule_gym.controller import Controller, CoreLaw
 from capsule_gym.parameters import Capsule, Disturbances, Randomization
 
 DEFAULTS = EnvConfig()
 SPEED = find_task(DEFAULTS.task)
 
 # Replaces a missing controller.
-NO_CONTROLLER = Controller("none", kernels.no_law, kernels.NO_REFERENCE)
+NO_CONTROLLER = Controller("none", CoreLaw("none"), np.zeros((1, 2)))
 # The half of the disc of this radius that lies to the left of the imaginary axis is in the region of stability of the
 # classical Runge-Kutta method (Hairer and Wanner, Solving Ordinary Differential Equations II, Sect. IV.2).
 STABLE = 2.6
+
+
+class StepSettings(NamedTuple):
+    """The settings of the step; SI units. The core reads them by their names, with the constants of the plant."""
+
+    torque_limit: float
+    residual_limit: float
+    total_torque: bool
+    physics_dt: float
+    physics_steps: int
+    law_steps: int
+    energy_weight: float
+    termination_penalty: float
+    with_reference: bool
+    with_parameters: bool
+    stack_size: int = 1
+    # Disturbances: number of states in the history, whether law and agent observe the sensors, the sensors that exist,
+    # and the measured velocity up to which the observation's `stick` is 1.
+    history: int = 0
+    law_reads: bool = False
+    agent_reads: bool = False
+    with_theta: bool = True
+    with_theta_dot: bool = True
+    with_x_dot: bool = True
+    stick_threshold: float = 0.0
 
 
 def divide(name: str, whole: float, part_name: str, part: float) -> int:
@@ -37,7 +65,7 @@ def divide(name: str, whole: float, part_name: str, part: float) -> int:
     return count
 
 
-def check_step(capsule: Capsule, M: float, mu: float, settings: layout.StepSettings) -> None:
+def check_step(capsule: Capsule, M: float, mu: float, settings: StepSettings) -> None:
     """Raises an error for a plant, with its M in kg and mu, that is too stiff for the integrator's step.
 
     Raises:
@@ -56,8 +84,8 @@ def check_step(capsule: Capsule, M: float, mu: float, settings: layout.StepSetti
     )
 
 
-def make_settings(options: EnvConfig, controller: Controller | None) -> layout.StepSettings:
-    """The settings of the compiled step, with the values that follow from other options.
+def make_settings(options: EnvConfig, controller: Controller | None) -> StepSettings:
+    """The settings of the step, with the values that follow from other options.
 
     Raises:
         ValueError: if the steps of the integrator, the law and the agent do not divide each other, or are too many.
@@ -76,7 +104,7 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> layout.S
             f"control_dt must be at most {MOST_SUBSTEPS} times physics_dt={physics_dt!r} s, "
             f"got {options.control_dt!r} s"
         )
-    settings = layout.StepSettings(
+    settings = StepSettings(
         torque_limit=torque_limit,
         residual_limit=torque_limit if residual_limit is None else residual_limit,
         total_torque=options.total_torque,
@@ -89,7 +117,6 @@ def make_settings(options: EnvConfig, controller: Controller | None) -> layout.S
         termination_penalty=options.termination_penalty,
         with_reference=controller is not None,
         with_parameters=options.observe_parameters,
-        reference_size=(controller or NO_CONTROLLER).reference.shape[1],
         stack_size=options.stack_size,
     )
     if disturbed is None:

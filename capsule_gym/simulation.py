@@ -10,14 +10,15 @@ from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any, TypeVar
 
 import numpy as np
 
-from capsule_gym import kernels, layout, resets, task
+from capsule_gym import _core, layout, native, resets, task
 from capsule_gym.checks import check_count, check_integer, check_number, written
 from capsule_gym.config import EnvConfig, find_task
-from capsule_gym.controller import find_controller
+from capsule_gym.controller import bind_law, find_controller
 from capsule_gym.layout import LANES, Row
 from capsule_gym.observation import observation_names, parameter_bounds
 from capsule_gym.parameters import (
@@ -25,7 +26,6 @@ from capsule_gym.parameters import (
     DISTURBANCES,
     LARGEST,
     NOMINAL,
-    VARIED,
     Capsule,
     Disturbances,
     Randomization,
@@ -40,7 +40,7 @@ LARGEST_KEY = 2.0**53
 # Largest number of environments in a batch: some 15 GB.
 MOST_ENVS = 2**24
 
-# The arrays of a simulation's episodes, which a copy takes over; the copy binds compiled code itself.
+# The arrays of a simulation's episodes, which a copy takes over; the copy binds them to the core itself.
 COPIED_ATTRIBUTES = ("world", "observations", "_keys", "_episodes", "_due")
 
 # Keys of a change of the plant within an episode.
@@ -91,7 +91,7 @@ def episode_metrics(world: np.ndarray, horizon: float | None, own: task.Task = S
         duration=duration,
         failed=failed.astype(np.float64),
     )
-    memory = own.memory(*world[len(world) - own.rows :])
+    memory = SimpleNamespace(**dict(zip(own.fields, world[len(world) - own.rows :], strict=True)))
     return {**metrics._asdict(), **own.metrics(memory, whole)}
 
 
@@ -106,13 +106,14 @@ class Simulation:
         capsule: the plant's constants.
         controller: the law inside the step, or None.
         task: the task.
-        settings: the options as the kernel reads them.
-        world: shape (blocks, rows, LANES): environment i is lane i % LANES of block i // LANES; the rows are those of
+        settings: the options as the core reads them.
+        lanes: environments in a block, LANES or, for a single environment, 1.
+        world: shape (blocks, rows, lanes): environment i is lane i % lanes of block i // lanes; the rows are those of
             `Row`, the law's memory, its line of the reference, the task's memory and, of varied plants, the history of
-            `disturbances`. `row` and `columns` read it by environments.
+            states that late sensors show. `row` and `columns` read it by environments.
         observations: shape (num_envs, entries), float32, of the present state.
-        fixed: further input of the kernel, from `layout.pack`.
-        start: distribution of the initial states, an argument of `resets.draw`.
+        start: distribution of the initial states: middle (rad) and half width of theta's, half width of theta_dot's
+            (rad/s).
 
     Raises:
         TypeError: if an option is of the wrong type.
@@ -144,7 +145,8 @@ class Simulation:
         for corner in self.randomization.corners(self.capsule):
             stiffest = replace(corner, motor_friction=corner.motor_friction + ends(disturbed.motor_friction)[1])
             check_step(stiffest, corner.M, corner.mu, self.settings)
-        blocks = -(-self.num_envs // LANES)
+        self.lanes = 1 if self.num_envs == 1 else LANES
+        blocks = -(-self.num_envs // self.lanes)
         # One past the last row of the task's memory, and the first one.
         self.task_end = count_rows(self.controller, self.task)
         self.task_row = self.task_end - self.task.rows
@@ -159,7 +161,7 @@ class Simulation:
         switches = self.settings.with_reference, self.settings.with_parameters
         names = observation_names(*switches, self.task.entries, options.stack_size)
         try:
-            self.world = np.zeros((blocks, rows, LANES))
+            self.world = native.aligned_zeros((blocks, rows, self.lanes))
             self.observations = np.zeros((self.num_envs, len(names)), np.float32)
         except MemoryError as error:
             raise ValueError(f"num_envs must fit into memory, got {self.num_envs}: {error}") from None
@@ -175,7 +177,7 @@ class Simulation:
         self.resets = 0
         # Each thread has whole blocks, so that two threads never write to the same block.
         count = min(options.threads, blocks)
-        edges = [min(self.num_envs, LANES * (blocks * n // count)) for n in range(count + 1)]
+        edges = [min(self.num_envs, self.lanes * (blocks * n // count)) for n in range(count + 1)]
         self._ranges = list(pairwise(edges))
         self._pool: ThreadPoolExecutor | None = None
         # The process that owns the threads.
@@ -213,30 +215,49 @@ class Simulation:
         self._changes = deepcopy(state["_changes"])
 
     def _bind(self) -> None:
-        """Compiles the kernel, or loads it, and binds the arguments that stay the same from step to step."""
+        """Binds the arrays and the law to the core."""
         acting = self.controller or NO_CONTROLLER
         self.reference, self.memory = acting.reference, acting.memory
-        plant = self.capsule.plant()
-        if self.settings.history:
-            plant = plant._replace(extended=VARIED)
-        self._kernel = kernels.build_advance(plant.pivot_torque_on_contact, plant.extended, self.task)
-        name = f"the control law {self.controller.name!r}" if self.controller else ""
-        # Kept, since the step calls it by its address.
-        task_size = self.task.rows if acting.task else 0
-        self._law = kernels.build(acting.law, len(self.memory), self.reference.shape[1], task_size, name)
-        blocks, observations = self.world.reshape(len(self.world), -1), self.observations
-        self.fixed = fixed = layout.pack(plant, self.settings, self.reference, self._law.address)
-        # Looking the arguments up each time takes a tenth of a step.
-        compiled = self._kernel.call
-        self._advance: Callable[[int, int, bool], int] = lambda first, last, begin: compiled(
-            blocks, first, last, begin, fixed, observations
-        )
-        self._advance_one = partial(compiled, blocks, 0, 1, False, fixed, observations)
-        draw, renew = resets.compiled()
+        plant, count = self.capsule.plant(), self.num_envs
+        given = {**self.settings._asdict(), **plant._asdict(), "varied": bool(self.settings.history)}
+        # The first quantities of the environments that begin, and the other values that their episodes draw.
+        self._rows, self._starts = np.zeros(count, np.int64), np.zeros((Row.torque, count))
+        self._drawn = np.zeros((len(self.draw_table), count))
         ranges = resets.plant_ranges(self.randomization, self.capsule)
-        self._draw = partial(draw, ranges, self.start)
-        self._renew = partial(renew, blocks, np.array(self.memory), plant.m, plant.g)
-        self._drawn_rows = self.draw_table[:, 0].astype(np.int64)
+        arrays = {
+            "world": self.world,
+            "observations": self.observations,
+            "settings": native.ordered(_core.SETTINGS, given),
+            "memory": np.array(self.memory),
+            "reference": self.reference,
+            "keys": self._keys,
+            "episodes": self._episodes,
+            "rows": self._rows,
+            "starts": self._starts,
+            "ranges": ranges,
+            "start": self.start,
+            "draw_table": self.draw_table,
+            "drawn": self._drawn,
+        }
+        sizes = {
+            "num_envs": count,
+            "lanes": self.lanes,
+            "entries": self.observations.shape[1],
+            "task": self.task.number,
+            "task_size": self.task.rows,
+            "memory_size": len(self.memory),
+            "reference_rows": len(self.reference),
+            "reference_size": self.reference.shape[1],
+            "draw_lines": len(self.draw_table),
+        }
+        self._law = bind_law(acting, self.lanes)
+        # The core reads these arrays by their addresses.
+        self._arrays = arrays
+        fields = {**{name: native.address(array) for name, array in arrays.items()}, **sizes, **self._law.fields}
+        self._batch = _core.bind(native.LEVEL, fields)
+        # Looking the arguments up each time takes a tenth of a step.
+        self._advance = partial(_core.advance, self._batch)
+        self._advance_one = partial(_core.advance, self._batch, 0, 1, False)
 
     def row(self, row: int) -> np.ndarray:
         """A copy of one quantity of every environment, shape (num_envs,)."""
@@ -249,14 +270,14 @@ class Simulation:
 
     def columns(self, environments: np.ndarray) -> np.ndarray:
         """A copy of every quantity of some environments, shape (rows, n)."""
-        return self.world[environments // LANES, :, environments % LANES].T
+        return self.world[environments // self.lanes, :, environments % self.lanes].T
 
     def write(self, row: int, values: np.ndarray) -> None:
         """Sets one quantity of every environment, from an array of shape (num_envs,)."""
-        whole, rest = divmod(self.num_envs, LANES)
-        self.world[:whole, row] = values[: whole * LANES].reshape(whole, LANES)
+        whole, rest = divmod(self.num_envs, self.lanes)
+        self.world[:whole, row] = values[: whole * self.lanes].reshape(whole, self.lanes)
         if rest:
-            self.world[whole, row, :rest] = values[whole * LANES :]
+            self.world[whole, row, :rest] = values[whole * self.lanes :]
 
     def seed(self, i: int, seed: int) -> None:
         """Gives environment i a seed; its next episode is the first of that seed."""
@@ -298,15 +319,14 @@ class Simulation:
                 f"other than 'none', or with a Randomization of constants besides M and mu"
             )
         schedules = [self._schedule(changes[n]) for n in range(len(rows))] if changes is not None else None
-        # Compiled code checks neither dtype nor contiguity.
-        rows = np.ascontiguousarray(rows, np.int64)
-        starts = np.empty((Row.torque, len(rows)))
-        try:
-            self._draw(rows, self._keys, self._episodes, starts)
-        except IndexError:
-            accepted = f"rows must be indices of environments, from 0 to {self.num_envs - 1}"
-            raise IndexError(f"{accepted}, got {written(rows.tolist())}") from None
-        drawn = self._draw_rows(rows, task_options, capsule, disturbances) if len(self.draw_table) else None
+        count = len(rows)
+        if count and not (0 <= rows.min() and rows.max() < self.num_envs and count <= self.num_envs):
+            accepted = f"rows must be indices of environments, from 0 to {self.num_envs - 1}, each at most once"
+            raise IndexError(f"{accepted}, got {written(rows.tolist())}")
+        self._rows[:count] = rows
+        starts = self._starts[:, :count]
+        _core.draw_episodes(self._batch, count)
+        drawn = self._draw_rows(count, task_options, capsule, disturbances) if len(self.draw_table) else None
         if M is not None or mu is not None or capsule:
             masses = starts[Row.M].tolist() if M is None else M
             frictions = starts[Row.mu].tolist() if mu is None else mu
@@ -321,9 +341,7 @@ class Simulation:
         # Nothing above changes the environments, so a reset that raises an error leaves them unchanged.
         if self._changes or schedules:
             self._plan(rows, schedules)
-        self._renew(rows, starts, self._episodes)
-        if drawn is not None:
-            self.world[rows[:, None] // LANES, self._drawn_rows, rows[:, None] % LANES] = drawn.T
+        _core.begin_episodes(self._batch, count)
         self._everyone = False
         self.resets += 1
         self._run(begin=True)
@@ -357,7 +375,7 @@ class Simulation:
             self._report(0)
 
     def _run(self, begin: bool) -> None:
-        """Runs the kernel on all environments."""
+        """Runs the core on all environments."""
         if len(self._ranges) == 1:
             broken = self._advance(0, self.num_envs, begin)
         else:
@@ -393,7 +411,7 @@ class Simulation:
         state = dict(zip(("theta", "theta_dot", "x", "x_dot"), column[:4].tolist(), strict=True))
         # A reset of other environments would return these values too.
         lost = np.flatnonzero(~np.isfinite(self.row(Row.law_torque)))
-        self.world[lost // LANES, Row.law_torque, lost % LANES] = 0.0
+        self.world[lost // self.lanes, Row.law_torque, lost % self.lanes] = 0.0
         self.observations[lost] = np.nan_to_num(self.observations[lost])
         raise ValueError(
             f"the control law {name!r} returned a torque that is not finite in environment {broken} "
@@ -422,14 +440,13 @@ class Simulation:
 
     def _draw_rows(
         self,
-        rows: np.ndarray,
+        count: int,
         task_options: dict[str, Sequence[Any]],
         capsule: Sequence[Any] | None,
         disturbances: Sequence[Any] | None,
     ) -> np.ndarray:
-        """The given or drawn values of the episodes of some environments; shape (lines of `draw_table`, n)."""
-        drawn = np.empty((len(self.draw_table), len(rows)))
-        resets.compiled_rows()(self.draw_table, rows, self._keys, self._episodes, drawn)
+        """The given or drawn values of `count` environments that begin, shape (lines of `draw_table`, count)."""
+        drawn = self._drawn[:, :count]
         first = 0
         for name, option in self.task.options.items():
             last = first + len(option.draws)
@@ -523,7 +540,7 @@ class Simulation:
         now = self.row(Row.steps) * self.options.control_dt + 1e-9
         for i in np.flatnonzero(self._due <= now).tolist():
             schedule = self._changes[i]
-            lane = self.world[i // LANES, :, i % LANES]
+            lane = self.world[i // self.lanes, :, i % self.lanes]
             while schedule and schedule[0][0] <= now[i]:
                 _, lane[Row.M], lane[Row.mu] = schedule.pop(0)
             self._due[i] = schedule[0][0] if schedule else math.inf

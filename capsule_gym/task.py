@@ -1,7 +1,6 @@
-"""The class `Task`, and the termination and metrics that all tasks share.
+"""The class `Task`, and the reasons for termination and the metrics that all tasks share.
 
-The tasks themselves are in `capsule_gym.tasks`. The functions of a single time step are plain scalar functions;
-`capsule_gym.kernels` compiles them into the step.
+The tasks themselves are in `capsule_gym.tasks`; their functions of a single step are in `capsule_gym/core/tasks`.
 """
 
 from __future__ import annotations
@@ -15,6 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from capsule_gym import _core
+
 ENV_ID = "CapsuleStickSlip-v0"
 EPISODE_STEPS = 1650
 CONTROL_DT = 0.02
@@ -23,13 +24,10 @@ TORQUE_LIMIT = 1.5
 # Weight of a joule, and penalty of a failure, in centimetres of progress.
 ENERGY_WEIGHT = 0.1
 TERMINATION_PENALTY = 10.0
-THETA_LIMIT = math.pi / 2.0
+THETA_LIMIT = _core.THETA_LIMIT
 START_THETA = -math.pi / 3.0
 # Limits of a reset: |theta| below THETA_LIMIT, and up to this |theta_dot| (rad/s), |x| (m) and |x_dot| (m/s).
 LARGEST_STATE = (THETA_LIMIT, 1e3, 1e6, 1e3)
-# |theta_dot| + |x_dot| (rad/s, m/s) at an event, such as the end of an episode, beyond which the motion counts as lost.
-RATE_LIMIT = 1e4
-
 
 # The tasks by the value of the environment's argument `task`, which is also the name of its module in
 # `capsule_gym.tasks`: the id that Gymnasium knows the environment by, and agent steps until truncation.
@@ -115,23 +113,16 @@ class Option(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Task:
-    """A task: reward, additional entries of the observation, memory and metrics. All tasks share plant and failures.
+    """A task of the core: its names, draws and metrics. All tasks share plant and failures.
 
-    `reward`, `begin` and `observe` are scalar functions that numba compiles, with the decorator
-    `capsule_gym.compilation.inlined`. The memory of the task is a named tuple of floats. Its last fields are the
-    numbers that an episode draws, in the order of `options`. A law with `Controller.task` receives the memory after its
-    reference.
+    Reward, memory and entries of the observation are in the core. The memory's last fields are the numbers that an
+    episode draws, in the order of `options`. A law with `Controller.task` receives the memory after its reference.
 
     Attributes:
         name: value of the environment's argument `task`.
         episode_steps: agent steps until truncation.
         term: name of the task's reward term in `info`. The energy and termination terms are added to it.
-        reward: reward(x, x_dot, moved, dt, memory) -> (reward, memory) at the end of an agent step of dt seconds in
-            which the platform moved by `moved` metres.
-        memory: class of the memory.
-        begin: begin(x, memory) -> memory at the start of an episode; fields that are not drawn are 0 before.
         entries: names of the additional entries, which end the observation, and the bounds to which they are clipped.
-        observe: observe(out, x, memory) writes these entries into an array.
         shown: fields of the memory that `info` contains under their names; `render` marks the position of a "goal" or a
             "target" (m).
         options: numbers that an episode draws, by the name of their reset option.
@@ -143,25 +134,31 @@ class Task:
     name: str
     episode_steps: int = EPISODE_STEPS
     term: str
-    reward: Callable[..., Any]
-    memory: Any
-    begin: Callable[..., Any]
     entries: dict[str, tuple[float, float]] = field(default_factory=dict)
-    observe: Callable[..., Any]
     shown: tuple[str, ...] = ()
     options: dict[str, Option] = field(default_factory=dict)
     metrics: Callable[..., dict[str, Any]] = lambda memory, whole: {}
     defaults: dict[str, Any] = field(default_factory=dict)
 
     @property
+    def number(self) -> int:
+        """The number of the task in the core."""
+        return list(_core.TASKS).index(self.name)
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The names of the numbers in the memory of one environment."""
+        return tuple(_core.TASKS[self.name][0].split())
+
+    @property
     def rows(self) -> int:
         """Numbers in the memory of one environment."""
-        return len(self.memory._fields)
+        return len(self.fields)
 
     @cached_property
     def places(self) -> list[tuple[str, int]]:
         """The names in `shown`, and where they are in the memory."""
-        return [(name, self.memory._fields.index(name)) for name in self.shown]
+        return [(name, self.fields.index(name)) for name in self.shown]
 
     @property
     def draws(self) -> list[Draw]:
@@ -172,27 +169,3 @@ class Task:
     def reward_terms(self) -> tuple[str, str, str]:
         """The names in `info` of the terms whose sum is the reward."""
         return self.term, "reward_energy", "reward_termination"
-
-
-def termination(theta: float, normal_force: float) -> int:
-    """`Termination` as an integer: the ball meets the platform, or the platform leaves the floor."""
-    if abs(theta) >= THETA_LIMIT:
-        return 1
-    if normal_force <= 0.0:
-        return 2
-    return 0
-
-
-def continues(theta: float, normal_force: float) -> bool:
-    """Whether `termination` is 0 and both are numbers.
-
-    This check finds every step that overflows: within the limits of plant and torque, accelerations that overflow grow
-    so fast from stage to stage that none cancels another in theta. A further comparison would take a tenth of the
-    kernel's time.
-    """
-    return abs(theta) < THETA_LIMIT and normal_force > 0.0
-
-
-def bounded(theta_dot: float, x_dot: float) -> bool:
-    """Whether the rates are those of a motion that the integrator resolves; False for NaN."""
-    return abs(theta_dot) + abs(x_dot) <= RATE_LIMIT

@@ -33,7 +33,7 @@ from capsule_gym.simulation import check_seed
 
 
 class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
-    """N independent `CapsuleEnv`, stepped together by one compiled kernel.
+    """N independent `CapsuleEnv`, stepped together by the compiled core.
 
     `gym.make_vec("CapsuleStickSlip-v0", num_envs=N)` creates one. Spaces, rewards, info and random draws are those of
     `CapsuleEnv`. Environment i of a batch with seed s gives, bit for bit, the episodes of a single environment with
@@ -231,7 +231,7 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if simulation.task is not SPEED:
             add_task(info, simulation.task, simulation.rows(simulation.task_row, simulation.task_end))
         if simulation.settings.history:
-            info["reading"] = simulation.rows(Row.read_theta, Row.true_theta).T
+            info["reading"] = simulation.rows(Row.read_theta, Row.late_theta).T
             # Until an episode begins these stay the same.
             if simulation.resets != self._drawn_at:
                 self._drawn_at, drawn = simulation.resets, simulation.rows(Row.drawn_m, Row.key)

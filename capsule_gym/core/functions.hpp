@@ -2,7 +2,7 @@
 #pragma once
 #include "contact.hpp"
 #include "layout.hpp"
-#include "random.hpp"
+#include "resets.hpp"
 
 namespace LEVEL {
 
@@ -19,7 +19,8 @@ namespace LEVEL {
   F(step, 6, 10, (plant_step(State<double>{a[0], a[1], a[2], a[3]}, a[4], p, a[5])))
 #define CAPSULE_ELEMENTARY_FUNCTIONS(F)                                                                                \
   F(sincos, 1, 2, (sincos(a[0]))) F(exp, 1, 1, (exp(a[0]))) F(tanh, 1, 1, (tanh(a[0]))) F(log, 1, 1, (log(a[0])))      \
-  F(normals, 1, 2, (normals(scramble(bits_of(a[0])))))
+  F(normals, 1, 2, (normals(scramble(bits_of(a[0])))))                                                                 \
+  F(plant_at, 7, 2, (plant_at(a, a[5], a[6])))
 
 // Most arguments and results of these.
 constexpr int MOST_NUMBERS = 10;
@@ -60,10 +61,11 @@ inline void evaluate_plant(int number, const double* in, double* out, long long 
 inline void evaluate(int number, const double* in, double* out, long long n, const Settings* q) {
   if (q) return evaluate_plant(number, in, out, n, *q);
   for (long long i = 0; i < n; i++) {
-    const double* a = in + i;
+    double a[MOST_NUMBERS];
     int place = 0;
 #define F(name, arguments, count, call)                                                    \
   if (number == place++) {                                                                 \
+    for (int k = 0; k < arguments; k++) a[k] = in[k * n + i];                              \
     auto found = call;                                                                     \
     for (int k = 0; k < count; k++) out[k * n + i] = ((const double*)&found)[k];           \
   }

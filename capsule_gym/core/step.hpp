@@ -454,8 +454,9 @@ template <class T, int N> long long advance_blocks(const Batch& batch, long long
   long long broken = -1;
   for (long long at = first; at < last; at += N) {
     auto& block = *(Block<N>*)(batch.world + at / N * block_size<N>(batch));
-    // Whole vectors: environments behind the last one are inactive.
+    // Whole vectors: lanes behind the last environment are inactive.
     int n = last - at < N ? (int)(last - at) : N, width = (n + WIDTH<T> - 1) / WIDTH<T> * WIDTH<T>;
+    for (int j = n; j < width; j++) block.active[j] = 0.0;
     Step<T, N>(batch, block, width, batch.observations + at * batch.entries).run(begin);
     for (int j = 0; j < n; j++)
       if (block.active[j] != 0.0 && !(abs(block.law_torque[j]) < INFINITE)) broken = at + j;

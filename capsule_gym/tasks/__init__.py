@@ -10,5 +10,3 @@ DEFAULTS = {
     "energy_weight": 0.0,
     "termination_penalty": 3.0,
 }
-# Tolerance of times, s, which are sums of the agent's steps.
-ROUNDING = 1e-9

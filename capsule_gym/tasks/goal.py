@@ -56,67 +56,17 @@ gives the paper's floor, where a torque of 1.3 % of the limit moves the platform
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from capsule_gym import _core
 from capsule_gym.checks import check_number
-from capsule_gym.compilation import inlined
-from capsule_gym.elementary import clip, decay, tanh
 from capsule_gym.task import LARGEST_STATE, TASKS, Draw, Option, Task
-from capsule_gym.tasks import DEFAULTS, ROUNDING
+from capsule_gym.tasks import DEFAULTS
 
-# Range of the drawn displacements, and bound of the observed error, m.
+# Range of the drawn displacements, m.
 NEAREST, FARTHEST = 0.05, 0.5
-ERROR_BOUND = 1.0
-# Largest distance from the goal at which the platform must rest, m, and duration of the rest, s.
-TOLERANCE, HOLD = 0.002, 1.0
-
-
-class Memory(NamedTuple):
-    """The memory of the task; SI units."""
-
-    # Position of the goal.
-    goal: float
-    # Position of the goal minus that of the platform.
-    error: float
-    # Times, s: since the start, at rest within the tolerance, and at which the goal was reached (0 before).
-    time: float
-    held: float
-    reached: float
-    displacement: float
-
-
-@inlined
-def begin(x: float, memory: Memory) -> Memory:
-    """Places the goal at the drawn displacement from the platform."""
-    displacement = memory.displacement
-    return Memory(x + displacement, displacement, 0.0, 0.0, 0.0, displacement)
-
-
-@inlined
-def reward(x: float, x_dot: float, moved: float, dt: float, memory: Memory) -> tuple[float, Memory]:
-    """The reward for the distance to the goal and for rest there, and the updated memory."""
-    goal, _, time, held, reached, displacement = memory
-    time += dt
-    error = goal - x
-    size = abs(error)
-    still = 1.0 if x_dot == 0.0 else 0.0
-    inside = 1.0 if size <= TOLERANCE else 0.0
-    rate = 0.5 * decay(size / 0.1) + 0.5 * decay(size / 0.02)
-    rate += decay(size / 0.004) * (1.0 + still) + 2.0 * inside * still - size / 0.5
-    # In stick for the whole step.
-    held = held + dt if inside * still > 0.0 and moved == 0.0 else 0.0
-    reached = time if reached == 0.0 and held >= HOLD - ROUNDING else reached
-    return dt * rate, Memory(goal, error, time, held, reached, displacement)
-
-
-@inlined
-def observe(out: np.ndarray, x: float, memory: Memory) -> None:
-    """Writes the entries in the order of `TASK.entries`."""
-    out[0] = clip(memory.error, ERROR_BOUND)
-    out[1] = tanh(memory.error / 0.02)
-    out[2] = min(memory.held, HOLD)
 
 
 def parse_goal(name: str, value: Any) -> list[float]:
@@ -140,15 +90,11 @@ TASK = Task(
     name="goal",
     episode_steps=TASKS["goal"][1],
     term="reward_goal",
-    reward=reward,
-    memory=Memory,
-    begin=begin,
     entries={
-        "goal_error": (-ERROR_BOUND, ERROR_BOUND),
+        "goal_error": (-_core.ERROR_BOUND, _core.ERROR_BOUND),
         "near_goal_error": (-1.0, 1.0),
-        "held": (0.0, HOLD),
+        "held": (0.0, _core.HOLD),
     },
-    observe=observe,
     shown=("goal", "error", "held"),
     options={"goal": Option((Draw(NEAREST, FARTHEST, signed=True),), parse_goal)},
     metrics=metrics,

@@ -62,120 +62,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from capsule_gym import _core
+from capsule_gym._core import COMMANDS, SPEED_BOUND
 from capsule_gym.checks import check_number, written
-from capsule_gym.compilation import inlined
-from capsule_gym.elementary import clip, exp, tanh
 from capsule_gym.task import TASKS, Draw, Option, Task
-from capsule_gym.tasks import DEFAULTS, ROUNDING
+from capsule_gym.tasks import DEFAULTS
 
-# Number of commands of an episode, largest drawn and largest accepted command, m/s, and its duration, s.
-COMMANDS = 8
+# Largest drawn and largest accepted command, m/s, and the range of its duration, s.
 DRAWN, LARGEST = 0.1, 0.2
 LASTS = (4.0, 8.0)
-# Largest distance of the target, m, and the time constant of the observed velocity, s, with its bound, m/s.
-LEAD = 0.3
-FILTER, SPEED_BOUND = 0.25, 2.0
-# Time that the metrics leave out after a change, and the shortest measured time of a command that counts, s.
-SETTLING, MEASURED = 1.5, 1.0
-# Distance from the target within which a command is settled, m.
-SETTLED = 0.02
-FOREVER = (math.inf,)
-
-
-class Memory(NamedTuple):
-    """The memory of the task; SI units."""
-
-    command: float
-    target: float
-    # Position of the target minus that of the platform.
-    error: float
-    speed: float
-    # Time since the change of the command, and its duration.
-    since: float
-    lasts: float
-    # Of the present command: time and position of the platform at the start of its measurement, and 1.0 once settled.
-    measured_from: float
-    measured_x: float
-    settled: float
-    # Sums over the previous commands: missed and commanded distance, number of measured and of unsettled commands.
-    missed: float
-    commanded: float
-    measured: float
-    unsettled: float
-    # The present and the next commands, and their durations.
-    v_0: float
-    v_1: float
-    v_2: float
-    v_3: float
-    v_4: float
-    v_5: float
-    v_6: float
-    v_7: float
-    lasts_0: float
-    lasts_1: float
-    lasts_2: float
-    lasts_3: float
-    lasts_4: float
-    lasts_5: float
-    lasts_6: float
-    lasts_7: float
-
-
-# Indices in the memory of the first command and of the first duration.
-FIRST, TIMES = Memory._fields.index("v_0"), Memory._fields.index("lasts_0")
-
-
-@inlined
-def begin(x: float, memory: Memory) -> Memory:
-    """Sets the first command, with the target at the platform."""
-    present = memory.v_0, x, 0.0, 0.0, 0.0, memory.lasts_0, 0.0, 0.0, 0.0
-    sums = 0.0, 0.0, 0.0, 0.0
-    return Memory(*(present + sums + memory[FIRST:]))
-
-
-@inlined
-def reward(x: float, x_dot: float, moved: float, dt: float, memory: Memory) -> tuple[float, Memory]:
-    """The reward for the distance to the target; moves the target, and changes the command when that is due."""
-    command, target, _, speed, since, lasts, measured_from, measured_x, settled = memory[:9]
-    missed, commanded, measured, unsettled = memory[9:FIRST]
-    commands, times = memory[FIRST:TIMES], memory[TIMES:]
-    target = x + clip(target + command * dt - x, LEAD)
-    error = target - x
-    size = abs(error)
-    gain = dt * (exp(-size / 0.02) + 0.5 * exp(-size / 0.1) - 0.5 * size)
-    speed += (moved / dt - speed) * (dt / (FILTER + dt))
-    since += dt
-    if since >= SETTLING - ROUNDING:
-        if measured_from == 0.0:
-            measured_from, measured_x = since, x
-        settled = 1.0 if size <= SETTLED else settled
-    if since >= lasts - ROUNDING:
-        duration = since - measured_from
-        if measured_from > 0.0 and duration >= MEASURED - ROUNDING:
-            missed += abs(x - measured_x - command * duration)
-            commanded += abs(command) * duration
-            measured += 1.0
-            unsettled += 1.0 - settled
-        # The last command stays.
-        commands, times = commands[1:] + commands[-1:], times[1:] + FOREVER
-        command, lasts = commands[0], times[0]
-        target, error, since, measured_from, measured_x, settled = x, 0.0, 0.0, 0.0, 0.0, 0.0
-    present = command, target, error, speed, since, lasts, measured_from, measured_x, settled
-    sums = missed, commanded, measured, unsettled
-    return gain, Memory(*(present + sums + commands + times))
-
-
-@inlined
-def observe(out: np.ndarray, x: float, memory: Memory) -> None:
-    """Writes the entries in the order of `TASK.entries`."""
-    out[0] = memory.command
-    out[1] = tanh(memory.error / 0.05)
-    out[2] = tanh(memory.error / 0.2)
-    out[3] = clip(memory.speed, SPEED_BOUND)
 
 
 def parse_commands(name: str, value: Any) -> list[float]:
@@ -212,7 +111,7 @@ def parse_commands(name: str, value: Any) -> list[float]:
 def metrics(memory: Any, whole: np.ndarray) -> dict[str, np.ndarray]:
     """The metrics of `Task.metrics`: the sums with the present command, where it has been measured for long enough."""
     duration = np.where(memory.measured_from > 0.0, memory.since - memory.measured_from, 0.0)
-    counts = duration >= MEASURED - ROUNDING
+    counts = duration >= _core.MEASURED - _core.TIME_TOLERANCE
     moved = memory.target - memory.error - memory.measured_x
     missed = memory.missed + np.where(counts, abs(moved - memory.command * duration), 0.0)
     commanded = memory.commanded + np.where(counts, abs(memory.command) * duration, 0.0)
@@ -229,16 +128,12 @@ TASK = Task(
     name="velocity",
     episode_steps=TASKS["velocity"][1],
     term="reward_tracking",
-    reward=reward,
-    memory=Memory,
-    begin=begin,
     entries={
         "command": (-LARGEST, LARGEST),
         "near_error": (-1.0, 1.0),
         "far_error": (-1.0, 1.0),
         "mean_x_dot": (-SPEED_BOUND, SPEED_BOUND),
     },
-    observe=observe,
     shown=("command", "target", "error"),
     options={"commands": Option((Draw(-DRAWN, DRAWN),) * COMMANDS + (Draw(*LASTS),) * COMMANDS, parse_commands)},
     metrics=metrics,

@@ -1,0 +1,73 @@
+"""Access to the compiled core, `capsule_gym._core`, which takes arrays by their addresses.
+
+The core contains the same code for several levels of instructions, which give the same bits. The best level that the
+processor runs is chosen at import; the environment variable CAPSULE_GYM_LEVEL chooses another one.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from capsule_gym import _core
+from capsule_gym.checks import written
+
+LEVEL = os.environ.get("CAPSULE_GYM_LEVEL", _core.LEVELS[0])
+if LEVEL not in _core.LEVELS:
+    raise ImportError(f"CAPSULE_GYM_LEVEL must be one of {_core.LEVELS} on this processor, got {written(LEVEL)}")
+
+# Float64 in a cache line.
+LINE = 8
+# Function numbers with the numbers of their arguments and results, by name.
+_PLANT, _ELEMENTARY = (
+    {name: (number, int(arguments), int(results)) for number, (name, arguments, results) in enumerate(parts)}
+    for parts in (
+        [entry.split(":") for entry in entries] for entries in (_core.PLANT_FUNCTIONS, _core.ELEMENTARY_FUNCTIONS)
+    )
+)
+
+
+def aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
+    """Zeros, float64, whose first entry begins a cache line: a wide load that crosses one takes twice as long."""
+    size = math.prod(shape)
+    room = np.zeros(size + LINE)
+    start = -(room.ctypes.data // 8) % LINE
+    return room[start : start + size].reshape(shape)
+
+
+def address(array: np.ndarray) -> int:
+    """The address of an array, which the caller keeps alive.
+
+    Raises:
+        ValueError: if the array is not contiguous.
+    """
+    if not array.flags.c_contiguous:
+        raise ValueError("array must be C-contiguous")
+    return array.ctypes.data
+
+
+def ordered(names: Iterable[str], values: Mapping[str, float]) -> np.ndarray:
+    """Numbers by name in the order in which the core reads them, float64."""
+    return np.array([values[name] for name in names], np.float64)
+
+
+def evaluate(name: str, *arguments: np.ndarray | float, settings: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
+    """Evaluates a function of the core at every entry of its arguments, which are broadcast.
+
+    Args:
+        name: one of `_core.PLANT_FUNCTIONS`, or without `settings` of `_core.ELEMENTARY_FUNCTIONS`.
+        *arguments: for a function of the plant M and mu come first.
+        settings: the plant's constants, in the order of `_core.SETTINGS`.
+
+    Returns:
+        The results, float64 arrays of the common shape.
+    """
+    number, _, results = (_ELEMENTARY if settings is None else _PLANT)[name]
+    inputs = np.array(np.broadcast_arrays(*(np.asarray(each, np.float64) for each in arguments)), order="C")
+    outputs = np.empty((results, *inputs.shape[1:]))
+    given = 0 if settings is None else address(settings)
+    _core.evaluate(LEVEL, number, address(inputs), address(outputs), math.prod(inputs.shape[1:]), given)
+    return tuple(outputs)

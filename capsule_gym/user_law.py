@@ -1,0 +1,93 @@
+"""Control laws that users write in Python, called by the core's step.
+
+With numba installed (the extra `law`) a law is compiled by `numba.cfunc`, once per process and controller; nothing is
+kept on disk. Without numba, or where numba cannot compile the law, the interpreter calls it: one environment with a law
+at 1 kHz then takes about a millisecond per step. The torques are the same up to rounding.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import threading
+import warnings
+from collections.abc import Callable
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from capsule_gym import _core
+from capsule_gym.checks import first_cause
+from capsule_gym.layout import ROWS
+
+# Loops over the environments of a block. The source is generated since numba's public interface cannot make a tuple of a
+# part of an array. All rows are at constant offsets from one pointer: with a pointer for each kind of row LLVM cannot
+# exclude that they overlap, and does not vectorise the loop. An exception in one environment must not end the loop.
+SOURCE = """
+def call_law(data, block, torques, n):
+    b = carray(block, ({size},))
+    u = carray(torques, ({lanes},))
+    for j in range(n):
+        try:
+            torque, renewed = law(b[j], b[j + {lanes}], b[j + 2 * {lanes}], b[j + 3 * {lanes}], ({memory}), ({row}))
+            u[j] = torque
+{stores}
+        except Exception:
+            u[j] = nan
+"""
+
+_compiled: WeakKeyDictionary[Any, dict[int, Any]] = WeakKeyDictionary()
+_lock = threading.Lock()
+
+
+def bind_user_law(controller: Any, row_size: int, lanes: int) -> tuple[int, int, Any]:
+    """Makes the law of a `Controller` callable for the core.
+
+    Args:
+        controller: the controller.
+        row_size: numbers that the law receives in `reference`: its row, and the task's memory if it reads it.
+        lanes: environments in a block.
+
+    Returns:
+        The addresses of the function and of its data, and what must be kept alive while they are used.
+    """
+    if importlib.util.find_spec("numba") is not None:
+        with _lock:
+            known = _compiled.setdefault(controller, {})
+            if lanes not in known:
+                known[lanes] = _compile(controller, row_size, lanes)
+            if known[lanes] is not None:
+                return known[lanes].address, 0, known[lanes]
+    handle, function, data = _core.plain_law(controller.law, len(controller.memory), row_size, lanes)
+    return function, data, handle
+
+
+def _compile(controller: Any, row_size: int, lanes: int) -> Any:
+    """The law in a loop over a block, compiled; None with a warning where numba cannot compile it."""
+    import numba
+
+    cells = len(controller.memory)
+    names = [f"b[j + {(ROWS + n) * lanes}]" for n in range(cells + row_size)]
+    source = SOURCE.format(
+        size=(ROWS + cells + row_size) * lanes,
+        lanes=lanes,
+        memory="".join(f"{name}, " for name in names[:cells]),
+        row="".join(f"{name}, " for name in names[cells:]),
+        stores="\n".join(f"            {name} = renewed[{n}]" for n, name in enumerate(names[:cells])),
+    )
+    law = controller.law
+    # A division by zero gives infinity, as in the core: an exception would prevent vectorised loops.
+    options: dict[str, Any] = {"error_model": "numpy"}
+    try:
+        inner = law if hasattr(law, "py_func") else numba.njit(forceinline=True, **options)(law)
+        scope: dict[str, Any] = {"law": inner, "carray": numba.carray, "nan": float("nan")}
+        exec(source, scope)
+        pointer = numba.types.CPointer(numba.float64)
+        signature = numba.void(numba.types.voidptr, pointer, pointer, numba.int64)
+        compile_function: Callable[[Any], Any] = numba.cfunc(signature, **options)
+        return compile_function(scope["call_law"])
+    except Exception as error:
+        warnings.warn(
+            f"Python calls the control law {controller.name!r}, about 1 ms per step of an environment, since numba cannot "
+            f"compile it: {first_cause(error)}",
+            stacklevel=2,
+        )
+        return None
