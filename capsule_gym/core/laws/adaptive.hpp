@@ -3,7 +3,7 @@
 // Symbols are those of the paper. h and g are the estimates of alpha_theta and alpha_x. With r for the (2n + 1)-th root
 // of eta, (39d) is r' = r^2 delta_theta^2 (..) / ((2n + 1) (delta_theta^2 + beta)), which needs no power function.
 #pragma once
-#include "nominal.hpp"
+#include "law.hpp"
 #include "reference.hpp"
 
 namespace LEVEL {
@@ -24,9 +24,9 @@ template <class T> struct AdaptiveMemory {
 
 // The torque (39a). (39d) and (39e) advance the memory by one Euler step of the law's period.
 template <class T, class Q>
-INLINE T adaptive_torque(const State<T>& s, AdaptiveMemory<T>& memory, const Reference<T>& reference, const Q& q) {
+INLINE T adaptive_torque(const State<T>& s, AdaptiveMemory<T>& memory, const Reference<T>& r, const Q& q) {
   auto& [h, g, root, anchor] = memory;
-  const auto& [theta_d, theta_d_dot, theta_d_ddot, x_d, x_d_dot, x_d_ddot, cycle_start] = reference;
+  const auto& [theta_d, theta_d_dot, theta_d_ddot, x_d, x_d_dot, x_d_ddot, cycle_start] = r;
   anchor = select(cycle_start > 0.0, q.anchored != 0.0 ? s.x : anchor + q.cycle_advance, anchor);
   T e = s.theta - theta_d, e_dot = s.theta_dot - theta_d_dot;
   T e_x = s.x - (anchor + x_d), e_x_dot = s.x_dot - x_d_dot;
@@ -61,16 +61,10 @@ INLINE T adaptive_torque(const State<T>& s, AdaptiveMemory<T>& memory, const Ref
 }
 
 struct Adaptive {
-  static constexpr const char* NAME = "adaptive";
-  static constexpr int MEMORY = WIDTH<AdaptiveMemory<double>>, COLUMNS = REFERENCE_COLUMNS, TASK_ROWS = 0;
-  static constexpr bool BRANCHES = false;
-  CAPSULE_LAW(Adaptive, ADAPTIVE_CONSTANTS)
+  CAPSULE_LAW(Adaptive, "adaptive", false, AdaptiveMemory, Reference, ADAPTIVE_CONSTANTS)
 
-  template <class T> INLINE T operator()(const State<T>& s, T* memory, const T* row) const {
-    auto own = load<AdaptiveMemory<T>>((const double*)memory);
-    T torque = adaptive_torque(s, own, load<Reference<T>>((const double*)row), q);
-    store((double*)memory, own);
-    return torque;
+  template <class T> INLINE T torque(const State<T>& s, AdaptiveMemory<T>& memory, const Reference<T>& r) const {
+    return adaptive_torque(s, memory, r, q);
   }
 };
 

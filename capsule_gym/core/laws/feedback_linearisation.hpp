@@ -1,23 +1,19 @@
 // Feedback linearisation (35) of the paper along a profile.
 #pragma once
-#include "nominal.hpp"
+#include "law.hpp"
 #include "reference.hpp"
 
 namespace LEVEL {
 
 struct FeedbackLinearising {
-  static constexpr const char* NAME = "feedback_linearising";
-  static constexpr int MEMORY = 1, COLUMNS = REFERENCE_COLUMNS, TASK_ROWS = 0;
-  static constexpr bool BRANCHES = false;
   // K_p in 1/s^2, K_v in 1/s.
 #define FEEDBACK_CONSTANTS(ONE, MANY) NOMINAL_CONSTANTS(ONE) ONE(K_p) ONE(K_v)
-  CAPSULE_LAW(FeedbackLinearising, FEEDBACK_CONSTANTS)
+  CAPSULE_LAW(FeedbackLinearising, "feedback_linearising", false, NoMemory, Reference, FEEDBACK_CONSTANTS)
 
   // With f the actual friction force: mu N sign(x') in slip, the reaction in stick.
-  template <class T> INLINE T operator()(const State<T>& s, T*, const T* row) const {
+  template <class T> INLINE T torque(const State<T>& s, NoMemory<T>&, const Reference<T>& r) const {
     auto p = nominal_plant<T, Kind::extended>(q);
-    T theta_d = row[0], theta_d_dot = row[1], theta_d_ddot = row[2];
-    T a = theta_d_ddot - q.K_v * (s.theta_dot - theta_d_dot) - q.K_p * (s.theta - theta_d);
+    T a = r.theta_d_ddot - q.K_v * (s.theta_dot - r.theta_d_dot) - q.K_p * (s.theta - r.theta_d);
     auto [sin, cos] = sincos(s.theta);
     T force = driving_force(s.theta, s.theta_dot, a, p);
     T limit = q.mu * max(T(0.0), normal_force(s.theta, s.theta_dot, a, p));

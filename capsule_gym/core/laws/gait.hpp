@@ -1,12 +1,12 @@
 // A gait without a clock: the torque is a polynomial of the state, and a guard keeps the contact.
 #pragma once
 #include "../identification.hpp"
-#include "nominal.hpp"
+#include "law.hpp"
 
 namespace LEVEL {
 
-// phi_ijk is the coefficient of theta^i theta_dot^j x_dot^k, each divided by its scale; then the step in the direction of
-// slip, the guard's gain in N m s^2, and the theta_dot^2 cos(theta), 1/s^2, from which the guard acts.
+// phi_ijk is the coefficient of theta^i theta_dot^j x_dot^k, each divided by its scale; then the step in the direction
+// of slip, the guard's gain in N m s^2, and the theta_dot^2 cos(theta), 1/s^2, from which the guard acts.
 #define GAIT_PARAMETERS(ONE)                                                                                           \
   ONE(phi_000) ONE(phi_001) ONE(phi_002) ONE(phi_003) ONE(phi_010) ONE(phi_011) ONE(phi_012) ONE(phi_020)              \
   ONE(phi_021) ONE(phi_030) ONE(phi_100) ONE(phi_101) ONE(phi_102) ONE(phi_110) ONE(phi_111) ONE(phi_120)              \
@@ -39,31 +39,24 @@ INLINE T guarded_torque(T theta, T theta_dot, T x_dot, const P& p, F guard_from,
 }
 
 struct Gait {
-  static constexpr const char* NAME = "gait";
-  static constexpr int MEMORY = 1, COLUMNS = 2, TASK_ROWS = 0;
-  static constexpr bool BRANCHES = false;
-  CAPSULE_LAW(Gait, GAIT_CONSTANTS)
+  CAPSULE_LAW(Gait, "gait", false, NoMemory, NoReference, GAIT_CONSTANTS)
 
-  template <class T> INLINE T operator()(const State<T>& s, T*, const T*) const {
+  template <class T> INLINE T torque(const State<T>& s, NoMemory<T>&, const NoReference<T>&) const {
     return guarded_torque(s.theta, s.theta_dot, s.x_dot, q, q.guard_from, q.torque_limit);
   }
 };
 
 // The gait with its parameters in its memory, so that the environments of a batch can have different ones.
 struct GaitCandidate {
-  template <class T> struct Parameters {
 #define FIELD(name) T name;
+  template <class T> struct Parameters {
     GAIT_PARAMETERS(FIELD)
-#undef FIELD
   };
-  static constexpr const char* NAME = "gait_candidate";
-  static constexpr int MEMORY = WIDTH<Parameters<double>>, COLUMNS = 2, TASK_ROWS = 0;
-  static constexpr bool BRANCHES = false;
+#undef FIELD
 #define CANDIDATE_CONSTANTS(ONE, MANY) ONE(torque_limit)
-  CAPSULE_LAW(GaitCandidate, CANDIDATE_CONSTANTS)
+  CAPSULE_LAW(GaitCandidate, "gait_candidate", false, Parameters, NoReference, CANDIDATE_CONSTANTS)
 
-  template <class T> INLINE T operator()(const State<T>& s, T* memory, const T*) const {
-    auto p = load<Parameters<T>>((const double*)memory);
+  template <class T> INLINE T torque(const State<T>& s, const Parameters<T>& p, const NoReference<T>&) const {
     return guarded_torque(s.theta, s.theta_dot, s.x_dot, p, p.guard_from, q.torque_limit);
   }
 };
@@ -71,21 +64,16 @@ struct GaitCandidate {
 // The gait with a guard that estimates M while the platform slips and acts earlier on platforms lighter than `lightest`
 // kg. Its memory is the filter's.
 struct GaitIdentifying {
-  static constexpr const char* NAME = "gait_identifying";
-  static constexpr int MEMORY = WIDTH<Identification>, COLUMNS = 2, TASK_ROWS = 0;
-  static constexpr bool BRANCHES = true;
+  template <class T> using Memory = Identification;
 #define IDENTIFYING_CONSTANTS(ONE, MANY) GAIT_CONSTANTS(ONE, MANY) ONE(m) ONE(l) ONE(g) ONE(lightest) ONE(dt)
-  CAPSULE_LAW(GaitIdentifying, IDENTIFYING_CONSTANTS)
+  CAPSULE_LAW(GaitIdentifying, "gait_identifying", true, Memory, NoReference, IDENTIFYING_CONSTANTS)
   // Factor by which the guard's threshold falls faster than the weight of a lighter platform: of 1.0, 1.2, 1.3 and 1.5
   // the first without a failure in 1000 episodes from the distribution of `extrapolation`.
   static constexpr double CAUTION = 1.3;
 
-  INLINE double operator()(const State<double>& s, double* memory, const double*) const {
-    auto filter = load<Identification>(memory);
+  double torque(const State<double>& s, Identification& filter, const NoReference<double>&) const {
     identify(filter, s.theta, s.theta_dot, s.x_dot, q.m, q.l, q.g, q.dt);
-    store(memory, filter);
-    double M = min(q.lightest, filter.M);
-    double share = 1.0 - CAUTION * (q.lightest - M) / (q.lightest + q.m);
+    double share = 1.0 - CAUTION * (q.lightest - min(q.lightest, filter.M)) / (q.lightest + q.m);
     return guarded_torque(s.theta, s.theta_dot, s.x_dot, q, share * q.guard_from, q.torque_limit);
   }
 };

@@ -2,9 +2,10 @@
 //
 // The sensors show the state of LATENCY calls ago. An observer with fixed gains estimates that state. The nominal model
 // predicts from it, with the torques that the law has returned since, the state at which the next torque acts. The
-// friction coefficient, the mass of the platform and the bias of the measured x_dot are estimated by gradient descent on
-// the squared error of x_dot. The position is not measured.
+// friction coefficient, the mass of the platform and the bias of the measured x_dot are estimated by gradient descent
+// on the squared error of x_dot. The position is not measured.
 #pragma once
+#include "../observation.hpp"
 #include "adaptive.hpp"
 #include "gait.hpp"
 
@@ -23,20 +24,18 @@ constexpr double GAIN_THETA = 0.005, GAIN_THETA_DOT = 0.05, GAIN_X_DOT = 0.02;
 constexpr double RATE_MU = 0.02, RATE_M = 1e-3, RATE_BIAS = 1e-4;
 // The range of mu, and the largest bias of x_dot, m/s.
 constexpr double LOW_MU = 0.0025, HIGH_MU = 1.0, LARGEST_BIAS = 0.05;
-// Bounds of a measurement, rad, rad/s and m/s.
-constexpr double LARGEST_THETA = 0.5 * PI, LARGEST_THETA_DOT = 20.0, LARGEST_X_DOT = 2.0;
 // Calls per Euler step of the predictor, whose torques are averaged.
 constexpr int STRIDE = 3;
 
-// The estimate of the state LATENCY calls ago, before the measurement of that time: 1.0 after the first measurement, the
-// state, the motor's torque after its lag in N m, M in kg, mu, and the bias of the measured x_dot in m/s.
+// The estimate of the state LATENCY calls ago, before the measurement of that time: 1.0 after the first measurement,
+// the state, the motor's torque after its lag in N m, M in kg, mu, and the bias of the measured x_dot in m/s; and the
+// torques of the last calls, the oldest first.
 template <class T> struct Estimate {
   T begun, theta, theta_dot, x_dot, motor, M, mu, bias;
 };
-
 template <class T> struct Memory {
   Estimate<T> estimate;
-  T queue[LATENCY];  // the torques of the last calls, the oldest first
+  T queue[LATENCY];
 };
 
 // One Euler step of h seconds of the nominal model with the estimated M and mu; implicit for the motor's lag.
@@ -54,16 +53,16 @@ template <class T, class Q> INLINE void model_step(Estimate<T>& e, T torque, dou
 
 // Corrects the estimate by a measurement; the first measurement is used unchanged.
 //
-// If the measured x_dot is above its estimate while the platform slides forwards, friction is smaller than estimated. If
-// it is above while the pendulum swings forwards, the platform is lighter than estimated.
+// If the measured x_dot is above its estimate while the platform slides forwards, friction is smaller than estimated.
+// If it is above while the pendulum swings forwards, the platform is lighter than estimated.
 template <class T> INLINE void correct(Estimate<T>& e, T theta, T theta_dot, T x_dot) {
-  theta = clip(theta, T(LARGEST_THETA)), theta_dot = clip(theta_dot, T(LARGEST_THETA_DOT));
-  x_dot = clip(x_dot, T(LARGEST_X_DOT));
+  theta = clip(theta, T(THETA_LIMIT)), theta_dot = clip(theta_dot, T(THETA_DOT_BOUND));
+  x_dot = clip(x_dot, T(X_DOT_BOUND));
   auto first = e.begun == 0.0;
   e.begun = 1.0;
-  e.theta = select(first, theta, clip(e.theta, T(LARGEST_THETA)));
-  e.theta_dot = select(first, theta_dot, clip(e.theta_dot, T(LARGEST_THETA_DOT)));
-  e.x_dot = select(first, x_dot, clip(e.x_dot, T(LARGEST_X_DOT)));
+  e.theta = select(first, theta, clip(e.theta, T(THETA_LIMIT)));
+  e.theta_dot = select(first, theta_dot, clip(e.theta_dot, T(THETA_DOT_BOUND)));
+  e.x_dot = select(first, x_dot, clip(e.x_dot, T(X_DOT_BOUND)));
   T error = x_dot - e.bias - e.x_dot;
   T sliding = clip(e.x_dot / FLOOR_WIDTH, T(1.0)), swinging = sincos(e.theta).cos * e.theta_dot;
   e.theta = e.theta + GAIN_THETA * (theta - e.theta);
@@ -76,7 +75,7 @@ template <class T> INLINE void correct(Estimate<T>& e, T theta, T theta_dot, T x
 }
 
 // Corrects the estimate by a measurement of LATENCY calls ago and returns the prediction of the present. The memory
-// becomes that of the next call, but for the torque of this call, the last of the queue.
+// becomes that of the next call, but for the last of the queue, the torque of this call.
 template <class T, class Q> INLINE Estimate<T> predict(Memory<T>& memory, const State<T>& s, const Q& q) {
   auto& [estimate, queue] = memory;
   correct(estimate, s.theta, s.theta_dot, s.x_dot);
@@ -92,12 +91,9 @@ template <class T, class Q> INLINE Estimate<T> predict(Memory<T>& memory, const 
 
 // The guarded gait on the predicted state.
 struct GaitPredictive {
-  static constexpr const char* NAME = "gait_predictive";
-  static constexpr int MEMORY = WIDTH<predictor::Memory<double>>, COLUMNS = 2, TASK_ROWS = 0;
-  static constexpr bool BRANCHES = false;
   // `lightest` is the smallest mass in kg of a platform that must keep its contact.
 #define GAIT_PREDICTIVE_CONSTANTS(ONE, MANY) GAIT_CONSTANTS(ONE, MANY) NOMINAL_CONSTANTS(ONE) ONE(lightest) ONE(dt)
-  CAPSULE_LAW(GaitPredictive, GAIT_PREDICTIVE_CONSTANTS)
+  CAPSULE_LAW(GaitPredictive, "gait_predictive", false, predictor::Memory, NoReference, GAIT_PREDICTIVE_CONSTANTS)
   // Added to the predicted x_dot, m/s: the gait becomes slow if the estimate is too low, but hardly if it is too high.
   static constexpr double X_DOT_MARGIN = 0.004;
   // Smallest normal force, as a share of the weight with the lightest platform.
@@ -108,24 +104,19 @@ struct GaitPredictive {
   template <class T> INLINE T keep_contact(T torque, T theta, T theta_dot) const {
     auto p = nominal_plant<T, Kind::coulomb>(q);
     p.M = q.lightest, p.mu = 0.0, p.mass_ratio = q.m / (q.lightest + q.m);
-    auto normal = [&](double u) {
-      return pressed_accelerations<decltype(p)>(theta, theta_dot, 0.0, 1.0, 0.0, u, p).normal;
-    };
-    T free = normal(0.0), per_torque = normal(1.0) - free;
-    T needed = CONTACT_MARGIN * (q.lightest + q.m) * q.g - free, limit = needed / per_torque;
+    T free = pressed_accelerations<decltype(p)>(theta, theta_dot, 0.0, 1.0, 0.0, 0.0, p).normal;
+    T per_torque = pressed_accelerations<decltype(p)>(theta, theta_dot, 0.0, 1.0, 0.0, 1.0, p).normal - free;
+    T limit = (CONTACT_MARGIN * (q.lightest + q.m) * q.g - free) / per_torque;
     // Near the upright the torque does not act on the normal force.
     return select(per_torque > 1e-6, max(torque, min(T(0.0), limit)),
                   select(per_torque < -1e-6, min(torque, max(T(0.0), limit)), torque));
   }
 
-  template <class T> INLINE T operator()(const State<T>& s, T* cells, const T*) const {
-    auto memory = load<predictor::Memory<T>>((const double*)cells);
-    auto now = predictor::predict(memory, s, q);
-    T torque = guarded_torque<T>(now.theta, now.theta_dot, now.x_dot + X_DOT_MARGIN, q, q.guard_from, q.torque_limit);
-    torque = clip(keep_contact(torque, now.theta, now.theta_dot), T(q.torque_limit));
-    memory.queue[predictor::LATENCY - 1] = torque;
-    store((double*)cells, memory);
-    return torque;
+  template <class T> INLINE T torque(const State<T>& s, predictor::Memory<T>& memory, const NoReference<T>&) const {
+    auto now = predict(memory, s, q);
+    T wanted = guarded_torque<T>(now.theta, now.theta_dot, now.x_dot + X_DOT_MARGIN, q, q.guard_from, q.torque_limit);
+    return memory.queue[predictor::LATENCY - 1] =
+               clip(keep_contact(wanted, now.theta, now.theta_dot), T(q.torque_limit));
   }
 };
 
@@ -136,22 +127,15 @@ struct AdaptivePredictive {
     AdaptiveMemory<T> own;
     T x;
   };
-  static constexpr const char* NAME = "adaptive_predictive";
-  static constexpr int MEMORY = WIDTH<Memory<double>>, COLUMNS = REFERENCE_COLUMNS, TASK_ROWS = 0;
-  static constexpr bool BRANCHES = false;
 #define ADAPTIVE_PREDICTIVE_CONSTANTS(ONE, MANY) ADAPTIVE_CONSTANTS(ONE, MANY) ONE(torque_limit)
-  CAPSULE_LAW(AdaptivePredictive, ADAPTIVE_PREDICTIVE_CONSTANTS)
+  CAPSULE_LAW(AdaptivePredictive, "adaptive_predictive", false, Memory, Reference, ADAPTIVE_PREDICTIVE_CONSTANTS)
 
-  template <class T> INLINE T operator()(const State<T>& s, T* cells, const T* row) const {
-    auto memory = load<Memory<T>>((const double*)cells);
-    auto now = predictor::predict(memory.predicted, s, q);
-    State<T> state = {now.theta, now.theta_dot, memory.x, now.x_dot};
-    T torque = adaptive_torque(state, memory.own, load<Reference<T>>((const double*)row), q);
-    torque = clip(torque, T(q.torque_limit));
-    memory.predicted.queue[predictor::LATENCY - 1] = torque;
-    memory.x = memory.x + q.dt * now.x_dot;
-    store((double*)cells, memory);
-    return torque;
+  template <class T> INLINE T torque(const State<T>& s, Memory<T>& memory, const Reference<T>& r) const {
+    auto& [predicted, own, x] = memory;
+    auto now = predict(predicted, s, q);
+    T wanted = adaptive_torque(State<T>{now.theta, now.theta_dot, x, now.x_dot}, own, r, q);
+    x = x + q.dt * now.x_dot;
+    return predicted.queue[predictor::LATENCY - 1] = clip(wanted, T(q.torque_limit));
   }
 };
 

@@ -8,11 +8,10 @@ namespace LEVEL {
 template <class T> struct Reference {
   T theta_d, theta_d_dot, theta_d_ddot, x_d, x_d_dot, x_d_ddot, cycle_start;
 };
-constexpr int REFERENCE_COLUMNS = WIDTH<Reference<double>>;
 
 // Moves a platform of total mass M + m for h seconds under a constant force in N, through a stop within this time, and
-// returns x'' at the start in m/s^2. `forwards` and `backwards` are the kinetic friction in the two directions, N; x_dot
-// is exactly 0.0 in stick.
+// returns x'' at the start in m/s^2. `forwards` and `backwards` are the kinetic friction in the two directions, N;
+// x_dot is exactly 0.0 in stick.
 inline double slide(double force, double forwards, double backwards, double static_ratio, double total, double& x,
                     double& x_dot, double h) {
   double initial = 0.0, remaining = h;
@@ -49,26 +48,6 @@ inline void platform_motion(const double* angle, const double* velocity, const d
     motion[2 * n + i] = slide(force, kinetic_friction(1.0, p) * normal, kinetic_friction(-1.0, p) * normal,
                               p.static_ratio, p.M + p.m, x, x_dot, h);
   }
-}
-
-// The positions in m that platforms reach in some cycles of a prescribed motion, one for each of `count` friction
-// coefficients, static and kinetic, in both directions. Returns the smallest normal force before its clamp at zero, N.
-inline double cycle_distances(const double* angle, const double* velocity, const double* acceleration, long long n,
-                              double h, const Plant<double, Kind::extended>& p, int cycles, const double* friction,
-                              long long count, double* distances) {
-  double smallest = INFINITE;
-  for (long long j = 0; j < count; j++) {
-    double x = 0.0, x_dot = 0.0;
-    for (long long i = 0; i < cycles * n; i++) {
-      long long at = i % n;
-      double normal = normal_force(angle[at], velocity[at], acceleration[at], p);
-      double limit = friction[j] * max(0.0, normal);
-      smallest = min(smallest, normal);
-      slide(driving_force(angle[at], velocity[at], acceleration[at], p), limit, limit, 1.0, p.M + p.m, x, x_dot, h);
-    }
-    distances[j] = x;
-  }
-  return smallest;
 }
 
 }  // namespace LEVEL
