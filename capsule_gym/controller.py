@@ -6,12 +6,13 @@ import math
 import pkgutil
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from capsule_gym import _core
 from capsule_gym.checks import check_number, first_cause, written
 from capsule_gym.config import LAW_DT, find_task
 from capsule_gym.task import Task
@@ -23,6 +24,88 @@ _OWN = re.compile(r"baselines:[A-Za-z][A-Za-z0-9_]*")
 # compiler sees.
 LARGEST_TABLE = 10_000_000
 MOST_COLUMNS = 256
+
+
+@dataclass(frozen=True, init=False)
+class CoreLaw:
+    """A control law that comes with the package, compiled, with its constants. It is called like a law in Python.
+
+    Attributes:
+        name: a key of `capsule_gym._core.LAWS`.
+        constants: the numbers in the order of the law's list of names.
+    """
+
+    name: str
+    constants: tuple[float, ...]
+
+    def __init__(self, name: str, /, **constants: float | Sequence[float]) -> None:
+        """Puts the constants in order.
+
+        Args:
+            name: name of the law.
+            constants: each constant of the law by its name, a number or a sequence of numbers; not NaN.
+
+        Raises:
+            TypeError: if a constant is missing, or the law has none of that name.
+            ValueError: if there is no such law, or a constant has a wrong number of values or is NaN.
+        """
+        if name not in _core.LAWS:
+            raise ValueError(f"name must be one of {', '.join(_core.LAWS)}, got {written(name)}")
+        counts = {
+            key: int(count or 1) for key, _, count in (item.partition(":") for item in _core.LAWS[name][0].split())
+        }
+        if counts.keys() != constants.keys():
+            raise TypeError(f"the law {name!r} takes the constants {', '.join(counts)}, got {', '.join(constants)}")
+        values = {key: np.ravel(np.asarray(constants[key], np.float64)) for key in counts}
+        for key, count in counts.items():
+            if values[key].size != count or np.isnan(values[key]).any():
+                raise ValueError(f"{key} must be {count} numbers, got {written(constants[key])}")
+        object.__setattr__(self, "name", name)
+        object.__setattr__(self, "constants", tuple(np.concatenate([*values.values(), []]).tolist()))
+
+    @property
+    def cells(self) -> int:
+        """Number of cells of its memory."""
+        return int(_core.LAWS[self.name][1])
+
+    def evaluate(self, states: np.ndarray, memories: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Evaluates n calls.
+
+        Args:
+            states: theta (rad), theta_dot (rad/s), x (m) and x_dot (m/s), shape (n, 4).
+            memories: shape (n, cells).
+            rows: rows of the reference, each with the memory of the law's task behind it, shape (n, columns).
+
+        Returns:
+            The torques before their clip to the torque limit, N m, shape (n,), and the memories of the next calls.
+
+        Raises:
+            ValueError: if an array has a wrong shape.
+        """
+        n, columns = len(states), _core.LAWS[self.name][2]
+        given, rows = (np.ascontiguousarray(array, np.float64) for array in (states, rows))
+        renewed, torques, constants = np.array(memories, np.float64), np.empty(n), np.array(self.constants)
+        expected = (n, 4), (n, self.cells), (n, columns)
+        if (given.shape, renewed.shape, rows.shape) != expected:
+            raise ValueError(f"states, memories and rows of {self.name!r} must have the shapes {expected}")
+        number = list(_core.LAWS).index(self.name)
+        addresses = (array.ctypes.data for array in (constants, given, renewed, rows, torques))
+        _core.law_torques(_core.LEVELS[0], number, *addresses, n)
+        return torques, renewed
+
+    def __call__(
+        self,
+        theta: float,
+        theta_dot: float,
+        x: float,
+        x_dot: float,
+        memory: Sequence[float],
+        reference: Sequence[float],
+    ) -> tuple[float, tuple[float, ...]]:
+        """Evaluates one call; see `Controller`."""
+        state = np.array([[theta, theta_dot, x, x_dot]])
+        torques, renewed = self.evaluate(state, np.array([memory]), np.array([reference]))
+        return float(torques[0]), tuple(renewed[0].tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +126,7 @@ class Controller:
 
     Attributes:
         name: name in messages and tables.
-        law: the function above, plain or compiled with `numba.njit`.
+        law: the function above, plain or compiled with `numba.njit`; or a `CoreLaw`.
         reference: shape (steps, columns), float64, one row per call over one cycle, which repeats. Column 0 is the
             reference angle in rad, column 1 its rate in rad/s; a law can have further columns. At most 256 columns and
             ten million numbers. Zeros for a law without a reference.
