@@ -6,7 +6,7 @@ import math
 import pkgutil
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -27,29 +27,90 @@ LARGEST_TABLE = 10_000_000
 MOST_COLUMNS = 256
 
 
+@dataclass(frozen=True, init=False)
 class CoreLaw:
-    """A control law of the core, which the step calls without Python.
+    """A control law that comes with the package, compiled, with its constants. It is called like a law in Python.
 
-    Args:
-        name: a key of `_core.LAWS`.
-        **constants: the law's constants by their names, numbers or sequences of numbers.
+    Attributes:
+        name: a key of `capsule_gym._core.LAWS`.
+        constants: the numbers in the order of the law's list of names.
     """
 
-    def __init__(self, name: str, **constants: Any) -> None:
-        names, self.memory_size, self.columns = _core.LAWS[name]
-        self.name, self.number = name, list(_core.LAWS).index(name)
-        parts = [np.ravel(constants[each.partition(":")[0]]) for each in names.split()]
-        self.constants = np.concatenate([*parts, np.zeros(1)]).astype(np.float64)
+    name: str
+    constants: tuple[float, ...]
+
+    def __init__(self, name: str, /, **constants: float | Sequence[float]) -> None:
+        """Puts the constants in order.
+
+        Args:
+            name: name of the law.
+            constants: each constant of the law by its name, a number or a sequence of numbers; not NaN.
+
+        Raises:
+            TypeError: if a constant is missing, or the law has none of that name.
+            ValueError: if there is no such law, or a constant has a wrong number of values or is NaN.
+        """
+        if name not in _core.LAWS:
+            raise ValueError(f"name must be one of {', '.join(_core.LAWS)}, got {written(name)}")
+        counts = {
+            key: int(count or 1) for key, _, count in (item.partition(":") for item in _core.LAWS[name][0].split())
+        }
+        if counts.keys() != constants.keys():
+            raise TypeError(f"the law {name!r} takes the constants {', '.join(counts)}, got {', '.join(constants)}")
+        values = {key: np.ravel(np.asarray(constants[key], np.float64)) for key in counts}
+        for key, count in counts.items():
+            if values[key].size != count or np.isnan(values[key]).any():
+                raise ValueError(f"{key} must be {count} numbers, got {written(constants[key])}")
+        object.__setattr__(self, "name", name)
+        object.__setattr__(self, "constants", tuple(np.concatenate([*values.values(), []]).tolist()))
+
+    @property
+    def number(self) -> int:
+        """The number of the law in the core."""
+        return list(_core.LAWS).index(self.name)
+
+    @property
+    def cells(self) -> int:
+        """Number of cells of its memory."""
+        return int(_core.LAWS[self.name][1])
+
+    def evaluate(self, states: np.ndarray, memories: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Evaluates n calls.
+
+        Args:
+            states: theta (rad), theta_dot (rad/s), x (m) and x_dot (m/s), shape (n, 4).
+            memories: shape (n, cells).
+            rows: rows of the reference, each with the memory of the law's task behind it, shape (n, columns).
+
+        Returns:
+            The torques before their clip to the torque limit, N m, shape (n,), and the memories of the next calls.
+
+        Raises:
+            ValueError: if an array has a wrong shape.
+        """
+        n, columns = len(states), _core.LAWS[self.name][2]
+        given, rows = (np.ascontiguousarray(array, np.float64) for array in (states, rows))
+        renewed, torques, constants = np.array(memories, np.float64), np.empty(n), np.array([*self.constants, 0.0])
+        expected = (n, 4), (n, self.cells), (n, columns)
+        if (given.shape, renewed.shape, rows.shape) != expected:
+            raise ValueError(f"states, memories and rows of {self.name!r} must have the shapes {expected}")
+        addresses = map(native.address, (constants, given, renewed, rows, torques))
+        _core.law_torques(native.LEVEL, self.number, *addresses, n)
+        return torques, renewed
 
     def __call__(
-        self, theta: float, theta_dot: float, x: float, x_dot: float, memory: Any, reference: Any
+        self,
+        theta: float,
+        theta_dot: float,
+        x: float,
+        x_dot: float,
+        memory: Sequence[float],
+        reference: Sequence[float],
     ) -> tuple[float, tuple[float, ...]]:
-        """The torque in N m and the next memory, as those of a law in Python."""
-        state, row = np.array([theta, theta_dot, x, x_dot], np.float64), np.array(reference, np.float64)
-        cells, torque = np.array(memory, np.float64), np.empty(1)
-        arrays = [native.address(each) for each in (self.constants, state, cells, row, torque)]
-        _core.law_torques(native.LEVEL, self.number, *arrays, 1)
-        return float(torque[0]), tuple(cells.tolist())
+        """Evaluates one call; see `Controller`."""
+        state = np.array([[theta, theta_dot, x, x_dot]])
+        torques, renewed = self.evaluate(state, np.array([memory]), np.array([reference]))
+        return float(torques[0]), tuple(renewed[0].tolist())
 
 
 class BoundLaw(NamedTuple):
@@ -69,8 +130,9 @@ def bind_law(controller: Controller, lanes: int) -> BoundLaw:
     law = controller.law
     fields = {"law": len(_core.LAWS), "law_constants": 0, "user_law": 0, "user_data": 0}
     if isinstance(law, CoreLaw):
-        fields |= {"law": law.number, "law_constants": native.address(law.constants)}
-        return BoundLaw(fields, law)
+        constants = np.array([*law.constants, 0.0])
+        fields |= {"law": law.number, "law_constants": native.address(constants)}
+        return BoundLaw(fields, constants)
     task_size = 0 if controller.task is None else find_task(controller.task).rows
     function, data, kept = bind_user_law(controller, controller.reference.shape[1] + task_size, lanes)
     return BoundLaw({**fields, "user_law": function, "user_data": data}, kept)
@@ -80,7 +142,7 @@ def bind_law(controller: Controller, lanes: int) -> BoundLaw:
 class Controller:
     """A control law with its reference table and its initial memory.
 
-    The law is a pure scalar function:
+    The law is a pure scalar function that numba can compile:
 
         law(theta, theta_dot, x, x_dot, memory, reference) -> (torque, memory)
 
@@ -94,7 +156,7 @@ class Controller:
 
     Attributes:
         name: name in messages and tables.
-        law: the function above, plain or compiled with `numba.njit`.
+        law: the function above, plain or compiled with `numba.njit`; or a `CoreLaw`.
         reference: shape (steps, columns), float64, one row per call over one cycle, which repeats. Column 0 is the
             reference angle in rad, column 1 its rate in rad/s; a law can have further columns. At most 256 columns and
             ten million numbers. Zeros for a law without a reference.

@@ -16,11 +16,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from baselines.gaits import GAIT_DT as GAIT_DT
-from baselines.laws.gait import COEFFICIENTS, cubic
+from baselines.laws.gait import COEFFICIENTS
 from capsule_gym.compilation import cached_entry, inlined
 from capsule_gym.elementary import clip, sincos
 from capsule_gym.layout import load
@@ -31,6 +32,9 @@ GAINS = 2 + 2 * HARMONICS
 # Encoded gaits have a common width: the family's number, then its parameters, padded with zeros.
 MAX_PARAMETERS = len(COEFFICIENTS)
 WIDTH = 1 + MAX_PARAMETERS
+
+# Scales in rad, rad/s and m/s that make the polynomial's coefficients comparable.
+STATE_SCALE = (1.0, 5.0, 0.3)
 
 
 @inlined
@@ -75,6 +79,23 @@ def bang_bang(p: tuple[float, ...], time: float, theta: float, theta_dot: float,
         _square_integral(durations, period, start + GAIT_DT) - _square_integral(durations, period, start)
     ) / GAIT_DT
     return square + _feedback(p[5:], theta, theta_dot, x_dot)
+
+
+@inlined
+def cubic(coefficients: tuple[Any, ...], theta: Any, theta_dot: Any, x_dot: Any, sign: Any) -> Any:
+    """The cubic polynomial of the state plus a step in the direction of slip; coefficients as in `COEFFICIENTS`.
+
+    The state (rad, rad/s, m/s) and the sign of x_dot are numbers or arrays of one shape, the coefficients numbers or
+    arrays.
+    """
+    a, b, c = theta / STATE_SCALE[0], theta_dot / STATE_SCALE[1], x_dot / STATE_SCALE[2]
+    aa, bb, cc = a * a, b * b, c * c
+    p000, p001, p002, p003, p010, p011, p012, p020, p021, p030 = coefficients[:10]
+    p100, p101, p102, p110, p111, p120, p200, p201, p210, p300, step = coefficients[10:]
+    torque = step * sign + p000 + p001 * c + p002 * cc + p003 * (cc * c)
+    torque = torque + p010 * b + p011 * b * c + p012 * b * cc + p020 * bb + p021 * bb * c + p030 * (bb * b)
+    torque = torque + p100 * a + p101 * a * c + p102 * a * cc + p110 * a * b + p111 * a * b * c + p120 * a * bb
+    return torque + p200 * aa + p201 * aa * c + p210 * aa * b + p300 * (aa * a)
 
 
 @inlined

@@ -19,14 +19,14 @@ from gymnasium.vector import AutoresetMode
 
 from baselines.gaits.archive import tolerant_nominal
 from baselines.gaits.search import cma_strategy, score
-from baselines.laws.gait import FILE, LIGHTEST, NO_REFERENCE, PARAMETERS, guarded_torque
+from baselines.laws.gait import FILE, LIGHTEST, NO_REFERENCE, PARAMETERS
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym.controller import Controller
+from capsule_gym.controller import Controller, CoreLaw
 from capsule_gym.files import write_atomically
 from capsule_gym.layout import ROWS
 from capsule_gym.parameters import NOMINAL, RANDOMIZATIONS
 from capsule_gym.resets import plant_at, plant_ranges
-from capsule_gym.task import HORIZON
+from capsule_gym.task import HORIZON, TORQUE_LIMIT
 
 # Scale of every parameter in the search.
 UNITS = (*(1.0 for _ in PARAMETERS[:-2]), 0.03, 20.0)
@@ -46,19 +46,14 @@ TEST_EPISODES = 512
 TEST_SEED = (20186, 1)
 
 
-def candidate(
-    theta: float, theta_dot: float, x: float, x_dot: float, memory: tuple[float, ...], reference: tuple[float, ...]
-) -> tuple[float, tuple[float, ...]]:
-    """The law with its parameters in its memory, so that one kernel serves all candidates."""
-    return guarded_torque(theta, theta_dot, x_dot, memory), memory
-
-
 def make_batch(count: int) -> CapsuleVectorEnv:
     """A batch of environments for candidates, each on a plant of its own."""
+    # The law reads its parameters from its memory, so that one batch serves all candidates.
+    law = CoreLaw("gait_candidate", torque_limit=TORQUE_LIMIT)
     # The first millisecond has no torque: a reset calls the law before its memory can be written.
     return CapsuleVectorEnv(
         count,
-        controller=Controller("candidate", candidate, NO_REFERENCE, memory=(0.0,) * len(PARAMETERS)),
+        controller=Controller("candidate", law, NO_REFERENCE, memory=(0.0,) * law.cells),
         residual_limit=RESIDUAL_LIMIT,
         randomization="wide",
         control_dt=CONTROL_DT,

@@ -4,28 +4,34 @@ from __future__ import annotations
 
 import math
 from decimal import Context, Decimal
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines.laws.adaptive_terms import MEMORY, Constants, adaptive_step, eta_of_root
-from baselines.laws.gains import COMPLIANT, PUBLISHED, REGULARISED, UNREGULARISED, Choices, Gains, check_gains
+from baselines.laws.gains import (
+    COMPLIANT,
+    PUBLISHED,
+    REGULARISED,
+    UNREGULARISED,
+    Choices,
+    Gains,
+    check_gains,
+    plant_constants,
+)
 from baselines.laws.profiles import PROPOSED, Profile, optimal
 from baselines.laws.reference import COLUMNS, reference_table
 from capsule_gym.checks import check_count, check_number
 from capsule_gym.config import LAW_DT
-from capsule_gym.controller import Controller, Law
+from capsule_gym.controller import Controller, CoreLaw
 from capsule_gym.parameters import NOMINAL, Capsule, Plant
 
-
-def adaptive_law(constants: Constants) -> Law:
-    """The law (39) with its constants in its closure, where the compiler sees them."""
-
-    def law(
-        theta: float, theta_dot: float, x: float, x_dot: float, memory: tuple[float, ...], reference: tuple[float, ...]
-    ) -> tuple[float, tuple[float, ...]]:
-        return adaptive_step(theta, theta_dot, x, x_dot, memory, reference, constants)
-
-    return law
+# The memory: the estimates of alpha_theta and alpha_x, the (2n + 1)-th root of eta, and the start of x_d, m.
+MEMORY = (
+    *(f"alpha_theta_{i}" for i in range(1, 6)),
+    *(f"alpha_x_{i}" for i in range(1, 5)),
+    "eta_root",
+    "x_anchor",
+)
 
 
 def nominal_estimates(p: Plant) -> tuple[float, ...]:
@@ -34,26 +40,26 @@ def nominal_estimates(p: Plant) -> tuple[float, ...]:
     return ml * p.l, ml, p.k, p.c, ml * p.g, ml, p.M + p.m, p.mu, ml
 
 
-def constants_of(gains: Gains, choices: Choices, plant: Plant, table: np.ndarray, dt: float) -> Constants:
-    """The constants of the law as its compiled functions read them; `table` is from `reference_table`."""
+def constants_of(gains: Gains, choices: Choices, plant: Plant, table: np.ndarray, dt: float) -> dict[str, Any]:
+    """The constants of the law by the names that the core gives them; `table` is from `reference_table`."""
     free = math.isinf(choices.estimate_range)
     low, high = 1.0 - choices.estimate_range, 1.0 + choices.estimate_range
     estimates = nominal_estimates(plant)
-    return Constants(
-        plant=plant,
-        gains=gains,
-        beta=choices.beta,
-        n=choices.n,
-        saturation_width=choices.saturation_width,
-        root_bound=root_of_eta(choices.eta_bound, choices.n),
+    return {
+        **plant_constants(plant),
+        **gains._asdict(),
+        "beta": choices.beta,
+        "n": choices.n,
+        "saturation_width": choices.saturation_width,
+        "root_bound": root_of_eta(choices.eta_bound, choices.n),
         # Not a product if the range is infinite: zero times infinity is NaN.
-        lowest=tuple(-math.inf if free else low * estimate for estimate in estimates),
-        highest=tuple(math.inf if free else high * estimate for estimate in estimates),
-        anchored=choices.anchored,
+        "lowest": [-math.inf if free else low * estimate for estimate in estimates],
+        "highest": [math.inf if free else high * estimate for estimate in estimates],
+        "anchored": choices.anchored,
         # The last row is one step before the end of the cycle; the platform rests there, so x_d is the same.
-        cycle_advance=float(table[-1, COLUMNS.index("x_d")]),
-        dt=dt,
-    )
+        "cycle_advance": float(table[-1, COLUMNS.index("x_d")]),
+        "dt": dt,
+    }
 
 
 def root_of_eta(eta: float, n: int) -> float:
@@ -67,7 +73,38 @@ def root_of_eta(eta: float, n: int) -> float:
 
 def eta_of(memory: np.ndarray, n: int = REGULARISED.n) -> np.ndarray:
     """The auxiliary variable eta from memories of the adaptive law, shape (.., cells)."""
-    return eta_of_root(memory[..., MEMORY.index("eta_root")], n)
+    root = memory[..., MEMORY.index("eta_root")]
+    return math.prod([root * root] * n, start=root)
+
+
+class Sliding(NamedTuple):
+    """The variables of (37) over a recorded run of the law.
+
+    Attributes:
+        e_x: x - x_d, m.
+        delta_theta: rad/s.
+        delta_x: m/s.
+    """
+
+    e_x: np.ndarray
+    delta_theta: np.ndarray
+    delta_x: np.ndarray
+
+
+def sliding_variables(
+    theta: np.ndarray,
+    theta_dot: np.ndarray,
+    x: np.ndarray,
+    x_dot: np.ndarray,
+    anchor: np.ndarray,
+    reference: np.ndarray,
+    gains: Gains,
+) -> Sliding:
+    """Errors and sliding variables (37b); x_d starts from `anchor`, m; rows of `reference` are those of `COLUMNS`."""
+    theta_d, theta_d_dot, _, x_d, x_d_dot, _, _ = reference
+    e_x = x - (anchor + x_d)
+    delta_theta = (theta_dot - theta_d_dot) + gains.Lambda_theta * (theta - theta_d)
+    return Sliding(e_x, delta_theta, (x_dot - x_d_dot) + gains.Lambda_x * e_x)
 
 
 def adaptive(
@@ -132,9 +169,9 @@ def adaptive(
     table = reference_table(profile, plant, dt)
     constants = constants_of(gains, choices, plant, table, float(dt))
     # The first call begins a cycle and starts x_d from 0.
-    anchor = 0.0 if constants.anchored else -constants.cycle_advance
-    memory = (*nominal_estimates(plant), root_of_eta(choices.eta_0, constants.n), anchor)
-    return Controller(name, adaptive_law(constants), table, memory, constants.dt)
+    anchor = 0.0 if choices.anchored else -constants["cycle_advance"]
+    memory = (*nominal_estimates(plant), root_of_eta(choices.eta_0, choices.n), anchor)
+    return Controller(name, CoreLaw("adaptive", **constants), table, memory, float(dt))
 
 
 def adaptive_as_published() -> Controller:

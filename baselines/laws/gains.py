@@ -6,6 +6,7 @@ import math
 from typing import Any, NamedTuple
 
 from capsule_gym.checks import check_number
+from capsule_gym.parameters import Plant
 
 
 class Gains(NamedTuple):
@@ -72,3 +73,8 @@ K_V = 40.0
 def check_gains(**gains: Any) -> dict[str, float]:
     """The gains as floats, each finite and not negative."""
     return {name: check_number(name, value, "a finite number >= 0", 0.0) for name, value in gains.items()}
+
+
+def plant_constants(plant: Plant) -> dict[str, float]:
+    """The constants of a nominal plant by the names that the laws of the core give them."""
+    return {name: value for name, value in plant._asdict().items() if name != "extended"}

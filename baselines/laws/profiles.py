@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from capsule_gym.checks import check_number
-from capsule_gym.elementary import arccos, sincos, sines_and_cosines
+from capsule_gym.elementary import arccos, sincos
 from capsule_gym.task import START_THETA
 
 # Results of `python -m baselines.paper.optimal_profiles`.
@@ -44,18 +44,18 @@ class Segment:
 
     def velocity(self, s: np.ndarray) -> np.ndarray:
         """theta_d' in rad/s."""
-        sines, _ = sines_and_cosines(self.phase + self.rate * s)
+        sines, _ = sincos(self.phase + self.rate * s)
         return self.amplitude * sines + self.offset + self.slope * s
 
     def acceleration(self, s: np.ndarray) -> np.ndarray:
         """theta_d'' in rad/s^2."""
-        _, cosines = sines_and_cosines(self.phase + self.rate * s)
+        _, cosines = sincos(self.phase + self.rate * s)
         return self.amplitude * self.rate * cosines + self.slope
 
     def turned(self, s: np.ndarray) -> np.ndarray:
         """Angle since the start of the segment, rad."""
-        _, cosines = sines_and_cosines(self.phase + self.rate * s)
-        return self.amplitude / self.rate * (sincos(self.phase)[1] - cosines) + (self.offset + 0.5 * self.slope * s) * s
+        _, cosines = sincos(self.phase + self.rate * s)
+        return self.amplitude / self.rate * (float(sincos(self.phase)[1]) - cosines) + (self.offset + 0.5 * self.slope * s) * s
 
 
 def _ramp(duration: float, start: float, end: float) -> Segment:

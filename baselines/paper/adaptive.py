@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.laws.adaptive import adaptive, eta_of, nominal_estimates
-from baselines.laws.adaptive_terms import MEMORY, sliding_variables
+from baselines.laws.adaptive import MEMORY, adaptive, eta_of, nominal_estimates, sliding_variables
 from baselines.laws.gains import PUBLISHED, REGULARISED, UNREGULARISED
 from baselines.laws.profiles import PROPOSED
 from baselines.paper.published import M_RANGE, MU_RANGE

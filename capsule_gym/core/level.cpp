@@ -28,6 +28,11 @@ void law_torques(long long law, const double* constants, const double* states, d
 #undef LAW
 }
 
+void motion_of_platform(const double* angle, const double* velocity, const double* acceleration, const double* plant,
+                        double* motion, long long n, double h) {
+  platform_motion(angle, velocity, acceleration, n, h, load<Plant<double, Kind::extended>>(plant), motion);
+}
+
 }  // namespace LEVEL
 
 #define TEXT(x) #x
@@ -37,4 +42,5 @@ void law_torques(long long law, const double* constants, const double* states, d
 
 extern "C" const Level SYMBOL(LEVEL);
 extern "C" const Level SYMBOL(LEVEL) = {NAME_OF(LEVEL),        LEVEL::advance,  LEVEL::draw_episodes,
-                                        LEVEL::begin_episodes, LEVEL::evaluate, LEVEL::law_torques};
+                                        LEVEL::begin_episodes, LEVEL::evaluate, LEVEL::law_torques,
+                                        LEVEL::motion_of_platform};

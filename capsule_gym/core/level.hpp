@@ -12,4 +12,8 @@ struct Level {
   // of the reference with the task's memory.
   void (*law_torques)(long long law, const double* constants, const double* states, double* memory, const double* rows,
                       double* torques, long long n);
+  // See laws/reference.hpp; `plant` holds M, mu, m / (M + m), the constants of `CAPSULE_PLANT` and
+  // pivot_torque_on_contact.
+  void (*platform_motion)(const double* angle, const double* velocity, const double* acceleration, const double* plant,
+                          double* motion, long long n, double h);
 };

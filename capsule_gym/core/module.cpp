@@ -146,6 +146,20 @@ PyObject* law_torques(PyObject*, PyObject* args) {
   Py_RETURN_NONE;
 }
 
+// platform_motion(level, angle, velocity, acceleration, plant, motion, n, h): see level.hpp
+PyObject* platform_motion(PyObject*, PyObject* args) {
+  const char* name;
+  Address angle, velocity, acceleration, plant, motion;
+  long long n;
+  double h;
+  if (!PyArg_ParseTuple(args, "sKKKKKLd", &name, &angle, &velocity, &acceleration, &plant, &motion, &n, &h)) return nullptr;
+  const Level* level = find_level(name);
+  if (!level) return nullptr;
+  level->platform_motion((const double*)angle, (const double*)velocity, (const double*)acceleration,
+                         (const double*)plant, (double*)motion, n, h);
+  Py_RETURN_NONE;
+}
+
 // --- laws that Python calls ---
 
 struct PlainLaw {
@@ -280,6 +294,7 @@ PyMethodDef METHODS[] = {
     {"begin_episodes", (PyCFunction)(void*)call_with_count<&Level::begin_episodes>, METH_FASTCALL, nullptr},
     {"evaluate", evaluate, METH_VARARGS, nullptr},
     {"law_torques", law_torques, METH_VARARGS, nullptr},
+    {"platform_motion", platform_motion, METH_VARARGS, nullptr},
     {"plain_law", plain_law, METH_VARARGS, nullptr},
     {nullptr, nullptr, 0, nullptr}};
 PyModuleDef_Slot SLOTS[] = {{Py_mod_exec, (void*)fill}, {0, nullptr}};

@@ -1,0 +1,40 @@
+# The module that capsule_gym/core/module.cpp defines. Arrays are passed by their addresses.
+from typing import Any
+
+LEVELS: tuple[str, ...]
+ROWS: tuple[str, ...]
+SETTINGS: tuple[str, ...]
+PLANT: tuple[str, ...]
+PLANT_FUNCTIONS: tuple[str, ...]
+ELEMENTARY_FUNCTIONS: tuple[str, ...]
+LAWS: dict[str, tuple[str, int, int]]
+TASKS: dict[str, tuple[str, int]]
+LANES: int
+HISTORY_ROWS: int
+MOST_CELLS: int
+COMMANDS: int
+THETA_LIMIT: float
+THETA_DOT_BOUND: float
+X_DOT_BOUND: float
+RATE_LIMIT: float
+MOTOR_WIDTH: float
+MOTOR_SLOPE: float
+ERROR_BOUND: float
+HOLD: float
+TIME_TOLERANCE: float
+SPEED_BOUND: float
+SETTLING: float
+MEASURED: float
+
+def bind(level: str, fields: dict[str, int]) -> Any: ...
+def advance(batch: Any, first: int, last: int, begin: bool) -> int: ...
+def draw_episodes(batch: Any, count: int) -> None: ...
+def begin_episodes(batch: Any, count: int) -> None: ...
+def evaluate(level: str, function: int, inputs: int, outputs: int, count: int, settings: int) -> None: ...
+def law_torques(
+    level: str, law: int, constants: int, states: int, memory: int, rows: int, torques: int, count: int
+) -> None: ...
+def platform_motion(
+    level: str, angle: int, velocity: int, acceleration: int, plant: int, motion: int, count: int, h: float
+) -> None: ...
+def plain_law(law: Any, memory_size: int, reference_size: int, lanes: int) -> tuple[Any, int, int]: ...

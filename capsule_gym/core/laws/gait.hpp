@@ -1,0 +1,81 @@
+// A gait without a clock: the torque is a polynomial of the state, and a guard keeps the contact.
+#pragma once
+#include "../identification.hpp"
+#include "law.hpp"
+
+namespace LEVEL {
+
+// phi_ijk is the coefficient of theta^i theta_dot^j x_dot^k, each divided by its scale; then the step in the direction
+// of slip, the guard's gain in N m s^2, and the theta_dot^2 cos(theta), 1/s^2, from which the guard acts.
+#define GAIT_PARAMETERS(ONE)                                                                                           \
+  ONE(phi_000) ONE(phi_001) ONE(phi_002) ONE(phi_003) ONE(phi_010) ONE(phi_011) ONE(phi_012) ONE(phi_020)              \
+  ONE(phi_021) ONE(phi_030) ONE(phi_100) ONE(phi_101) ONE(phi_102) ONE(phi_110) ONE(phi_111) ONE(phi_120)              \
+  ONE(phi_200) ONE(phi_201) ONE(phi_210) ONE(phi_300) ONE(sign_x_dot) ONE(guard_gain) ONE(guard_from)
+// The parameters, and the torque in N m that the polynomial is scaled by and clipped to.
+#define GAIT_CONSTANTS(ONE, MANY) GAIT_PARAMETERS(ONE) ONE(torque_limit)
+// Scales in rad, rad/s and m/s that make the polynomial's coefficients comparable.
+constexpr double THETA_SCALE = 1.0, THETA_DOT_SCALE = 5.0, X_DOT_SCALE = 0.3;
+
+// The cubic polynomial of the state plus a step in the direction of slip.
+template <class T, class P> INLINE T cubic(T theta, T theta_dot, T x_dot, const P& p) {
+  T a = theta / THETA_SCALE, b = theta_dot / THETA_DOT_SCALE, c = x_dot / X_DOT_SCALE;
+  T aa = a * a, bb = b * b, cc = c * c;
+  T torque = p.sign_x_dot * sign_of(x_dot) + p.phi_000 + p.phi_001 * c + p.phi_002 * cc + p.phi_003 * (cc * c);
+  torque = torque + p.phi_010 * b + p.phi_011 * b * c + p.phi_012 * b * cc + p.phi_020 * bb + p.phi_021 * bb * c;
+  torque = torque + p.phi_030 * (bb * b) + p.phi_100 * a + p.phi_101 * a * c + p.phi_102 * a * cc + p.phi_110 * a * b;
+  torque = torque + p.phi_111 * a * b * c + p.phi_120 * a * bb + p.phi_200 * aa + p.phi_201 * aa * c;
+  return torque + p.phi_210 * aa * b + p.phi_300 * (aa * a);
+}
+
+// The gait's torque within the limit, less the guard's, in N m; x_dot is 0.0 in stick.
+//
+// The normal force is N = (M + m) g - m l (theta_dot^2 cos(theta) + theta_dot_dot sin(theta)): a pendulum that is fast
+// while it is upright lifts the platform, in either direction. The guard brakes it before it is too fast.
+template <class T, class P, class F>
+INLINE T guarded_torque(T theta, T theta_dot, T x_dot, const P& p, F guard_from, double limit) {
+  T torque = clip(limit * cubic(theta, theta_dot, x_dot, p), T(limit));
+  T brake = p.guard_gain * max(T(0.0), theta_dot * theta_dot * sincos(theta).cos - guard_from);
+  return torque - select(theta_dot > 0.0, brake, -brake);
+}
+
+struct Gait {
+  CAPSULE_LAW(Gait, "gait", false, NoMemory, NoReference, GAIT_CONSTANTS)
+
+  template <class T> INLINE T torque(const State<T>& s, NoMemory<T>&, const NoReference<T>&) const {
+    return guarded_torque(s.theta, s.theta_dot, s.x_dot, q, q.guard_from, q.torque_limit);
+  }
+};
+
+// The gait with its parameters in its memory, so that the environments of a batch can have different ones.
+struct GaitCandidate {
+#define FIELD(name) T name;
+  template <class T> struct Parameters {
+    GAIT_PARAMETERS(FIELD)
+  };
+#undef FIELD
+#define CANDIDATE_CONSTANTS(ONE, MANY) ONE(torque_limit)
+  CAPSULE_LAW(GaitCandidate, "gait_candidate", false, Parameters, NoReference, CANDIDATE_CONSTANTS)
+
+  template <class T> INLINE T torque(const State<T>& s, const Parameters<T>& p, const NoReference<T>&) const {
+    return guarded_torque(s.theta, s.theta_dot, s.x_dot, p, p.guard_from, q.torque_limit);
+  }
+};
+
+// The gait with a guard that estimates M while the platform slips and acts earlier on platforms lighter than `lightest`
+// kg. Its memory is the filter's.
+struct GaitIdentifying {
+  template <class T> using Memory = Identification;
+#define IDENTIFYING_CONSTANTS(ONE, MANY) GAIT_CONSTANTS(ONE, MANY) ONE(m) ONE(l) ONE(g) ONE(lightest) ONE(dt)
+  CAPSULE_LAW(GaitIdentifying, "gait_identifying", true, Memory, NoReference, IDENTIFYING_CONSTANTS)
+  // Factor by which the guard's threshold falls faster than the weight of a lighter platform: of 1.0, 1.2, 1.3 and 1.5
+  // the first without a failure in 1000 episodes from the distribution of `extrapolation`.
+  static constexpr double CAUTION = 1.3;
+
+  double torque(const State<double>& s, Identification& filter, const NoReference<double>&) const {
+    identify(filter, s.theta, s.theta_dot, s.x_dot, q.m, q.l, q.g, q.dt);
+    double share = 1.0 - CAUTION * (q.lightest - min(q.lightest, filter.M)) / (q.lightest + q.m);
+    return guarded_torque(s.theta, s.theta_dot, s.x_dot, q, share * q.guard_from, q.torque_limit);
+  }
+};
+
+}  // namespace LEVEL

@@ -1,0 +1,142 @@
+// Laws for late, noisy measurements and a lagging motor: an observer and a predictor around other laws.
+//
+// The sensors show the state of LATENCY calls ago. An observer with fixed gains estimates that state. The nominal model
+// predicts from it, with the torques that the law has returned since, the state at which the next torque acts. The
+// friction coefficient, the mass of the platform and the bias of the measured x_dot are estimated by gradient descent
+// on the squared error of x_dot. The position is not measured.
+#pragma once
+#include "../observation.hpp"
+#include "adaptive.hpp"
+#include "gait.hpp"
+
+namespace LEVEL {
+
+namespace predictor {
+
+// Assumed: calls from a measurement to its torque, the time constant of the motor in s, and its friction in N m.
+constexpr int LATENCY = 10;
+constexpr double LAG = 0.005, MOTOR_FRICTION = 0.05;
+// Speeds below which the model's friction falls linearly to 0: of the motor in rad/s, of the floor in m/s.
+constexpr double MOTOR_WIDTH = 0.2, FLOOR_WIDTH = 0.005;
+// Share of a measurement's error by which a call corrects the estimate.
+constexpr double GAIN_THETA = 0.005, GAIN_THETA_DOT = 0.05, GAIN_X_DOT = 0.02;
+// Rates of learning per call: of log(mu) in s/m, of log(M) in s^2/m, and of the bias of x_dot as a share of the error.
+constexpr double RATE_MU = 0.02, RATE_M = 1e-3, RATE_BIAS = 1e-4;
+// The range of mu, and the largest bias of x_dot, m/s.
+constexpr double LOW_MU = 0.0025, HIGH_MU = 1.0, LARGEST_BIAS = 0.05;
+// Calls per Euler step of the predictor, whose torques are averaged.
+constexpr int STRIDE = 3;
+
+// The estimate of the state LATENCY calls ago, before the measurement of that time: 1.0 after the first measurement,
+// the state, the motor's torque after its lag in N m, M in kg, mu, and the bias of the measured x_dot in m/s; and the
+// torques of the last calls, the oldest first.
+template <class T> struct Estimate {
+  T begun, theta, theta_dot, x_dot, motor, M, mu, bias;
+};
+template <class T> struct Memory {
+  Estimate<T> estimate;
+  T queue[LATENCY];
+};
+
+// One Euler step of h seconds of the nominal model with the estimated M and mu; implicit for the motor's lag.
+template <class T, class Q> INLINE void model_step(Estimate<T>& e, T torque, double h, const Q& q) {
+  e.motor = e.motor + h / (LAG + h) * (torque - e.motor);
+  T u = e.motor - MOTOR_FRICTION * clip(e.theta_dot / MOTOR_WIDTH, T(1.0));
+  auto p = nominal_plant<T, Kind::coulomb>(q);
+  p.M = e.M, p.mu = e.mu, p.mass_ratio = q.m / (e.M + q.m);
+  T friction = e.mu * clip(e.x_dot / FLOOR_WIDTH, T(1.0));
+  auto a = pressed_accelerations<decltype(p)>(e.theta, e.theta_dot, e.x_dot, 1.0, friction, u, p);
+  e.theta = e.theta + h * (e.theta_dot + 0.5 * h * a.theta_ddot);
+  e.theta_dot = e.theta_dot + h * a.theta_ddot;
+  e.x_dot = e.x_dot + h * a.x_ddot;
+}
+
+// Corrects the estimate by a measurement; the first measurement is used unchanged.
+//
+// If the measured x_dot is above its estimate while the platform slides forwards, friction is smaller than estimated.
+// If it is above while the pendulum swings forwards, the platform is lighter than estimated.
+template <class T> INLINE void correct(Estimate<T>& e, T theta, T theta_dot, T x_dot) {
+  theta = clip(theta, T(THETA_LIMIT)), theta_dot = clip(theta_dot, T(THETA_DOT_BOUND));
+  x_dot = clip(x_dot, T(X_DOT_BOUND));
+  auto first = e.begun == 0.0;
+  e.begun = 1.0;
+  e.theta = select(first, theta, clip(e.theta, T(THETA_LIMIT)));
+  e.theta_dot = select(first, theta_dot, clip(e.theta_dot, T(THETA_DOT_BOUND)));
+  e.x_dot = select(first, x_dot, clip(e.x_dot, T(X_DOT_BOUND)));
+  T error = x_dot - e.bias - e.x_dot;
+  T sliding = clip(e.x_dot / FLOOR_WIDTH, T(1.0)), swinging = sincos(e.theta).cos * e.theta_dot;
+  e.theta = e.theta + GAIN_THETA * (theta - e.theta);
+  e.theta_dot = e.theta_dot + GAIN_THETA_DOT * (theta_dot - e.theta_dot);
+  e.x_dot = e.x_dot + GAIN_X_DOT * error;
+  T M = e.M * (1.0 - RATE_M * swinging * error), mu = e.mu * (1.0 - RATE_MU * sliding * error);
+  e.M = min(T(Identification::HIGH_M), max(T(Identification::LOW_M), M));
+  e.mu = min(T(HIGH_MU), max(T(LOW_MU), mu));
+  e.bias = clip(e.bias + RATE_BIAS * error, T(LARGEST_BIAS));
+}
+
+// Corrects the estimate by a measurement of LATENCY calls ago and returns the prediction of the present. The memory
+// becomes that of the next call, but for the last of the queue, the torque of this call.
+template <class T, class Q> INLINE Estimate<T> predict(Memory<T>& memory, const State<T>& s, const Q& q) {
+  auto& [estimate, queue] = memory;
+  correct(estimate, s.theta, s.theta_dot, s.x_dot);
+  model_step(estimate, queue[0], q.dt, q);
+  Estimate<T> present = estimate;
+  for (int i = 1; i < LATENCY; i += STRIDE)
+    model_step(present, (queue[i] + queue[i + 1] + queue[i + 2]) / double(STRIDE), STRIDE * q.dt, q);
+  for (int i = 1; i < LATENCY; i++) queue[i - 1] = queue[i];
+  return present;
+}
+
+}  // namespace predictor
+
+// The guarded gait on the predicted state.
+struct GaitPredictive {
+  // `lightest` is the smallest mass in kg of a platform that must keep its contact.
+#define GAIT_PREDICTIVE_CONSTANTS(ONE, MANY) GAIT_CONSTANTS(ONE, MANY) NOMINAL_CONSTANTS(ONE) ONE(lightest) ONE(dt)
+  CAPSULE_LAW(GaitPredictive, "gait_predictive", false, predictor::Memory, NoReference, GAIT_PREDICTIVE_CONSTANTS)
+  // Added to the predicted x_dot, m/s: the gait becomes slow if the estimate is too low, but hardly if it is too high.
+  static constexpr double X_DOT_MARGIN = 0.004;
+  // Smallest normal force, as a share of the weight with the lightest platform.
+  static constexpr double CONTACT_MARGIN = 0.1;
+
+  // Reduces a torque, at most to 0, if the normal force of the lightest platform would become too small. The normal
+  // force is linear in the torque.
+  template <class T> INLINE T keep_contact(T torque, T theta, T theta_dot) const {
+    auto p = nominal_plant<T, Kind::coulomb>(q);
+    p.M = q.lightest, p.mu = 0.0, p.mass_ratio = q.m / (q.lightest + q.m);
+    T free = pressed_accelerations<decltype(p)>(theta, theta_dot, 0.0, 1.0, 0.0, 0.0, p).normal;
+    T per_torque = pressed_accelerations<decltype(p)>(theta, theta_dot, 0.0, 1.0, 0.0, 1.0, p).normal - free;
+    T limit = (CONTACT_MARGIN * (q.lightest + q.m) * q.g - free) / per_torque;
+    // Near the upright the torque does not act on the normal force.
+    return select(per_torque > 1e-6, max(torque, min(T(0.0), limit)),
+                  select(per_torque < -1e-6, min(torque, max(T(0.0), limit)), torque));
+  }
+
+  template <class T> INLINE T torque(const State<T>& s, predictor::Memory<T>& memory, const NoReference<T>&) const {
+    auto now = predict(memory, s, q);
+    T wanted = guarded_torque<T>(now.theta, now.theta_dot, now.x_dot + X_DOT_MARGIN, q, q.guard_from, q.torque_limit);
+    return memory.queue[predictor::LATENCY - 1] =
+               clip(keep_contact(wanted, now.theta, now.theta_dot), T(q.torque_limit));
+  }
+};
+
+// The adaptive law (39) on the predicted state. Its x is the integral of the predicted x_dot.
+struct AdaptivePredictive {
+  template <class T> struct Memory {
+    predictor::Memory<T> predicted;
+    AdaptiveMemory<T> own;
+    T x;
+  };
+#define ADAPTIVE_PREDICTIVE_CONSTANTS(ONE, MANY) ADAPTIVE_CONSTANTS(ONE, MANY) ONE(torque_limit)
+  CAPSULE_LAW(AdaptivePredictive, "adaptive_predictive", false, Memory, Reference, ADAPTIVE_PREDICTIVE_CONSTANTS)
+
+  template <class T> INLINE T torque(const State<T>& s, Memory<T>& memory, const Reference<T>& r) const {
+    auto& [predicted, own, x] = memory;
+    auto now = predict(predicted, s, q);
+    T wanted = adaptive_torque(State<T>{now.theta, now.theta_dot, x, now.x_dot}, own, r, q);
+    x = x + q.dt * now.x_dot;
+    return predicted.queue[predictor::LATENCY - 1] = clip(wanted, T(q.torque_limit));
+  }
+};
+
+}  // namespace LEVEL

@@ -1,0 +1,218 @@
+// Laws for the tasks `goal` and `velocity`: a gait towards the goal, then pulses whose size adapts to the floor, or
+// strokes on smooth floors. They read the goal's position and the exact position of the platform.
+#pragma once
+#include "../tasks.hpp"
+#include "gait.hpp"
+
+namespace LEVEL {
+
+// The gait's parameters, the nominal pendulum, and the law's period.
+#define PULSES_CONSTANTS(ONE, MANY) GAIT_CONSTANTS(ONE, MANY) ONE(m) ONE(l) ONE(g) ONE(k) ONE(c) ONE(dt)
+
+// Strokes move the platform to a goal on a smooth floor by feedback linearisation of its motion.
+//
+// There friction changes the total momentum slowly, so the law moves the centre of mass to the goal and stops it there.
+// In the phase CREEP the platform sticks, and the pendulum accelerates or brakes the centre of mass with most of the
+// force that friction can take. If the pendulum has reached the front, or the goal is within reach, the platform makes
+// a STROKE under the centre of mass, as far as the pendulum can swing. The centre of mass may still move on arrival:
+// the platform already rests while the pendulum brakes. The numbers were chosen on 300 goals on the paper's floor.
+namespace strokes {
+
+constexpr double CREEP = 4.0, STROKE = 5.0;
+// Shares of the friction that the pendulum uses in CREEP, and of its largest reach, sin(theta) = 1, to which it swings.
+constexpr double GRIP = 0.85, REACH = 0.82;
+// Duration of a stroke, s, for the distance that the centre of mass moves in it.
+constexpr double STROKE_TIME = 0.22;
+// Accelerations of the platform, m/s^2, its largest velocity relative to the centre of mass, m/s, beyond which light
+// platforms lose contact, and the rate at which it comes to rest where that is slower, 1/s.
+constexpr double SPEEDING_UP = 10.0, SLOWING_DOWN = 7.0, FASTEST = 0.65, ARRIVAL = 30.0;
+// Time constants, s: of the velocity in a stroke, of the platform's stop in CREEP, and of the stop at the end.
+constexpr double VELOCITY_TIME = 0.006, REST_TIME = 0.002, END_TIME = 0.005;
+// Error that is not corrected, m.
+constexpr double NEAR = 0.0018;
+// Largest angle of the pendulum, rad; decelerations above GUARD, rad/s^2, give priority to this limit.
+constexpr double OUTERMOST = 1.25, GUARD = 100.0;
+
+// The torque in N m that gives the pendulum an acceleration while the platform sticks, but keeps it from falling: if
+// stopping the pendulum at OUTERMOST requires a deceleration above `grip`, rad/s^2, the stop has priority.
+template <class Q> double held_back(double theta, double theta_dot, double acceleration, double grip, const Q& q) {
+  double side = theta_dot > 0.0 ? 1.0 : -1.0;
+  double needed = theta_dot * theta_dot / (2.0 * max(0.02, OUTERMOST - side * theta));
+  if (needed > grip) acceleration = -1.05 * side * needed;
+  return q.k * theta + q.c * theta_dot - q.m * q.l * q.g * sincos(theta).sin + q.m * q.l * q.l * acceleration;
+}
+
+// The velocity in m/s from which the platform stops within `way` metres.
+inline double arriving(double way) {
+  way = max(0.0, way);
+  return min(sqrt(2.0 * SLOWING_DOWN * way), ARRIVAL * way);
+}
+
+// The torque in N m and, in `phase`, the next phase, CREEP or STROKE, for a goal that lies `way` metres ahead. For a
+// goal behind the platform the state is mirrored. x_dot is exactly 0.0 in stick.
+template <class Q>
+double torque(double theta, double theta_dot, double x_dot, double way, double M, double mu, double& phase,
+              const Q& q) {
+  auto [sin, cos] = sincos(theta);
+  double weight = (M + q.m) * q.g, shift = q.m * q.l / (M + q.m);
+  // The centre of mass, relative to the platform, and its velocity.
+  double centre = -shift * sin, velocity = x_dot - shift * cos * theta_dot;
+  double reach = centre + shift * REACH;
+  bool within = way <= reach + STROKE_TIME * max(0.0, velocity);
+  if (phase == CREEP && way > NEAR && (within || sin <= -REACH)) phase = STROKE;
+  else if (phase == STROKE && (way < NEAR || (reach < NEAR && !within))) phase = CREEP;
+  double normal = weight - q.m * q.l * theta_dot * theta_dot / cos, acceleration = 0.0, force;
+  if (phase == STROKE) {
+    double wanted = min(min(arriving(way), velocity + arriving(reach)), max(0.0, velocity) + FASTEST);
+    acceleration = min(SPEEDING_UP, max(-1.5 * SLOWING_DOWN, (wanted - x_dot) / VELOCITY_TIME));
+    double inertial = (M + q.m) * acceleration;
+    normal = (normal - sin / cos * inertial) / (1.0 + mu * sin / cos);
+    force = inertial + mu * normal * (x_dot >= 0.0 ? 1.0 : -1.0);
+  } else {
+    double limit = GRIP * mu * normal;
+    // The pendulum may swing to the front until the centre of mass is there.
+    bool brakes = velocity * max(0.0, velocity) > 2.0 * GRIP * mu * q.g * max(0.0, way + shift * REACH - centre);
+    force = way <= NEAR ? clip((M + q.m) * velocity / END_TIME, limit) : brakes ? limit : -mu * normal;
+    force = force - (M + q.m) * x_dot / REST_TIME;
+  }
+  // The acceleration of the pendulum that exerts this force on the platform.
+  double swing = (force / (q.m * q.l) + sin * theta_dot * theta_dot) / cos;
+  return held_back(theta, theta_dot, swing, GUARD, q) - q.m * q.l * cos * acceleration;
+}
+
+}  // namespace strokes
+
+// Far from the goal the torque is the gait's, mirrored if the goal lies behind the platform. Near the goal the law
+// repeats three phases: it returns the pendulum to the start of a pulse, slowly enough for the platform to stick; it
+// accelerates the pendulum with full torque to the rate w that should move the platform by the error; and it brakes the
+// pendulum slowly. A pulse moves the platform by about gain w^2 / mu; every pulse corrects the gain. M and mu, which
+// limit the acceleration in stick, are identified online. The numbers were chosen by hand on 300 plants of the tasks'
+// own distribution.
+namespace pulses {
+
+constexpr double RUN = 0.0, RETURN = 1.0, PULSE = 2.0, BRAKE = 3.0;
+// Distance from the goal beyond which the platform runs, m.
+constexpr double FAR = 0.05;
+// The run ends earlier by this share of the sliding distance, x'^2 / (2 mu g).
+constexpr double SLIDE = 0.15;
+// Rate of the pendulum, rad/s, below which a run on the roughest floors has ended in an equilibrium.
+constexpr double STALL = 1e-3;
+// Share of the friction that the pendulum uses while the platform must stick, and its least and largest acceleration;
+// the acceleration of a return before a run, when the platform may move, rad/s^2.
+constexpr double GRIP = 0.9, LEAST_GRIP = 0.5, LARGEST_GRIP = 80.0, FAST = 40.0;
+// mu while the standard deviation of log(mu) is above DOUBT; and the range to which the estimate is clipped.
+constexpr double UNKNOWN_MU = 0.15, DOUBT = 0.5, LEAST_MU = 0.01, LARGEST_MU = 0.7;
+// The share of the gain's error that a pulse corrects, and the smallest and largest factor of a correction.
+constexpr double LEARNING = 0.4, LESS = 0.6, MORE = 3.0;
+// Least and largest rate w of a pulse, rad/s, and the acceleration of its torque, rad/s^2.
+constexpr double SLOWEST = 0.6, FASTEST = 9.0, ACCELERATION = 240.0;
+// Angles, rad, positive in the direction of the pulse. A pulse starts at -HOME, on rough floors nearer to the upright,
+// where full torque moves the platform; at most EARLIEST before this angle, and before START_END. It ends at PULSE_END;
+// the pendulum should stop before BRAKED.
+constexpr double HOME = 0.9, LEAST_HOME = 0.2, ROUGHNESS = 2.2, EARLIEST = 0.1, START_END = 0.3, PULSE_END = 0.8;
+constexpr double BRAKED = 0.9;
+
+// The phase, and of the pulse the direction, the rate in rad/s, the start in m, the gain in m s^2 and the time since
+// its end in s.
+struct Memory {
+  Identification filter;
+  double phase, side, rate, start_x, gain, timer;
+};
+
+// The acceleration, rad/s^2, that takes the pendulum to an angle and stops it there, within +-grip.
+inline double approach(double theta, double theta_dot, double aim, double grip) {
+  double way = aim - theta;
+  double rate = min(sqrt(1.6 * grip * abs(way)), 8.0 * abs(way));
+  return clip(40.0 * ((way > 0.0 ? rate : -rate) - theta_dot), grip);
+}
+
+// The torque for a goal that lies `error` metres ahead; an error up to `near` is not corrected, at `stop` a run ends.
+template <class Q>
+double torque(const State<double>& s, Memory& memory, double error, double near, double stop, const Q& q) {
+  auto& [filter, phase, side, rate, start_x, gain, timer] = memory;
+  const auto& [theta, theta_dot, x, x_dot] = s;
+  identify(filter, theta, theta_dot, x_dot, q.m, q.l, q.g, q.dt);
+  Estimates known = estimates(filter);
+  double mu = known.log_mu_deviation > DOUBT ? UNKNOWN_MU : min(LARGEST_MU, max(LEAST_MU, exp(known.log_mu)));
+  double grip = min(LARGEST_GRIP, max(LEAST_GRIP, GRIP * mu * (known.M + q.m) * q.g / (q.m * q.l)));
+  double size = abs(error), home = 0.0;
+  bool rests = x_dot == 0.0, aims = false;
+  timer = timer + q.dt;
+  if (phase == RUN) {
+    double slide = x_dot * side > 0.0 ? SLIDE * x_dot * x_dot / (2.0 * mu * q.g) : 0.0;
+    bool stalls = rests && abs(theta_dot) < STALL && side * theta > 0.0;
+    if (stalls || error * side < stop + slide) phase = BRAKE, timer = 0.0, rate = 0.0;
+  } else if (phase == BRAKE && rests && abs(theta_dot) < 2.0 && timer > 0.005) {
+    if (rate > 0.0) {
+      double observed = max(0.0, side * (x - start_x)) * mu / (rate * rate);
+      gain = max(LESS * gain, min(MORE * gain, gain + LEARNING * (observed - gain)));
+    }
+    phase = RETURN;
+  }
+  if (phase == RETURN && size > near && (rests || size > FAR)) {
+    side = error > 0.0 ? 1.0 : -1.0;
+    rate = min(FASTEST, max(SLOWEST, sqrt(size * mu / gain)));
+    double nearer = size > FAR ? 0.0 : ROUGHNESS * (mu - 0.1);
+    home = -side * min(HOME, max(LEAST_HOME, HOME - nearer)), aims = true;
+    // The fastest pulse from here after which the pendulum stops in time.
+    double fastest = sqrt(2.0 * grip * max(0.0, BRAKED - side * theta - rate * rate / ACCELERATION));
+    if (size > FAR) {
+      grip = max(grip, FAST);
+      if (side * theta < -0.5 && abs(theta_dot) < 3.0) phase = RUN;
+    } else if (abs(theta_dot) < 0.5 + 0.1 * rate && -EARLIEST < side * (theta - home) && side * theta < START_END &&
+               (rate <= fastest || abs(theta - home) < 0.1)) {
+      phase = PULSE, rate = max(SLOWEST, min(rate, fastest)), start_x = x;
+    }
+  }
+  if (phase == PULSE && (side * theta_dot >= rate || side * theta > PULSE_END)) phase = BRAKE, timer = 0.0;
+  if (phase == RUN)
+    return side * guarded_torque(side * theta, side * theta_dot, side * x_dot, q, q.guard_from, q.torque_limit);
+  if (phase == PULSE) return side * q.torque_limit;
+  bool returns = phase == RETURN && aims;
+  double wanted = returns ? approach(theta, theta_dot, home, grip) : clip(-20.0 * theta_dot, grip);
+  return strokes::held_back(theta, theta_dot, wanted, grip, q);
+}
+
+}  // namespace pulses
+
+// The law of the task `goal`: the gait and pulses, or strokes on smooth floors.
+struct GoalPulses {
+  template <class T> using Memory = pulses::Memory;
+  template <class T> struct Row {
+    NoReference<T> reference;
+    Goal::Memory<T> task;
+  };
+  CAPSULE_LAW(GoalPulses, "goal_pulses", true, Memory, Row, PULSES_CONSTANTS)
+  // The platform moves by strokes if mu is below the first number, until mu is above the second.
+  static constexpr double SMOOTH = 0.035, LEAVE = 0.06;
+
+  double torque(const State<double>& s, pulses::Memory& memory, const Row<double>& row) const {
+    auto& [filter, phase, side, rate, start_x, gain, timer] = memory;
+    double M = filter.M, mu = exp(filter.log_mu), error = row.task.goal - s.x;
+    bool creeps = phase >= strokes::CREEP;
+    if (mu > (creeps ? LEAVE : SMOOTH) || filter.begun == 0.0) {
+      if (creeps) phase = pulses::BRAKE, rate = 0.0;
+      return pulses::torque(s, memory, error, strokes::NEAR, 0.025, q);
+    }
+    identify(filter, s.theta, s.theta_dot, s.x_dot, q.m, q.l, q.g, q.dt);
+    if (!creeps) phase = s.x_dot * side > 0.0 ? strokes::STROKE : strokes::CREEP;
+    if (phase == strokes::CREEP && s.x_dot == 0.0 && abs(error) > strokes::NEAR) side = error > 0.0 ? 1.0 : -1.0;
+    return side * strokes::torque(side * s.theta, side * s.theta_dot, side * s.x_dot, side * error, M, mu, phase, q);
+  }
+};
+
+// The law of the task `velocity`: the gait and pulses towards the position of the target 0.3 s later.
+struct VelocityPulses {
+  template <class T> using Memory = pulses::Memory;
+  template <class T> struct Row {
+    NoReference<T> reference;
+    Velocity::Memory<T> task;
+  };
+  CAPSULE_LAW(VelocityPulses, "velocity_pulses", true, Memory, Row, PULSES_CONSTANTS)
+
+  double torque(const State<double>& s, pulses::Memory& memory, const Row<double>& row) const {
+    return pulses::torque(s, memory, row.task.target + 0.3 * row.task.command - s.x, 0.004, 0.0, q);
+  }
+};
+
+}  // namespace LEVEL
