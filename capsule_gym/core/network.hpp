@@ -165,8 +165,8 @@ inline void write_inputs(const Header& header, const float* observations, long l
   }
 }
 
-// The action in [-1, 1] for an output of the network, the action or the total torque in torque limits, and the torque of
-// the law at this instant, N m.
+// The action in [-1, 1] for an output of the network, which is the action or the total torque in torque limits, and the
+// torque of the law at this instant, N m.
 inline double to_action(const Header& header, double output, double law_torque) {
   double wanted = clip(output, 1.0);
   if (header.outputs_torque == 0.0) return wanted;
