@@ -1,6 +1,7 @@
 // The core at one level of instructions: compiled once for each, with -DLEVEL=name and its -march.
 #include "level.hpp"
 #include "functions.hpp"
+#include "network.hpp"
 #include "resets.hpp"
 #include "step.hpp"
 
@@ -28,6 +29,21 @@ void law_torques(long long law, const double* constants, const double* states, d
 #undef LAW
 }
 
+bool act_allocating(const double* packed, const float* observations, long long entries, long long n, double* memory,
+                    float* actions) {
+  Network network(packed);
+  void* workspace = __builtin_malloc(workspace_size(network, n < LANES ? (int)n : LANES));
+  if (!workspace) return false;
+  act_batch(network, observations, entries, n, (Identification*)memory, workspace, actions);
+  __builtin_free(workspace);
+  return true;
+}
+
+void write_inputs_of(const double* header, const float* observations, long long entries, long long n, double* memory,
+                     float* inputs) {
+  write_inputs(*(const Header*)header, observations, entries, n, (Identification*)memory, inputs);
+}
+
 }  // namespace LEVEL
 
 #define TEXT(x) #x
@@ -37,4 +53,5 @@ void law_torques(long long law, const double* constants, const double* states, d
 
 extern "C" const Level SYMBOL(LEVEL);
 extern "C" const Level SYMBOL(LEVEL) = {NAME_OF(LEVEL),        LEVEL::advance,  LEVEL::draw_episodes,
-                                        LEVEL::begin_episodes, LEVEL::evaluate, LEVEL::law_torques};
+                                        LEVEL::begin_episodes, LEVEL::evaluate, LEVEL::law_torques,
+                                        LEVEL::act_allocating, LEVEL::write_inputs_of};

@@ -12,4 +12,9 @@ struct Level {
   // of the reference with the task's memory.
   void (*law_torques)(long long law, const double* constants, const double* states, double* memory, const double* rows,
                       double* torques, long long n);
+  // The functions of network.hpp; `act_batch` allocates its working memory and returns whether there was enough.
+  bool (*act_batch)(const double* network, const float* observations, long long entries, long long n, double* memory,
+                    float* actions);
+  void (*write_inputs)(const double* header, const float* observations, long long entries, long long n, double* memory,
+                       float* inputs);
 };

@@ -10,6 +10,7 @@
 
 #include "functions.hpp"
 #include "level.hpp"
+#include "network.hpp"
 #include "step.hpp"
 
 extern "C" const Level capsule_level_portable;
@@ -146,6 +147,36 @@ PyObject* law_torques(PyObject*, PyObject* args) {
   Py_RETURN_NONE;
 }
 
+// --- trained policies ---
+
+// act_batch(level, network, observations, entries, n, memory, actions): see network.hpp; releases the lock
+PyObject* act_batch(PyObject*, PyObject* args) {
+  const char* name;
+  Address network, observations, memory, actions;
+  long long entries, n;
+  if (!PyArg_ParseTuple(args, "sKKLLKK", &name, &network, &observations, &entries, &n, &memory, &actions)) return nullptr;
+  const Level* level = find_level(name);
+  if (!level) return nullptr;
+  PyThreadState* state = PyEval_SaveThread();
+  bool enough = level->act_batch((const double*)network, (const float*)observations, entries, n, (double*)memory,
+                                 (float*)actions);
+  PyEval_RestoreThread(state);
+  if (!enough) return PyErr_NoMemory();
+  Py_RETURN_NONE;
+}
+
+// write_inputs(level, header, observations, entries, n, memory, inputs): see network.hpp
+PyObject* write_inputs(PyObject*, PyObject* args) {
+  const char* name;
+  Address header, observations, memory, inputs;
+  long long entries, n;
+  if (!PyArg_ParseTuple(args, "sKKLLKK", &name, &header, &observations, &entries, &n, &memory, &inputs)) return nullptr;
+  const Level* level = find_level(name);
+  if (!level) return nullptr;
+  level->write_inputs((const double*)header, (const float*)observations, entries, n, (double*)memory, (float*)inputs);
+  Py_RETURN_NONE;
+}
+
 // --- laws that Python calls ---
 
 struct PlainLaw {
@@ -235,6 +266,7 @@ int fill(PyObject* module) {
 #define FIELD(name) #name " "
   failed |= add_names(module, "SETTINGS", CAPSULE_SETTINGS(FIELD));
   failed |= add_names(module, "PLANT", CAPSULE_PLANT(FIELD));
+  failed |= add_names(module, "NETWORK", CAPSULE_NETWORK(FIELD));
 #undef FIELD
 #define F(name, arguments, results, call) #name ":" #arguments ":" #results " "
   failed |= add_names(module, "PLANT_FUNCTIONS", CAPSULE_PLANT_FUNCTIONS(F));
@@ -269,6 +301,8 @@ int fill(PyObject* module) {
   failed |= PyModule_AddIntConstant(module, "LANES", LANES);
   failed |= PyModule_AddIntConstant(module, "HISTORY_ROWS", HISTORY_ROWS);
   failed |= PyModule_AddIntConstant(module, "MOST_CELLS", MOST_CELLS);
+  failed |= PyModule_AddIntConstant(module, "PADDING", portable::PADDING);
+  failed |= PyModule_AddIntConstant(module, "CELLS", sizeof(portable::Identification) / sizeof(double));
   failed |= PyModule_AddIntConstant(module, "COMMANDS", portable::COMMANDS);
   return failed;
 }
@@ -280,6 +314,8 @@ PyMethodDef METHODS[] = {
     {"begin_episodes", (PyCFunction)(void*)call_with_count<&Level::begin_episodes>, METH_FASTCALL, nullptr},
     {"evaluate", evaluate, METH_VARARGS, nullptr},
     {"law_torques", law_torques, METH_VARARGS, nullptr},
+    {"act_batch", act_batch, METH_VARARGS, nullptr},
+    {"write_inputs", write_inputs, METH_VARARGS, nullptr},
     {"plain_law", plain_law, METH_VARARGS, nullptr},
     {nullptr, nullptr, 0, nullptr}};
 PyModuleDef_Slot SLOTS[] = {{Py_mod_exec, (void*)fill}, {0, nullptr}};
