@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from capsule_gym import _core
+from capsule_gym import _core, native
 from capsule_gym.checks import check_count
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.elementary import log
-from capsule_gym.observation import CELLS, ESTIMATES, observation_names
+from capsule_gym.observation import ESTIMATES, observation_names
 from capsule_gym.parameters import Capsule
 
 if TYPE_CHECKING:
@@ -70,21 +70,13 @@ def pack(layers: Sequence[Layer], mean: np.ndarray, scale: np.ndarray, header: H
     Returns:
         Float64, aligned to 64 bytes: the header, the widths, mean, scale, and each layer's biases and weights.
     """
-    parts = [_header_values(header), [len(mean), *(len(bias) for _, bias in layers)], mean, scale]
+    widths = np.array([len(mean), *(len(bias) for _, bias in layers)])
+    parts = [native.ordered(_core.NETWORK, header), widths, mean, scale]
     for weights, bias in layers:
         parts += [bias, np.pad(weights.T, ((0, 0), (0, -len(bias) % _core.PADDING)))]
-    flat = [np.ravel(part) for part in parts]
-    packed = np.concatenate([np.pad(part, (0, -part.size % _core.PADDING)) for part in flat], dtype=np.float64)
-    room = np.empty(packed.size + 8)
-    start = -(room.ctypes.data // 8) % 8
-    aligned = room[start : start + packed.size]
-    aligned[:] = packed
-    return aligned
-
-
-def _header_values(header: Header) -> np.ndarray:
-    """The values of a header in the order of `Header` in `core/network.hpp`."""
-    return np.array([header[name] for name in _core.NETWORK_HEADER.split()], np.float64)
+    padded = [np.pad(part.ravel(), (0, -part.size % _core.PADDING)) for part in parts]
+    packed = native.aligned_zeros((sum(part.size for part in padded),))
+    return np.concatenate(padded, out=packed)
 
 
 def write_inputs(header: Header, observations: np.ndarray, memory: np.ndarray, inputs: np.ndarray) -> None:
@@ -93,13 +85,14 @@ def write_inputs(header: Header, observations: np.ndarray, memory: np.ndarray, i
     Args:
         header: the network's header.
         observations: shape (n, at least the observed entries), float32, C-contiguous; further entries are ignored.
-        memory: the filter of M and mu, shape (n * CELLS,), float64, 0.0 at the start of an episode; changed. Not read
-            without identification.
+        memory: the filter of M and mu, shape (n * _core.CELLS,), float64, 0.0 at the start of an episode; changed. Not
+            read without identification.
         inputs: shape (n, inputs), float32, C-contiguous; written.
     """
-    values = _header_values(header)
+    values = native.ordered(_core.NETWORK, header)
     _core.write_inputs(
-        values.ctypes.data, observations.ctypes.data, *observations.shape[::-1], memory.ctypes.data, inputs.ctypes.data
+        *(native.LEVEL, native.address(values), native.address(observations), *observations.shape[::-1]),
+        *(native.address(memory), native.address(inputs)),
     )
 
 
@@ -116,8 +109,8 @@ def act(network: np.ndarray, observations: np.ndarray, memory: np.ndarray) -> np
     """
     actions = np.empty((len(observations), 1), np.float32)
     _core.act_batch(
-        *(network.ctypes.data, observations.ctypes.data, *observations.shape[::-1]),
-        *(memory.ctypes.data, actions.ctypes.data),
+        *(native.LEVEL, native.address(network), native.address(observations), *observations.shape[::-1]),
+        *(native.address(memory), native.address(actions)),
     )
     return actions
 
@@ -151,12 +144,11 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
     changes = np.array(
         [(i, *change) for i, schedule in simulation._changes.items() for change in schedule], np.float64
     ).reshape(-1, 4)
-    memory = np.zeros(simulation.num_envs * CELLS)
-    network, of_changes, of_memory = policy._network.ctypes.data, changes.ctypes.data, memory.ctypes.data
+    memory = np.zeros(simulation.num_envs * _core.CELLS)
+    given = native.address(policy._network), native.address(memory), native.address(changes), len(changes)
 
     def run(first: int, last: int) -> int:
-        given = network, of_changes, len(changes), of_memory
-        return _core.run_episodes(simulation._handle, first, last, steps, simulation.options.control_dt, *given)
+        return _core.run_episodes(simulation._batch, first, last, steps, simulation.options.control_dt, *given)
 
     broken = max(simulation.share(run))
     # The schedules of changes stay as they are: the next step applies due changes again.

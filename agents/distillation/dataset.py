@@ -17,9 +17,10 @@ from agents.distillation.config import Student
 from agents.evaluation.policies import Act
 from baselines.dynamic_programming.policy import TORQUES, Oracle
 from capsule_gym import CapsuleVectorEnv
+from capsule_gym._core import CELLS
 from capsule_gym.config import EnvConfig
 from capsule_gym.network import make_header, write_inputs
-from capsule_gym.observation import CELLS, ESTIMATES
+from capsule_gym.observation import ESTIMATES
 from capsule_gym.parameters import NOMINAL, Randomization
 from capsule_gym.resets import draw_plant
 from capsule_gym.task import CONTROL_DT
