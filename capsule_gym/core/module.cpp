@@ -41,12 +41,14 @@ int x86_level() {
   if ((low & 6) != 6 || (b & V3) != V3) return 1;
   return (low & 0xe6) == 0xe6 && (b & V4) == V4 ? 4 : 3;
 }
+// Asked once: in a virtual machine the question takes microseconds.
+const int X86_LEVEL = x86_level();
 #endif
 
 bool runs(const Level* level) {
 #if defined(__x86_64__)
-  if (level == &capsule_level_v4) return x86_level() == 4;
-  if (level == &capsule_level_v3) return x86_level() >= 3;
+  if (level == &capsule_level_v4) return X86_LEVEL == 4;
+  if (level == &capsule_level_v3) return X86_LEVEL >= 3;
 #endif
   return level == &capsule_level_portable;
 }
