@@ -38,3 +38,25 @@ def platform_motion(
     level: str, angle: int, velocity: int, acceleration: int, plant: int, motion: int, count: int, h: float
 ) -> None: ...
 def plain_law(law: Any, memory_size: int, reference_size: int, lanes: int) -> tuple[Any, int, int]: ...
+
+NETWORK: tuple[str, ...]
+PADDING: int
+CELLS: int
+
+def act_batch(
+    level: str, network: int, observations: int, entries: int, n: int, memory: int, actions: int
+) -> None: ...
+def write_inputs(
+    level: str, header: int, observations: int, entries: int, n: int, memory: int, inputs: int
+) -> None: ...
+def run_episodes(
+    batch: Any,
+    first: int,
+    last: int,
+    steps: int,
+    control_dt: float,
+    network: int,
+    memory: int,
+    changes: int,
+    num_changes: int,
+) -> int: ...
