@@ -69,7 +69,7 @@ void write_inputs_of(const double* header, const float* observations, long long 
 #define SYMBOL(x) JOIN(capsule_level_, x)
 
 extern "C" const Level SYMBOL(LEVEL);
-extern "C" const Level SYMBOL(LEVEL) = {NAME_OF(LEVEL),        LEVEL::advance,  LEVEL::draw_episodes,
-                                        LEVEL::begin_episodes, LEVEL::evaluate, LEVEL::law_torques,
-                                        LEVEL::motion_of_platform, LEVEL::act_allocating,
-                                        LEVEL::write_inputs_of, LEVEL::run_allocating};
+extern "C" const Level SYMBOL(LEVEL) = {
+    NAME_OF(LEVEL),     LEVEL::advance,     LEVEL::draw_episodes,      LEVEL::begin_episodes,
+    LEVEL::evaluate,    LEVEL::law_torques, LEVEL::motion_of_platform, LEVEL::act_allocating,
+    LEVEL::write_inputs_of, LEVEL::run_allocating};

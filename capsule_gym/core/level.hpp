@@ -23,4 +23,7 @@ struct Level {
                     float* actions);
   void (*write_inputs)(const double* header, const float* observations, long long entries, long long n, double* memory,
                        float* inputs);
+  // Episodes of a policy; see rollout.hpp. NO_MEMORY where there was not enough.
+  long long (*run_episodes)(const Batch&, long long first, long long last, long long steps, double control_dt,
+                            const double* network, double* memory, const double* changes, long long num_changes);
 };
