@@ -43,9 +43,9 @@ def test_the_command_line_of_a_training_run_takes_its_words_and_defaults_from_th
     assert get_args(Environment) == tuple(env_id for env_id, _ in TASKS.values())
 
 
-@pytest.mark.parametrize(("algo", "changes"), [("ppo", {}), ("ppo", {"energy_weights": (0.1, 0.2)}), ("sac", {})])
-def test_a_configuration_is_read_as_it_was_written(tmp_path, algo, changes):
-    config = dataclasses.replace(PRESETS["direct", algo], **changes)
+@pytest.mark.parametrize("algo", ["ppo", "sac"])
+def test_a_configuration_is_read_as_it_was_written(tmp_path, algo):
+    config = PRESETS["direct", algo]
     content = {"task": "direct", "algo": algo, "hyperparameters": config.to_dict()}
     (tmp_path / CONFIG).write_text(json.dumps(content))
     assert read_config(tmp_path) == config
