@@ -35,7 +35,11 @@ from capsule_gym.sb3 import CapsuleSB3VecEnv
 from capsule_gym.tasks import velocity
 
 CLASSES: dict[Algorithm, type[BaseAlgorithm]] = {
-    **{"ppo": PPO, "sac": SAC, "td3": TD3, "tqc": TQC, "recurrent-ppo": RecurrentPPO}
+    "ppo": PPO,
+    "sac": SAC,
+    "td3": TD3,
+    "tqc": TQC,
+    "recurrent-ppo": RecurrentPPO,
 }
 
 

@@ -35,16 +35,16 @@ DIRECT_OFF_POLICY: dict[str, Any] = {
     **{"learning_rate": 1e-3, "num_envs": 32, "batch_size": 256, "learning_starts": 2000, "n_steps": 3, "tau": 0.005},
     **{"action_noise": 0.25, "noise_time": 0.25, "observation_scale": (2.0, 0.25, 6.0)},
 }
-# Wide starts and, on a law, the total torque as action decide whether a run finds the fast gait; then 15 to 18 cm/s.
-ON_POLICY: dict[str, Any] = {
+# Wide starts and, on a law, the total torque as action let every run find the fast gait (docs/algorithms.md).
+PPO: dict[str, Any] = {
     **{"total_steps": 2_800_000, "num_envs": 128, "n_steps": 128, "batch_size": 1024, "n_epochs": 6},
     **{"learning_rate": 1e-3, "final_learning_rate": 0.0, "gae_lambda": 0.95, "ent_coef": 0.003},
     **{"initial_range": (1.047, 8.0), "termination_penalty": 10.0, "evaluate_every": 280_000},
 }
 RECURRENT: dict[str, Any] = {"total_steps": 1_000_000, "n_steps": 128, "evaluate_every": 100_000}
 PRESETS: dict[tuple[Task, Algorithm], Config] = {
-    ("residual", "ppo"): PPOConfig(**ON_POLICY, total_torque=True),
-    ("direct", "ppo"): PPOConfig(**ON_POLICY, task="direct", controller=None),
+    ("residual", "ppo"): PPOConfig(**PPO, total_torque=True),
+    ("direct", "ppo"): PPOConfig(**PPO, task="direct", controller=None),
     ("residual", "sac"): SACConfig(**OFF_POLICY),
     ("direct", "sac"): SACConfig(**DIRECT_OFF_POLICY, target_entropy=-3.0),
     ("residual", "td3"): TD3Config(**OFF_POLICY, action_noise=0.2),

@@ -104,6 +104,7 @@ def test_an_archive_loads_without_this_checkout(algo, tmp_path, monkeypatch):
         monkeypatch.setitem(sys.modules, name, None)
     model = CLASSES[algo].load(run / "model.zip", device="cpu")
     assert model.num_timesteps >= 320
+    assert type(model.policy).__module__.partition(".")[0] in ("stable_baselines3", "sb3_contrib")
     env = CapsuleSB3VecEnv(2, seed=0)
     normalised = VecNormalize.load(run / "vecnormalize.pkl", env)
     action, _ = model.predict(normalised.reset(), deterministic=True)
