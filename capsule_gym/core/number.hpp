@@ -173,6 +173,17 @@ INLINE Pack floor(Pack x) {
 #endif
 }
 
+// The numbers at these places, without a detour over memory, which would stall the load of the whole register.
+INLINE Pack gather(const double* at, const int (&i)[PACK]) {
+#if LANES_IN_PACK == 8
+  return Doubles{at[i[0]], at[i[1]], at[i[2]], at[i[3]], at[i[4]], at[i[5]], at[i[6]], at[i[7]]};
+#elif LANES_IN_PACK == 4
+  return Doubles{at[i[0]], at[i[1]], at[i[2]], at[i[3]]};
+#else
+  return Doubles{at[i[0]], at[i[1]]};
+#endif
+}
+
 INLINE unsigned lanes(Mask condition) {
 #if defined(__AVX512DQ__)
   return _mm512_movepi64_mask((__m512i)condition.m);
