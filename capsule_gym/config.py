@@ -198,7 +198,7 @@ class EnvConfig:
         check_count,
     )
     render_mode: str | None = _option(None, '"human" or, also of a batch, "rgb_array"', _or_none(_is_render_mode))
-    task: str | Task = _option("speed", f"the task: {', '.join(task.TASKS)}, or a `Task`", _found_by(find_task))
+    task: str | Task = _option("speed", f"the task: {', '.join(task.TASKS)}, or one of `velocity.with_commands`", _found_by(find_task))
 
     def __init__(self, **options: Any) -> None:
         known = {each.name: each for each in fields(self)}
