@@ -151,8 +151,8 @@ class Controller:
     with the current state; the torque is constant until the next call.
 
     Gains are variables of the enclosing function. With numba installed the law is compiled, once per process and
-    controller, with the present values of these variables; otherwise, or where numba cannot compile it, Python calls it.
-    Compiled code does not check indices: an index beyond the end of an array reads other memory.
+    controller, with the present values of these variables; otherwise, or where numba cannot compile it, Python calls
+    it. Compiled code does not check indices: an index beyond the end of an array reads other memory.
 
     Attributes:
         name: name in messages and tables.
