@@ -2,7 +2,9 @@
 // serves all Pythons. Python allocates the arrays, passes their addresses, and keeps them alive; `capsule_gym.native`
 // checks what it passes.
 #define PY_SSIZE_T_CLEAN
+#ifndef Py_LIMITED_API
 #define Py_LIMITED_API 0x030A0000
+#endif
 #include <Python.h>
 #if defined(__x86_64__)
 #include <cpuid.h>

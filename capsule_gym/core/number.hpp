@@ -14,9 +14,9 @@
 #include <arm_neon.h>
 #endif
 
-#if defined(__x86_64__) && !defined(__FMA__)
-// Processors before 2013, on which calls of the library's fma take most of the time: inlined everywhere, they would take
-// most of the compiler's.
+#if defined(CAPSULE_INSTRUMENTED) || (defined(__x86_64__) && !defined(__FMA__))
+// Checks of addresses, or on processors before 2013 calls of the library's fma, take most of the time: inlined everywhere,
+// they would take most of the compiler's.
 #define INLINE inline
 #else
 #define INLINE inline __attribute__((always_inline))
