@@ -85,7 +85,7 @@ reproduce: $(STAMP)  ## Train one run of each row and compare it with the publis
 regression: $(STAMP)  ## Fail if a kernel is slower than its floor
 	$(BIN)/python -m benchmarks.regression
 
-faults: $(STAMP)  ## Interrupt trainings and damage caches; fail if something is lost
+faults: $(STAMP)  ## Interrupt trainings; fail if something is lost
 	$(BIN)/python -m tests.faults --short
 
 fuzz: $(STAMP)  ## Call the environments with random and invalid arguments; fail on an unexpected error
@@ -101,7 +101,7 @@ bits: $(STAMP)  ## The same for all seeds, as other processors compute, and for 
 
 # What asks whether kernels compiled for other processors agree would compile them a second time.
 CHECKED := $(addprefix tests/capsule_gym/test_,$(addsuffix .py,dynamics simulation resets network observation \
-	rollout env vector_env)) tests/baselines/laws tests/agents/training/test_collection.py
+	rollout env vector_env)) tests/baselines/laws
 boundscheck: export NUMBA_BOUNDSCHECK = 1
 boundscheck: $(STAMP)  ## Run the kernels' tests and the committed episodes with index checks
 	$(PYTEST) $(CHECKED) -k "not libraries"

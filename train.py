@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -42,13 +40,6 @@ from capsule_gym.task import ENV_ID  # noqa: E402
 
 PROG = "train.py"
 RUNS = Path("runs")
-AGENTS = Path(__file__).with_name("agents")
-COMPILATIONS = """
-from agents.fast_ppo import collection, update
-from capsule_gym import network
-
-collection._compiled(), update.compiled(), network._compiled_episodes(), network.compiled_act_batch()
-"""
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 
 
@@ -158,22 +149,13 @@ def _report(failure: threading.ExceptHookArgs) -> None:
         threading.__excepthook__(failure)
 
 
-def compile_beside() -> None:
-    """Compiles PPO's functions in a second process, while this process compiles and imports other code."""
-    command = [sys.executable, "-W", "ignore", "-c", COMPILATIONS]
-    run = partial(subprocess.run, command, cwd=AGENTS.parent, stderr=subprocess.DEVNULL)
-    threading.Thread(target=run, daemon=True).start()
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = read_args(arguments)
     threading.excepthook = _report
-    if args.algo == "ppo" and not any(AGENTS.glob("fast_ppo/__pycache__/*.nbc")):
-        compile_beside()
     # Imported after the command line is checked, since torch takes seconds to import.
     from agents.report.page import compare
-    from agents.training import algorithms, loop
+    from agents.training import loop
 
     config, run = args.hyperparameters, args.resume
     try:
@@ -183,7 +165,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             names = (config.task, config.algo) if config.env == ENV_ID else (config.env_task, config.task, config.algo)
             kind = args.row or "-".join(names)
             run = args.run or RUNS / f"{kind}-seed{config.seed}-{time.strftime('%Y%m%d-%H%M%S')}"
-            config = algorithms.usable(config)
             try:
                 loop.begin(run, config)
             except FileExistsError:

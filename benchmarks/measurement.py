@@ -41,10 +41,8 @@ class OutputArgs:
             ValueError: if a file cannot be written.
         """
         check_output("--markdown", self.markdown, overwrite=True)
-        check_output("--figure", getattr(self, "figure", None), overwrite=True)
-        for name in ("turns", "total_steps"):
-            if getattr(self, name, 1) < 1:
-                raise ValueError(f"--{name.replace('_', '-')} must be above 0, got 0")
+        if getattr(self, "turns", 1) < 1:
+            raise ValueError("--turns must be above 0, got 0")
 
     def report(self, command: str, *parts: str | Rows, left: int | None = None) -> None:
         """Prints paragraphs and tables (`left` as in `text_table`), and writes the page if it was requested."""

@@ -7,7 +7,7 @@ so that other processes affect both sides. A ratio below its floor is measured a
 Each floor is at most about two thirds of the lowest ratio that was measured on processors with AVX2 and with AVX-512:
 3.0, 0.84 and 0.65 for the first, third and fourth ratio. Without any vectorised loop, the lanes are 1.2 to 1.3 times as
 fast as one environment at a time. The law's floor is closer to its lowest ratio, 0.56: if only the law's loop is not
-vectorised, the ratio is 0.41 to 0.44. The last two ratios were measured on one machine, without AVX-512.
+vectorised, the ratio is 0.41 to 0.44. The last ratio was measured on one machine, without AVX-512.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
@@ -170,23 +170,6 @@ def episodes(policy: Policy) -> Turn:
     return repeated(work, EVALUATED * EVALUATED_STEPS)
 
 
-def updates(*, stock: bool) -> Turn:
-    """Samples in PPO's updates, by this project's compiled code or by Stable-Baselines3."""
-    import torch
-
-    from agents.training.algorithms import make_env, make_model
-    from agents.training.presets import PRESETS
-
-    torch.set_num_threads(1)
-    options: dict[str, Any] = {"num_envs": 64, "n_steps": 64, "n_epochs": 1}
-    config = replace(PRESETS["direct", "ppo"], stock=stock, **options)
-    samples = options["num_envs"] * options["n_steps"]
-    model: Any = make_model(config, make_env(config, SEED))
-    # Fills the buffer for `train`.
-    model.learn(samples)
-    return repeated(model.train, samples)
-
-
 def guards() -> list[Guard]:
     """All ratios of this benchmark."""
     direct, at_1_ms = kernel_steps(), kernel_steps(physics_dt=LAW_PHYSICS_DT)
@@ -200,7 +183,6 @@ def guards() -> list[Guard]:
         Guard(f"whole step of {NUM_ENVS} environments against their kernel", 0.55, whole, direct),
         Guard(f"reset of one environment against {SINGLE_PEER}'s", 0.4, resets(ENV_ID), resets(SINGLE_PEER)),
         Guard(f"episodes of {EVALUATED_POLICY} against the kernel alone", 0.3, evaluated, direct),
-        Guard("update of PPO against Stable-Baselines3's", 1.7, updates(stock=False), updates(stock=True)),
     ]
 
 

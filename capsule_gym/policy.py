@@ -30,20 +30,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from capsule_gym import network
+from capsule_gym._core import CELLS
 from capsule_gym.checks import check_integer, check_number, nearest, written
 from capsule_gym.config import ENERGY_WEIGHT_TEXT, ENERGY_WEIGHTS, EnvConfig
 from capsule_gym.controller import is_own
 from capsule_gym.files import write_atomically
+from capsule_gym.network import Layer
 from capsule_gym.parameters import Capsule, Disturbances, Randomization
-
-if TYPE_CHECKING:
-    from capsule_gym.network import Layer
 
 POLICY = "policy.safetensors"
 # The folder of the pretrained policies: in a wheel part of the package, in a checkout next to the training commands.
@@ -141,9 +141,6 @@ class Policy:
     _network: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        # Imported here: LLVM, which takes time, is not needed for the names of policies.
-        from capsule_gym import network
-
         for name, choices in CHOICES.items():
             if (value := getattr(self, name)) not in choices:
                 raise ValueError(f"{name} must be one of {choices}, got {value!r}")
@@ -175,14 +172,15 @@ class Policy:
             observes_energy_weight=self.observes_energy_weight,
             outputs_torque=self.output == "torque",
         )
-        if header.outputs_torque and options.total_torque:
+        if header["outputs_torque"] and options.total_torque:
             raise ValueError("output must be 'action' with env_kwargs['total_torque']=True, got 'torque'")
-        if header.outputs_torque and not header.residual_limit > 0.0:
+        if header["outputs_torque"] and not header["residual_limit"] > 0.0:
             raise ValueError("output must be 'action' where env_kwargs give no residual_limit > 0, got 'torque'")
+        inputs = int(header["inputs"])
         for name, array in (("mean", self.mean), ("variance", self.variance)):
             accepted = "one for each input by env_kwargs, identifies and observes_energy_weight"
-            _check_array(f"inputs.{name}", array, np.float64, (header.inputs,), accepted)
-        width, last = header.inputs, len(self.layers) - 1
+            _check_array(f"inputs.{name}", array, np.float64, (inputs,), accepted)
+        width, last = inputs, len(self.layers) - 1
         if not 0 <= last < MOST_LAYERS:
             raise ValueError(f"a network must have 1 to {MOST_LAYERS} layers, got {last + 1}")
         for n, (weights, bias) in enumerate(self.layers):
@@ -194,7 +192,7 @@ class Policy:
         if (self.variance < 0.0).any() or (self.variance + self.epsilon < 1e-300).any():
             raise ValueError(f"inputs.variance must be >= 0, and with epsilon > 0, got {self.variance}")
         scale = 1.0 / np.sqrt(self.variance + self.epsilon)
-        object.__setattr__(self, "entries", header.observed)
+        object.__setattr__(self, "entries", int(header["observed"]))
         object.__setattr__(self, "_network", network.pack(self.layers, self.mean, scale, header))
 
     @property
@@ -226,17 +224,10 @@ class Policy:
                 f"{self.name!r} identifies M and mu from one observation to the next: act = policy.start([0]) at the "
                 "beginning of an episode, then act(observation) at every step"
             )
-        return self._act(observation, np.zeros(0), self._workspace())
+        return self._act(observation, np.zeros(0))
 
-    def _workspace(self) -> np.ndarray:
-        from capsule_gym.network import make_workspace
-
-        return make_workspace(self._network)
-
-    def _act(self, observation: Any, memory: np.ndarray, lanes: np.ndarray, count: int | None = None) -> np.ndarray:
+    def _act(self, observation: Any, memory: np.ndarray, count: int | None = None) -> np.ndarray:
         """The actions for one observation or for many, of `count` episodes where that is fixed; changes the memory."""
-        from capsule_gym.network import compiled_act_batch
-
         try:
             array = np.require(observation, np.float32, ["C", "A"])
         except (TypeError, ValueError, OverflowError) as error:
@@ -248,8 +239,7 @@ class Policy:
         rows = array.reshape(-1, self.entries)
         if count not in (None, len(rows)):
             raise ValueError(f"observations must have one row for each of {count} episodes, got {len(rows)} rows")
-        inputs, actions = np.empty((len(rows), len(self.mean)), np.float32), np.empty((len(rows), 1), np.float32)
-        compiled_act_batch()(self._network, rows, memory, inputs, lanes, actions)
+        actions = network.act(self._network, rows, memory)
         return actions if array.ndim == 2 else actions[0]
 
     def start(self, seeds: Sequence[int]) -> Callable[[np.ndarray], np.ndarray]:
@@ -262,10 +252,8 @@ class Policy:
             The function from observations (episodes, entries) to actions (episodes, 1), or from (entries,) of a single
             episode to (1,). Call it once per step. It raises the same ValueError as the policy.
         """
-        from capsule_gym.observation import CELLS
-
-        memory, lanes = np.zeros(len(seeds) * CELLS), self._workspace()
-        return lambda observations: self._act(observations, memory, lanes, len(seeds))
+        memory = np.zeros(len(seeds) * CELLS)
+        return lambda observations: self._act(observations, memory, len(seeds))
 
     def with_energy_weight(self, energy_weight: float) -> Policy:
         """The same policy with another energy weight, in cm/J.

@@ -29,10 +29,8 @@ import pytest
 from capsule_gym.command_line import Count, parse
 
 ROOT = Path(__file__).resolve().parents[1]
-AGENTS = ("training", "fast_ppo", "evaluation", "leaderboard")
+AGENTS = ("training", "evaluation", "leaderboard")
 FOLDERS = ("capsule_gym", "baselines/laws", *(f"agents/{name}" for name in AGENTS))
-# Folders of tests whose name differs from that of the tested folder.
-TESTS = {"agents/fast_ppo": "agents/training"}
 SWAPS: dict[type, type] = {
     **{ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult},
     **{ast.Mod: ast.Mult, ast.Pow: ast.Mult, ast.And: ast.Or, ast.Or: ast.And},
@@ -152,8 +150,7 @@ def passes(clone: Path, tests: list[Path], seconds: float) -> bool:
 
 def find_killer(mutant: Mutant, clone: Path, args: Args) -> str:
     """The tests that kill a mutant: "module", "folder", "whole", or "" if it survives."""
-    parent = str(Path(mutant.path).parent)
-    folder = clone / "tests" / TESTS.get(parent, parent)
+    folder = clone / "tests" / Path(mutant.path).parent
     tests = {
         "module": sorted(folder.glob(f"test_{Path(mutant.path).stem}*.py")),
         "folder": [folder],

@@ -17,8 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from agents.training.config import PPOConfig
-from agents.training.presets import ROWS
 from baselines.dynamic_programming.policy import TORQUES
 from baselines.gaits.archive import GaitMap, encode_gaits, known_gaits, tolerant_nominal
 from baselines.policies import ALL_SCRIPTED
@@ -68,6 +66,8 @@ GAITS: dict[str, Callable[[], GaitMap]] = {
     "gait-oracle": lambda: known_gaits().oracle,
 }
 RANDOM = "random"
+# Range of energy weights (cm/J) in the training of the policy that observes its weight.
+TRAINED_WEIGHTS = (0.1, 20.0)
 
 
 class Archive:
@@ -250,10 +250,11 @@ def describe_policy(name: str, policy: Policy) -> dict[str, Any]:
 def describe_driver(name: str, archive: Archive) -> dict[str, Any]:
     """The description of a driver for the page and the step; a trained policy is the run with the lowest seed."""
     if is_trained(name):
-        described, row = describe_policy(name, load_policy(name)), ROWS.get(name)
-        weights = row.energy_weights if isinstance(row, PPOConfig) else None
+        policy = load_policy(name)
+        described = describe_policy(name, policy)
         network = archive.add_array(described["network"])
-        return {**described, **({"energyWeight": weights} if weights else {}), "network": network}
+        weights = {"energyWeight": TRAINED_WEIGHTS} if policy.observes_energy_weight else {}
+        return {**described, **weights, "network": network}
     options = EnvConfig(**env_kwargs(name))
     described = {
         "name": name,

@@ -25,7 +25,6 @@ from agents.distillation.config import STUDENTS, Student
 from agents.distillation.dataset import Dataset, collect
 from agents.evaluation.episodes import evaluate, scores
 from agents.evaluation.sets import validation_set
-from agents.training.algorithms import FastTanh
 from agents.training.checkpoint import git_revision
 from agents.training.config import RunError
 from agents.training.signals import Stop
@@ -66,7 +65,7 @@ class Network:
         torch.manual_seed(seed)
         first, second, last = nn.Linear(inputs.shape[1], HIDDEN), nn.Linear(HIDDEN, HIDDEN), nn.Linear(HIDDEN, 1)
         self._layers = first, second, last
-        self._module = nn.Sequential(first, FastTanh(), second, FastTanh(), last, FastTanh())
+        self._module = nn.Sequential(first, nn.Tanh(), second, nn.Tanh(), last, nn.Tanh())
         self._optimiser = torch.optim.Adam(self._module.parameters(), fused=True)
 
     def fit(

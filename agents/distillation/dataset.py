@@ -17,10 +17,10 @@ from agents.distillation.config import Student
 from agents.evaluation.policies import Act
 from baselines.dynamic_programming.policy import TORQUES, Oracle
 from capsule_gym import CapsuleVectorEnv
-from capsule_gym.compiler import compile_cached
+from capsule_gym._core import CELLS
 from capsule_gym.config import EnvConfig
 from capsule_gym.network import make_header, write_inputs
-from capsule_gym.observation import CELLS, ESTIMATES
+from capsule_gym.observation import ESTIMATES
 from capsule_gym.parameters import NOMINAL, Randomization
 from capsule_gym.resets import draw_plant
 from capsule_gym.task import CONTROL_DT
@@ -64,15 +64,14 @@ def collect(
         observes_energy_weight=False,
         outputs_torque=False,
     )
-    numbers, memory = np.array([*header], np.float64), np.zeros(count * CELLS)
-    given, compute_inputs = np.zeros((count, header.inputs), np.float32), compile_cached(write_inputs)
+    observed, memory = int(header["observed"]), np.zeros(count * CELLS)
+    given = np.zeros((count, int(header["inputs"])), np.float32)
     seeds = rng.integers(2**31, size=count).tolist()
     observations, _ = env.reset(seed=seeds, options=_plant_changes(student, rng))
     running, expert_acts = np.ones(count, bool), rng.random(count) < expert_share
     inputs, regrets = [], []
     for _ in range(student.steps):
-        observed = np.ascontiguousarray(observations[:, : header.observed])
-        compute_inputs(numbers, observed, 0, count, memory, given)
+        write_inputs(header, observations, memory, given)
         scores = expert.scores(observations, env.simulation)
         margins = np.full((count, 1), student.margin)
         if student.deviations:
@@ -85,7 +84,7 @@ def collect(
         if act is not None:
             switch = rng.random(count) < SWITCH_PROBABILITY
             expert_acts = np.where(switch, rng.random(count) < expert_share, expert_acts)
-            actions = np.where(expert_acts, actions, act(observed)[:, 0])
+            actions = np.where(expert_acts, actions, act(observations[:, :observed])[:, 0])
         explore = rng.random(count) < EXPLORATION_PROBABILITY
         actions = np.where(explore, rng.uniform(-1.0, 1.0, count), actions)
         observations, _, terminated, truncated, _ = env.step(actions[:, None].astype(np.float32))

@@ -54,7 +54,6 @@ SPACES: dict[Algorithm, Space] = {
         "n_epochs": (3, 10),
         "one_minus_lambda": (5e-3, 1e-1),
         "log_std_init": (-1.5, 0.0),
-        "least_log_std": (-4.0, -1.5),
         "termination_penalty": (10.0, 300.0),
     },
     "sac": OFF_POLICY,

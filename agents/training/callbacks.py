@@ -168,14 +168,10 @@ class TrainingCallback(BaseCallback):
         config, task, criteria = self.config, find_task(self.config.env_task), self.criteria
         names = ("r", "distance", "energy", "cost_of_transport", "stuck_fraction", *criteria.weights)
         of = {name: np.array([episode[name] for episode in self.model.ep_info_buffer]) for name in names}
-        # The terms of the reward. In the speed task the energy term is the rest, since its weight may vary by episode.
+        # The terms of the reward; progress is the rest.
         failure = -config.termination_penalty * of["failed"]
-        if task.name == "speed":
-            progress = 100.0 * of["distance"]
-            energy = of["r"] - progress - failure
-        else:
-            energy = -config.energy_weight * of["energy"]
-            progress = of["r"] - energy - failure
+        energy = -config.energy_weight * of["energy"]
+        progress = of["r"] - energy - failure
         of |= dict(zip(task.reward_terms, (progress, energy, failure), strict=True))
         means = {name: float(of[name].mean()) for name in criteria.weights}
         for name, mean in means.items():

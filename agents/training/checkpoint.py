@@ -135,6 +135,8 @@ def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | No
             # VecNormalize pickles itself without its environments.
             "normalize": env,
             "venv": env.venv,
+            # Discounted sums, from which the scale of the rewards is measured; VecNormalize leaves them out.
+            "returns": env.returns,
             "torch": torch.get_rng_state(),
             "numpy": np.random.get_state(),
             "python": random.getstate(),
@@ -178,6 +180,7 @@ def restore(
             vars(model)["_last_lstm_states"] = state["lstm_states"]
         normalised: VecNormalize = state["normalize"]
         normalised.set_venv(state["venv"])
+        normalised.returns = state["returns"]
         model.set_env(normalised, force_reset=False)
         env.close()
     except Exception as error:

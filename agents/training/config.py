@@ -18,7 +18,7 @@ from tyro.conf import Fixed, Suppress
 
 from capsule_gym.checks import check_integer, check_number
 from capsule_gym.command_line import Count
-from capsule_gym.config import DOCS, ENERGY_WEIGHT_TEXT, ENERGY_WEIGHTS, EnvConfig
+from capsule_gym.config import DOCS, EnvConfig
 from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.task import CONTROL_DT, TASKS
 
@@ -39,7 +39,7 @@ def _option(name: str, more: str = "") -> Any:
 
 
 # Smallest values of the counts; 1 for all others.
-LEAST = {"seed": 0, "batch_size": 2, "learning_starts": 0, "dropped_quantiles": 0, "critic_steps": 0}
+LEAST = {"seed": 0, "batch_size": 2, "learning_starts": 0, "dropped_quantiles": 0}
 # Ranges of the other numbers: description, lower and upper end, and whether the lower end is excluded.
 RANGES: dict[str, tuple[str, float, float, bool]] = {
     "learning_rate": ("a finite number > 0", 0.0, math.inf, True),
@@ -48,9 +48,7 @@ RANGES: dict[str, tuple[str, float, float, bool]] = {
     "gae_lambda": ("a number in [0, 1]", 0.0, 1.0, False),
     "ent_coef": ("a finite number >= 0", 0.0, math.inf, False),
     "log_std_init": ("a number in [-20, 2]", -20.0, 2.0, False),
-    "least_log_std": ("a number in [-20, 2]", -20.0, 2.0, False),
     "episode_seconds": ("a finite number > 0 (s)", 0.0, math.inf, True),
-    "jump_rate": ("a finite number >= 0 (1/s)", 0.0, math.inf, False),
     "tau": ("a number in (0, 1]", 0.0, 1.0, True),
     "target_entropy": ("a finite number", -math.inf, math.inf, True),
     "training_limit": ("a finite number > 0 (N m)", 0.0, math.inf, True),
@@ -120,10 +118,8 @@ class Config:
     """Environment steps between evaluations and checkpoints."""
     evaluation_episodes: Count = 128
     """Episodes in an evaluation, on validation plants."""
-    stock: bool = False
-    """Train with the unmodified classes of Stable-Baselines3, without this project's compiled PPO and fast SAC."""
     wrapper: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="MODULE:ATTRIBUTE")] = ()
-    """A gymnasium.Wrapper around each environment, the first one innermost; repeatable. It implies --stock."""
+    """A gymnasium.Wrapper around each environment, the first one innermost; repeatable."""
 
     def env_kwargs(self) -> dict[str, Any]:
         """The arguments of the training environment."""
@@ -200,39 +196,6 @@ class PPOConfig(OnPolicyConfig):
     """Proximal policy optimisation."""
 
     algo: ClassVar[Algorithm] = "ppo"
-    fast_only: ClassVar = (
-        *("least_log_std", "tanh_mean", "jump_rate", "identifies", "privileged_critic"),
-        *("energy_weights", "output", "critic_steps"),
-    )
-    """Options that only `agents.fast_ppo` has."""
-
-    least_log_std: float = -20.0
-    """Lower bound of that logarithm."""
-    tanh_mean: bool = False
-    """Whether tanh brings the mean of the action to [-1, 1]; else it is clipped."""
-    jump_rate: float = 0.0
-    """Rate at which M and mu are drawn anew within an episode of training, 1/s."""
-    identifies: bool = False
-    """Whether the policy observes online estimates of M and mu."""
-    privileged_critic: bool = False
-    """Whether the critic observes M and mu and, with disturbances, the state and the errors of the sensors."""
-    energy_weights: tuple[float, float] | None = None
-    """Range of energy weights (cm/J); every episode of training draws one, which the policy observes."""
-    output: Literal["action", "torque"] = "action"
-    """Output of the network: the action, or the total torque, from which the torque of the law is subtracted."""
-    critic_steps: Count = 0
-    """Environment steps at the start in which only the critic learns, so that it does not spoil a good base."""
-
-    def check(self) -> None:
-        """Also checks the output, the range of energy weights, and the energy weight of evaluations."""
-        super().check()
-        if self.output == "torque" and self.total_torque:
-            raise ValueError("output must be 'action' with total_torque=True, got 'torque'")
-        if self.energy_weights is not None:
-            accepted = f"{ENERGY_WEIGHT_TEXT} where it is observed"
-            for weight in self.energy_weights:
-                check_number("energy_weights", weight, accepted, *ENERGY_WEIGHTS)
-            check_number("energy_weight", self.energy_weight, accepted, *ENERGY_WEIGHTS)
 
 
 @dataclass(frozen=True, kw_only=True)

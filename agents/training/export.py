@@ -79,8 +79,7 @@ def export(name: str, model: BaseAlgorithm, config: Config, revision: str) -> Po
     """The deterministic policy of an agent without an LSTM."""
     activation, squashing = "relu", "tanh"
     if isinstance(model, PPO):
-        # `agents.fast_ppo` adds `tanh_mean` to SB3's policy.
-        activation, squashing = "tanh", "tanh" if getattr(model.policy, "tanh_mean", False) else "clip"
+        activation, squashing = "tanh", "clip"
         modules = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
     elif isinstance(model, TD3):
         # Without the last module, which is the tanh.
@@ -91,20 +90,14 @@ def export(name: str, model: BaseAlgorithm, config: Config, revision: str) -> Po
     layers = tuple((_array(layer.weight), _array(layer.bias)) for layer in modules[::2])
     env = normalisation(model)
     rms: Any = env.obs_rms
-    # Describes the inputs and the kind of output that `agents.fast_ppo` adds.
-    added = getattr(env.venv, "header", None)
-    inputs = layers[0][0].shape[1]
     return Policy(
         name=name,
         algorithm=config.algo,
         layers=layers,
         activation=activation,
         squashing=squashing,
-        output="torque" if added and added.outputs_torque else "action",
-        identifies=bool(added and added.identifies),
-        observes_energy_weight=bool(added and added.observes_energy_weight),
-        mean=rms.mean[:inputs].copy(),
-        variance=rms.var[:inputs].copy(),
+        mean=rms.mean.copy(),
+        variance=rms.var.copy(),
         clip=float(env.clip_obs),
         epsilon=float(env.epsilon),
         env_kwargs=config.env_kwargs(),

@@ -16,7 +16,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from agents.evaluation.episodes import versions
 from agents.training import checkpoint
-from agents.training.algorithms import LinearSchedule, algorithm, make_env, make_model
+from agents.training.algorithms import CLASSES, make_env, make_model, schedule
 from agents.training.callbacks import Stopped, TrainingCallback, make_logger
 from agents.training.checkpoint import Progress, git_revision, locked
 from agents.training.config import BEST, CONFIG, MODEL, Config, RunError, read_config
@@ -102,7 +102,7 @@ def train(
             if latest is None:
                 model, progress, restore_streams = make_model(config, env), Progress(settings), lambda: None
             else:
-                model, progress, restore_streams = checkpoint.restore(latest, algorithm(config), env)
+                model, progress, restore_streams = checkpoint.restore(latest, CLASSES[config.algo], env)
         except RunError:
             raise
         except Exception as error:
@@ -114,7 +114,7 @@ def train(
                     was = f"{value!r} as in {latest.name}"
                     raise RunError(f"{run / CONFIG}: {name} must stay {was}, got {settings[name]!r}")
             # The end of the schedule differs if total_steps has changed.
-            model.learning_rate = LinearSchedule(config.learning_rate, config.final_learning_rate)
+            model.learning_rate = schedule(config)
             model._setup_lr_schedule()
         stop = Stop()
         callback = TrainingCallback(run, config, progress, latest, restore_streams, stop, revision, report)

@@ -1,7 +1,9 @@
 // The core at one level of instructions: compiled once for each, with -DLEVEL=name and its -march.
 #include "level.hpp"
 #include "functions.hpp"
+#include "network.hpp"
 #include "resets.hpp"
+#include "rollout.hpp"
 #include "step.hpp"
 
 namespace LEVEL {
@@ -33,6 +35,32 @@ void motion_of_platform(const double* angle, const double* velocity, const doubl
   platform_motion(angle, velocity, acceleration, n, h, load<Plant<double, Kind::extended>>(plant), motion);
 }
 
+bool act_allocating(const double* packed, const float* observations, long long entries, long long n, double* memory,
+                    float* actions) {
+  Network network(packed);
+  void* workspace = __builtin_malloc(workspace_size(network, n < LANES ? (int)n : LANES));
+  if (!workspace) return false;
+  act_batch(network, observations, entries, n, (Identification*)memory, workspace, actions);
+  __builtin_free(workspace);
+  return true;
+}
+
+long long run_allocating(const Batch& batch, long long first, long long last, long long steps, double control_dt,
+                         const double* packed, double* memory, const double* changes, long long num_changes) {
+  Network network(packed);
+  void* workspace = __builtin_malloc(workspace_size(network, LANES));
+  if (!workspace) return NO_MEMORY;
+  Rollout rollout = {batch, network, (Identification*)memory, workspace, changes, num_changes, steps, control_dt};
+  long long broken = run_episodes(rollout, first, last);
+  __builtin_free(workspace);
+  return broken;
+}
+
+void write_inputs_of(const double* header, const float* observations, long long entries, long long n, double* memory,
+                     float* inputs) {
+  write_inputs(*(const Header*)header, observations, entries, n, (Identification*)memory, inputs);
+}
+
 }  // namespace LEVEL
 
 #define TEXT(x) #x
@@ -41,6 +69,7 @@ void motion_of_platform(const double* angle, const double* velocity, const doubl
 #define SYMBOL(x) JOIN(capsule_level_, x)
 
 extern "C" const Level SYMBOL(LEVEL);
-extern "C" const Level SYMBOL(LEVEL) = {NAME_OF(LEVEL),        LEVEL::advance,  LEVEL::draw_episodes,
-                                        LEVEL::begin_episodes, LEVEL::evaluate, LEVEL::law_torques,
-                                        LEVEL::motion_of_platform};
+extern "C" const Level SYMBOL(LEVEL) = {
+    NAME_OF(LEVEL),     LEVEL::advance,     LEVEL::draw_episodes,      LEVEL::begin_episodes,
+    LEVEL::evaluate,    LEVEL::law_torques, LEVEL::motion_of_platform, LEVEL::act_allocating,
+    LEVEL::write_inputs_of, LEVEL::run_allocating};

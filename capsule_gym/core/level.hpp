@@ -2,6 +2,8 @@
 #pragma once
 #include "layout.hpp"
 
+constexpr long long NO_MEMORY = -2;
+
 struct Level {
   const char* name;
   long long (*advance)(const Batch&, long long first, long long last, bool begin);
@@ -16,4 +18,12 @@ struct Level {
   // pivot_torque_on_contact.
   void (*platform_motion)(const double* angle, const double* velocity, const double* acceleration, const double* plant,
                           double* motion, long long n, double h);
+  // The functions of network.hpp; `act_batch` allocates its working memory and returns whether there was enough.
+  bool (*act_batch)(const double* network, const float* observations, long long entries, long long n, double* memory,
+                    float* actions);
+  void (*write_inputs)(const double* header, const float* observations, long long entries, long long n, double* memory,
+                       float* inputs);
+  // Episodes of a policy; see rollout.hpp. NO_MEMORY where there was not enough.
+  long long (*run_episodes)(const Batch&, long long first, long long last, long long steps, double control_dt,
+                            const double* network, double* memory, const double* changes, long long num_changes);
 };

@@ -10,6 +10,7 @@
 
 #include "functions.hpp"
 #include "level.hpp"
+#include "network.hpp"
 #include "step.hpp"
 
 extern "C" const Level capsule_level_portable;
@@ -40,12 +41,14 @@ int x86_level() {
   if ((low & 6) != 6 || (b & V3) != V3) return 1;
   return (low & 0xe6) == 0xe6 && (b & V4) == V4 ? 4 : 3;
 }
+// Asked once: in a virtual machine the question takes microseconds.
+const int X86_LEVEL = x86_level();
 #endif
 
 bool runs(const Level* level) {
 #if defined(__x86_64__)
-  if (level == &capsule_level_v4) return x86_level() == 4;
-  if (level == &capsule_level_v3) return x86_level() >= 3;
+  if (level == &capsule_level_v4) return X86_LEVEL == 4;
+  if (level == &capsule_level_v3) return X86_LEVEL >= 3;
 #endif
   return level == &capsule_level_portable;
 }
@@ -106,6 +109,19 @@ PyObject* advance(PyObject*, PyObject* const* args, Py_ssize_t count) {
   return PyErr_Occurred() ? nullptr : PyLong_FromLongLong(broken);
 }
 
+// step_one(handle, action) -> as `advance`: one step of a single environment, which takes less time than to release the
+// lock
+PyObject* step_one(PyObject*, PyObject* const* args, Py_ssize_t count) {
+  if (count != 2) return PyErr_Format(PyExc_TypeError, "step_one takes 2 arguments, got %zd", count);
+  Bound* bound = bound_of(args[0]);
+  if (!bound) return nullptr;
+  double action = PyFloat_AsDouble(args[1]);
+  if (PyErr_Occurred()) return nullptr;
+  ((Block<1>*)bound->batch.world)->action[0] = action;
+  long long broken = bound->level->advance(bound->batch, 0, 1, false);
+  return PyErr_Occurred() ? nullptr : PyLong_FromLongLong(broken);
+}
+
 // draw_episodes(handle, count), begin_episodes(handle, count): see resets.hpp
 template <auto function> PyObject* call_with_count(PyObject*, PyObject* const* args, Py_ssize_t count) {
   if (count != 2) return PyErr_Format(PyExc_TypeError, "expected 2 arguments, got %zd", count);
@@ -157,6 +173,56 @@ PyObject* platform_motion(PyObject*, PyObject* args) {
   if (!level) return nullptr;
   level->platform_motion((const double*)angle, (const double*)velocity, (const double*)acceleration,
                          (const double*)plant, (double*)motion, n, h);
+  Py_RETURN_NONE;
+}
+
+// --- trained policies ---
+
+// act_batch(level, network, observations, entries, n, memory, actions): see network.hpp; releases the lock
+PyObject* act_batch(PyObject*, PyObject* args) {
+  const char* name;
+  Address network, observations, memory, actions;
+  long long entries, n;
+  if (!PyArg_ParseTuple(args, "sKKLLKK", &name, &network, &observations, &entries, &n, &memory, &actions)) return nullptr;
+  const Level* level = find_level(name);
+  if (!level) return nullptr;
+  PyThreadState* state = PyEval_SaveThread();
+  bool enough = level->act_batch((const double*)network, (const float*)observations, entries, n, (double*)memory,
+                                 (float*)actions);
+  PyEval_RestoreThread(state);
+  if (!enough) return PyErr_NoMemory();
+  Py_RETURN_NONE;
+}
+
+// run_episodes(batch, first, last, steps, control_dt, network, memory, changes, num_changes) -> as `advance`; see
+// rollout.hpp; releases the lock
+PyObject* run_episodes(PyObject*, PyObject* args) {
+  PyObject* handle;
+  Address network, memory, changes;
+  long long first, last, steps, num_changes;
+  double control_dt;
+  if (!PyArg_ParseTuple(args, "OLLLdKKKL", &handle, &first, &last, &steps, &control_dt, &network, &memory, &changes,
+                        &num_changes))
+    return nullptr;
+  Bound* bound = bound_of(handle);
+  if (!bound) return nullptr;
+  PyThreadState* state = PyEval_SaveThread();
+  long long broken = bound->level->run_episodes(bound->batch, first, last, steps, control_dt, (const double*)network,
+                                                (double*)memory, (const double*)changes, num_changes);
+  PyEval_RestoreThread(state);
+  if (broken == NO_MEMORY) return PyErr_NoMemory();
+  return PyErr_Occurred() ? nullptr : PyLong_FromLongLong(broken);
+}
+
+// write_inputs(level, header, observations, entries, n, memory, inputs): see network.hpp
+PyObject* write_inputs(PyObject*, PyObject* args) {
+  const char* name;
+  Address header, observations, memory, inputs;
+  long long entries, n;
+  if (!PyArg_ParseTuple(args, "sKKLLKK", &name, &header, &observations, &entries, &n, &memory, &inputs)) return nullptr;
+  const Level* level = find_level(name);
+  if (!level) return nullptr;
+  level->write_inputs((const double*)header, (const float*)observations, entries, n, (double*)memory, (float*)inputs);
   Py_RETURN_NONE;
 }
 
@@ -249,6 +315,7 @@ int fill(PyObject* module) {
 #define FIELD(name) #name " "
   failed |= add_names(module, "SETTINGS", CAPSULE_SETTINGS(FIELD));
   failed |= add_names(module, "PLANT", CAPSULE_PLANT(FIELD));
+  failed |= add_names(module, "NETWORK", CAPSULE_NETWORK(FIELD));
 #undef FIELD
 #define F(name, arguments, results, call) #name ":" #arguments ":" #results " "
   failed |= add_names(module, "PLANT_FUNCTIONS", CAPSULE_PLANT_FUNCTIONS(F));
@@ -283,6 +350,8 @@ int fill(PyObject* module) {
   failed |= PyModule_AddIntConstant(module, "LANES", LANES);
   failed |= PyModule_AddIntConstant(module, "HISTORY_ROWS", HISTORY_ROWS);
   failed |= PyModule_AddIntConstant(module, "MOST_CELLS", MOST_CELLS);
+  failed |= PyModule_AddIntConstant(module, "PADDING", portable::PADDING);
+  failed |= PyModule_AddIntConstant(module, "CELLS", sizeof(portable::Identification) / sizeof(double));
   failed |= PyModule_AddIntConstant(module, "COMMANDS", portable::COMMANDS);
   return failed;
 }
@@ -290,11 +359,15 @@ int fill(PyObject* module) {
 PyMethodDef METHODS[] = {
     {"bind", bind, METH_VARARGS, nullptr},
     {"advance", (PyCFunction)(void*)advance, METH_FASTCALL, nullptr},
+    {"step_one", (PyCFunction)(void*)step_one, METH_FASTCALL, nullptr},
     {"draw_episodes", (PyCFunction)(void*)call_with_count<&Level::draw_episodes>, METH_FASTCALL, nullptr},
     {"begin_episodes", (PyCFunction)(void*)call_with_count<&Level::begin_episodes>, METH_FASTCALL, nullptr},
     {"evaluate", evaluate, METH_VARARGS, nullptr},
     {"law_torques", law_torques, METH_VARARGS, nullptr},
     {"platform_motion", platform_motion, METH_VARARGS, nullptr},
+    {"act_batch", act_batch, METH_VARARGS, nullptr},
+    {"run_episodes", run_episodes, METH_VARARGS, nullptr},
+    {"write_inputs", write_inputs, METH_VARARGS, nullptr},
     {"plain_law", plain_law, METH_VARARGS, nullptr},
     {nullptr, nullptr, 0, nullptr}};
 PyModuleDef_Slot SLOTS[] = {{Py_mod_exec, (void*)fill}, {0, nullptr}};

@@ -284,7 +284,7 @@ template <class T, int N> struct Step {
     if (batch.reference_rows > 1 || tick == 0.0) read_reference(tick);
     int number = 0;
 #define LAW(Law) \
-  if (batch.law == number++) return evaluate_law(Law(batch.law_constants), tick);
+  if (batch.law == number++) return evaluate_law(*(const Law*)batch.law_constants, tick);
     CAPSULE_LAWS(LAW)
 #undef LAW
     evaluate_user_law(tick);
@@ -305,7 +305,7 @@ template <class T, int N> struct Step {
   }
 
   // Calls the law with the present state; its torque acts until the next call.
-  template <class Law> NOINLINE void evaluate_law(const Law law, double tick) {
+  template <class Law> NOINLINE void evaluate_law(const Law& law, double tick) {
     // A law with branches takes one environment at a time.
     using S = typename Choose<Law::BRANCHES, double, T>::type;
     for (int j = 0; j < n; j += WIDTH<S>) {

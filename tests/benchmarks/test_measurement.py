@@ -13,7 +13,7 @@ from benchmarks.regression import Guard
 from benchmarks.throughput import Contender
 from capsule_gym.parameters import Capsule
 
-COMMANDS = ("accuracy", "mujoco", "regression", "throughput", "training", "web")
+COMMANDS = ("accuracy", "mujoco", "regression", "throughput", "web")
 ABSENT = "a_package_that_nobody_has"
 
 
@@ -21,9 +21,7 @@ ABSENT = "a_package_that_nobody_has"
     ("command", "words", "message"),
     [
         *((name, ["--markdown", "{folder}"], "--markdown") for name in COMMANDS),
-        ("training", ["--figure", "{folder}"], "--figure"),
         ("throughput", ["--turns", "0"], "--turns must be above 0"),
-        ("training", ["--seeds", "1"], "--seeds must be at least 2"),
     ],
 )
 def test_bad_arguments_are_refused_before_the_measurement(command, words, message, tmp_path, capsys) -> None:

@@ -1,27 +1,22 @@
-"""The compiled network: its outputs, and their equality in any batch and on any instruction set."""
+"""The network in C++: its outputs, their equality in any batch, and the action for a total torque."""
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from capsule_gym import network
-from capsule_gym.layout import LANES
-from capsule_gym.network import (
-    FEW,
-    SATURATION,
-    TILE,
-    Header,
-    compiled_act_batch,
-    make_workspace,
-    pack,
-    to_action,
-)
+from capsule_gym.network import Header, Layer, act, pack
+
+# Environments that the core computes at once, and the fewest that share a register.
+TOGETHER, FEWEST = 64, 8
+# Total torque, in torque limits, above which the action is the whole residual.
+SATURATION = 0.9
 
 
-def make_layers(widths: tuple[int, ...], seed: int = 0) -> list[network.Layer]:
+def make_layers(widths: tuple[int, ...], seed: int = 0) -> list[Layer]:
     rng = np.random.default_rng(seed)
     return [
         (
@@ -32,23 +27,19 @@ def make_layers(widths: tuple[int, ...], seed: int = 0) -> list[network.Layer]:
     ]
 
 
-def make_header(layers: list[network.Layer], clip: float = 10.0, **changes: object) -> Header:
+def make_header(layers: list[Layer], clip: float = 10.0, **changes: float) -> Header:
     """The header of a network that takes the observation unchanged."""
     inputs = layers[0][0].shape[1]
     counts = {"layers": len(layers), "clip": clip, "inputs": inputs, "observed": inputs}
-    kinds = dict.fromkeys(("relu", "tanh_squashing", "identifies", "observes_energy_weight"), False)
-    kinds |= {"outputs_torque": False, "has_law": False, "log_energy_weight": 0.0}
-    torques = {"torque_limit": 1.5, "residual_limit": 3.0}
-    plant = {"m": 0.138, "l": 0.3, "g": 9.81, "dt": 0.02}
-    return Header(**{**counts, **kinds, **torques, **plant, **changes})  # type: ignore[arg-type]
+    kinds = dict.fromkeys(("relu", "tanh_squashing", "identifies", "observes_energy_weight", "outputs_torque"), 0.0)
+    law = {"log_energy_weight": 0.0, "law_torque": -1.0, "torque_limit": 1.5, "residual_limit": 3.0}
+    return {**counts, **kinds, **law, "m": 0.138, "l": 0.3, "g": 9.81, "dt": 0.02, **changes}
 
 
-def make_network(
-    layers: list[network.Layer], mean=None, scale=None, clip: float = 10.0, **changes: object
-) -> np.ndarray:
-    header = make_header(layers, clip, **changes)
-    mean = np.zeros(header.inputs) if mean is None else mean
-    return pack(layers, mean, np.ones(header.inputs) if scale is None else scale, header)
+def make_network(layers: list[Layer], mean=None, scale=None, clip: float = 10.0, **changes: float) -> np.ndarray:
+    inputs = layers[0][0].shape[1]
+    mean, scale = np.zeros(inputs) if mean is None else mean, np.ones(inputs) if scale is None else scale
+    return pack(layers, mean, scale, make_header(layers, clip, **changes))
 
 
 def expected(layers, observations, mean, scale, clip, relu, tanh_squashing) -> np.ndarray:
@@ -62,10 +53,7 @@ def expected(layers, observations, mean, scale, clip, relu, tanh_squashing) -> n
 
 
 def run(packed: np.ndarray, observations: np.ndarray) -> np.ndarray:
-    actions = np.full((len(observations), 1), np.nan, np.float32)
-    inputs, lanes = np.empty_like(observations), make_workspace(packed)
-    compiled_act_batch()(packed, observations, np.zeros(0), inputs, lanes, actions)
-    return actions
+    return act(packed, observations, np.zeros(0))
 
 
 @pytest.mark.parametrize("relu", [False, True], ids=["tanh", "relu"])
@@ -75,7 +63,7 @@ def test_it_computes_what_numpy_does(widths, relu, tanh_squashing):
     rng = np.random.default_rng(1)
     layers, mean, scale = make_layers(widths), rng.normal(size=widths[0]), rng.uniform(0.2, 3.0, widths[0])
     packed = make_network(layers, mean, scale, 2.5, relu=relu, tanh_squashing=tanh_squashing)
-    observations = rng.normal(0.0, 2.0, (2 * LANES + 5, widths[0])).astype(np.float32)
+    observations = rng.normal(0.0, 2.0, (2 * TOGETHER + 5, widths[0])).astype(np.float32)
     actions = run(packed, observations)
     exact = expected(layers, observations, mean, scale, 2.5, relu, tanh_squashing)
     # The errors are one rounding to float32 and those of float64.
@@ -88,17 +76,17 @@ def test_it_computes_what_numpy_does(widths, relu, tanh_squashing):
 def test_a_row_is_the_same_alone_and_in_any_batch(relu):
     layers = make_layers((10, 64, 64, 1))
     packed = make_network(layers, relu=relu, tanh_squashing=relu)
-    observations = np.random.default_rng(2).normal(size=(3 * LANES, 10)).astype(np.float32)
+    observations = np.random.default_rng(2).normal(size=(3 * TOGETHER, 10)).astype(np.float32)
     whole = run(packed, observations)
-    assert np.unique(whole).size > 2 * LANES
-    for n in (1, 2, TILE, FEW, FEW + 1, LANES - 1, LANES, LANES + 1, 2 * LANES + FEW):
+    assert np.unique(whole).size > 2 * TOGETHER
+    for n in (1, 2, FEWEST - 1, FEWEST, FEWEST + 1, 33, TOGETHER - 1, TOGETHER, TOGETHER + 1, 2 * TOGETHER + 5):
         for first in (0, 1, 37):
             assert run(packed, observations[first : first + n]).tobytes() == whole[first : first + n].tobytes()
 
 
 def test_one_environment_that_is_no_number_leaves_the_others_alone():
     packed = make_network(make_layers((5, 64, 64, 1)), relu=True, tanh_squashing=True)
-    observations = np.random.default_rng(4).normal(size=(LANES, 5)).astype(np.float32)
+    observations = np.random.default_rng(4).normal(size=(TOGETHER, 5)).astype(np.float32)
     clean = run(packed, observations)
     observations[7, 2] = np.nan
     broken = run(packed, observations)
@@ -106,21 +94,40 @@ def test_one_environment_that_is_no_number_leaves_the_others_alone():
     assert np.delete(broken, 7).tobytes() == np.delete(clean, 7).tobytes()
 
 
+@pytest.mark.parametrize("n", [1, TOGETHER])
+def test_threads_share_a_network(n):
+    packed = make_network(make_layers((6, 256, 256, 1)))
+    observations = np.random.default_rng(5).normal(size=(8, 20, n, 6)).astype(np.float32)
+    alone = [[run(packed, rows).tobytes() for rows in batch] for batch in observations]
+    with ThreadPoolExecutor(8) as threads:
+        found = threads.map(lambda batch: [run(packed, rows).tobytes() for rows in batch], observations)
+        assert list(found) == alone
+
+
+def actions_for(wanted: np.ndarray, law_torques: np.ndarray, **changes: float) -> np.ndarray:
+    """The actions of a network whose output is the observation's first entry, with the law's torque as the second."""
+    layers = [(np.array([[1.0, 0.0]], np.float32), np.zeros(1, np.float32))]
+    packed = make_network(layers, clip=1e6, law_torque=1.0, **changes)
+    return run(packed, np.column_stack([wanted, law_torques]).astype(np.float32))[:, 0].astype(np.float64)
+
+
 def test_a_wanted_torque_is_reached_within_the_residual_limit():
-    header = make_header(make_layers((10, 1)), outputs_torque=True, has_law=True)
-    for law_torque in np.linspace(-1.5, 1.5, 25):
-        for wanted in np.linspace(-SATURATION, SATURATION, 31):
-            action = to_action(header, wanted, law_torque)
-            # The environment computes the torque from the action in this way.
-            torque = np.clip(law_torque + header.residual_limit * action, -header.torque_limit, header.torque_limit)
-            assert abs(action) <= 1.0
-            assert torque == pytest.approx(header.torque_limit * wanted, abs=1e-12)
-        # The law's torque may change before the next action; only a full action keeps the sum at the limit.
-        for wanted in (np.nextafter(SATURATION, 1.0), 1.0, 7.0):
-            assert (to_action(header, wanted, law_torque), to_action(header, -wanted, law_torque)) == (1.0, -1.0)
-    weak = header._replace(residual_limit=0.5)
-    assert (to_action(weak, 0.8, -1.5), to_action(weak, -0.8, 1.5)) == (1.0, -1.0)
-    assert to_action(weak, 0.5, 0.7) == pytest.approx(0.1)
-    # If the output is an action, it is only clipped.
-    for output, action in ((0.3, 0.3), (0.95, 0.95), (1.7, 1.0), (-1e300, -1.0)):
-        assert to_action(make_header(make_layers((5, 1))), output, 0.7) == action
+    wanted, law_torques = np.meshgrid(np.linspace(-0.899, 0.899, 31), np.linspace(-1.5, 1.5, 25))
+    wanted, law_torques = wanted.ravel(), law_torques.ravel()
+    actions = actions_for(wanted, law_torques, outputs_torque=1.0)
+    # The environment computes the torque from the action in this way.
+    torques = np.clip(law_torques + 3.0 * actions, -1.5, 1.5)
+    assert (np.abs(actions) <= 1.0).all()
+    np.testing.assert_allclose(torques, 1.5 * wanted, rtol=0.0, atol=1e-6)
+    # The law's torque may change before the next action; only a full action keeps the sum at the limit.
+    full = np.tile([SATURATION + 1e-6, 1.0, 7.0], 25)
+    law_torques = np.repeat(np.linspace(-1.5, 1.5, 25), 3)
+    for sign in (1.0, -1.0):
+        np.testing.assert_array_equal(actions_for(sign * full, law_torques, outputs_torque=1.0), sign)
+    weak = actions_for(np.array([0.8, -0.8, 0.5]), np.array([-1.5, 1.5, 0.7]), outputs_torque=1.0, residual_limit=0.5)
+    np.testing.assert_allclose(weak, [1.0, -1.0, 0.1], rtol=1e-6)
+
+
+def test_an_output_that_is_an_action_is_clipped():
+    outputs = np.array([0.3, 0.95, 1.7, -1e5])
+    np.testing.assert_allclose(actions_for(outputs, np.full(4, 0.7)), [0.3, 0.95, 1.0, -1.0], rtol=1e-7)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import multiprocessing
 import os
@@ -19,13 +18,10 @@ from pathlib import Path
 from signal import SIGINT, SIGKILL, SIGTERM, Signals
 from typing import Any
 
-import numba
-import numpy as np
 from tqdm import tqdm
 
 from agents.training import checkpoint
 from agents.training.signals import INTERRUPTED
-from capsule_gym import CapsuleVectorEnv
 from tests.agents.training.small import differences, log
 
 HANG_SECONDS = 240.0
@@ -49,7 +45,6 @@ MOMENTS = (
     ("SIGTERM or Ctrl-C while a checkpoint is written", "writing", (SIGTERM, SIGINT), 10),
     ("Ctrl-C twice", "training", (SIGINT, SIGINT), 8),
     ("SIGTERM or Ctrl-C while importing", "importing", (SIGTERM, SIGINT), 8),
-    ("SIGTERM or Ctrl-C while compiling", "compiling", (SIGTERM, SIGINT), 5),
 )
 
 
@@ -113,13 +108,11 @@ def _call(output: str, function: Callable[..., None], arguments: Sequence[Any]) 
     sys.stdout.flush()
 
 
-def train(arguments: Sequence[str], cache: str, limit: int) -> None:
-    """In the child: runs train.py; `cache` is a folder of compiled code or "", `limit` the largest file size or 0."""
+def train(arguments: Sequence[str], limit: int) -> None:
+    """In the child: runs train.py; `limit` is the largest file size or 0."""
     import train as command
 
     command.QUIET_EXIT.install()
-    if cache:
-        numba.config.CACHE_DIR = cache
     if limit:
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
     sys.exit(command.main(arguments))
@@ -128,17 +121,6 @@ def train(arguments: Sequence[str], cache: str, limit: int) -> None:
 def execute(arguments: Sequence[str]) -> None:
     """In the child: runs train.py in a new Python."""
     os.execv(sys.executable, [sys.executable, "train.py", *arguments])
-
-
-def rollout(cache: str) -> None:
-    """In the child: prints a hash of a hundred steps of a batch, with a folder of compiled code."""
-    numba.config.CACHE_DIR = cache
-    env, rng = CapsuleVectorEnv(70), np.random.default_rng(0)
-    found = hashlib.sha256(env.reset(seed=1)[0].tobytes())
-    for _ in range(100):
-        observations, rewards, *_ = env.step(rng.uniform(-1.0, 1.0, (env.num_envs, 1)).astype(np.float32))
-        found.update(observations.tobytes() + rewards.tobytes())
-    print(found.hexdigest())
 
 
 class Faults:
@@ -173,7 +155,6 @@ class Faults:
             yield from self.stop(algo, moments[i :: len(TINY)])
         yield from self.small_files(2 if self.short else 10)
         yield from self.read_only(1 if self.short else 3)
-        yield from self.compile_at_once(2 if self.short else 8)
 
     def expect(self, name: str, condition: bool, message: str) -> None:
         """Records a condition that does not hold."""
@@ -191,9 +172,9 @@ class Faults:
         length = ["--total-steps", str(self.intervals * INTERVAL[algo]), "--evaluate-every", str(INTERVAL[algo])]
         return [*TINY[algo], *length, "--run", str(run)]
 
-    def train(self, algo: str, run: Path, *, cache: str = "", limit: int = 0) -> Child:
+    def train(self, algo: str, run: Path, *, limit: int = 0) -> Child:
         """Starts or resumes a run in a process."""
-        return Child(self.new("log"), train, self.arguments(algo, run), cache, limit)
+        return Child(self.new("log"), train, self.arguments(algo, run), limit)
 
     def finish(self, name: str, algo: str, run: Path) -> None:
         """Resumes a run to its end, and compares it with a run without faults."""
@@ -220,7 +201,7 @@ class Faults:
             if when == "importing":
                 child = Child(self.new("log"), execute, self.arguments(algo, run))
             else:
-                child = self.train(algo, run, cache=str(self.new("cache")) if when == "compiling" else "")
+                child = self.train(algo, run)
             self.wait(child, run, when)
             for number in signals if len(set(signals)) == 1 else [self.rng.choice(signals)]:
                 child.send(number)
@@ -246,7 +227,6 @@ class Faults:
             "writing": (lambda: written_since(run, now), 0.02),
             "starting": (child.handles_signals, 1.5),
             "importing": (child.handles_signals, 3.0),
-            "compiling": (lambda: "compiling" in child.printed(), 4.0),
         }
         condition, longest = conditions[when]
         child.wait(condition)
@@ -290,16 +270,6 @@ class Faults:
                     self.expect_one_line(name, self.train("ppo", child), folder)
             yield name
         self.finish(name, "ppo", run)
-
-    def compile_at_once(self, tries: int) -> Iterator[str]:
-        """Compiles for one empty cache in many processes at once."""
-        name, cache = "processes that compile at once", str(self.new("cache"))
-        hashes = set()
-        for child in [Child(self.new("log"), rollout, cache) for _ in range(tries)]:
-            status = child.end()
-            hashes.add(child.printed().splitlines()[-1])
-            self.expect(name, status == 0 and len(hashes) == 1, f"exit status {status}: {child.printed()}")
-            yield name
 
 
 @contextmanager

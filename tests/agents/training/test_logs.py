@@ -51,12 +51,12 @@ def test_the_log_holds_the_terms_of_the_reward(tmp_path, monkeypatch):
     # The progress bar on a terminal ends at the total, which the last rollout exceeds.
     assert "100%" in screen.getvalue() and "1.00k/1.00k" in screen.getvalue()
     lines = log(tmp_path / "run")
-    assert list(lines) == [512, 768, 1024]
+    assert list(lines) == [256, 512, 768, 1024]
     # Episodes without progress have an infinite cost, which is not logged.
     line = {name: float(value) for name, value in lines[768].items() if name.startswith(("episodes/", "evaluation/"))}
     assert {f"episodes/{name}" for name in WATCHED} | {"evaluation/stuck_fraction"} <= set(line)
     assert 0.0 <= line["episodes/stuck_fraction"] <= 1.0 and line["episodes/reward_energy"] <= 1e-4
-    assert line["episodes/reward_termination"] in (0.0, -15.0, -30.0)
+    assert line["episodes/reward_termination"] in {-10.0 * share for share in (0.0, 0.5, 1.0)}
 
 
 def test_weights_and_biases_is_told_the_same_lines(tmp_path, monkeypatch):

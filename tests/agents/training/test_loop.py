@@ -15,12 +15,11 @@ from stable_baselines3 import PPO
 from agents.evaluation.criteria import CRITERIA
 from agents.evaluation.episodes import evaluate, scores
 from agents.evaluation.statistics import interquartile_mean
-from agents.training.algorithms import algorithm, make_env, make_model, usable
+from agents.training.algorithms import CLASSES, make_env, make_model
 from agents.training.callbacks import validation_plants
 from agents.training.loop import begin, train
 from agents.training.presets import preset
 from capsule_gym import load_policy
-from capsule_gym.network import LAW_TORQUE, to_action
 from capsule_gym.parameters import RANDOMIZATIONS
 from tests.agents.training.small import SMALL, differences, finished, log, rows, small, train_until, weights
 
@@ -30,6 +29,7 @@ def test_bootstrap_happens_at_time_limits_only():
     # collected rewards show these steps.
     config = small("direct", "ppo", total_steps=256, episode_seconds=0.4)
     env = make_env(config, 0)
+    env.norm_reward = False
     model = make_model(config, env)
     for name, parameter in model.policy.named_parameters():
         if name.startswith("value_net"):
@@ -39,7 +39,7 @@ def test_bootstrap_happens_at_time_limits_only():
     # Each environment takes 32 steps, in episodes of 20.
     ended, rewards = buffer.episode_starts[1:] == 1.0, buffer.rewards[:-1]
     failed = rewards < -0.9 * config.termination_penalty
-    assert (ended & ~failed).sum() >= 8 > failed.sum() > 0
+    assert (ended & ~failed).any() and failed.any()
     assert np.array_equal(rewards > 500.0, ended & ~failed)
     env.close()
 
@@ -51,7 +51,7 @@ def test_same_seed_same_model_another_seed_another(tmp_path, task, algo):
         run = tmp_path / str(n)
         config = small(task, algo, total_steps=512, seed=seed)
         finished(run, config)
-        models.append(weights(algorithm(config).load(run / "model.zip", device="cpu")))
+        models.append(weights(CLASSES[config.algo].load(run / "model.zip", device="cpu")))
     assert np.array_equal(models[0], models[1])
     assert not np.array_equal(models[0], models[2])
 
@@ -69,28 +69,20 @@ def test_a_run_folder_holds_what_a_policy_needs(tmp_path):
     assert content["revision"]
     with (run / "evaluations.csv").open() as file:
         steps = [int(row["steps"]) for row in csv.DictReader(file)]
-    # The first rollout estimates the statistics of the observations, and an evaluation follows the next rollout.
-    assert steps == [512, 768]
+    assert steps == [256, 512, 768]
     assert log(run)[768]["evaluation/score"] and list((run / "logs").glob("events*"))
 
     policy = load_policy(run)
-    assert policy.env_kwargs == content["env"]
+    assert json.loads(json.dumps(policy.env_kwargs)) == content["env"]
     assert (policy.training_seed, policy.revision) == (0, content["revision"])
-    assert policy.output == "torque"
-    env = make_env(config, 0)
-    header = env.venv.header
-    env.close()
     # The last and the best policy, as file and as archive; the archive takes normalised observations.
     observations = np.random.default_rng(0).normal(size=(5, 10)).astype(np.float32)
     for folder in (run, run / "best"):
         policy = load_policy(folder / "policy.safetensors")
         agent = PPO.load(folder / "model.zip", device="cpu")
         normalise = pickle.loads((folder / "vecnormalize.pkl").read_bytes()).normalize_obs
-        torques, _ = agent.predict(normalise(observations), deterministic=True)
-        # The archive does not contain the law.
-        pairs = zip(torques[:, 0].tolist(), observations[:, LAW_TORQUE].tolist(), strict=True)
-        wanted = [[to_action(header, torque, law_torque)] for torque, law_torque in pairs]
-        np.testing.assert_allclose(policy(observations), wanted, atol=2e-6)
+        expected, _ = agent.predict(normalise(observations), deterministic=True)
+        np.testing.assert_allclose(policy(observations), expected, atol=2e-6)
 
 
 RANGES = {"mass_range": (0.42, 0.44), "friction_range": (0.06, 0.07)}
@@ -99,15 +91,15 @@ RANGES = {"mass_range": (0.42, 0.44), "friction_range": (0.06, 0.07)}
 @pytest.mark.parametrize(
     ("env", "column", "changes"),
     [
-        ("CapsuleGoal-v0", "goal_time_s", {"stock": False, "static_ratio": 1.5, **RANGES}),
-        ("CapsuleVelocity-v0", "velocity_error_percent", {"stock": True, "command_range": (0.05, 0.06)}),
+        ("CapsuleGoal-v0", "goal_time_s", {"static_ratio": 1.5, **RANGES}),
+        ("CapsuleVelocity-v0", "velocity_error_percent", {"command_range": (0.05, 0.06)}),
         ("CapsuleGoal-v0", "goal_time_s", {"wrapper": ("tests.agents.training.wrappers:Swing",)}),
     ],
 )
 def test_a_run_in_another_environment_is_judged_by_its_task(tmp_path, monkeypatch, env, column, changes):
     task = preset(env, "direct", "ppo").env_task
     settings = {**SMALL, "n_steps": 32, "n_epochs": 1, "total_steps": 768, "evaluate_every": 256, **changes}
-    config = usable(dataclasses.replace(preset(env, "direct", "ppo"), episode_seconds=0.4, **settings))
+    config = dataclasses.replace(preset(env, "direct", "ppo"), episode_seconds=0.4, **settings)
     run, whole = tmp_path / "run", finished(tmp_path / "whole", config)
     begin(run, config)
     train_until(run, 600, monkeypatch, killed=True)

@@ -43,9 +43,9 @@ def test_the_command_line_of_a_training_run_takes_its_words_and_defaults_from_th
     assert get_args(Environment) == tuple(env_id for env_id, _ in TASKS.values())
 
 
-@pytest.mark.parametrize(("algo", "changes"), [("ppo", {}), ("ppo", {"energy_weights": (0.1, 0.2)}), ("sac", {})])
-def test_a_configuration_is_read_as_it_was_written(tmp_path, algo, changes):
-    config = dataclasses.replace(PRESETS["direct", algo], **changes)
+@pytest.mark.parametrize("algo", ["ppo", "sac"])
+def test_a_configuration_is_read_as_it_was_written(tmp_path, algo):
+    config = PRESETS["direct", algo]
     content = {"task": "direct", "algo": algo, "hyperparameters": config.to_dict()}
     (tmp_path / CONFIG).write_text(json.dumps(content))
     assert read_config(tmp_path) == config
@@ -79,10 +79,14 @@ def test_a_committed_policy_acts_as_its_rows_settings_say(name):
     settings = ROWS[name]
     settings.check()
     assert settings.seed == 0
-    # Policies trained before off-policy algorithms had this option do not name it.
-    default = {"control_dt": EnvConfig.control_dt}
     for policy in find_candidate(name).policies:
-        assert default | dict(policy.env_kwargs) == default | settings.env_kwargs()
+        # The plants, the observation and the law of a row stay; these settings may change with its training.
+        changing = {"initial_range", "termination_penalty", "control_dt", "total_torque"}
+        found, expected = (
+            {name: value for name, value in kwargs.items() if name not in changing}
+            for kwargs in (policy.env_kwargs, settings.env_kwargs())
+        )
+        assert found == expected
         assert policy.algorithm == settings.algo
         assert [bias.size for _, bias in policy.layers] == [settings.hidden, settings.hidden, 1]
 

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from stable_baselines3 import PPO
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import train as command_line
-from agents.fast_ppo import FastPPO
 from agents.training import callbacks, checkpoint, loop
 from agents.training.algorithms import make_env
 from agents.training.checkpoint import locked
@@ -35,18 +35,7 @@ SMALL = {"num_envs": 8, "batch_size": 64, "hidden": 8, "evaluation_episodes": 1,
 ON_POLICY: dict[str, Any] = {"n_steps": 16, "n_epochs": 1, "total_steps": 800}
 OFF_POLICY: dict[str, Any] = {"learning_starts": 150, "buffer_size": 600, "gradient_steps": 1, "total_steps": 800}
 OWN = {
-    "ppo": {
-        **ON_POLICY,
-        "episode_seconds": 0.2,
-        "identifies": True,
-        "privileged_critic": True,
-        "energy_weights": (0.1, 10.0),
-        "jump_rate": 2.0,
-        "randomization": "wide",
-        "tanh_mean": True,
-        "least_log_std": -0.4,
-        "critic_steps": 300,
-    },
+    "ppo": {**ON_POLICY, "episode_seconds": 0.2, "randomization": "wide"},
     "sac": {**OFF_POLICY, "n_steps": 3, "action_noise": 0.2, "noise_time": 0.25},
     "td3": {**OFF_POLICY, "noise_time": 0.25},
     "recurrent-ppo": ON_POLICY,
@@ -172,7 +161,7 @@ def test_a_checkpoint_that_cannot_be_understood_is_named(tmp_path):
     path.write_bytes(hashlib.sha256(b"no pickle").digest() + b"no pickle")
     assert checkpoint.newest_whole(tmp_path) == path
     with pytest.raises(RunError, match=f"{path} cannot be read"):
-        checkpoint.restore(path, FastPPO, make_env(small("ppo"), 0))
+        checkpoint.restore(path, PPO, make_env(small("ppo"), 0))
 
 
 def test_two_processes_cannot_train_one_run(tmp_path, capsys, whole):
@@ -227,7 +216,6 @@ REFUSED = [
     ["--seed", "5000000000"],
     ["--n-steps", "1", "--num-envs", "1"],
     ["--episode-seconds", "0"],
-    ["--energy-weights", "0", "1"],
     ["--torque-limit", "0"],
     ["--algo", "sac", "--tau", "0"],
     ["--algo", "tqc", "--dropped-quantiles", "25"],

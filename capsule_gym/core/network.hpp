@@ -1,0 +1,221 @@
+// A trained policy in strict double precision, for up to LANES environments at once: inputs, layers, action.
+//
+// Each unit adds its inputs in their order, bias first, by fused multiply-adds, so that an action depends only on its
+// own observation, not on the batch or the instruction set. A register holds one unit of several environments or, where
+// there are few, several units of one environment.
+#pragma once
+#include "identification.hpp"
+#include "layout.hpp"
+
+// The header of a network, SI units; conditions are 0.0 or 1.0.
+#define CAPSULE_NETWORK(FIELD)                                                                                         \
+  /* Number of layers; whether max(0, .) follows the hidden layers, else tanh; whether tanh brings the last output to  \
+     [-1, 1], else it is clipped; largest size of a normalised input. */                                               \
+  FIELD(layers) FIELD(relu) FIELD(tanh_squashing) FIELD(clip)                                                          \
+  /* Number of inputs, and of those that are the environment's observation; whether the estimates of M and mu follow   \
+     the observation, and then the logarithm of the energy weight in cm/J. */                                          \
+  FIELD(inputs) FIELD(observed) FIELD(identifies) FIELD(observes_energy_weight) FIELD(log_energy_weight)               \
+  /* Whether the output is the total torque in torque limits, from which a law's torque is subtracted; the entry of    \
+     the observation with that torque, or -1.0 without a law. */                                                       \
+  FIELD(outputs_torque) FIELD(law_torque) FIELD(torque_limit) FIELD(residual_limit)                                    \
+  /* Ball, pendulum and gravitational acceleration that the filter of M and mu assumes; time between two actions. */   \
+  FIELD(m) FIELD(l) FIELD(g) FIELD(dt)
+
+namespace LEVEL {
+
+struct Header {
+#define FIELD(name) double name;
+  CAPSULE_NETWORK(FIELD)
+#undef FIELD
+};
+
+// Units and environments are padded to multiples of it: the numbers of the widest register.
+constexpr int PADDING = 8;
+constexpr int padded(int width) { return (width + PADDING - 1) / PADDING * PADDING; }
+// Total torque, in torque limits, above which the action is the whole residual: the law's torque may change before the
+// next action, and the torque limit then keeps the sum at the limit.
+constexpr double SATURATION = 0.9;
+
+// A packed network, aligned to 64 bytes. Its parts follow each other, each padded with zeros to a multiple of PADDING:
+// header, widths (inputs and the units of each layer), mean and scale of the inputs, and for each layer the biases and
+// the weights, one row of padded units for each input.
+struct Network {
+  const Header& header;
+  const double *widths, *mean, *scale, *layers;
+  int widest = 0;  // padded
+
+  explicit Network(const double* packed)
+      : header(*(const Header*)packed),
+        widths(packed + padded(sizeof(Header) / sizeof(double))),
+        mean(widths + padded((int)header.layers + 1)),
+        scale(mean + padded((int)header.inputs)),
+        layers(scale + padded((int)header.inputs)) {
+    for (int i = 0; i <= header.layers; i++)
+      if (int width = padded((int)widths[i]); width > widest) widest = width;
+  }
+};
+
+struct Layer {
+  int inputs, outputs, units;  // units: outputs, padded
+  const double *bias, *weights;
+};
+
+// Adds the products of ROWS scalars and PACKS registers to the sums, for each input. The scalars of the next input lie
+// `scalar_step` further, its registers `vector_step`.
+template <class T, int ROWS, int PACKS>
+INLINE void add_products(int inputs, const double* scalars, int scalar_step, const double* vectors, int vector_step,
+                         T (&sums)[ROWS][PACKS]) {
+  for (int i = 0; i < inputs; i++, scalars += scalar_step, vectors += vector_step) {
+    T v[PACKS];
+    for (int p = 0; p < PACKS; p++) v[p] = load<T>(vectors + p * WIDTH<T>);
+    for (int r = 0; r < ROWS; r++)
+      for (int p = 0; p < PACKS; p++) sums[r][p] = fma(T(scalars[r]), v[p], sums[r][p]);
+  }
+}
+
+// The sums of PACKS registers of units, from k on, of one environment.
+template <class T, int PACKS>
+INLINE void add_units(const Layer& layer, int k, const double* values, double* sums) {
+  T s[1][PACKS];
+  for (int p = 0; p < PACKS; p++) s[0][p] = load<T>(layer.bias + k + p * WIDTH<T>);
+  add_products<T>(layer.inputs, values, 1, layer.weights + k, layer.units, s);
+  for (int p = 0; p < PACKS; p++) store(sums + k + p * WIDTH<T>, s[0][p]);
+}
+
+// The sums of ROWS units, from k on, of PACKS registers of environments.
+template <class T, int ROWS, int PACKS>
+INLINE void add_lanes(const Layer& layer, int k, const double* values, int rows, double* sums) {
+  T s[ROWS][PACKS];
+  for (int r = 0; r < ROWS; r++)
+    for (int p = 0; p < PACKS; p++) s[r][p] = layer.bias[k + r];
+  add_products<T>(layer.inputs, layer.weights + k, layer.units, values, rows, s);
+  for (int r = 0; r < ROWS; r++)
+    for (int p = 0; p < PACKS; p++) store(sums + (k + r) * rows + p * WIDTH<T>, s[r][p]);
+}
+
+// The sums of all units of a layer for 1 environment or a multiple of PADDING, `rows`; the values of an input, and the
+// sums of a unit, lie side by side.
+template <class T> NOINLINE void affine(const Layer& layer, const double* values, int rows, double* sums) {
+  // Registers of PADDING numbers, and as many as can be added to at once.
+  constexpr int NARROW = PADDING / WIDTH<T>, WIDE = NARROW == 1 ? 4 : NARROW;
+  if (rows == 1) {
+    int k = 0;
+    for (; k + 8 * WIDTH<T> <= layer.units; k += 8 * WIDTH<T>) add_units<T, 8>(layer, k, values, sums);
+    for (; k < layer.units; k += PADDING) add_units<T, NARROW>(layer, k, values, sums);
+    return;
+  }
+  auto add = [&]<int PACKS>(int j) {
+    int k = 0;
+    for (; k + 4 <= layer.outputs; k += 4) add_lanes<T, 4, PACKS>(layer, k, values + j, rows, sums + j);
+    for (; k < layer.outputs; k++) add_lanes<T, 1, PACKS>(layer, k, values + j, rows, sums + j);
+  };
+  int j = 0;
+  for (; j + WIDE * WIDTH<T> <= rows; j += WIDE * WIDTH<T>) add.template operator()<WIDE>(j);
+  for (; j < rows; j += PADDING) add.template operator()<NARROW>(j);
+}
+
+// Applies the activation; NaN stays NaN.
+template <class T> NOINLINE void activate(double* sums, int count, bool relu) {
+  for (int j = 0; j < count; j += WIDTH<T>) {
+    T total = load<T>(sums + j);
+    store(sums + j, relu ? select(total < 0.0, T(0.0), total) : tanh(total));
+  }
+}
+
+// The outputs for inputs of shape (n, stride), of one environment or of at least PADDING.
+template <class T>
+inline const double* forward(const Network& network, const float* inputs, long long stride, int n, double* values,
+                             double* sums) {
+  const Header& header = network.header;
+  int rows = n == 1 ? 1 : padded(n);
+  double size = header.clip;
+  for (int i = 0; i < header.inputs; i++) {
+    double *row = values + i * rows, mean = network.mean[i], scale = network.scale[i];
+    for (int j = 0; j < rows; j++) row[j] = j < n ? inputs[j * stride + i] : 0.0;
+    for (int j = 0; j < rows; j++) row[j] = clip((row[j] - mean) * scale, size);
+  }
+  const double* next = network.layers;
+  for (int i = 0; i < header.layers; i++) {
+    Layer layer = {(int)network.widths[i], (int)network.widths[i + 1], padded((int)network.widths[i + 1]), next, next};
+    layer.weights += layer.units;
+    next = layer.weights + layer.inputs * layer.units;
+    affine<T>(layer, values, rows, sums);
+    if (i < header.layers - 1) activate<T>(sums, n == 1 ? layer.units : layer.outputs * rows, header.relu != 0.0);
+    double* other = values;
+    values = sums, sums = other;
+  }
+  if (header.tanh_squashing != 0.0) activate<T>(values, n == 1 ? PADDING : rows, false);
+  return values;
+}
+
+// Writes the network's inputs of n environments, shape (n, inputs): the observation, shape (n, entries), and what the
+// policy adds to it. `memory`, of n environments, is changed, and not read without identification.
+inline void write_inputs(const Header& header, const float* observations, long long entries, long long n,
+                         Identification* memory, float* inputs) {
+  for (long long i = 0; i < n; i++) {
+    const float* observed = observations + i * entries;
+    for (int k = 0; k < header.observed; k++) *inputs++ = observed[k];
+    if (header.identifies != 0.0) {
+      identify(memory[i], observed[0], observed[1], observed[2], header.m, header.l, header.g, header.dt);
+      auto [M, log_mu, M_deviation, log_mu_deviation] = estimates(memory[i]);
+      *inputs++ = (float)M, *inputs++ = (float)log_mu;
+      *inputs++ = (float)M_deviation, *inputs++ = (float)log_mu_deviation;
+    }
+    if (header.observes_energy_weight != 0.0) *inputs++ = (float)header.log_energy_weight;
+  }
+}
+
+// The action in [-1, 1] for an output of the network, which is the action or the total torque in torque limits, and the
+// torque of the law at this instant, N m.
+inline double to_action(const Header& header, double output, double law_torque) {
+  double wanted = clip(output, 1.0);
+  if (header.outputs_torque == 0.0) return wanted;
+  if (abs(wanted) > SATURATION) return wanted > 0.0 ? 1.0 : -1.0;
+  return clip((header.torque_limit * wanted - law_torque) / header.residual_limit, 1.0);
+}
+
+// Bytes of the working memory of `act` for n environments.
+inline long long workspace_size(const Network& network, int n) {
+  return 64 + (16LL * network.widest + 4 * (long long)network.header.inputs) * padded(n);
+}
+
+// The actions in [-1, 1] of n <= LANES environments from `first` on. The observations, shape (.., entries), and the
+// memory are those of all environments.
+template <class T = Pack>
+inline void act(const Network& network, const float* observations, long long entries, long long first, int n,
+                Identification* memory, void* workspace, double* actions) {
+  const Header& header = network.header;
+  // A wide load that crosses a cache line takes twice as long.
+  double* values = (double*)(((Word)workspace + 63) & ~63ULL);
+  double* sums = values + network.widest * padded(n);
+  const float* inputs = observations += first * entries;
+  long long stride = entries;
+  if (header.inputs > header.observed) {
+    float* written = (float*)(sums + network.widest * padded(n));
+    write_inputs(header, observations, entries, n, memory + first, written);
+    inputs = written, stride = (long long)header.inputs;
+  }
+  // A few environments one after the other, in registers of units.
+  int together = n < PADDING ? 1 : n;
+  for (int j = 0; j < n; j += together) {
+    const double* outputs = forward<T>(network, inputs + j * stride, stride, together, values, sums);
+    for (int i = j; i < j + together; i++) {
+      double law_torque = header.law_torque < 0.0 ? 0.0 : observations[i * entries + (int)header.law_torque];
+      actions[i] = to_action(header, outputs[i - j], law_torque);
+    }
+  }
+}
+
+// The actions of any number of environments, with working memory for min(n, LANES).
+template <class T = Pack>
+inline void act_batch(const Network& network, const float* observations, long long entries, long long n,
+                      Identification* memory, void* workspace, float* actions) {
+  double found[LANES];
+  for (long long first = 0; first < n; first += LANES) {
+    int count = n - first < LANES ? (int)(n - first) : LANES;
+    act<T>(network, observations, entries, first, count, memory, workspace, found);
+    for (int j = 0; j < count; j++) actions[first + j] = (float)found[j];
+  }
+}
+
+}  // namespace LEVEL
