@@ -159,7 +159,7 @@ def run_cycles(
 
 
 def _record_cycle(simulation: Simulation, running: np.ndarray) -> np.ndarray:
-    """The largest of each of `ERRORS` in a cycle, shape (3, plants); the simulation takes a step per call of the law."""
+    """The largest of each of `ERRORS` in a cycle, shape (3, plants); a step is one call of the law."""
     active, nothing, steps = running.copy(), np.zeros(len(running)), len(simulation.reference)
     states, clocks = np.empty((steps, 2, len(running))), np.empty((steps, len(running)))
     for n in range(steps):
