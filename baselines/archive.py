@@ -46,7 +46,7 @@ class PlantGrid:
     @cached_property
     def log_mu(self) -> tuple[float, ...]:
         """The logarithms of mu."""
-        return tuple(log(self.mu).tolist())
+        return tuple(log(np.array(self.mu)).tolist())
 
     @property
     def plants(self) -> tuple[tuple[float, float], ...]:

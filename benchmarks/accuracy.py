@@ -101,12 +101,12 @@ def run(torques: np.ndarray, plant: Plant, step: float) -> np.ndarray:
     """
     from capsule_gym import dynamics
 
-    state: Any = [np.full(torques.shape[1], value) for value in START]
-    states, steps = [state], round(task.CONTROL_DT / step)
+    state: tuple[Any, Any, Any, Any] = START
+    states, steps = [np.tile(np.array(START)[:, None], torques.shape[1])], round(task.CONTROL_DT / step)
     for u in torques:
         for _ in range(steps):
             state = dynamics.step(*state, u, plant, task.CONTROL_DT / steps)[:4]
-        states.append(state)
+        states.append(np.array(state))
     return np.array(states)
 
 

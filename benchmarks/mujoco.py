@@ -188,11 +188,11 @@ def largest_creep(load: float, timestep: float) -> float:
     from capsule_gym import dynamics
 
     plant = Capsule().plant()
-    state, largest = [CENTRE - SWING, 0.0, 0.0, 0.0], 0.0
+    largest = 0.0
+    state: tuple[Any, Any, Any, Any] = (CENTRE - SWING, 0.0, 0.0, 0.0)
     for _ in range(round(CREEP_SECONDS / timestep)):
-        motion = dynamics.step(*state, load_torque(load, state[0], state[1], plant), plant, timestep)
-        state = [float(each) for each in motion[:4]]
-        largest = max(largest, abs(state[3]))
+        state = dynamics.step(*state, load_torque(load, state[0], state[1], plant), plant, timestep)[:4]
+        largest = max(largest, abs(float(state[3])))
     return largest
 
 

@@ -35,7 +35,7 @@ FAILED = -1.0
 MAX_NODE_RATE = 40.0
 
 
-def stretched(y: np.ndarray | float) -> np.ndarray | float:
+def stretched(y: np.ndarray) -> np.ndarray:
     """The coordinate s of y."""
     return y / (STRETCH + abs(y))
 
@@ -44,7 +44,7 @@ def coordinates(states: np.ndarray, q: np.ndarray | float) -> tuple[np.ndarray, 
     """theta, s and w of states theta (rad), theta_dot (rad/s) and x_dot (m/s), shape (3, ..); q is m l / (M + m), m."""
     theta, theta_dot, x_dot = states
     cos, rate = sincos(theta)[1], x_dot / q
-    return theta, np.asarray(stretched(rate / np.maximum(cos, MIN_COSINE))), rate - cos * theta_dot
+    return theta, stretched(rate / np.maximum(cos, MIN_COSINE)), rate - cos * theta_dot
 
 
 def clamped(positions: np.ndarray, last: np.ndarray | float) -> np.ndarray:
@@ -124,7 +124,7 @@ class Grid:
     @property
     def axes(self) -> np.ndarray:
         """First node and spacing along theta, s and w, shape (3, 2)."""
-        low, high = stretched(self.y[0]), stretched(self.y[1])
+        low, high = stretched(np.array(self.y)).tolist()
         spacing = (high - low) / (self.shape[1] - 1)
         # A node lies at s = 0.
         first = -round(-low / spacing) * spacing

@@ -121,8 +121,8 @@ def largest_acceleration(theta: np.ndarray, theta_dot: np.ndarray, u: float, pla
     slip = np.array([[0.0], [1.0], [1.0], [-1.0]])
     found = []
     for p in plants:
-        rough = p._replace(mu=np.array([[0.0], [0.0], [p.mu], [p.mu]]))
-        found.append(dynamics.accelerations(theta, theta_dot, 0.0, slip, u, rough).theta_ddot)
+        friction: Any = np.array([[0.0], [0.0], [p.mu], [p.mu]])
+        found.append(dynamics.accelerations(theta, theta_dot, 0.0, slip, u, p._replace(mu=friction)).theta_ddot)
     return np.concatenate(found).max(axis=0)
 
 
@@ -259,7 +259,7 @@ def torque_enough(velocity: float, low: float, high: float) -> float:
     p = Capsule().plant()
 
     def fails(torque: float) -> bool:
-        state: Sequence[Any] = (low, 0.0, 0.0, 0.0)
+        state: tuple[Any, Any, Any, Any] = (low, 0.0, 0.0, 0.0)
         for _ in range(LONGEST_SWING):
             state = dynamics.step(*state, torque, p, 1e-3)[:4]
             theta, theta_dot = float(state[0]), float(state[1])

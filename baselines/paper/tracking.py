@@ -192,13 +192,17 @@ def displacement(motion: Sequence[np.ndarray], p: Plant, h: float) -> float:
         p: the plant.
         h: length of the steps, s.
     """
-    # With the first step of the next cycle, whose start is the end of this one.
-    x, x_dot, _ = platform_motion(*(np.append(each, each[0]) for each in motion), h, p)
+    x, x_dot, _ = _slide(motion, 1, p, h)
     if x_dot[-1] != 0.0:
-        x, _, _ = platform_motion(*(np.append(np.tile(each, CYCLES), each[0]) for each in motion), h, p)
-        return float(x[-1])
+        return float(_slide(motion, CYCLES, p, h)[0, -1])
     # A platform that rests at the end of the cycle moves in the same way in the next one.
     return float(CYCLES * x[-1])
+
+
+def _slide(motion: Sequence[np.ndarray], cycles: int, p: Plant, h: float) -> np.ndarray:
+    """The platform's motion over some cycles from rest, with the first step of the next one, whose start is the end."""
+    angle, velocity, acceleration = (np.append(np.tile(each, cycles), each[0]) for each in motion)
+    return platform_motion(angle, velocity, acceleration, h, p)
 
 
 @dataclass(frozen=True)
