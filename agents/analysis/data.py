@@ -14,6 +14,8 @@ from agents.evaluation.criteria import CRITERIA
 from agents.evaluation.statistics import estimate
 from agents.leaderboard.rows import Row
 from agents.training.config import EVALUATIONS
+from baselines.dynamic_programming.archive import optimal_front
+from baselines.gaits.archive import pareto_front
 from capsule_gym.evaluation_sets import EvaluationSet
 
 SPEED = "mean_speed"
@@ -72,9 +74,5 @@ def read_learning(folder: Path, task: str = "speed") -> Learning:
 
 def fronts() -> dict[str, list[tuple[float, float]]]:
     """The known Pareto fronts of the nominal plant: pairs of cost of transport and mean speed (cm/s), slowest first."""
-    # Imported here, since the import is slow and --help does not need it.
-    from baselines.dynamic_programming.archive import optimal_front
-    from baselines.gaits.archive import pareto_front
-
     gaits = [(gait.cost_of_transport, gait.mean_speed) for gait in pareto_front()]
     return {"best-known gaits": gaits, "optimum": optimal_front()}

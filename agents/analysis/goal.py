@@ -16,13 +16,11 @@ import numpy as np
 from agents.analysis.data import Document
 from agents.evaluation.episodes import evaluate, scores
 from baselines.tables import markdown_table
-from capsule_gym._core import HOLD
+from capsule_gym._core import HOLD, TOLERANCE
 from capsule_gym.evaluation_sets import PlantSpec, load_set
 from capsule_gym.parameters import Capsule
 
 POLICY = "goal-pulses"
-# Largest distance from the goal at rest, m; as in capsule_gym/core/tasks/goal.hpp.
-TOLERANCE = 0.002
 # Times t before the rest, s. Each gives a valid bound, and the largest bound is used.
 TIMES = np.linspace(0.0, 15.0, 1501)
 
