@@ -141,7 +141,9 @@ def compose(title: str, rows: Sequence[Row], sets: Sequence[EvaluationSet], lear
     if task == "speed":
         parts.append(_figure("Speed against cost of transport on nominal", draw_transport, rows))
         parts.append(_figure("Performance profiles on paper and wide", draw_profiles, rows))
-    parts.append("<p>Interquartile means with 95 % intervals for other training runs on other plants; shares are means.")
+    parts.append(
+        "<p>Interquartile means, of shares means, with 95 % intervals for other training runs on other plants."
+    )
     head = f"<meta charset='utf-8'>\n<title>{html.escape(title)}</title>\n<style>{STYLE}</style>"
     return "\n".join(["<!doctype html>", head, *parts, ""])
 

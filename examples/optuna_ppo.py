@@ -35,7 +35,9 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("runs/optuna"))
     args = parser.parse_args()
     # A training seed of its own, so that the settings do not overfit those of published runs.
-    base = dataclasses.replace(row_settings(args.row), seed=1000, total_steps=args.steps, evaluate_every=args.steps // 8)
+    base = dataclasses.replace(
+        row_settings(args.row), seed=1000, total_steps=args.steps, evaluate_every=args.steps // 8
+    )
 
     def objective(trial: optuna.Trial) -> float:
         scores: list[float] = []

@@ -118,7 +118,7 @@ def draw_learning(
 
 
 def draw_transport(rows: Sequence[Row]) -> Any:
-    """Draws speed against cost of transport on the nominal plant, with the known fronts; the note lists rows without."""
+    """Draws speed against cost of transport on the nominal plant, with the known fronts."""
     from matplotlib.ticker import LogLocator
 
     figure = new_figure(max(4.4, 1.4 + 0.145 * len(rows)))

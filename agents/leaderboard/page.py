@@ -148,8 +148,7 @@ def _difference(row: Mapping[str, Any], set_name: str) -> str:
 def _cells(row: Mapping[str, Any], place: int, baseline: float, best: float) -> dict[str, str]:
     """The texts of all cells of a row of leaderboard.json, by the keys used in the tables.
 
-    `baseline` is the speed of the paper's controller on the ranking set, and `best` the speed of the fastest policy of
-    the paper's method, both in cm/s.
+    `baseline` and `best` are the speeds of the paper's controller and of its method's fastest policy, in cm/s.
     """
     summary, disturbed = row["results"][RANKING_SET], row["disturbed"]
     width = SPEED.format(disturbed["high"] - disturbed["low"])

@@ -24,6 +24,7 @@ from capsule_gym.policy import POLICY
 # Written into a run's folder when its training is complete.
 FINISHED = "finished"
 
+
 @dataclass(frozen=True)
 class Job:
     """One run of a study."""

@@ -55,8 +55,8 @@ def validation_plants(config: Config) -> EvaluationSet:
 class TrainingCallback(BaseCallback):
     """Progress bar, log, evaluations on validation plants, checkpoints and the best model.
 
-    `restore_streams` is called when the agent begins to learn; `latest` is the checkpoint from which the run is resumed,
-    if any, and `revision` the git revision of its start. `report` gets all evaluations after each one.
+    `restore_streams` is called when the agent begins to learn; `latest` is the checkpoint from which the run is
+    resumed, if any, and `revision` the git revision of its start. `report` gets all evaluations after each one.
     """
 
     def __init__(

@@ -54,6 +54,7 @@ RANGES: dict[str, tuple[str, float, float, bool]] = {
     "training_limit": ("a finite number > 0 (N m)", 0.0, math.inf, True),
     "action_noise": ("a finite number >= 0", 0.0, math.inf, False),
     "noise_time": ("a finite number >= 0", 0.0, math.inf, False),
+    "observation_scale": ("three finite numbers > 0", 0.0, math.inf, True),
 }
 
 
@@ -172,7 +173,8 @@ class Config:
                 check_integer(name, value, accepted, least, most)
             elif name in RANGES and value is not None:
                 accepted, low, high, open_low = RANGES[name]
-                check_number(name, value, accepted, low, high, open_low=open_low)
+                for number in value if isinstance(value, tuple) else (value,):
+                    check_number(name, number, accepted, low, high, open_low=open_low)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,12 +229,6 @@ class OffPolicyConfig(Config):
     noise_time: float = 0.0
     """Time over which that noise is correlated, s: uncorrelated noise hardly swings the pendulum."""
 
-    def check(self) -> None:
-        """Also checks the factors of the observation."""
-        super().check()
-        for factor in self.observation_scale or ():
-            check_number("observation_scale", factor, "three finite numbers > 0", 0.0, math.inf, open_low=True)
-
 
 @dataclass(frozen=True, kw_only=True)
 class SACConfig(OffPolicyConfig):
@@ -275,10 +271,7 @@ ALGORITHMS: dict[Algorithm, type[Config]] = {
 
 
 def read_config(run: Path) -> Config:
-    """Reads the configuration of a run.
-
-    Args:
-        run: the run's folder.
+    """Reads the configuration in the folder of a run.
 
     Raises:
         RunError: if the file does not exist or is invalid.

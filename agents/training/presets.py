@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from typing import Any
 
 from agents.training.config import (
@@ -220,12 +219,12 @@ def preset(env: Environment, task: Task, algo: Algorithm) -> Config:
     return dataclasses.replace(PRESETS[task, algo], **shared)
 
 
-def row_settings(name: str, choices: Mapping[str, Config] = ROWS) -> Config:
-    """The settings of a row of the leaderboard with seed 0, or of another of `choices`, by name.
+def row_settings(name: str) -> Config:
+    """The settings of a row of the leaderboard, with seed 0.
 
     Raises:
         ValueError: if the name is unknown.
     """
-    if name not in choices:
-        raise ValueError(f"a row must be one of {', '.join(choices)}, got {name!r}{nearest(name, choices)}")
-    return choices[name]
+    if name not in ROWS:
+        raise ValueError(f"a row must be one of {', '.join(ROWS)}, got {name!r}{nearest(name, ROWS)}")
+    return ROWS[name]
