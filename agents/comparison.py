@@ -61,7 +61,8 @@ def record(
     env = CapsuleEnv(**{**policy.env_kwargs, **evaluation_set.env_kwargs}, render_mode="rgb_array")
     act, dt = policy.start([plant.seed]), env.simulation.options.control_dt
     observation, info = env.reset(seed=plant.seed, options=plant.reset_options())
-    samples, pictures, ended = [(0.0, *info["state"], info["torque"])], [], False
+    samples, ended = [(0.0, *info["state"], info["torque"])], False
+    pictures: list[Any] = []
     while not ended and len(samples) <= round(seconds / dt):
         if frames and samples[-1][0] + 0.5 * dt > len(pictures) * FRAME_SECONDS:
             pictures.append(env.render())

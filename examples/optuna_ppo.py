@@ -3,27 +3,26 @@
 import argparse
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import optuna
 
-from agents.training.config import Config
 from agents.training.loop import begin, train
 from agents.training.presets import row_settings
 
 
-def suggest(trial: optuna.Trial, base: Config) -> Config:
+def suggest(trial: optuna.Trial) -> dict[str, Any]:
     """The settings of a trial; gamma and lambda are sampled by their distance from 1."""
     learning_rate = trial.suggest_float("learning_rate", 1e-4, 3e-3, log=True)
-    return dataclasses.replace(
-        base,
-        learning_rate=learning_rate,
-        final_learning_rate=learning_rate * trial.suggest_float("final_over_first", 0.03, 1.0, log=True),
-        gamma=1.0 - trial.suggest_float("one_minus_gamma", 1e-3, 3e-2, log=True),
-        gae_lambda=1.0 - trial.suggest_float("one_minus_lambda", 5e-3, 1e-1, log=True),
-        batch_size=trial.suggest_categorical("batch_size", [1024, 2048, 4096]),
-        n_epochs=trial.suggest_int("n_epochs", 3, 10),
-        log_std_init=trial.suggest_float("log_std_init", -1.5, 0.0),
-    )
+    return {
+        "learning_rate": learning_rate,
+        "final_learning_rate": learning_rate * trial.suggest_float("final_over_first", 0.03, 1.0, log=True),
+        "gamma": 1.0 - trial.suggest_float("one_minus_gamma", 1e-3, 3e-2, log=True),
+        "gae_lambda": 1.0 - trial.suggest_float("one_minus_lambda", 5e-3, 1e-1, log=True),
+        "batch_size": trial.suggest_categorical("batch_size", [1024, 2048, 4096]),
+        "n_epochs": trial.suggest_int("n_epochs", 3, 10),
+        "log_std_init": trial.suggest_float("log_std_init", -1.5, 0.0),
+    }
 
 
 def main() -> None:
@@ -48,7 +47,8 @@ def main() -> None:
             if trial.should_prune():
                 raise optuna.TrialPruned
 
-        begin(run := args.folder / args.row / f"trial-{trial.number}", suggest(trial, base))
+        config = dataclasses.replace(base, **suggest(trial))
+        begin(run := args.folder / args.row / f"trial-{trial.number}", config)
         if not train(run, report=report):
             raise KeyboardInterrupt
         return max(scores)

@@ -207,6 +207,6 @@ def evaluate_wrapped(model: BaseAlgorithm, config: Config, plants: EvaluationSet
         if step["done"]:
             found[step["i"]] = step["info"]["metrics"]
 
-    evaluate_policy(model, env, len(plants.plants), callback=keep, warn=False)  # type: ignore[arg-type]  # as PPO
+    evaluate_policy(model, env, len(plants.plants), callback=keep, warn=False)
     env.close()
     return [{"M": each.M, "mu": each.mu, "seed": each.seed, **found[i]} for i, each in enumerate(plants.plants)]
