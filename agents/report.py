@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from tabulate import tabulate
-from tyro.conf import arg
 
 from agents.analysis.data import Learning, rank, read_learning
 from agents.analysis.figures import draw_learning, draw_profiles, draw_transport
@@ -23,7 +22,7 @@ from agents.evaluation.policies import CHECKPOINTS, Candidate, all_candidates, f
 from agents.leaderboard.rows import RESULTS, Row, evaluate_run, load_row, make_row, path_of
 from agents.training.config import BEST, MODEL
 from baselines.drawing import DPI, style
-from capsule_gym.command_line import Positional, check_output, parse, refuse
+from capsule_gym.command_line import Positional, arg, check_output, parse, refuse
 from capsule_gym.evaluation_sets import SET_NAMES, TASK_SET_NAMES, EvaluationSet, load_set
 from capsule_gym.files import write_atomically
 from capsule_gym.policy import POLICY

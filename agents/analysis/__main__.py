@@ -8,10 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import arg
-
 from agents.analysis import goal, residual_limit, sensitivity, statistics
-from capsule_gym.command_line import Positional, parse, refuse
+from capsule_gym.command_line import Positional, arg, parse, refuse
 from capsule_gym.files import write_atomically
 
 COMMAND = "python -m agents.analysis"

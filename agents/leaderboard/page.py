@@ -128,12 +128,6 @@ def _ranked(rows: Sequence[Row], sets: Sequence[EvaluationSet], task: str) -> li
     return sorted(content, key=place)
 
 
-def rows_of(board: Mapping[str, Any], task: str) -> list[dict[str, Any]]:
-    """The rows of a task in leaderboard.json."""
-    found: list[dict[str, Any]] = board["rows"] if task == "speed" else board["tasks"].get(task, {}).get("rows", [])
-    return found
-
-
 def _interval(metric: TableMetric, summary: Mapping[str, Any]) -> str:
     """Formats a metric with its interval; the only possible line break is between the two."""
     return metric.with_interval(summary[metric.name]).replace(", ", ",\N{NO-BREAK SPACE}")

@@ -9,14 +9,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import arg
-
 from agents.study.jobs import plan, publish, results_table, train_all
 from agents.training.config import RunError
 from agents.training.presets import ROWS
 from agents.training.signals import INTERRUPTED
 from capsule_gym.checks import check_count
-from capsule_gym.command_line import Positional, parse, refuse
+from capsule_gym.command_line import Positional, arg, parse, refuse
 
 PROG = "python -m agents.study"
 

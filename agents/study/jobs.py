@@ -27,11 +27,11 @@ FINISHED = "finished"
 
 @dataclass(frozen=True)
 class Job:
-    """One run of a study."""
+    """One run of a study: row of the leaderboard, its settings with the training seed, and the run's folder."""
 
-    row: str  # row of the leaderboard
-    config: Config  # settings of the row, with the training seed
-    run: Path  # folder of the run
+    row: str
+    config: Config
+    run: Path
 
     @property
     def name(self) -> str:

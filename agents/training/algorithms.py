@@ -104,22 +104,16 @@ def schedule(config: Config) -> LinearSchedule:
 def make_model(config: Config, env: VecNormalize) -> BaseAlgorithm:
     """Creates an untrained agent in the environments of `make_env`."""
     network: dict[str, Any] = {"net_arch": [config.hidden, config.hidden]}
-    kwargs: dict[str, Any] = {
-        "learning_rate": schedule(config),
-        "batch_size": config.batch_size,
-        "gamma": config.gamma,
-        "seed": config.seed,
-        "device": "cpu",
-    }
+    kwargs: dict[str, Any] = {"learning_rate": schedule(config), "device": "cpu"}
+    names: tuple[str, ...] = ("batch_size", "gamma", "seed")
     policy = "MlpPolicy"
-    names: tuple[str, ...]
     if isinstance(config, OnPolicyConfig):
         network["log_std_init"] = config.log_std_init
-        names = ("n_steps", "n_epochs", "gae_lambda", "ent_coef")
+        names += ("n_steps", "n_epochs", "gae_lambda", "ent_coef")
     else:
-        kwargs["train_freq"] = 1
-        names = ("buffer_size", "learning_starts", "gradient_steps", "tau")
         assert isinstance(config, OffPolicyConfig)
+        kwargs["train_freq"] = 1
+        names += ("buffer_size", "learning_starts", "gradient_steps", "tau")
         if config.action_noise > 0.0:
             kwargs["action_noise"] = make_noise(config)
         if config.n_steps > 1:
