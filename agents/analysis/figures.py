@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -85,34 +84,21 @@ def draw_profiles(rows: Sequence[Row], set_names: Sequence[str] = PROFILED_SETS)
     return figure
 
 
-def draw_learning(
-    learning: Mapping[str, Learning],
-    metric: TableMetric = TABLE_METRICS[SPEED],
-    baseline: tuple[str, float] | None = None,
-) -> Any:
-    """Draws learning curves: the metric of all seeds over steps, and the interquartile mean, one panel per row.
-
-    Args:
-        learning: evaluations during training, by the row's name.
-        metric: the metric of the curves.
-        baseline: description and metric of a policy to compare with.
-    """
+def draw_learning(learning: Mapping[str, Learning], metric: TableMetric = TABLE_METRICS[SPEED]) -> Any:
+    """Draws the metric of all seeds over steps, and the interquartile mean, one panel per row of `learning`."""
     figure, places = _panels(list(learning), 0.75)
     for runs, axes in zip(learning.values(), places, strict=False):
         for steps, values in runs.values():
             # A run with a single evaluation is drawn as a point.
             axes.plot(steps / 1e6, values, "." if len(values) == 1 else "-", color=MUTED, linewidth=0.5, alpha=0.6)
         curve = learning_curve(list(runs.values()))
-        _plot_curve(axes, replace(curve, x=curve.x / 1e6), PENS[0])
-        if baseline:
-            axes.axhline(baseline[1], color=INK, linewidth=0.9, linestyle=(0.0, (4.0, 2.0)))
+        _plot_curve(axes, curve._replace(x=curve.x / 1e6), PENS[0])
     axes.set(xlim=(0.0, None), ylim=(0.0, None))
     figure.supylabel(metric.label, fontsize=8.0)
     add_note(
         figure,
         "Horizontal: millions of agent steps. Evaluations on each run's validation plants, never on a frozen set; "
-        "grey: the training seeds; blue: their interquartile mean, band: 95 %."
-        + (f" Dashed: {baseline[0]}." if baseline else ""),
+        "grey: the training seeds; blue: their interquartile mean, band: 95 %.",
     )
     return figure
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import platform
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -241,9 +242,7 @@ def versions() -> dict[str, str]:
     """Versions of this package, of Python and of the packages that a result depends on."""
     found = {"capsule_gym": __version__, "python": platform.python_version()}
     for package in PACKAGES:
-        try:
+        # Scripted policies need neither torch nor Stable-Baselines3.
+        with suppress(PackageNotFoundError):
             found[package] = version(package)
-        except PackageNotFoundError:
-            # Scripted policies need neither torch nor Stable-Baselines3.
-            continue
     return found

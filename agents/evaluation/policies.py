@@ -6,7 +6,7 @@ policy file; docs/evaluation.md shows how to evaluate one.
 
 from __future__ import annotations
 
-import importlib
+import pkgutil
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -195,18 +195,15 @@ def _imported(name: str, trust: bool) -> Candidate:
     """Imports the policy "module:attribute"."""
     if not trust:
         raise ValueError(f"importing policy {name!r} runs its code; --trust allows it")
-    module_name, _, attribute = name.partition(":")
     # Finds modules in the current folder, as for a script.
     sys.path.insert(0, "")
     try:
-        module = importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
+        policy = pkgutil.resolve_name(name)
+    except (ModuleNotFoundError, AttributeError) as error:
         raise ValueError(f"policy {name!r} cannot be imported: {error}") from error
     finally:
         sys.path.remove("")
-    if not hasattr(module, attribute):
-        raise ValueError(f"policy {name!r}: the module {module_name!r} has no {attribute!r}")
     try:
-        return Candidate(name, (wrap_policy(getattr(module, attribute), name=name),), EXTERNAL)
+        return Candidate(name, (wrap_policy(policy, name=name),), EXTERNAL)
     except TypeError as error:
         raise ValueError(f"policy {name!r}: {error}") from error

@@ -56,7 +56,7 @@ class TrainingCallback(BaseCallback):
     """Progress bar, log, evaluations on validation plants, checkpoints and the best model.
 
     `restore_streams` is called when the agent begins to learn; `latest` is the checkpoint from which the run is
-    resumed, if any, and `revision` the git revision of its start. `report` gets all evaluations after each one.
+    resumed, if any, and `revision` the git revision of its start.
     """
 
     def __init__(
@@ -68,10 +68,9 @@ class TrainingCallback(BaseCallback):
         restore_streams: Callable[[], None],
         stop: Stop,
         revision: str,
-        report: Callable[[list[dict[str, float]]], None] | None = None,
     ) -> None:
         super().__init__()
-        self.run, self.config, self.revision, self.report = run, config, revision, report
+        self.run, self.config, self.revision = run, config, revision
         self.progress, self.latest, self.stop, self.restore_streams = progress, latest, stop, restore_streams
         self.plants = validation_plants(config)
         self.criteria = CRITERIA[config.env_task]
@@ -144,12 +143,8 @@ class TrainingCallback(BaseCallback):
 
     def evaluate(self) -> None:
         """Evaluates the deterministic policy; writes a line, a checkpoint, and the model if it is the best so far."""
-        policy = self.policy()
-        if policy is not None:
-            episodes = evaluate(policy, self.plants)
-        else:
-            episodes = evaluate_wrapped(self.model, self.config, self.plants)
-        criteria = self.criteria
+        policy, criteria, plants = self.policy(), self.criteria, self.plants
+        episodes = evaluate(policy, plants) if policy else evaluate_wrapped(self.model, self.config, plants)
         names = (*criteria.weights, "energy", "stuck_fraction")
         means = {name: float(scores(episodes, name).mean()) for name in names}
         score = criteria.score(means) - self.config.energy_weight * means.pop("energy") / self.config.horizon
@@ -162,16 +157,10 @@ class TrainingCallback(BaseCallback):
                 self.logger.record(f"evaluation/{name}", logged)
         self.evaluated_at = self.num_timesteps
         shares = {name: values[name] for name in criteria.weights if name != criteria.metric.name}
-        self.progress.evaluations.append(
-            {
-                "steps": self.num_timesteps,
-                "core_seconds": round(time.process_time() - self.core_began, 1),
-                criteria.column: round(value, 4),
-                **shares,
-                f"score_{criteria.suffix}": round(score, 4),
-                f"baseline_{criteria.column}": round(self.baseline_value, 4),
-            }
-        )
+        line = {"steps": self.num_timesteps, "core_seconds": round(time.process_time() - self.core_began, 1)}
+        line |= {criteria.column: round(value, 4), **shares, f"score_{criteria.suffix}": round(score, 4)}
+        line[f"baseline_{criteria.column}"] = round(self.baseline_value, 4)
+        self.progress.evaluations.append(line)
         lines = [",".join(map(str, line.values())) for line in self.progress.evaluations]
         write_atomically(self.run / EVALUATIONS, "\n".join([",".join(self.progress.evaluations[0]), *lines, ""]))
         reference = f"{criteria.baseline} {self.baseline_value:.2f} {criteria.unit}"
@@ -180,8 +169,6 @@ class TrainingCallback(BaseCallback):
             self.progress.best_score = score
             save(self.run / BEST, self.model, policy)
         self.checkpoint()
-        if self.report is not None:
-            self.report(self.progress.evaluations)
 
     def checkpoint(self) -> None:
         """Writes a checkpoint, unless one exists for this step."""

@@ -159,8 +159,8 @@ def restore(
     """Unpickles the agent of an undamaged, trusted checkpoint; the checkpoint's environments replace `env`.
 
     Returns:
-        The agent, its progress, and a function that restores the random streams and the log. Call the function when
-        the agent begins to learn.
+        The agent, its progress, and a function that restores the random streams and the log, to be called when the
+        agent begins to learn.
 
     Raises:
         RunError: if the checkpoint cannot be read, for example because other versions wrote it.

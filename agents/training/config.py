@@ -41,20 +41,16 @@ def _option(name: str, more: str = "") -> Any:
 # Smallest values of the counts; 1 for all others.
 LEAST = {"seed": 0, "batch_size": 2, "learning_starts": 0, "dropped_quantiles": 0}
 # Ranges of the other numbers: description, lower and upper end, and whether the lower end is excluded.
+POSITIVE = ("a finite number > 0", 0.0, math.inf, True)
+NONNEGATIVE = ("a finite number >= 0", 0.0, math.inf, False)
+SHARE = ("a number in [0, 1]", 0.0, 1.0, False)
 RANGES: dict[str, tuple[str, float, float, bool]] = {
-    "learning_rate": ("a finite number > 0", 0.0, math.inf, True),
-    "final_learning_rate": ("a finite number >= 0", 0.0, math.inf, False),
-    "gamma": ("a number in [0, 1]", 0.0, 1.0, False),
-    "gae_lambda": ("a number in [0, 1]", 0.0, 1.0, False),
-    "ent_coef": ("a finite number >= 0", 0.0, math.inf, False),
+    **dict.fromkeys(("learning_rate", "episode_seconds", "training_limit", "observation_scale"), POSITIVE),
+    **dict.fromkeys(("final_learning_rate", "ent_coef", "action_noise", "noise_time"), NONNEGATIVE),
+    **dict.fromkeys(("gamma", "gae_lambda"), SHARE),
     "log_std_init": ("a number in [-20, 2]", -20.0, 2.0, False),
-    "episode_seconds": ("a finite number > 0 (s)", 0.0, math.inf, True),
     "tau": ("a number in (0, 1]", 0.0, 1.0, True),
     "target_entropy": ("a finite number", -math.inf, math.inf, True),
-    "training_limit": ("a finite number > 0 (N m)", 0.0, math.inf, True),
-    "action_noise": ("a finite number >= 0", 0.0, math.inf, False),
-    "noise_time": ("a finite number >= 0", 0.0, math.inf, False),
-    "observation_scale": ("three finite numbers > 0", 0.0, math.inf, True),
 }
 
 

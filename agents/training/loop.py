@@ -7,7 +7,6 @@ import json
 import pickle
 import sys
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -66,20 +65,13 @@ def begin(run: Path, config: Config) -> None:
     write_atomically(run / CONFIG, to_json(content))
 
 
-def train(
-    run: Path,
-    total_steps: int | None = None,
-    *,
-    wandb: bool = False,
-    report: Callable[[list[dict[str, float]]], None] | None = None,
-) -> bool:
+def train(run: Path, total_steps: int | None = None, *, wandb: bool = False) -> bool:
     """Trains a run, or resumes it from its last undamaged checkpoint, until its total_steps, Ctrl-C or SIGTERM.
 
     Args:
         run: the run's folder, from `begin`.
         total_steps: new number of steps, which is written to config.json; None keeps the number.
         wandb: whether to also log to Weights & Biases.
-        report: called with all evaluations after each evaluation.
 
     Returns:
         Whether the run is complete. If not, the folder holds a checkpoint of the current step.
@@ -118,7 +110,7 @@ def train(
             model.learning_rate = schedule(config)
             model._setup_lr_schedule()
         stop = Stop()
-        callback = TrainingCallback(run, config, progress, latest, restore_streams, stop, revision, report)
+        callback = TrainingCallback(run, config, progress, latest, restore_streams, stop, revision)
         online = start_wandb(run, config) if wandb else None
         (run / LOGS).mkdir(exist_ok=True)
         # SB3's writer overwrites its file, so that every process writes its own file, named by its first step.

@@ -5,31 +5,17 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from agents.training.config import (
-    Algorithm,
-    Config,
-    Environment,
-    PPOConfig,
-    RecurrentPPOConfig,
-    SACConfig,
-    Task,
-    TD3Config,
-    TQCConfig,
-)
+from agents.training.config import ALGORITHMS, Algorithm, Config, Environment, PPOConfig, Task
 from capsule_gym.checks import nearest
 
 # Shared by the presets with a replay buffer, and by those of the direct task.
 OFF_POLICY: dict[str, Any] = {
-    "total_steps": 400_000,
-    "num_envs": 32,
-    "learning_rate": 7e-4,
-    "batch_size": 512,
-    "evaluate_every": 50_000,
+    **{"total_steps": 400_000, "evaluate_every": 50_000, "num_envs": 32, "batch_size": 512, "learning_rate": 7e-4},
 }
 # With only the default start, training converges to a one-sided gait; without correlated noise or without
 # `observation_scale`, it mostly converges to a narrow gait (docs/algorithms.md).
 DIRECT_OFF_POLICY: dict[str, Any] = {
-    **{"task": "direct", "controller": None, "total_steps": 500_000, "evaluate_every": 20_000},
+    **{"total_steps": 500_000, "evaluate_every": 20_000},
     **{"initial_range": (1.047, 8.0), "episode_seconds": 4.0, "termination_penalty": 10.0},
     **{"learning_rate": 1e-3, "num_envs": 32, "batch_size": 256, "learning_starts": 2000, "n_steps": 3, "tau": 0.005},
     **{"action_noise": 0.25, "noise_time": 0.25, "observation_scale": (2.0, 0.25, 6.0)},
@@ -43,21 +29,23 @@ PPO: dict[str, Any] = {
 RECURRENT: dict[str, Any] = {"total_steps": 1_000_000, "n_steps": 128, "evaluate_every": 100_000}
 # From agents/study/data/direct-recurrent-ppo.json.
 DIRECT_RECURRENT: dict[str, Any] = {
-    **{**RECURRENT, "task": "direct", "controller": None, "num_envs": 128, "n_steps": 64, "n_epochs": 8},
+    **{**RECURRENT, "num_envs": 128, "n_steps": 64, "n_epochs": 8},
     **{"learning_rate": 1.35e-3, "final_learning_rate": 1.35e-4, "gamma": 0.9946, "gae_lambda": 0.979},
 }
-PRESETS: dict[tuple[Task, Algorithm], Config] = {
-    ("residual", "ppo"): PPOConfig(**PPO, total_torque=True),
-    ("direct", "ppo"): PPOConfig(**PPO, task="direct", controller=None),
-    ("residual", "sac"): SACConfig(**OFF_POLICY),
-    ("direct", "sac"): SACConfig(**DIRECT_OFF_POLICY, target_entropy=-3.0),
-    ("residual", "td3"): TD3Config(**OFF_POLICY, action_noise=0.2),
-    ("direct", "td3"): TD3Config(**DIRECT_OFF_POLICY),
-    ("residual", "tqc"): TQCConfig(**OFF_POLICY),
-    ("direct", "tqc"): TQCConfig(**DIRECT_OFF_POLICY, target_entropy=-3.0, quantiles=10, dropped_quantiles=0),
-    ("residual", "recurrent-ppo"): RecurrentPPOConfig(**RECURRENT),
-    ("direct", "recurrent-ppo"): RecurrentPPOConfig(**DIRECT_RECURRENT),
+SETTINGS: dict[tuple[Task, Algorithm], dict[str, Any]] = {
+    ("residual", "ppo"): {**PPO, "total_torque": True},
+    ("direct", "ppo"): PPO,
+    ("residual", "sac"): OFF_POLICY,
+    ("direct", "sac"): {**DIRECT_OFF_POLICY, "target_entropy": -3.0},
+    ("residual", "td3"): {**OFF_POLICY, "action_noise": 0.2},
+    ("direct", "td3"): DIRECT_OFF_POLICY,
+    ("residual", "tqc"): OFF_POLICY,
+    ("direct", "tqc"): {**DIRECT_OFF_POLICY, "target_entropy": -3.0, "quantiles": 10, "dropped_quantiles": 0},
+    ("residual", "recurrent-ppo"): RECURRENT,
+    ("direct", "recurrent-ppo"): DIRECT_RECURRENT,
 }
+LAWS: dict[Task, dict[str, Any]] = {"residual": {}, "direct": {"controller": None}}
+PRESETS = {(task, algo): ALGORITHMS[algo](task=task, **LAWS[task], **own) for (task, algo), own in SETTINGS.items()}
 
 
 def _vary(base: Config, *changes: dict[str, Any]) -> Config:

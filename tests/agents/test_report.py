@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents import comparison, report
+from agents import report
 from agents.evaluation.episodes import evaluate
 from agents.leaderboard.rows import evaluate_run
 from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, PlantSpec
@@ -72,13 +72,13 @@ GOAL["layers"] = ((np.zeros((1, 8), np.float32), np.zeros(1, np.float32)),)
     ],
 )
 def test_a_finished_run_is_compared_and_drawn(tmp_path, monkeypatch, capsys, env, columns, options, plant, shown):
-    monkeypatch.setattr(comparison, "SHOWN", 0.08)
+    monkeypatch.setattr(report, "SHOWN", 0.08)
     folder, set_file = tmp_path / NAME, tmp_path / "two.json"
     make_run(folder, env, columns, **options)
     task = options.get("env_kwargs", {}).get("task", "speed")
     plants = [{**plant, "seed": n} for n in range(2)]
     set_file.write_text(json.dumps({"name": "two", "task": task, "plants": plants}))
-    comparison.compare(folder, str(set_file))
+    report.compare(folder, str(set_file))
     out = capsys.readouterr().out
     assert all(word in out for word in ("mean speed", "peak torque", "failures", "difference", shown))
     for name in ("comparison.png", "animation.gif", "report.html"):
@@ -95,7 +95,7 @@ def test_a_finished_run_is_compared_and_drawn(tmp_path, monkeypatch, capsys, env
 def test_a_recording_is_the_motion_of_the_episode(limit):
     law = {} if limit == 1.5 else {"controller": "baselines:adaptive", "residual_limit": limit}
     policy, one = Sine(0.5, env_kwargs={"control_dt": 0.01, **law}), EvaluationSet("one", (PLANT,))
-    found, pictures = comparison.record(policy, PLANT, one, 1.0, frames=True)
+    found, pictures = report.record(policy, PLANT, one, 1.0, frames=True)
     (episode,) = evaluate(policy, one, horizon=1.0)
     assert 100.0 * found["x"][-1] == pytest.approx(100.0 * episode["distance"], abs=1e-10)
     assert found["t"][-1] == pytest.approx(1.0) and found["t"].shape == found["torque"].shape
@@ -105,7 +105,7 @@ def test_a_recording_is_the_motion_of_the_episode(limit):
 
 def test_a_recording_ends_with_its_episode():
     policy, one = Sine(1.5, period=10.0, name="wild"), EvaluationSet("one", (PLANT,))
-    found, _ = comparison.record(policy, PLANT, one, 2.0)
+    found, _ = report.record(policy, PLANT, one, 2.0)
     (episode,) = evaluate(policy, one, horizon=2.0)
     assert -1e-9 <= found["t"][-1] - episode["duration"] < 0.02
 

@@ -53,7 +53,7 @@ def test_a_configuration_is_read_as_it_was_written(tmp_path, algo):
 
 def test_factors_of_the_observation_are_positive():
     config = dataclasses.replace(PRESETS["direct", "sac"], observation_scale=(2.0, 0.0, 6.0))
-    with pytest.raises(ValueError, match=r"^observation_scale must be three finite numbers > 0, got 0\.0"):
+    with pytest.raises(ValueError, match=r"^observation_scale must be a finite number > 0, got 0\.0"):
         config.check()
 
 
