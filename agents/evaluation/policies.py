@@ -39,20 +39,13 @@ class Policy(Protocol):
 
     @property
     def env_kwargs(self) -> Mapping[str, Any]:
-        """The arguments of the policy's `CapsuleVectorEnv`: controller, residual_limit, torque_limit and so on.
-
-        The evaluation overrides `EPISODE_SETTINGS`, and the number and length of the episodes.
-        """
+        """The arguments of the policy's `CapsuleVectorEnv`; the evaluation overrides `EPISODE_SETTINGS`."""
 
     def start(self, seeds: Sequence[int], /) -> Act:
-        """Starts a batch of episodes.
-
-        Args:
-            seeds: one per episode, for policies that draw random numbers.
+        """Starts a batch of episodes, each with a seed for policies that draw random numbers.
 
         Returns:
-            A function from observations of shape (episodes, entries) to actions of shape (episodes, 1), float32,
-            called once per agent step.
+            A function from observations (episodes, entries) to actions (episodes, 1), float32, for every agent step.
         """
 
 

@@ -189,15 +189,10 @@ def evaluate(
     horizon: float | None = None,
     disturbed: bool = True,
 ) -> Iterator[Row]:
-    """Evaluates policies, with a progress bar on a terminal; yields each row as soon as it is finished.
+    """Evaluates policies on the sets of their task, with a progress bar; yields each row as soon as it is finished.
 
-    Args:
-        candidates: the policies.
-        sets: the sets of all tasks; a policy is evaluated on the sets of its task.
-        jobs: number of processes.
-        horizon: length of an episode in s; None takes that of the task.
-        disturbed: whether to evaluate the sensitivity of policies of the speed task, too, which takes a third of the
-            time; if False, the field `disturbed` is empty.
+    `jobs` is the number of processes, `horizon` the length of an episode in s. `disturbed` also evaluates the
+    sensitivity of policies of the speed task, which takes a third of the time.
     """
     # Imported here, since the import is slow and --help does not need it.
     from joblib import Parallel, delayed
