@@ -112,8 +112,7 @@ def evaluate(
 
     Raises:
         TypeError: if the policy is of another type.
-        ValueError: if the policy or set does not exist, their tasks differ, or the policy's actions are not finite or
-            have another shape.
+        ValueError: if the policy or set does not exist, their tasks differ, or the policy's actions are invalid.
     """
     chosen = evaluation_set if isinstance(evaluation_set, EvaluationSet) else load_set(evaluation_set)
     if isinstance(policy, (str, Path)):
@@ -210,7 +209,7 @@ def _run(
 def scores(episodes: Sequence[Episode], metric: str) -> np.ndarray:
     """The values of a metric in the episodes of one policy on one set, shape (training seeds, episodes of the set).
 
-    A row contains the episodes of one training seed. None, which files contain instead of infinity, becomes infinity.
+    None, which files contain instead of infinity, becomes infinity.
     """
     runs: dict[Any, list[float]] = {}
     for episode in episodes:

@@ -78,8 +78,7 @@ def check_settings(job: Job) -> None:
 def train_job(job: Job) -> str:
     """Trains or resumes a run until its end; writes its output to the file seed-N.log next to its folder.
 
-    Returns:
-        The reason for a failure, or an empty string. Errors are not raised, so that one run cannot stop a study.
+    Returns the reason for a failure, or an empty string: one run cannot stop a study.
     """
     # Imported here, since torch takes seconds to import and only workers need it.
     from agents.training.loop import begin, train

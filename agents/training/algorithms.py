@@ -66,9 +66,7 @@ def wrapped_env(config: Config, env_kwargs: Mapping[str, Any], steps: int) -> gy
 def make_env(config: Config, seed: int) -> VecNormalize:
     """Creates the training environments with normalised observations and, for PPO, normalised rewards.
 
-    Raises:
-        TypeError: if an argument of the environment has the wrong type.
-        ValueError: if an argument is out of range.
+    A wrong argument of the environment raises a TypeError or ValueError that names it.
     """
     kwargs = config.env_kwargs()
     # Only for training: policies are selected with `residual_limit`, on the commands of the task.

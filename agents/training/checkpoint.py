@@ -156,11 +156,9 @@ def write(run: Path, model: BaseAlgorithm, progress: Progress, before: Path | No
 def restore(
     checkpoint: Path, kind: type[BaseAlgorithm], env: VecNormalize
 ) -> tuple[BaseAlgorithm, Progress, Callable[[], None]]:
-    """Unpickles the agent of an undamaged, trusted checkpoint; the checkpoint's environments replace `env`.
+    """Unpickles the agent and the progress of an undamaged, trusted checkpoint, whose environments replace `env`.
 
-    Returns:
-        The agent, its progress, and a function that restores the random streams and the log, to be called when the
-        agent begins to learn.
+    Also returns a function that restores the random streams and the log, to be called when the agent begins to learn.
 
     Raises:
         RunError: if the checkpoint cannot be read, for example because other versions wrote it.

@@ -157,9 +157,7 @@ class Config:
     def check(self) -> None:
         """Checks the hyperparameters; the environment checks its own arguments.
 
-        Raises:
-            TypeError: if a field has the wrong type.
-            ValueError: if a field is out of range.
+        A wrong field raises a TypeError or ValueError that names it.
         """
         for field in dataclasses.fields(self):
             name, value = field.name, getattr(self, field.name)

@@ -31,8 +31,7 @@ def begin(run: Path, config: Config) -> None:
     Raises:
         FileExistsError: if the folder exists and is not empty.
         OSError: if the folder cannot be created.
-        TypeError: if a field of the configuration has the wrong type.
-        ValueError: if a field of the configuration is out of range.
+        TypeError, ValueError: if a field of the configuration has the wrong type or is out of range.
     """
     if run.exists() and any(run.iterdir()):
         raise FileExistsError(f"{run} already exists")
