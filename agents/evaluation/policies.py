@@ -1,7 +1,6 @@
-"""Policies by name or path: scripted policies, checkpoints, training runs, and policies written by others.
+"""Policies by name or path: scripted policies, checkpoints, training runs, and policies of other projects.
 
-Another project's policy is a function from observations to actions, an object with `predict`, or a folder with a
-policy file; docs/evaluation.md shows how to evaluate one.
+docs/evaluation.md shows how to evaluate the latter.
 """
 
 from __future__ import annotations

@@ -50,8 +50,7 @@ def load_best(run: Path) -> EvaluatedPolicy:
 
     Raises:
         OSError: if the run has no best agent.
-        RunError: if the folder is not that of a run.
-        ValueError: if the run has no best policy, or was trained with wrappers.
+        ValueError: if the folder is not that of a run, has no best policy, or the run was trained with wrappers.
     """
     config = read_config(run)
     if config.wrapper:
