@@ -1,6 +1,6 @@
 """Measures how many random faults the tests find: `python -m tests.mutants --count 150 --seed 0`.
 
-A mutant changes one operator, constant or comparison, or removes one statement, in a clone of the last commit. A mutant
+A mutant changes one operator, constant or comparison of Python, or removes one statement, in a clone of the last commit. A mutant
 is killed if a test fails. The tests of its module run first, then those of its folder, and with `--whole` all tests.
 """
 
@@ -10,6 +10,7 @@ import ast
 import copy
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -26,6 +27,7 @@ from typing import Any
 
 import pytest
 
+from capsule_gym import _core
 from capsule_gym.command_line import Count, parse
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -173,6 +175,8 @@ def main() -> int:
         clones: SimpleQueue[Path] = SimpleQueue()
         for job in range(args.jobs):
             subprocess.run(["git", "clone", "-q", ROOT, f"{folder}/{job}"], check=True)
+            # The core is built, not tracked.
+            shutil.copy(_core.__file__, f"{folder}/{job}/capsule_gym")
             clones.put(Path(folder, str(job)))
         drawn = random.Random(args.seed).sample(list(find_mutants(Path(folder, "0"))), args.count)[args.first :]
 
