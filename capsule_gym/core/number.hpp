@@ -14,9 +14,9 @@
 #include <arm_neon.h>
 #endif
 
-#if defined(__x86_64__) && !defined(__FMA__)
-// Processors before 2013, on which calls of the library's fma take most of the time: inlined everywhere, they would take
-// most of the compiler's.
+#if defined(CAPSULE_INSTRUMENTED) || (defined(__x86_64__) && !defined(__FMA__))
+// Checks of addresses, or on processors before 2013 calls of the library's fma, take most of the time: inlined everywhere,
+// they would take most of the compiler's.
 #define INLINE inline
 #else
 #define INLINE inline __attribute__((always_inline))
@@ -170,6 +170,17 @@ INLINE Pack floor(Pack x) {
   Doubles r;
   for (int i = 0; i < PACK; i++) r[i] = __builtin_floor(x.v[i]);
   return r;
+#endif
+}
+
+// The numbers at these places, without a detour over memory, which would stall the load of the whole register.
+INLINE Pack gather(const double* at, const int (&i)[PACK]) {
+#if LANES_IN_PACK == 8
+  return Doubles{at[i[0]], at[i[1]], at[i[2]], at[i[3]], at[i[4]], at[i[5]], at[i[6]], at[i[7]]};
+#elif LANES_IN_PACK == 4
+  return Doubles{at[i[0]], at[i[1]], at[i[2]], at[i[3]]};
+#else
+  return Doubles{at[i[0]], at[i[1]]};
 #endif
 }
 

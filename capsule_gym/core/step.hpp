@@ -201,26 +201,21 @@ template <class T, int N> struct Step {
       // Lanes behind the last environment repeat it, and are ignored.
       int many = count - first < W ? count - first : W, lane[W];
       for (int i = 0; i < W; i++) lane[i] = events[first + (i < many ? i : many - 1)];
-      auto gather = [&](const double* row) {
-        double values[W];
-        for (int i = 0; i < W; i++) values[i] = row[lane[i]];
-        return load<T>(values);
-      };
       Plant<T, kind> p;
-      p.M = gather(b.M), p.mu = gather(b.mu), p.mass_ratio = gather(b.mass_ratio);
+      p.M = gather(b.M, lane), p.mu = gather(b.mu, lane), p.mass_ratio = gather(b.mass_ratio, lane);
       p.pivot_torque_on_contact = q.pivot_torque_on_contact;
 #define FIELD(name)                                                              \
-  if constexpr (Plant<T, kind>::varied) p.name = gather(b.plant_##name); \
+  if constexpr (Plant<T, kind>::varied) p.name = gather(b.plant_##name, lane); \
   else p.name = q.name;
       CAPSULE_PLANT(FIELD)
 #undef FIELD
-      Phase<Plant<T, kind>> start = {{gather(b.theta), gather(b.theta_dot), gather(b.x), gather(b.x_dot)},
-                                     gather(b.slip), gather(b.torque), p,
-                                     {gather(b.theta_ddot), gather(b.x_ddot), gather(b.first_normal_force)}};
-      auto r = pass_rest(start, gather(b.next_theta), gather(b.next_theta_dot), gather(b.next_x_dot), T(h));
+      Phase<Plant<T, kind>> start = {{gather(b.theta, lane), gather(b.theta_dot, lane), gather(b.x, lane), gather(b.x_dot, lane)},
+                                     gather(b.slip, lane), gather(b.torque, lane), p,
+                                     {gather(b.theta_ddot, lane), gather(b.x_ddot, lane), gather(b.first_normal_force, lane)}};
+      auto r = pass_rest(start, gather(b.next_theta, lane), gather(b.next_theta_dot, lane), gather(b.next_x_dot, lane), T(h));
       const auto& m = r.motion;
       auto holds = r.holds & continues(m.end.theta, m.normal_force) & bounded(m.end.theta_dot, m.end.x_dot) &
-                   (abs(m.end.x + m.swept) < INFINITE) & (gather(b.least_normal_force) >= 0.0);
+                   (abs(m.end.x + m.swept) < INFINITE) & (gather(b.least_normal_force, lane) >= 0.0);
       unsigned passed = lanes(holds);
       T slip = r.slip;
       for (int i = 0; i < many; i++) {
@@ -293,15 +288,20 @@ template <class T, int N> struct Step {
   // Writes the present lines of the reference, `tick` rows further on.
   INLINE void read_reference(double tick) {
     double cycle = (double)batch.reference_rows;
+    long long size = batch.reference_size;
     bool same = true;
     for (int j = 0; j < n; j++) {
       double clock = b.clock[j] + (b.halt[j] != HALTED ? tick : 0.0);
       b.clock[j] = clock < cycle ? clock : 0.0;
       same &= b.clock[j] == b.clock[0];
     }
-    for (int r = 0; r < batch.reference_size; r++)
-      for (int j = 0; j < n; j++)
-        line[r * N + j] = batch.reference[(long long)b.clock[same ? 0 : j] * batch.reference_size + r];
+    // Environments that began together read the same line.
+    const double* first = batch.reference + (long long)b.clock[0] * size;
+    for (long long r = 0; r < size; r++) {
+      if (same) EACH store(line + r * N + j, T(first[r]));
+      else
+        for (int j = 0; j < n; j++) line[r * N + j] = batch.reference[(long long)b.clock[j] * size + r];
+    }
   }
 
   // Calls the law with the present state; its torque acts until the next call.
@@ -329,10 +329,11 @@ template <class T, int N> struct Step {
     double torques[N], kept[MOST_CELLS * N];
     __builtin_memcpy(kept, memory, size * sizeof(double));
     batch.user_law(batch.user_data, (double*)&b, torques, n);
-    for (int j = 0; j < n; j++) {
-      if (b.halt[j] == HALTED || !(abs(torques[j]) < INFINITE))
-        for (long long r = 0; r < batch.memory_size; r++) memory[r * N + j] = kept[r * N + j];
-      keep_torque(j, torques[j], tick);
+    EACH {
+      T torque = load<T>(torques + j);
+      auto keeps = (GET(halt) == HALTED) | !(abs(torque) < INFINITE);
+      for (long long at = j; at < size; at += N) store<T>(memory + at, select(keeps, load<T>(kept + at), load<T>(memory + at)));
+      keep_torque(j, torque, tick);
     }
   }
 
@@ -396,8 +397,10 @@ template <class T, int N> struct Step {
       T moved = GET(x) - GET(before_x), energy = GET(energy);
       auto m = read_task<T, Task>(j);
       T gain = Task::reward(GET(x), GET(x_dot), moved, dt, m);
+      // Where the law has failed it can be called again with the same arguments.
+      auto renews = active & (abs(GET(law_torque)) < INFINITE);
       for (int r = 0; r < Task::ROWS; r++)
-        store<T>(task + r * N + j, select(active, ((T*)&m)[r], load<T>(task + r * N + j)));
+        store<T>(task + r * N + j, select(renews, ((T*)&m)[r], load<T>(task + r * N + j)));
       T energy_cost = -q.energy_weight * energy;
       T penalty = select(GET(termination) != 0.0, T(-q.termination_penalty), T(0.0));
       PUT(reward, select(active, gain + energy_cost + penalty, T(0.0)));
