@@ -1,16 +1,17 @@
-# The environment lives in .venv and is rebuilt when pyproject.toml or constraints.txt changes.
+# The environment lives in .venv and is rebuilt when pyproject.toml, constraints.txt or the C++ core changes.
 PYTHON ?= python3
 PYTEST_ARGS ?=
 TRAIN_ARGS ?=
 
 BIN := .venv/bin
+CORE := $(wildcard capsule_gym/core/*.* capsule_gym/core/*/*.hpp)
 STAMP := .venv/.installed
 
 # Without its bytecode on disk every process that imports torch compiles it anew, for five seconds.
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help train test examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression faults fuzz bits bits-check boundscheck oldest check clean
+.PHONY: help train test examples notebooks coverage venv lint types docs web leaderboard leaderboard-check reproduce regression faults fuzz bits bits-check boundscheck sanitize core-coverage install-check oldest check clean
 
 help:  ## List the targets
 	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/:.*  ## /\t/' | awk -F '\t' '{printf "%-18s %s\n", $$1, $$2}'
@@ -42,14 +43,20 @@ coverage: $(STAMP)  ## Run the tests and fail below the minimum coverage
 venv: $(STAMP)  ## Create .venv with the pinned versions (PYTHON=python3.12 chooses the interpreter)
 
 # uv takes a quarter of pip's time, but does not read pip's settings; where it fails, pip installs.
-pip_setting = $$($(BIN)/python -m pip config list | sed -n "s/.*[.]$(1)='\(.*\)'$$/\1/p" | head -n 1)
+pip_setting = $$($(1)/bin/python -m pip config list | sed -n "s/.*[.]$(2)='\(.*\)'$$/\1/p" | head -n 1)
 
-$(STAMP): pyproject.toml constraints.txt
-	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --disable-pip-version-check uv -c constraints.txt
-	UV_FIND_LINKS="$(call pip_setting,find-links)" UV_DEFAULT_INDEX="$(call pip_setting,index-url)" \
-		$(BIN)/uv pip install --system-certs --python $(BIN)/python -e ".[dev]" -c constraints.txt || \
-		$(BIN)/python -m pip install --disable-pip-version-check -e ".[dev]" -c constraints.txt
+# $(1): folder of the environment, $(2): options of the core's compilation
+define install_editable
+	$(PYTHON) -m venv $(1)
+	$(1)/bin/python -m pip install --disable-pip-version-check uv -c constraints.txt
+	UV_FIND_LINKS="$(call pip_setting,$(1),find-links)" UV_DEFAULT_INDEX="$(call pip_setting,$(1),index-url)" \
+		$(1)/bin/uv pip install --system-certs --python $(1)/bin/python -e ".[dev]" -c constraints.txt \
+		--build-constraints constraints.txt $(2) || \
+		$(1)/bin/python -m pip install --disable-pip-version-check -e ".[dev]" -c constraints.txt $(2)
+endef
+
+$(STAMP): pyproject.toml constraints.txt $(CORE)
+	$(call install_editable,.venv)
 	touch $@
 
 lint: $(STAMP)  ## Check style, formatting and import contracts
@@ -107,6 +114,23 @@ boundscheck: $(STAMP)  ## Run the kernels' tests and the committed episodes with
 	$(PYTEST) $(CHECKED) -k "not libraries"
 	$(BIN)/python -m tests.bits
 
+# In environments of their own, whose core is compiled otherwise. Python does not free everything at its end.
+sanitize: SANITIZED := runs/sanitize
+sanitize:  ## Run the environment's tests with a core that checks addresses and undefined behaviour
+	$(call install_editable,$(SANITIZED),-C cmake.define.SANITIZE=ON)
+	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so)" ASAN_OPTIONS=detect_leaks=0 PYTHONMALLOC=malloc \
+		UBSAN_OPTIONS=print_stacktrace=1 $(SANITIZED)/bin/python -m pytest tests/capsule_gym $(PYTEST_ARGS)
+
+core-coverage: COUNTED := runs/core-coverage
+core-coverage:  ## Run the environment's tests and fail below the minimum coverage of the C++ core
+	$(call install_editable,$(COUNTED),-C cmake.define.COVERAGE=ON -C build-dir=$(COUNTED)/build)
+	find $(COUNTED)/build -name "*.gcda" -delete
+	$(COUNTED)/bin/python -m pytest tests/capsule_gym $(PYTEST_ARGS)
+	$(COUNTED)/bin/gcovr --filter capsule_gym/core/ --fail-under-line 90 $(COUNTED)/build
+
+install-check:  ## Install as the README does in an empty environment, with and without a compiler, and run it
+	PYTHON="$(PYTHON)" .ci/install
+
 oldest: OLDEST := runs/oldest/bin
 oldest:  ## Run the environment's tests with the oldest supported versions
 	$(PYTHON) -m venv runs/oldest
@@ -118,5 +142,5 @@ oldest:  ## Run the environment's tests with the oldest supported versions
 check: lint types docs leaderboard-check regression faults fuzz bits boundscheck  ## All checks but the tests
 
 clean:  ## Remove caches and build outputs; keeps .venv and runs/
-	rm -rf build dist site *.egg-info .hypothesis .pytest_cache .ruff_cache .mypy_cache .coverage*
+	rm -rf build dist site .hypothesis .pytest_cache .ruff_cache .mypy_cache .coverage*
 	find . -path ./.venv -prune -o -type d -name __pycache__ -exec rm -rf {} +

@@ -1,7 +1,7 @@
 """capsule_gym: friction-driven locomotion of a capsule robot as a Gymnasium environment.
 
-Importing the package registers `CapsuleStickSlip-v0` and the environments of the other tasks. Modules that need numba,
-which takes most of a second to import, are imported at their first use.
+Importing the package registers `CapsuleStickSlip-v0` and the environments of the other tasks. The environments and
+policies are imported at their first use.
 """
 
 from importlib import import_module

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from capsule_gym import task
+from capsule_gym import _core, task
 from capsule_gym.checks import check_count, check_name, check_number, nearest, written
 from capsule_gym.parameters import (
     LONGEST_STEP,
@@ -65,9 +65,12 @@ def find_task(value: Any) -> Task:
 
     Raises:
         TypeError: if it is neither a string nor a `Task`.
-        ValueError: if there is no task of that name.
+        ValueError: if the core has no task of that name.
     """
     if isinstance(value, Task):
+        if value.name not in _core.TASKS:
+            accepted = f"one of {sorted(_core.TASKS)}; a wrapper of the environment makes other tasks"
+            raise ValueError(f"task.name must be {accepted}, got {written(value.name)}")
         return value
     # Only the module of this task is imported.
     found: Task = importlib.import_module(f"capsule_gym.tasks.{check_name('task', value, Task, task.TASKS)}").TASK
@@ -198,7 +201,9 @@ class EnvConfig:
         check_count,
     )
     render_mode: str | None = _option(None, '"human" or, also of a batch, "rgb_array"', _or_none(_is_render_mode))
-    task: str | Task = _option("speed", f"the task: {', '.join(task.TASKS)}, or a `Task`", _found_by(find_task))
+    task: str | Task = _option(
+        "speed", f"the task: {', '.join(task.TASKS)}, or what `velocity.with_commands` returns", _found_by(find_task)
+    )
 
     def __init__(self, **options: Any) -> None:
         known = {each.name: each for each in fields(self)}

@@ -142,7 +142,7 @@ def bind_law(controller: Controller, lanes: int) -> BoundLaw:
 class Controller:
     """A control law with its reference table and its initial memory.
 
-    The law is a pure scalar function that numba can compile:
+    The law is a function of numbers without side effects:
 
         law(theta, theta_dot, x, x_dot, memory, reference) -> (torque, memory)
 
@@ -150,9 +150,9 @@ class Controller:
     reference table as a tuple. The torque is in N m and is clipped to the torque limit. The law is called once per `dt`
     with the current state; the torque is constant until the next call.
 
-    Gains are variables of the enclosing function; the compiler treats them as constants. The law can read arrays there,
-    but cannot create arrays or lists. Compiled code does not check indices: an index beyond the end of an array reads
-    other memory, unless NUMBA_BOUNDSCHECK=1 is set.
+    Gains are variables of the enclosing function. With numba installed the law is compiled, once per process and
+    controller, with the present values of these variables; otherwise, or where numba cannot compile it, Python calls
+    it. Compiled code does not check indices: an index beyond the end of an array reads other memory.
 
     Attributes:
         name: name in messages and tables.

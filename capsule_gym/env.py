@@ -165,7 +165,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
     | `control_dt` | `0.02` | agent step, s |
     | `physics_dt` | 2 ms, with a controller 1 ms | step of the fourth-order integrator, s; at most a million steps per agent step |
     | `render_mode` | `None` | "human" or, also of a batch, "rgb_array" |
-    | `task` | `"speed"` | the task: speed, goal, velocity, or a `Task` |
+    | `task` | `"speed"` | the task: speed, goal, velocity, or what `velocity.with_commands` returns |
 
     Raises:
         TypeError: if an argument is of the wrong type.

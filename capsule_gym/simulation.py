@@ -165,8 +165,6 @@ class Simulation:
             self.observations = np.zeros((self.num_envs, len(names)), np.float32)
         except MemoryError as error:
             raise ValueError(f"num_envs must fit into memory, got {self.num_envs}: {error}") from None
-        # Set through a memoryview, which takes half the time of an array.
-        self._action: Any = memoryview(self.world[0, Row.action])
         self._keys = np.zeros((self.num_envs, 2), np.uint64)
         self._episodes = np.zeros(self.num_envs, np.int64)
         self._changes: dict[int, list[tuple[float, float, float]]] = {}
@@ -257,7 +255,7 @@ class Simulation:
         self._batch = _core.bind(native.LEVEL, fields)
         # Looking the arguments up each time takes a tenth of a step.
         self._advance = partial(_core.advance, self._batch)
-        self._advance_one = partial(_core.advance, self._batch, 0, 1, False)
+        self._step_one = partial(_core.step_one, self._batch)
 
     def row(self, row: int) -> np.ndarray:
         """A copy of one quantity of every environment, shape (num_envs,)."""
@@ -371,9 +369,8 @@ class Simulation:
         """`step` for a single environment, without the arrays."""
         if self._changes:
             self._apply_changes()
-        self._action[0] = action
         try:
-            broken = self._advance_one()
+            broken = self._step_one(action)
         except BaseException:
             self._discard_failed()
             raise

@@ -11,7 +11,6 @@ import ast
 import copy
 import os
 import random
-import shutil
 import signal
 import subprocess
 import sys
@@ -28,7 +27,6 @@ from typing import Any
 
 import pytest
 
-from capsule_gym import _core
 from capsule_gym.command_line import Count, parse
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -112,7 +110,8 @@ def walk(node: ast.AST) -> Iterator[ast.AST]:
 
 def find_mutants(root: Path) -> Iterator[Mutant]:
     """Every mutant of a clone."""
-    for file in sorted(file for folder in FOLDERS for file in (root / folder).rglob("*.py")):
+    files = {file for folder in FOLDERS for file in (root / folder).rglob("*.py")}
+    for file in sorted(files - {root / "capsule_gym/core/backend.py"}):
         source = file.read_bytes()
         starts = [0]
         for line in source.splitlines(keepends=True):
@@ -132,8 +131,8 @@ def passes(clone: Path, tests: list[Path], seconds: float) -> bool:
     Raises:
         FileNotFoundError: if there are no tests.
     """
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *map(str, tests)]
-    environment = {**os.environ, "PYTHONPATH": str(clone), "OMP_NUM_THREADS": "1"}
+    command = [clone / ".venv/bin/python", "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *map(str, tests)]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     # A test that ends its process group must not end this command.
     process = subprocess.Popen(
         command, cwd=clone, env=environment, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT
@@ -176,8 +175,8 @@ def main() -> int:
         clones: SimpleQueue[Path] = SimpleQueue()
         for job in range(args.jobs):
             subprocess.run(["git", "clone", "-q", ROOT, f"{folder}/{job}"], check=True)
-            # The core is built, not tracked.
-            shutil.copy(_core.__file__, f"{folder}/{job}/capsule_gym")
+            # An editable installation imports its own packages, wherever it runs.
+            subprocess.run(["make", "-s", "-C", f"{folder}/{job}", "venv", f"PYTHON={sys.executable}"], check=True)
             clones.put(Path(folder, str(job)))
         drawn = random.Random(args.seed).sample(list(find_mutants(Path(folder, "0"))), args.count)[args.first :]
 

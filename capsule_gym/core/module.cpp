@@ -2,7 +2,9 @@
 // serves all Pythons. Python allocates the arrays, passes their addresses, and keeps them alive; `capsule_gym.native`
 // checks what it passes.
 #define PY_SSIZE_T_CLEAN
+#ifndef Py_LIMITED_API
 #define Py_LIMITED_API 0x030A0000
+#endif
 #include <Python.h>
 #if defined(__x86_64__)
 #include <cpuid.h>
@@ -106,6 +108,19 @@ PyObject* advance(PyObject*, PyObject* const* args, Py_ssize_t count) {
   long long broken = bound->level->advance(bound->batch, first, last, begin != 0);
   PyEval_RestoreThread(state);
   // Of a law that Python calls.
+  return PyErr_Occurred() ? nullptr : PyLong_FromLongLong(broken);
+}
+
+// step_one(handle, action) -> as `advance`: one step of a single environment, which takes less time than to release the
+// lock
+PyObject* step_one(PyObject*, PyObject* const* args, Py_ssize_t count) {
+  if (count != 2) return PyErr_Format(PyExc_TypeError, "step_one takes 2 arguments, got %zd", count);
+  Bound* bound = bound_of(args[0]);
+  if (!bound) return nullptr;
+  double action = PyFloat_AsDouble(args[1]);
+  if (PyErr_Occurred()) return nullptr;
+  ((Block<1>*)bound->batch.world)->action[0] = action;
+  long long broken = bound->level->advance(bound->batch, 0, 1, false);
   return PyErr_Occurred() ? nullptr : PyLong_FromLongLong(broken);
 }
 
@@ -317,6 +332,9 @@ int fill(PyObject* module) {
   failed |= add_names(module, "PLANT", CAPSULE_PLANT(FIELD));
   failed |= add_names(module, "NETWORK", CAPSULE_NETWORK(FIELD));
 #undef FIELD
+#define FIELD(type, name) #name " "
+  failed |= add_names(module, "BATCH", CAPSULE_BATCH(FIELD));
+#undef FIELD
 #define F(name, arguments, results, call) #name ":" #arguments ":" #results " "
   failed |= add_names(module, "PLANT_FUNCTIONS", CAPSULE_PLANT_FUNCTIONS(F));
   failed |= add_names(module, "ELEMENTARY_FUNCTIONS", CAPSULE_ELEMENTARY_FUNCTIONS(F));
@@ -344,7 +362,7 @@ int fill(PyObject* module) {
   // Constants of the core that Python needs too.
 #define CONSTANT(name) failed |= PyModule_AddObject(module, #name, PyFloat_FromDouble(portable::name));
   CONSTANT(THETA_LIMIT) CONSTANT(THETA_DOT_BOUND) CONSTANT(X_DOT_BOUND) CONSTANT(RATE_LIMIT) CONSTANT(MOTOR_WIDTH)
-  CONSTANT(MOTOR_SLOPE) CONSTANT(ERROR_BOUND) CONSTANT(HOLD) CONSTANT(TIME_TOLERANCE) CONSTANT(SPEED_BOUND)
+  CONSTANT(MOTOR_SLOPE) CONSTANT(ERROR_BOUND) CONSTANT(HOLD) CONSTANT(TOLERANCE) CONSTANT(TIME_TOLERANCE) CONSTANT(SPEED_BOUND)
   CONSTANT(SETTLING) CONSTANT(MEASURED)
 #undef CONSTANT
   failed |= PyModule_AddIntConstant(module, "LANES", LANES);
@@ -359,6 +377,7 @@ int fill(PyObject* module) {
 PyMethodDef METHODS[] = {
     {"bind", bind, METH_VARARGS, nullptr},
     {"advance", (PyCFunction)(void*)advance, METH_FASTCALL, nullptr},
+    {"step_one", (PyCFunction)(void*)step_one, METH_FASTCALL, nullptr},
     {"draw_episodes", (PyCFunction)(void*)call_with_count<&Level::draw_episodes>, METH_FASTCALL, nullptr},
     {"begin_episodes", (PyCFunction)(void*)call_with_count<&Level::begin_episodes>, METH_FASTCALL, nullptr},
     {"evaluate", evaluate, METH_VARARGS, nullptr},

@@ -201,26 +201,21 @@ template <class T, int N> struct Step {
       // Lanes behind the last environment repeat it, and are ignored.
       int many = count - first < W ? count - first : W, lane[W];
       for (int i = 0; i < W; i++) lane[i] = events[first + (i < many ? i : many - 1)];
-      auto gather = [&](const double* row) {
-        double values[W];
-        for (int i = 0; i < W; i++) values[i] = row[lane[i]];
-        return load<T>(values);
-      };
       Plant<T, kind> p;
-      p.M = gather(b.M), p.mu = gather(b.mu), p.mass_ratio = gather(b.mass_ratio);
+      p.M = gather(b.M, lane), p.mu = gather(b.mu, lane), p.mass_ratio = gather(b.mass_ratio, lane);
       p.pivot_torque_on_contact = q.pivot_torque_on_contact;
 #define FIELD(name)                                                              \
-  if constexpr (Plant<T, kind>::varied) p.name = gather(b.plant_##name); \
+  if constexpr (Plant<T, kind>::varied) p.name = gather(b.plant_##name, lane); \
   else p.name = q.name;
       CAPSULE_PLANT(FIELD)
 #undef FIELD
-      Phase<Plant<T, kind>> start = {{gather(b.theta), gather(b.theta_dot), gather(b.x), gather(b.x_dot)},
-                                     gather(b.slip), gather(b.torque), p,
-                                     {gather(b.theta_ddot), gather(b.x_ddot), gather(b.first_normal_force)}};
-      auto r = pass_rest(start, gather(b.next_theta), gather(b.next_theta_dot), gather(b.next_x_dot), T(h));
+      Phase<Plant<T, kind>> start = {{gather(b.theta, lane), gather(b.theta_dot, lane), gather(b.x, lane), gather(b.x_dot, lane)},
+                                     gather(b.slip, lane), gather(b.torque, lane), p,
+                                     {gather(b.theta_ddot, lane), gather(b.x_ddot, lane), gather(b.first_normal_force, lane)}};
+      auto r = pass_rest(start, gather(b.next_theta, lane), gather(b.next_theta_dot, lane), gather(b.next_x_dot, lane), T(h));
       const auto& m = r.motion;
       auto holds = r.holds & continues(m.end.theta, m.normal_force) & bounded(m.end.theta_dot, m.end.x_dot) &
-                   (abs(m.end.x + m.swept) < INFINITE) & (gather(b.least_normal_force) >= 0.0);
+                   (abs(m.end.x + m.swept) < INFINITE) & (gather(b.least_normal_force, lane) >= 0.0);
       unsigned passed = lanes(holds);
       T slip = r.slip;
       for (int i = 0; i < many; i++) {
@@ -284,7 +279,7 @@ template <class T, int N> struct Step {
     if (batch.reference_rows > 1 || tick == 0.0) read_reference(tick);
     int number = 0;
 #define LAW(Law) \
-  if (batch.law == number++) return evaluate_law(Law(batch.law_constants), tick);
+  if (batch.law == number++) return evaluate_law(*(const Law*)batch.law_constants, tick);
     CAPSULE_LAWS(LAW)
 #undef LAW
     evaluate_user_law(tick);
@@ -293,19 +288,24 @@ template <class T, int N> struct Step {
   // Writes the present lines of the reference, `tick` rows further on.
   INLINE void read_reference(double tick) {
     double cycle = (double)batch.reference_rows;
+    long long size = batch.reference_size;
     bool same = true;
     for (int j = 0; j < n; j++) {
       double clock = b.clock[j] + (b.halt[j] != HALTED ? tick : 0.0);
       b.clock[j] = clock < cycle ? clock : 0.0;
       same &= b.clock[j] == b.clock[0];
     }
-    for (int r = 0; r < batch.reference_size; r++)
-      for (int j = 0; j < n; j++)
-        line[r * N + j] = batch.reference[(long long)b.clock[same ? 0 : j] * batch.reference_size + r];
+    // Environments that began together read the same line.
+    const double* first = batch.reference + (long long)b.clock[0] * size;
+    for (long long r = 0; r < size; r++) {
+      if (same) EACH store(line + r * N + j, T(first[r]));
+      else
+        for (int j = 0; j < n; j++) line[r * N + j] = batch.reference[(long long)b.clock[j] * size + r];
+    }
   }
 
   // Calls the law with the present state; its torque acts until the next call.
-  template <class Law> NOINLINE void evaluate_law(const Law law, double tick) {
+  template <class Law> NOINLINE void evaluate_law(const Law& law, double tick) {
     // A law with branches takes one environment at a time.
     using S = typename Choose<Law::BRANCHES, double, T>::type;
     for (int j = 0; j < n; j += WIDTH<S>) {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import pickle
 import re
 from types import SimpleNamespace
 
@@ -9,9 +11,11 @@ import numba
 import numpy as np
 import pytest
 
+from baselines.laws.gains import plant_constants
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Controller
-from capsule_gym.controller import find_controller
+from capsule_gym.controller import CoreLaw, find_controller
 from capsule_gym.layout import ROWS
+from capsule_gym.parameters import NOMINAL
 from tests.capsule_gym.fakes import picky_controller
 
 
@@ -196,3 +200,51 @@ def test_a_controller_is_found_in_every_form():
 def test_what_is_no_controller_is_named(given, error, said):
     with pytest.raises(error, match=re.escape(said)):
         find_controller(given)
+
+
+# Laws of the core
+
+LINEARISING = {**plant_constants(NOMINAL.plant()), "K_p": 400.0, "K_v": 40.0}
+
+
+def test_many_calls_of_a_law_of_the_core_are_single_calls():
+    law = CoreLaw("gait_candidate", torque_limit=1.5)
+    rng = np.random.default_rng(0)
+    states, memories, rows = rng.normal(0.0, 0.3, (5, 4)), rng.normal(0.0, 1.0, (5, law.cells)), np.zeros((5, 2))
+    torques, renewed = law.evaluate(states, memories, rows)
+    single = [law(*s, m, r) for s, m, r in zip(states.tolist(), memories.tolist(), rows.tolist(), strict=True)]
+    assert [
+        (torque, tuple(memory)) for torque, memory in zip(torques.tolist(), renewed.tolist(), strict=True)
+    ] == single
+    assert len(set(torques.tolist())) == 5
+    # The arguments are unchanged, and the order of the constants in the call does not matter.
+    assert renewed is not memories
+    assert CoreLaw("feedback_linearising", **LINEARISING) == CoreLaw(
+        "feedback_linearising", **dict(reversed(LINEARISING.items()))
+    )
+    assert pickle.loads(pickle.dumps(law)) == law
+
+
+@pytest.mark.parametrize(
+    ("error", "make", "message"),
+    [
+        (ValueError, lambda: CoreLaw("odd"), "name must be one of none, adaptive, .*, got 'odd'"),
+        (TypeError, lambda: CoreLaw("gait_candidate"), "'gait_candidate' takes the constants torque_limit, got $"),
+        (
+            TypeError,
+            lambda: CoreLaw("feedback_linearising", **LINEARISING, K=1.0),
+            "takes the constants .*, got .*, K$",
+        ),
+        (
+            ValueError,
+            lambda: CoreLaw("gait_candidate", torque_limit=math.nan),
+            "torque_limit must be 1 numbers, got nan",
+        ),
+        (ValueError, lambda: CoreLaw("gait_candidate", torque_limit=(1.0, 2.0)), "torque_limit must be 1 numbers"),
+        (ValueError, lambda: CoreLaw("none")(0.0, 0.0, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0)), "must have the shapes"),
+        (ValueError, lambda: CoreLaw("none")(0.0, 0.0, 0.0, 0.0, (0.0,), (0.0,)), "must have the shapes"),
+    ],
+)
+def test_invalid_constants_and_shapes_raise_an_error(error, make, message):
+    with pytest.raises(error, match=message):
+        make()

@@ -260,3 +260,8 @@ def test_modes_of_the_batch():
         _, _, terminated, _, info = batch.step(np.zeros((2, 1), np.float32))
         assert terminated.tolist() == [True, False]
     assert info["_reward_tracking"].tolist() == [False, True]
+
+
+def test_a_task_that_the_core_lacks_is_refused():
+    with pytest.raises(ValueError, match=r"task\.name must be one of \['goal', 'speed', 'velocity'\].*got 'record'"):
+        CapsuleEnv(task=Task(name="record", term="reward_record"))

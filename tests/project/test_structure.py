@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from capsule_gym import evaluation_sets, policy
 
 ROOT = Path(__file__).resolve().parents[2]
 # Without the optional packages, an environment with and without a law is created and stepped.
@@ -39,25 +40,31 @@ def test_the_environment_needs_no_optional_package() -> None:
 def test_another_package_baselines_is_named(tmp_path: Path) -> None:
     (tmp_path / "baselines").mkdir()
     (tmp_path / "baselines" / "__init__.py").touch()
-    code = "from capsule_gym import CapsuleEnv; CapsuleEnv(controller='baselines:adaptive')"
-    # Python searches the folder in which it starts first.
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    # Loaded by its path: an editable installation finds its own packages first.
+    code = (
+        "import sys; from importlib import util; spec = util.spec_from_file_location('baselines', sys.argv[1]);"
+        "sys.modules['baselines'] = util.module_from_spec(spec);"
+        "from capsule_gym import CapsuleEnv; CapsuleEnv(controller='baselines:adaptive')"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "baselines" / "__init__.py")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert str(tmp_path) in done.stderr and "uninstall that one" in done.stderr
 
 
 def test_packages_policies_and_sets_are_installed() -> None:
     tomllib = pytest.importorskip("tomllib", reason="from Python 3.11 on", exc_type=ImportError)
-    setuptools = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
-    folders = {path.parent for top in ("capsule_gym", "baselines") for path in (ROOT / top).rglob("__init__.py")}
-    names = {".".join(folder.relative_to(ROOT).parts) for folder in folders}
-    data = {"capsule_gym.checkpoints": "*/seed-*/policy.safetensors", "capsule_gym.frozen": "*.json"}
-    assert sorted(setuptools["packages"]) == sorted({*names, *data})
-    for package, files in data.items():
-        folder = ROOT / setuptools["package-dir"][package]
-        (pattern,) = setuptools["package-data"][package]
-        assert set(folder.glob(pattern)) == set(folder.glob(files)) != set()
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["scikit-build"]
+    packages = settings["wheel"]["packages"]
+    data = {
+        "checkpoints": (policy.FOLDERS, "*/seed-*/policy.safetensors"),
+        "frozen": (evaluation_sets.FOLDERS, "*.json"),
+    }
+    assert set(packages) == {"baselines", "capsule_gym", *(f"capsule_gym/{name}" for name in data)}
+    assert packages["baselines"] == "baselines" and packages["capsule_gym"] == "capsule_gym"
+    for name, ((installed, checkout), pattern) in data.items():
+        assert installed == ROOT / "capsule_gym" / name and checkout == ROOT / packages[f"capsule_gym/{name}"]
+        files = {path for path in checkout.rglob("*") if path.is_file() and path.suffix not in (".csv", ".md")}
+        assert files == set(checkout.glob(pattern)) != set()
 
 
 def test_no_tracked_file_is_large_or_names_a_path_of_a_machine() -> None:

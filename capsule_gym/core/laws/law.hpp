@@ -16,10 +16,7 @@ namespace LEVEL {
   } q;                                                                                                                 \
   explicit Law(const double* constants) : q(load<Constants>(constants)) {}                                             \
   template <class T> INLINE T operator()(const State<T>& s, T* cells, const T* row) const {                            \
-    auto memory = load<Memory<T>>((const double*)cells);                                                               \
-    T result = torque(s, memory, load<Row<T>>((const double*)row));                                                    \
-    store((double*)cells, memory);                                                                                     \
-    return result;                                                                                                     \
+    return torque(s, *(Memory<T>*)cells, *(const Row<T>*)row);                                                         \
   }
 #define LAW_NAME(name) #name " "
 #define LAW_NAMES(name, count) #name ":" #count " "

@@ -48,7 +48,8 @@ struct Velocity {
     T gain = dt * (exp(-size / 0.02) + 0.5 * exp(-size / 0.1) - 0.5 * size);
     m.speed = m.speed + (moved / dt - m.speed) * (dt / (FILTER + dt));
     m.since = m.since + dt;
-    auto measures = m.since >= SETTLING - TIME_TOLERANCE, begins = measures & (m.measured_from == 0.0);
+    auto measures = m.since >= SETTLING - TIME_TOLERANCE;
+    auto begins = measures & (m.measured_from == 0.0);
     m.measured_from = select(begins, m.since, m.measured_from);
     m.measured_x = select(begins, x, m.measured_x);
     m.settled = select(measures & (size <= SETTLED), T(1.0), m.settled);

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.laws.adaptive import adaptive, constants_of, eta_of, nominal_estimates
-from baselines.laws.adaptive_terms import MEMORY, Constants, adaptive_step, adaptive_terms, eta_of_root
+from baselines.laws.adaptive import MEMORY, adaptive, constants_of, eta_of, nominal_estimates, sliding_variables
 from baselines.laws.gains import COMPLIANT, K_P, K_V, PUBLISHED, REGULARISED, UNREGULARISED, Gains
 from baselines.laws.profiles import PROPOSED
 from baselines.laws.reference import COLUMNS, reference_table
 from capsule_gym import Capsule, dynamics
+from capsule_gym.controller import CoreLaw
 from capsule_gym.parameters import NOMINAL
 
 # All values differ, so that no gain can be confused with another.
@@ -21,10 +21,10 @@ GAINS = Gains(Lambda_theta=11.0, Lambda_x=7.0, K1=1.7, K2=3.0, K3=13.0, Gamma_1=
 FORMS = {"regularised": REGULARISED, "unregularised": UNREGULARISED}
 
 
-def some_constants(choices=REGULARISED, *, contact="newton", dt=1e-3, **changes) -> Constants:
-    """The law's constants on a plant with some of the choices changed."""
+def some_constants(choices=REGULARISED, *, contact="newton", dt=1e-3, **changes):
+    """A nominal plant, and the law's constants with some of the choices changed."""
     plant = Capsule(M=0.47, mu=0.013, normal_force=contact).plant()
-    return constants_of(GAINS, choices._replace(**changes), plant, reference_table(PROPOSED, plant), dt)
+    return plant, constants_of(GAINS, choices._replace(**changes), plant, reference_table(PROPOSED, plant), dt)
 
 
 def draw(rng, *, n=1):
@@ -36,13 +36,13 @@ def draw(rng, *, n=1):
     return (theta, theta_dot, x, x_dot), (*rng.uniform(0.1, 1.0, 9).tolist(), root, rng.uniform(-0.1, 0.1)), reference
 
 
-def printed(state, memory, reference, constants, n):
+def printed(state, memory, reference, p, choices):
     """(37) to (39) as the paper prints them, in matrices, with the corrections of the physics page.
 
     Returns:
         The torque, the rates of the estimates, and the rate of the root of eta.
     """
-    p, gains, width = constants.plant, constants.gains, constants.saturation_width
+    gains, width, n = GAINS, choices.saturation_width, choices.n
     q, q_dot = np.array([state[0], state[2]]), np.array([state[1], state[3]])
     q_d, q_d_dot, q_d_ddot = (np.array([reference[i], reference[i + 3]]) for i in range(3))
     q_d = np.array([q_d[0], memory[10] + q_d[1]])
@@ -58,7 +58,7 @@ def printed(state, memory, reference, constants, n):
     alpha_theta, alpha_x, eta = np.array(memory[:5]), np.array(memory[5:9]), memory[9] ** (2 * n + 1)
     d, dx = delta
     w = dx * (Y_x @ alpha_x)
-    denominator = d**2 + constants.beta
+    denominator = d**2 + choices.beta
     sgn = np.sign(d) if width == 0.0 else np.clip(d / width, -1.0, 1.0)
     T_c = Y_theta @ alpha_theta - gains.K1 * d
     T_n = -sgn * abs(dx) * abs(eta) - gains.K2 * sgn * abs(dx)
@@ -74,8 +74,9 @@ def printed(state, memory, reference, constants, n):
 @pytest.mark.parametrize("contact", ["newton", "paper"])
 def test_every_term_and_the_euler_step_are_the_papers(form, n, contact):
     # The estimates are free and the bound is far away, so nothing is clamped.
-    wide = {"estimate_range": math.inf, "eta_bound": 1e6}
-    constants = some_constants(FORMS[form], n=n, beta=0.7, contact=contact, dt=2e-4, **wide)
+    choices = FORMS[form]._replace(n=n, beta=0.7, estimate_range=math.inf, eta_bound=1e6)
+    plant, constants = some_constants(choices, contact=contact, dt=2e-4)
+    law = CoreLaw("adaptive", **constants)
     rng = np.random.default_rng(n)
     for trial in range(30):
         state, memory, reference = draw(rng, n=n)
@@ -96,8 +97,8 @@ def test_every_term_and_the_euler_step_are_the_papers(form, n, contact):
         elif trial == 4:
             # The state is on the reference: sgn(0) = 0.
             state = (reference[0], reference[1], *state[2:])
-        expected, alpha_dot, root_rate = printed(state, memory, reference, constants, n)
-        torque, after = adaptive_step(*state, memory, reference, constants)
+        expected, alpha_dot, root_rate = printed(state, memory, reference, plant, choices)
+        torque, after = law(*state, memory, reference)
         assert torque == pytest.approx(expected, rel=1e-10)
         np.testing.assert_allclose(np.subtract(after[:9], memory[:9]) / 2e-4, alpha_dot, rtol=1e-7, atol=1e-9)
         if trial % 5 > 0:
@@ -109,8 +110,9 @@ def test_every_term_and_the_euler_step_are_the_papers(form, n, contact):
 def test_error_dynamics_are_those_of_the_plant(contact):
     # Eq. (38), M delta' + C delta = [T, 0] - [Y_theta alpha_theta, Y_x alpha_x], with the plant's own accelerations
     # and normal force, determines every sign and factor of the regressors.
-    constants = some_constants(contact=contact)
-    p = constants.plant
+    # The estimates are free, and a step of 1 s shows the regressors.
+    p, constants = some_constants(contact=contact, dt=1.0, estimate_range=math.inf)
+    law = CoreLaw("adaptive", **constants)
     alpha = np.array(nominal_estimates(p))
     rng = np.random.default_rng(11)
     checked = 0
@@ -123,41 +125,44 @@ def test_error_dynamics_are_those_of_the_plant(contact):
         checked += 1
         # The law uses theta_d'' in place of theta'' in N. If both are equal, its N is the plant's.
         reference = (*reference[:2], theta_ddot, *reference[3:])
-        terms = adaptive_terms(theta, theta_dot, x, x_dot, memory, reference, constants)
+        _, after = law(theta, theta_dot, x, x_dot, memory, reference)
+        s = sliding_variables(theta, theta_dot, x, x_dot, memory[-1], np.array(reference), GAINS)
+        change = np.subtract(memory, after)
+        Y_theta, Y_x = change[:5] / (GAINS.Gamma_1 * s.delta_theta), change[5:9] / (GAINS.Gamma_2 * s.delta_x)
         e_dot, e_x_dot = theta_dot - reference[1], x_dot - reference[4]
         delta_dot = np.array([GAINS.Lambda_theta * e_dot, x_ddot - (reference[5] - GAINS.Lambda_x * e_x_dot)])
-        ml, s, c = p.m * p.l, math.sin(theta), math.cos(theta)
+        ml, sin, c = p.m * p.l, math.sin(theta), math.cos(theta)
         mass = np.array([[ml * p.l, -ml * c], [-ml * c, p.M + p.m]])
-        coriolis = np.array([[0.0, 0.0], [ml * s * theta_dot, 0.0]])
-        left = mass @ delta_dot + coriolis @ [terms.delta_theta, terms.delta_x]
-        right = np.array([u - np.dot(terms.Y_theta, alpha[:5]), -np.dot(terms.Y_x, alpha[5:])])
+        coriolis = np.array([[0.0, 0.0], [ml * sin * theta_dot, 0.0]])
+        left = mass @ delta_dot + coriolis @ [s.delta_theta, s.delta_x]
+        right = np.array([u - np.dot(Y_theta, alpha[:5]), -np.dot(Y_x, alpha[5:])])
         np.testing.assert_allclose(left, right, rtol=1e-9, atol=1e-10)
     assert checked > 100
 
 
 def test_memory_stays_within_its_bounds():
-    constants = some_constants(beta=0.7)
-    nominal = np.array(nominal_estimates(constants.plant))
+    plant, constants = some_constants(beta=0.7)
+    nominal, law = np.array(nominal_estimates(plant)), CoreLaw("adaptive", **constants)
     rng = np.random.default_rng(4)
     for factor, bound in ((1e3, 1.5), (-1e3, 0.5)):
         state, _, reference = draw(rng)
-        _, after = adaptive_step(*state, (*(factor * nominal).tolist(), 50.0, 0.0), reference, constants)
+        _, after = law(*state, (*(factor * nominal).tolist(), 50.0, 0.0), reference)
         np.testing.assert_allclose(after[:9], bound * nominal, rtol=1e-14)
-        assert eta_of_root(after[9], 1) == pytest.approx(REGULARISED.eta_bound)
+        assert eta_of(np.array(after), 1) == pytest.approx(REGULARISED.eta_bound)
 
 
 @pytest.mark.parametrize(("form", "expected"), [("regularised", "x"), ("unregularised", "anchor")])
 def test_x_d_starts_anew_or_goes_on_at_the_start_of_a_cycle(form, expected):
-    constants = some_constants(FORMS[form])
+    plant, constants = some_constants(FORMS[form])
+    law = CoreLaw("adaptive", **constants)
     state, memory, reference = draw(np.random.default_rng(6))
     begins = (*reference[: COLUMNS.index("cycle_start")], 1.0)
-    start = state[2] if expected == "x" else memory[MEMORY.index("x_anchor")] + constants.cycle_advance
-    torque, after = adaptive_step(*state, memory, begins, constants)
+    start = state[2] if expected == "x" else memory[MEMORY.index("x_anchor")] + constants["cycle_advance"]
+    torque, after = law(*state, memory, begins)
     assert after[-1] == start
     # The same call already uses the new start.
-    terms = adaptive_terms(*state, (*memory[:-1], start), reference, constants)
-    assert torque == terms.T_c + terms.T_n
-    assert constants.cycle_advance == pytest.approx(reference_table(PROPOSED, constants.plant)[-1, 3]) and start != 0.0
+    assert (torque, after) == law(*state, (*memory[:-1], start), reference)
+    assert constants["cycle_advance"] == pytest.approx(reference_table(PROPOSED, plant)[-1, 3]) and start != 0.0
 
 
 def test_plant_without_friction_or_spring_has_bounds_too():
@@ -165,7 +170,7 @@ def test_plant_without_friction_or_spring_has_bounds_too():
     plant = Capsule(mu=0.0, k=0.0).plant()
     constants = constants_of(GAINS, UNREGULARISED, plant, reference_table(PROPOSED, plant), 1e-3)
     state, memory, reference = draw(np.random.default_rng(8))
-    _, after = adaptive_step(*state, memory, reference, constants)
+    _, after = CoreLaw("adaptive", **constants)(*state, memory, reference)
     assert np.isfinite(after).all()
     assert after[2] != memory[2] and after[7] != memory[7]
 
@@ -199,11 +204,7 @@ def test_choices_reach_the_law(regularised):
         choices = default._replace(**{name: value for name, value in given.items() if name != "dt"})
         assert eta_of(np.array(controller.memory), choices.n) == pytest.approx(choices.eta_0)
         constants = constants_of(PUBLISHED, choices, NOMINAL.plant(), controller.reference, controller.dt)
-        row = tuple(controller.reference[250].tolist())
-        state = (row[0] + 0.05, row[1], row[3] + 0.02, row[4])
-        assert controller.law(*state, controller.memory, row) == adaptive_step(
-            *state, controller.memory, row, constants
-        )
+        assert controller.law == CoreLaw("adaptive", **constants)
 
 
 def test_the_page_prints_the_constants_of_the_laws():

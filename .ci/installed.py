@@ -1,0 +1,30 @@
+"""Steps the installed environments with every control law; fails if they come from a checkout or need numba."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+# Nothing is imported from the folder of this file.
+sys.path.remove(str(Path(__file__).resolve().parent))
+
+import gymnasium as gym
+
+import baselines
+import capsule_gym
+from baselines.laws import TASK_LAWS
+from capsule_gym.task import TASKS
+
+assert not Path(capsule_gym.__file__).is_relative_to(Path(__file__).parents[1].resolve()), capsule_gym.__file__
+for name in ("llvmlite", "numba", "pygame", "stable_baselines3", "torch"):
+    assert importlib.util.find_spec(name) is None, f"{name} is installed"
+laws = [("speed", None), *(("speed", name) for name in baselines.__all__)]
+laws += [(law.task, name) for name, law in TASK_LAWS.items()]
+for task, law in laws:
+    env = gym.make("capsule_gym:CapsuleStickSlip-v0", task=task, controller=law and f"baselines:{law}")
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+for task in TASKS:
+    env = gym.make(f"capsule_gym:Capsule{task.title().replace('Speed', 'StickSlip')}-v0")
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+capsule_gym.load_policy("direct-ppo")

@@ -1,0 +1,102 @@
+"""The build backend: scikit-build-core, which compiles with PyPI's `ziglang` where it finds no C++ compiler.
+
+The environment variable CXX names another compiler. The environment variable REPOSITORY_URL sets the repository's
+address: the metadata gets its URLs, and the README gets absolute links.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from scikit_build_core import build
+from scikit_build_core.build import *  # noqa: F403 (the hooks of PEP 517)
+
+ZIG = "ziglang>=0.15,<0.18"
+# What the sources need of a compiler. On Windows, clang needs more than its folder in PATH.
+PROGRAM = b"#if __GNUC__ < 12 && !defined(__clang__)\n#error\n#endif\n"
+COMPILERS = () if os.name == "nt" else ("c++", "g++", "clang++")
+
+if sys.implementation.name != "cpython" or sysconfig.get_config_var("Py_GIL_DISABLED"):
+    raise SystemExit("capsule-gym needs CPython with its global lock: its module has the stable ABI, others have none")
+# The modes of files in a wheel do not depend on who builds it.
+os.umask(0o022)
+
+
+def find_compiler() -> str | None:
+    """Returns the compiler of the environment or the first one that compiles C++20, or None."""
+    if "CXX" in os.environ:
+        return os.environ["CXX"]
+    for path in filter(None, map(shutil.which, COMPILERS)):
+        command = [path, "-std=c++20", "-fsyntax-only", "-x", "c++", "-"]
+        if subprocess.run(command, input=PROGRAM, capture_output=True, check=False).returncode == 0:
+            return path
+    return None
+
+
+def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
+    """Adds a compiler to what a build needs, where there is none."""
+    return [*build.get_requires_for_build_wheel(config_settings), *([] if find_compiler() else [ZIG])]
+
+
+def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
+    """Adds a compiler to what a build needs, where there is none."""
+    return [*build.get_requires_for_build_editable(config_settings), *([] if find_compiler() else [ZIG])]
+
+
+def build_with_compiler(hook: Callable[..., str], *args: Any) -> str:
+    """Calls a hook of scikit-build-core with the compiler that was found, or with zig."""
+    compiler = find_compiler()
+    if compiler:
+        os.environ["CXX"] = compiler
+        return hook(*args)
+    import ziglang
+
+    zig = Path(ziglang.__file__).with_name("zig.exe" if os.name == "nt" else "zig")
+    # As a C compiler it links no C++ library, of which nothing is used, and which it would compile first.
+    option = shlex.quote(f"-DCMAKE_CXX_COMPILER={zig.as_posix()};cc")
+    os.environ["CMAKE_ARGS"] = f"{os.environ.get('CMAKE_ARGS', '')} {option}"
+    os.environ.setdefault("CMAKE_GENERATOR", "Ninja")
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        os.environ["ZIG_GLOBAL_CACHE_DIR"] = os.environ["ZIG_LOCAL_CACHE_DIR"] = folder
+        return hook(*args)
+
+
+def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
+    """Builds the wheel."""
+    return build_with_compiler(build.build_wheel, wheel_directory, config_settings, metadata_directory)
+
+
+def build_editable(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
+    """Builds an editable wheel."""
+    return build_with_compiler(build.build_editable, wheel_directory, config_settings, metadata_directory)
+
+
+def link_absolutely(text: str, files: str) -> str:
+    """Makes relative links of Markdown text absolute below the URL `files`; without a URL, keeps only their words."""
+
+    def link(match: re.Match[str]) -> str:
+        image, words, target = match.groups()
+        if files:
+            return f"{image}[{words}]({files}/{target}{'?raw=true' if image else ''})"
+        return "" if image else words
+
+    return re.sub(r"(!?)\[([^\[\]]*)\]\((?!https?:|#)([^()\s]+)\)", link, text)
+
+
+def dynamic_metadata(settings: Mapping[str, Any], project: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the README and the URLs, for scikit-build-core."""
+    repository = os.environ.get("REPOSITORY_URL", "").rstrip("/")
+    files = f"{repository}/blob/v{project['version']}" if repository else ""
+    text = link_absolutely(Path("README.md").read_text(encoding="utf-8"), files)
+    urls = {"Repository": repository, "Issues": f"{repository}/issues", "Changelog": f"{files}/CHANGELOG.md"}
+    return {"readme": {"text": text, "content-type": "text/markdown"}, "urls": urls if repository else {}}
