@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import math
-import pickle
 import warnings
-from typing import NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -16,12 +13,11 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.env_checker import check_env as check_sb3
 
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Controller
-from capsule_gym.compilation import inlined
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.env import shown_state
 from capsule_gym.resets import Stream, random_stream
 from capsule_gym.sb3 import CapsuleSB3VecEnv
-from capsule_gym.task import METRICS, TASKS, Draw, Option, Task
+from capsule_gym.task import METRICS, TASKS, Task
 from capsule_gym.tasks.velocity import with_commands
 from tests.capsule_gym.fakes import layout
 
@@ -67,37 +63,6 @@ def test_the_checkers_are_silent_and_the_info_keeps_its_form(name):
     assert set(metrics) > set(METRICS) and all(not math.isnan(value) for value in metrics.values())
 
 
-@pytest.mark.parametrize("kwargs", [{}, {"controller": "baselines:gait", "observe_parameters": True}])
-@pytest.mark.parametrize("name", OTHERS)
-def test_a_batch_gives_the_bits_of_single_environments_across_resets(name, kwargs):
-    count, horizon = 66, 40
-    batch = CapsuleVectorEnv(
-        count, max_episode_steps=horizon, autoreset_mode="SAME_STEP", threads=2, task=name, **kwargs
-    )
-    own = batch.simulation.task
-    alone = [CapsuleEnv(task=name, **kwargs) for _ in range(count)]
-    observations, infos = batch.reset(seed=7)
-    for i, env in enumerate(alone):
-        first, info = env.reset(seed=7 + i)
-        assert first.tobytes() == observations[i].tobytes()
-        assert all(infos[field][i] == info[field] for field in own.shown)
-    for t, given in enumerate(actions(1, 2 * horizon + 5, count)):
-        observations, rewards, terminated, truncated, infos = batch.step(given)
-        for i, env in enumerate(alone):
-            seen, reward, failed, _, info = env.step(given[i])
-            assert (reward, failed) == (rewards[i], terminated[i])
-            final = terminated[i] or truncated[i]
-            for field in (*own.shown, *own.reward_terms):
-                assert (infos["final_info"] if final else infos)[field][i] == info[field], (t, i, field)
-            if final:
-                assert infos["final_obs"][i].tobytes() == seen.tobytes()
-                metrics = env.episode_metrics(horizon)
-                assert all(infos["final_info"]["metrics"][key][i] == value for key, value in metrics.items())
-                seen, _ = env.reset()
-            assert seen.tobytes() == observations[i].tobytes()
-    batch.close()
-
-
 @pytest.mark.parametrize("name", OTHERS)
 def test_what_an_episode_draws_are_numpys_numbers_and_a_reset_may_set_it(name):
     own = find_task(name)
@@ -118,20 +83,6 @@ def test_what_an_episode_draws_are_numpys_numbers_and_a_reset_may_set_it(name):
     # The plant and the first angle are the same draws as those of the speed task.
     masses = [CapsuleEnv(task=each, randomization="paper").reset(seed=3)[1]["M"] for each in (name, "speed")]
     assert masses[0] == masses[1]
-
-
-@pytest.mark.parametrize("make_copy", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-@pytest.mark.parametrize("name", OTHERS)
-def test_a_copy_goes_on_with_the_episodes_bit_for_bit(name, make_copy):
-    env = CapsuleVectorEnv(3, task=name, max_episode_steps=30, autoreset_mode="NEXT_STEP")
-    env.reset(seed=0, options={key: [value] * 3 for key, value in GIVEN[name][0].items()})
-    for given in actions(0, 10, 3):
-        env.step(given)
-    twin = make_copy(env)
-    for given in actions(1, 60, 3):
-        ours, theirs = env.step(given), twin.step(given)
-        assert all(a.tobytes() == b.tobytes() for a, b in zip(ours[:4], theirs[:4], strict=True))
-        assert all(ours[4][key].tobytes() == theirs[4][key].tobytes() for key in ours[4])
 
 
 @pytest.mark.parametrize("name", OTHERS)
@@ -161,62 +112,20 @@ def test_the_defaults_are_the_tasks_and_what_is_given_goes_before():
         EnvConfig(tusk="velocity")
 
 
-class Height(NamedTuple):
-    """The memory of the task below."""
-
-    best: float
-    wanted: float
-
-
-@inlined
-def climb(x: float, x_dot: float, moved: float, dt: float, memory: Height) -> tuple[float, Height]:
-    best = max(memory.best, x)
-    return best - memory.best, Height(best, memory.wanted)
-
-
-@inlined
-def start(x: float, memory: Height) -> Height:
-    return Height(x, memory.wanted)
-
-
-@inlined
-def show(out: np.ndarray, x: float, memory: Height) -> None:
-    out[0] = memory.wanted - x
-
-
-OWN = Task(
-    name="record",
-    term="reward_record",
-    reward=climb,
-    memory=Height,
-    begin=start,
-    entries={"left": (-10.0, 10.0)},
-    observe=show,
-    shown=("best",),
-    options={"wanted": Option((Draw(1.0, 2.0),), lambda name, value: [float(value)])},
-    metrics=lambda memory, whole: {"best": memory.best},
-)
-
-
-def test_a_task_of_ones_own_is_an_object_and_its_law_reads_its_memory():
+def test_a_law_belongs_to_its_task_and_reads_its_memory():
     def law(theta, theta_dot, x, x_dot, memory, reference):
-        # The best and the wanted height follow the two columns of the reference.
-        return 0.1 * reference[3], memory
+        # The task's memory follows the two columns of the reference.
+        return 0.1 * reference[2], memory
 
-    made = Controller("follows", law, np.zeros((1, 2)), task=OWN)
+    made = Controller("follows", law, np.zeros((1, 2)), task="goal")
     with pytest.raises(TypeError, match=r"the control law of 'follows' must be .* a trial call"):
         Controller("follows", law, np.zeros((1, 2)))
-    with pytest.raises(ValueError, match=r"^controller must be a law for the task 'speed' or .* for the task 'record'"):
+    with pytest.raises(ValueError, match=r"^controller must be a law for the task 'speed' or .* for the task 'goal'"):
         CapsuleEnv(controller=made)
-    env = CapsuleEnv(task=OWN, controller=made)
-    observation, info = env.reset(seed=1, options={"wanted": 1.5, "state": [0.0, 0.0, 0.25, 0.5]})
-    assert observation[-1] == 1.25 and info["best"] == 0.25
-    assert info["law_torque"] == 0.1 * 1.5
-    _, reward, _, _, info = env.step(np.zeros(1, np.float32))
-    assert reward == info["reward_record"] + info["reward_energy"] + info["reward_termination"]
-    assert info["reward_record"] == info["state"][2] - 0.25 == info["best"] - 0.25 > 0.0
-    assert env.episode_metrics()["best"] == info["best"]
-    assert 1.0 <= CapsuleEnv(task=OWN).reset(seed=0)[0][-1] < 2.0
+    env = CapsuleEnv(task="goal", controller=made)
+    _, info = env.reset(seed=1, options={"goal": 1.5})
+    field = env.simulation.task.fields[0]
+    assert info["law_torque"] == 0.1 * env.simulation.world[0, env.simulation.task_row, 0], field
 
 
 @pytest.mark.parametrize(
