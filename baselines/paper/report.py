@@ -13,7 +13,7 @@ import numpy as np
 from baselines.laws.gains import REGULARISED, UNREGULARISED
 from baselines.paper import adaptive, principles, proofs, published, selection, tracking
 from baselines.paper.adaptive import ERRORS
-from baselines.paper.optimal_profiles import load
+from baselines.paper.optimal_profiles import Solution, load
 from baselines.paper.verdicts import AGREEMENT, compare_numbers, judge_claims
 from baselines.tables import printed_above, printed_below, text_table
 from capsule_gym.task import TORQUE_LIMIT
@@ -77,58 +77,67 @@ def _table(rows: Sequence[Row]) -> str:
     return text_table([head, *([_cell(value) for value in row.values()] for row in rows)])
 
 
-def _picked(rows: Sequence[Row], *without: str) -> list[Row]:
-    """The rows without some of their entries."""
-    return [{name: value for name, value in row.items() if name not in without} for row in rows]
-
-
 def text(results: Results) -> str:
     """All tables and remarks, for a terminal."""
-    runs, study = results["runs"], results["adaptive"]
-    nominal = len(study["laws"][0].runs) // 2
-    ranges = (f"M in {[*published.M_RANGE]} kg", f"mu in {[*published.MU_RANGE]}")
-    sections: dict[str, list[str | Sequence[Row]]] = {
+    runs, study, profiles = results["runs"], results["adaptive"], results["optimal_profiles"]
+    laws, nominal, ratio = study["laws"], len(study["laws"][0].runs) // 2, tracking.speed_ratio(*runs["maps"])
+    failing = ("beta", "eta(0)", "n", "Hz", "fail", f"fail at {TORQUE_LIMIT:g} N m")
+    ranges = f"M in {[*published.M_RANGE]} kg, mu in {[*published.MU_RANGE]}"
+    turned = math.degrees(sum(phase["printed"][2] for phase in results["profile_as_printed"]))
+    sections: dict[str, list[str | list[Row]]] = {
         "Section 5 of the paper: published and found": [
-            *_numbers(results["numbers"]),
+            [_number(row) for row in results["numbers"]],
+            *(
+                f"{row['number'].quantity}, {row['run']}: {row['remark']}"
+                for row in results["numbers"]
+                if row["remark"]
+            ),
             "'calibrated': a free parameter of the profile (V1, P2) was set to meet it; 'predicted': nothing was set; "
             f"'constant': restates the plant. Reproduced means within {100.0 * AGREEMENT:.0f} %. Five cycles from "
             "rest, mu = 0.01, Newton's normal force, feedback linearisation (35) at 1 kHz.",
         ],
         "What the paper claims": [
-            f"- {claim} ({where}): {'reproduced' if row['reproduced'] else 'NOT reproduced'}. Found: {row['found']}."
+            "- {} ({}): {}. Found: {}.".format(
+                *published.CLAIMS[row["claim"]],
+                "reproduced" if row["reproduced"] else "NOT reproduced",
+                row["found"],
+            )
             for row in results["claims"]
-            for claim, where in [published.CLAIMS[row["claim"]]]
         ],
         "Both profiles under feedback linearisation (35)": [
             [
-                {"profile": profile, "normal_force": force, **run}
-                for profile, forces in runs["tracking"].items()
+                {"profile": p, "N by": force, **run}
+                for p, forces in runs["tracking"].items()
                 for force, run in forces.items()
             ],
             "rad/s, degrees, cm/s, N m, J a cycle, cm a cycle; error: rms of theta - theta_d, rad.",
         ],
         "Why the published torques are impossible: two proofs": [
-            "Proof 1, at the peak: where theta' peaks the motor gives at least 'bound' N m, for every angle of the "
-            "published swing, in stick and either direction of slip, and for either normal force.",
-            [_rounded(row, below=("bound", "sticking")) for row in results["proof_1"]],
-            "Proof 2, in the phase plane: with |u| <= 'torque' theta' stays below 'bound' rad/s from rest anywhere in "
-            "the swing. Torques needed, and enough, for the published rate from -60 degrees.",
-            [
-                _rounded(row, below=("torque_needed",), above=("bound", "from_start", "torque_enough", "undamped"))
-                for row in results["proof_2"]
-            ],
+            "Proof 1: where theta' peaks, the motor gives at least 'bound' N m for every angle of the published swing.",
+            [_rounded(row, "bound", "sticking") for row in results["proof_1"]],
+            "Proof 2: with |u| <= 'torque' theta' stays below 'bound' rad/s from rest anywhere in the swing. 'torque "
+            "needed', 'torque enough' (by simulation): for the published rate from -60 degrees.",
+            [_rounded(row, "torque_needed") for row in results["proof_2"]],
             "Lower bounds are rounded down, upper bounds up. The mean speeds are not affected.",
         ],
-        "Sensitivity": _sensitivity(runs),
+        "Sensitivity": [
+            f"Over M in {tracking.M_RANGE} kg, mu in {tracking.MU_RANGE}: proposed / EPC {np.nanmin(ratio):.3f} to "
+            f"{np.nanmax(ratio):.3f}. EPC loses contact below M = {runs['maps'][1].least_mass_in_contact:.3f} kg.",
+            [
+                {"profile": name, "step of law and physics (s)": step, "cm/s": float(speed), "N m": float(torque)}
+                for name, found in runs["steps"].items()
+                for step, speed, torque in zip(tracking.STEPS, *found, strict=True)
+            ],
+        ],
         "The profile (9) as printed, and as built": [
             results["profile_as_printed"],
             "Rates at start and end, rad/s, and angle, rad; omega = pi / (2 t1). As printed it turns the pendulum by "
-            f"{math.degrees(sum(row['printed'][2] for row in results['profile_as_printed'])):.0f} degrees a cycle.",
+            f"{turned:.0f} degrees a cycle.",
         ],
         "What Table 1 follows from (Sect. 3.2)": [
-            _picked(results["table_1"], "rounding"),
+            results["table_1"],
             "Follows: the two agree within the digits of Table 1, all its times varied by half a last digit. The "
-            "condition theta(t3) = +theta_0, on which (23), (30) and (31) rest, has another solution (rad, rad/s); "
+            "condition theta(t3) = +theta_0, on which (23), (30) and (31) rest, has another solution (rad/s, rad); "
             "at the published rate, the angle reached at t3 and the drift of every cycle with the P3 of (23):",
             [results["boundary_condition"]],
         ],
@@ -139,49 +148,34 @@ def text(results: Results) -> str:
             results["lemmas"],
         ],
         "The optimum of the paper's own family of profiles, exact tracking, Principles 1 to 4": [
-            [
-                {
-                    "torque limit, plants, changes": each.problem.label,
-                    "cm/s": printed_below(100.0 * each.mean_speed, 3),
-                    "cost of transport": each.cost_of_transport,
-                    "N m": each.peak_torque,
-                    "backward": each.backward_ratio,
-                    "binding": [name for name, share in each.shares.items() if share >= BINDING],
-                }
-                for each in sorted(results["optimal_profiles"], key=lambda each: each.problem.torque_limit)
-            ],
+            [_optimum(each) for each in sorted(profiles, key=lambda each: each.problem.torque_limit)],
             "Of the worst plant. The speeds are lower bounds of the optimum, rounded down.",
         ],
-        f"Adaptive law (39), {len(study['laws'][0].runs)} plants: {', '.join(ranges)}": [
+        f"Adaptive law (39), {len(laws[0].runs)} plants: {ranges}": [
             [
                 {"law": law.law, "torque_limit": law.torque_limit, "failures": law.failures, "of": name, **run}
-                for law in study["laws"]
-                for name, run in [
+                for law in laws
+                for name, run in (
                     ("the nominal plant", law.runs[nominal]),
-                    ("the largest error", law.worst("error_rms")),
-                    ("the largest torque", law.worst("peak_torque")),
-                    ("the slowest", law.worst("mean_speed", smallest=True)),
-                    ("the fastest", law.worst("mean_speed")),
-                ]
+                    *((f"the largest {each}", law.worst(each)) for each in ("error_rms", "peak_torque", "mean_speed")),
+                    ("the smallest mean_speed", law.worst("mean_speed", smallest=True)),
+                )
             ],
             f"Corrected, unregularised: {UNREGULARISED._asdict()}. Regularised: {REGULARISED._asdict()}.",
         ],
-        f"What the paper leaves open: plants of {len(study['laws'][1].runs)} that fail, law corrected, unregularised": [
-            [
-                dict(zip(("beta", "eta(0)", "n", "Hz", "fail", f"fail at {TORQUE_LIMIT:g} N m"), row, strict=True))
-                for row in study["variants"]
-            ]
+        f"What the paper leaves open: plants of {len(laws[1].runs)} that fail, law corrected, unregularised": [
+            [dict(zip(failing, row, strict=True)) for row in study["variants"]]
         ],
         "Long runs of the regularised law: the largest errors of a cycle": [
             [
-                {"Hz": rate, "M": M, "mu": mu, "cycle": cycle, **dict(zip(ERRORS, run[cycle], strict=True))}
-                for rate, long_runs in study["long_runs"].items()
-                for (M, mu), run in zip((adaptive.NOMINAL_PLANT, *adaptive.CORNERS), long_runs, strict=True)
-                for cycle in run
+                {"Hz": rate, "M": M, "mu": mu, "cycle": cycle, **dict(zip(ERRORS, errors, strict=True))}
+                for rate, by_plant in study["long_runs"].items()
+                for (M, mu), cycles in zip((adaptive.NOMINAL_PLANT, *adaptive.CORNERS), by_plant, strict=True)
+                for cycle, errors in cycles.items()
             ]
         ],
         "The Lyapunov function V of (40) along the run, with the true plant's parameters": [
-            [{"law": law.law, **values} for law in study["laws"][:2] for values in law.lyapunov]
+            [{"law": law.law, **values} for law in laws[:2] for values in law.lyapunov]
         ],
     }
     return "\n\n".join(
@@ -191,53 +185,25 @@ def text(results: Results) -> str:
     )
 
 
-def _numbers(rows: Sequence[Row]) -> list[Any]:
-    """The table of published and found numbers, and its remarks."""
-    cells, remarks = [], []
-    for row in rows:
-        number, verdict = row["number"], "reproduced" if row["reproduced"] else "NOT reproduced"
-        if row["remark"]:
-            remarks.append(f"[{len(remarks) + 1}] {row['remark']}")
-            verdict += f" [{len(remarks)}]"
-        cells.append(
-            {
-                "run": row["run"],
-                "quantity": number.quantity,
-                "unit": number.unit,
-                # One more digit than printed, so that rounding hides no difference.
-                "published": f"{number.value:.{number.digits}f}",
-                "found": f"{row['found']:.{number.digits + 1}f}",
-                "difference": f"{100.0 * row['difference']:+.1f} %",
-                "kind": row["kind"],
-                "verdict": verdict,
-            }
-        )
-    return [cells, *remarks]
+def _number(row: Row) -> Row:
+    """A published number and ours, with one more digit than printed, so that rounding hides no difference."""
+    n, verdict = row["number"], "reproduced" if row["reproduced"] else "NOT reproduced"
+    values = {"published": f"{n.value:.{n.digits}f}", "found": f"{row['found']:.{n.digits + 1}f}"}
+    values["difference"] = f"{100.0 * row['difference']:+.1f} %"
+    return {"run": row["run"], "quantity": n.quantity, "unit": n.unit, **values, "kind": row["kind"], "": verdict}
 
 
-def _rounded(row: Row, below: Sequence[str] = (), above: Sequence[str] = ()) -> Row:
-    """A row with its lower bounds rounded down and its upper bounds rounded up."""
-    rounded = {**{name: printed_below for name in below}, **{name: printed_above for name in above}}
-    return {name: rounded[name](value, 3) if name in rounded else value for name, value in row.items()}
+def _optimum(found: Solution) -> Row:
+    """The numbers of an optimised profile."""
+    row = {name: getattr(found, name) for name in ("cost_of_transport", "peak_torque", "backward_ratio")}
+    binding = [name for name, share in found.shares.items() if share >= BINDING]
+    speed = printed_below(100.0 * found.mean_speed, 3)
+    return {"torque limit, plants, changes": found.problem.label, "cm/s": speed, **row, "binding": binding}
 
 
-def _sensitivity(runs: Results) -> list[Any]:
-    """Other plants and steps."""
-    ratio = tracking.speed_ratio(*runs["maps"])
-    steps = [
-        {
-            "step (s)": step,
-            **{
-                f"{name}, {unit}": float(column[n])
-                for name, columns in runs["steps"].items()
-                for unit, column in zip(("cm/s", "N m"), columns, strict=True)
-            },
-        }
-        for n, step in enumerate(tracking.STEPS)
-    ]
-    return [
-        f"Over M in {tracking.M_RANGE} kg, mu in {tracking.MU_RANGE}: proposed / EPC {np.nanmin(ratio):.3f} to "
-        f"{np.nanmax(ratio):.3f}. EPC loses contact below M = {runs['maps'][1].least_mass_in_contact:.3f} kg.",
-        steps,
-        "Law and physics at the same step; the law runs at 1 kHz everywhere else.",
-    ]
+def _rounded(row: Row, *lower: str) -> Row:
+    """A row of a proof with its lower bounds rounded down and its other bounds rounded up."""
+    upper = {"bound", "from_start", "torque_enough", "undamped"} - {*lower}
+    rounded = {name: printed_below(row[name], 3) for name in lower}
+    rounded |= {name: printed_above(row[name], 3) for name in upper if name in row}
+    return {**row, **rounded}
