@@ -87,11 +87,7 @@ def text(results: Results) -> str:
     sections: dict[str, list[str | list[Row]]] = {
         "Section 5 of the paper: published and found": [
             [_number(row) for row in results["numbers"]],
-            *(
-                f"{row['number'].quantity}, {row['run']}: {row['remark']}"
-                for row in results["numbers"]
-                if row["remark"]
-            ),
+            *dict.fromkeys(f"{row['number'].quantity}: {row['remark']}" for row in results["numbers"] if row["remark"]),
             "'calibrated': a free parameter of the profile (V1, P2) was set to meet it; 'predicted': nothing was set; "
             f"'constant': restates the plant. Reproduced means within {100.0 * AGREEMENT:.0f} %. Five cycles from "
             "rest, mu = 0.01, Newton's normal force, feedback linearisation (35) at 1 kHz.",

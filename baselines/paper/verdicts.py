@@ -10,7 +10,7 @@ import numpy as np
 from baselines.laws.adaptive import nominal_estimates
 from baselines.laws.gains import UNREGULARISED
 from baselines.paper import published
-from baselines.paper.adaptive import LONG, LONGEST, cycle_errors
+from baselines.paper.adaptive import ERRORS, LONG, LONGEST, cycle_errors
 from baselines.paper.published import Number
 from capsule_gym.parameters import NOMINAL
 
@@ -85,14 +85,16 @@ def judge_claims(runs: Results, study: Results) -> list[Results]:
     def compared(name: str) -> str:
         return f"{proposed[name]:.3f} against {epc[name]:.3f}"
 
-    def converging(quantity: str) -> tuple[str, bool]:
+    def converging(quantity: str, unit: str) -> tuple[str, bool]:
         """Largest errors of a cycle on the corners, and whether all fall to a tenth of the first cycle's."""
         by_cycle = {n: cycle_errors(study, quantity, n)[1:] for n in (1, LONG, LONGEST)}
-        ranges = ", ".join(f"{min(each):.1e} to {max(each):.1e} in cycle {n}" for n, each in by_cycle.items())
+        ranges = ", ".join(f"{min(each):.1e} to {max(each):.1e} {unit} in cycle {n}" for n, each in by_cycle.items())
         falls = (np.array(by_cycle[LONGEST]) <= CONVERGED * np.array(by_cycle[1])).all()
         return f"regularised, off the nominal plant: {ranges}; it falls and does not vanish", bool(falls)
 
-    angle, rate, sliding = map(converging, ("angle_error", "rate_error", "sliding"))
+    angle, rate, sliding = (
+        converging(each, unit) for each, unit in zip(ERRORS, ("rad", "rad/s", "rad/s"), strict=True)
+    )
     found = {
         "faster": (
             f"{compared('mean_speed')} cm/s; ratio {low:.2f} to {high:.2f} over mu in [0.003, 1]",
