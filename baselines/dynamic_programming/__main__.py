@@ -41,9 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parse(Args, PROG, arguments)
     # Imported after parsing, since `--help` does not need these modules.
     from baselines.archive import run_search
-    from baselines.dynamic_programming.archive import load_archive
+    from baselines.dynamic_programming.archive import load_archive, set_plants, solve_plants
     from baselines.dynamic_programming.figure import report
-    from baselines.dynamic_programming.plants import set_plants, solve_plants
     from baselines.dynamic_programming.problem import PROBLEMS
 
     try:

@@ -174,14 +174,10 @@ def record(
     choose: Callable[[int, np.ndarray], Any],
     plants: np.ndarray | None = None,
 ) -> Trajectory:
-    """Runs episodes from rest.
+    """Runs episodes of a problem from rest at the angles `thetas`, rad.
 
-    Args:
-        problem: the problem, which sets the plant and the control interval.
-        thetas: initial angles of the episodes, rad.
-        steps: number of steps.
-        choose: choose(step, states) -> torques as indices of `ACTIONS`; the states are of shape (4, episodes).
-        plants: M in kg and mu of every episode, shape (episodes, 2), instead of the problem's.
+    choose(step, states) gives the torques as indices of `ACTIONS` for states of shape (4, episodes). `plants` are M in
+    kg and mu of every episode, shape (episodes, 2), instead of the problem's.
     """
     count = thetas.size
     M, mu = (np.tile([problem.M, problem.mu], (count, 1)) if plants is None else plants).T
