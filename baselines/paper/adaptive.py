@@ -40,8 +40,8 @@ SHOWN_CYCLES = (1, 5, 10, 20, LONG, 200, LONGEST)
 
 def sliding(run: Trajectory) -> Any:
     """The `Sliding` variables of (37), each an array over a run of the adaptive law with the published gains."""
-    anchors = run.memory[:, MEMORY.index("x_anchor")]
-    return sliding_variables(run.theta, run.theta_dot, run.x, run.x_dot, anchors, run.reference.T, PUBLISHED)
+    state, anchors = (run.theta, run.theta_dot, run.x, run.x_dot), run.memory[:, MEMORY.index("x_anchor")]
+    return sliding_variables(state, anchors, run.reference.T, PUBLISHED)
 
 
 def lyapunov(run: Trajectory, start: tuple[float, ...], plant: Plant) -> np.ndarray:
