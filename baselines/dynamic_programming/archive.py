@@ -88,9 +88,8 @@ class Archive:
             solved = solve_on_grids(problem, GRIDS[: (4 if problem == Problem() else 2) if own_interval else 3])
 
             def reward(trajectory: Trajectory, energy_weight: float = problem.energy_weight) -> float:
-                metrics = trajectory.metrics
-                value = 100.0 * metrics["distance"][0] - energy_weight * metrics["energy"][0]
-                return float(value) - 1e9 * float(metrics["failed"][0])
+                distance, energy, failed = (trajectory.metrics[key][0] for key in ("distance", "energy", "failed"))
+                return float(100.0 * distance - energy_weight * energy) - 1e9 * float(failed)
 
             best = max((trajectory for _, trajectory in solved), key=reward)
             self.results[problem.key] = Result(
@@ -104,8 +103,7 @@ class Archive:
             # The policies look ahead with the values of the speed problems.
             if problem.energy_weight == 0.0 and own_interval:
                 self._add_values(problem.key, solved[0][0])
-            speed = self.results[problem.key].mean_speed
-            print(f"{speed:.2f} cm/s over 33 s, {perf_counter() - began:.0f} s", flush=True)
+            print(f"{self.results[problem.key].mean_speed:.2f} cm/s, {perf_counter() - began:.0f} s", flush=True)
             yield
 
     def _add_values(self, key: str, solution: Solution) -> None:
@@ -237,9 +235,9 @@ def cycle() -> dict[str, np.ndarray]:
     """The settled period of the trajectory on the nominal plant whose ends differ the least.
 
     Returns:
-        `time` (s, from 0), `theta` (rad), `theta_dot` (rad/s), `x` (m, from 0), `x_dot` (m/s), `normal_force` (N, the
-        smallest of the step) and `torque` (N m, during it) at every step of the integrator, from one reversal of the
-        pendulum, left of upright and into forward motion, to the next; each of shape (steps + 1,), float64.
+        `time` (s), `theta` (rad), `theta_dot` (rad/s), `x` (m), `x_dot` (m/s), `normal_force` (N, the smallest of the
+        step) and `torque` (N m) at every step of the integrator from one reversal of the pendulum, left of upright and
+        into forward motion, to the next; each of shape (steps + 1,), float64.
     """
     problem, archive = Problem(), known_results()
     trajectory = archive.repeat(problem)

@@ -71,8 +71,7 @@ def _maps(solution: Solution, w: float) -> tuple[np.ndarray, np.ndarray]:
     x_dot = solution.grid.q * (w + np.cos(theta) * theta_dot)
     states = np.stack([theta.ravel(), theta_dot.ravel(), x_dot.ravel()])
     model = Transitions(solution.problem, states.shape[1])
-    best = np.full(states.shape[1], -np.inf)
-    torques = np.zeros(states.shape[1])
+    best, torques = np.full(states.shape[1], -np.inf), np.zeros(states.shape[1])
     # Every third torque is fine enough for a map.
     for action in ACTIONS[::3]:
         ends, rewards, failed = model.step(states, np.full(best.size, action))

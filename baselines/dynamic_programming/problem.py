@@ -138,14 +138,11 @@ class Transitions:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """The trajectories of a batch of episodes.
+    """The trajectories of a batch of episodes, and their metrics (`capsule_gym.task.Metrics`), of shape (episodes,).
 
-    Attributes:
-        metrics: those of `capsule_gym.task.Metrics`, each of shape (episodes,).
-        states: theta (rad), theta_dot (rad/s), x (m), x_dot (m/s) at the beginning of every step, shape (steps, 4,
-            episodes).
-        choices: the torques as indices of `ACTIONS`, shape (steps, episodes), uint8.
-        normal_forces: smallest normal force in each step, N, shape (steps, episodes).
+    `states` are theta (rad), theta_dot (rad/s), x (m) and x_dot (m/s) at the beginning of every step, shape (steps, 4,
+    episodes); `choices`, uint8, the torques as indices of `ACTIONS`, and `normal_forces` the smallest in each step, N,
+    both of shape (steps, episodes).
     """
 
     metrics: dict[str, np.ndarray]
