@@ -134,7 +134,7 @@ def test_malformed_files_raise_an_error(tmp_path, name, content):
     for each in ("archive.json", "arrays.npz"):
         shutil.copy(FOLDER / each, tmp_path)
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(ValueError, match=r"must hold an archive written by `python -m baselines\.dynamic_programming`"):
+    with pytest.raises(ValueError, match=r"must hold an archive for `python -m baselines\.dynamic_programming`"):
         load_archive(tmp_path)
 
 

@@ -48,7 +48,7 @@ def test_a_malformed_archive_raises_an_error(tmp_path):
     shutil.copy(FOLDER / "archive.json", tmp_path)
     path = tmp_path / "archive.json"
     path.write_text(path.read_text().replace("harmonics", "hop"))
-    message = "must hold an archive written by `python -m baselines.gaits`, got KeyError: 'hop'"
+    message = "must hold an archive for `python -m baselines.gaits`, got KeyError: 'hop'"
     with pytest.raises(ValueError, match=message):
         load_archive(tmp_path)
 
