@@ -22,6 +22,7 @@ struct block {
   double duration[N], episode_energy[N], weight_distance[N], torque_squared[N], peak_torque[N], forward[N], backward[N];
   double stuck[N], smallest_normal_ratio[N], largest_theta[N], largest_theta_dot[N];
   double slip[N], mass_ratio[N], before_x[N], event[N], halted[N], elapsed[N];
+  double next_theta[N], next_theta_dot[N], next_x[N], next_x_dot[N], smallest[N];  // for a substep with an event
 };
 const int ROWS = sizeof(struct block) / sizeof(double) / N;
 
@@ -45,15 +46,12 @@ static INLINE double kinetic(double slip, struct plant p) { return slip < 0.0 ? 
 
 // The angle is brought to +-pi and halved: libm's vectorised functions take longer.
 static INLINE void sine_cosine(double angle, double *sine, double *cosine) {
-  double y = 0.5 * (angle - 6.283185307179586 * rint(angle * 0.15915494309189535)), z = y * y;
-  double s = 2.731428986122616e-15, c = -1.521855926409455e-16;
-  s = s * z - 7.643969031052769e-13, c = c * z + 4.777877290768691e-14;
-  s = s * z + 1.6058977272815506e-10, c = c * z - 1.1470712252875163e-11;
-  s = s * z - 2.5052107616384595e-08, c = c * z + 2.0876756602568905e-09;
-  s = s * z + 2.755731921915843e-06, c = c * z - 2.7557319221567154e-07;
-  s = s * z - 0.00019841269841254955, c = c * z + 2.4801587301579844e-05;
-  s = s * z + 0.008333333333333316, c = c * z - 0.001388888888888888;
-  s = s * z - 0.16666666666666666, c = c * z + 0.041666666666666664;
+  double y = 0.5 * (angle - 6.283185307179586 * rint(angle * 0.15915494309189535)), z = y * y, zz = z * z;
+  // In pairs, which wait for one another less than Horner's scheme.
+  double s = ((2.731428986122616e-15 * z - 7.643969031052769e-13) * zz + (1.6058977272815506e-10 * z - 2.5052107616384595e-08)) * (zz * zz) +
+      ((2.755731921915843e-06 * z - 0.00019841269841254955) * zz + (0.008333333333333316 * z - 0.16666666666666666));
+  double c = ((-1.521855926409455e-16 * z + 4.777877290768691e-14) * zz + (-1.1470712252875163e-11 * z + 2.0876756602568905e-09)) * (zz * zz) +
+      ((-2.7557319221567154e-07 * z + 2.4801587301579844e-05) * zz + (-0.001388888888888888 * z + 0.041666666666666664));
   s = y + y * z * s, c = 1.0 - 0.5 * z + z * z * c;
   *sine = 2.0 * s * c, *cosine = 1.0 - 2.0 * s * s;
 }
@@ -95,16 +93,16 @@ static INLINE double phase(double theta, double theta_dot, double x_dot, double 
   return x_dot > 0.0 ? 1.0 : x_dot < 0.0 ? -1.0 : rests;
 }
 
-// A Runge-Kutta step in one phase: the state at its end, the accelerations at its start, and the smallest N of its stages.
+// A Runge-Kutta step in one phase from the state s with the accelerations a: the state at its end, and the smallest N of
+// its stages.
 static INLINE struct state runge_kutta(struct state s, double slip, double mu, double u, struct plant p, double h,
-                                       struct acceleration *first, double *smallest) {
+                                       struct acceleration a, double *smallest) {
   double half = 0.5 * h, sixth = h / 6.0, theta_2 = s.theta + half * s.theta_dot;
-  struct acceleration a = accelerate(s.theta, s.theta_dot, slip, mu, u, p);
   struct acceleration b = accelerate(theta_2, s.theta_dot + half * a.theta, slip, mu, u, p);
   struct acceleration c = accelerate(theta_2 + half * half * a.theta, s.theta_dot + half * b.theta, slip, mu, u, p);
   double theta_4 = s.theta + h * s.theta_dot + half * h * b.theta;
   struct acceleration d = accelerate(theta_4, s.theta_dot + h * c.theta, slip, mu, u, p);
-  *first = a, *smallest = smaller(smaller(a.normal, b.normal), smaller(c.normal, d.normal));
+  *smallest = smaller(smaller(a.normal, b.normal), smaller(c.normal, d.normal));
   return (struct state){s.theta + h * s.theta_dot + h * sixth * (a.theta + b.theta + c.theta),
                         s.theta_dot + sixth * (a.theta + 2.0 * (b.theta + c.theta) + d.theta),
                         s.x + h * s.x_dot + h * sixth * (a.x + b.x + c.x), s.x_dot + sixth * (a.x + 2.0 * (b.x + c.x) + d.x)};
@@ -136,8 +134,8 @@ static INLINE void smooth_substep(struct block *b, struct settings q, int first,
     struct plant p = plant_of(b, q, j);
     struct state s = {b->theta[j], b->theta_dot[j], b->x[j], b->x_dot[j]};
     double slip = b->slip[j], u = b->torque[j], smallest, rate_0, rate_1;
-    struct acceleration a;
-    struct state e = runge_kutta(s, slip, kinetic(slip, p), u, p, h, &a, &smallest);
+    struct acceleration a = accelerate(s.theta, s.theta_dot, slip, kinetic(slip, p), u, p);
+    struct state e = runge_kutta(s, slip, kinetic(slip, p), u, p, h, a, &smallest);
     double before = slip * s.x_dot, rate = slip * a.x, after = slip * e.x_dot;
     int stopped = e.x_dot == 0.0;
     if (may_stick) {
@@ -149,6 +147,8 @@ static INLINE void smooth_substep(struct block *b, struct settings q, int first,
     int event = crosses(before, rate, after, h) | stopped | (smallest < 0.0) | (fabs(e.theta) >= 1.5707963267948966);
     double counts = going & !event ? 1.0 : 0.0;
     b->event[j] = going & event ? 1.0 : 0.0;
+    b->next_theta[j] = e.theta, b->next_theta_dot[j] = e.theta_dot, b->next_x[j] = e.x, b->next_x_dot[j] = e.x_dot;
+    b->smallest[j] = smallest;
     b->theta[j] = counts != 0.0 ? e.theta : s.theta, b->theta_dot[j] = counts != 0.0 ? e.theta_dot : s.theta_dot;
     b->x[j] = counts != 0.0 ? e.x : s.x, b->x_dot[j] = counts != 0.0 ? e.x_dot : s.x_dot;
     add_motion(b, j, s, e, h, counts, slip == 0.0 ? 1.0 : 0.0);
@@ -158,6 +158,14 @@ static INLINE void smooth_substep(struct block *b, struct settings q, int first,
   }
 }
 
+// The start of a phase, with its accelerations.
+struct start {
+  struct state s;
+  double slip, u;
+  struct plant p;
+  struct acceleration first;
+};
+
 // A part of a substep in one phase, and at its end the boundary that is positive while the phase lasts.
 struct piece {
   double tau, value, rate, normal;
@@ -165,25 +173,30 @@ struct piece {
   struct acceleration last;
 };
 
-static double boundary(struct state s, double x_ddot, double slip, double u, struct plant p, double *rate) {
-  if (slip == 0.0) return stick_margin(s.theta, s.theta_dot, u, p, rate).value;
-  return *rate = slip * x_ddot, slip * s.x_dot;
+static struct acceleration accelerations(struct state s, double slip, double mu, double u, struct plant p) {
+  return accelerate(s.theta, s.theta_dot, slip, mu, u, p);
 }
 
-static struct piece take(struct state s, double slip, double u, struct plant p, double tau) {
-  struct piece r = {.tau = tau};
-  struct acceleration first;
-  double mu = kinetic(slip, p), smallest;
-  r.end = runge_kutta(s, slip, mu, u, p, tau, &first, &smallest);
-  // Where the contact is lost, the platform is free.
-  if (smallest < 0.0) r.end = runge_kutta(s, slip, mu = 0.0, u, p, tau, &first, &smallest);
-  r.last = accelerate(r.end.theta, r.end.theta_dot, slip, mu, u, p);
-  r.value = boundary(r.end, r.last.x, slip, u, p, &r.rate), r.normal = larger(0.0, first.normal);
+static double boundary(struct state s, double x_ddot, const struct start *at, double *rate) {
+  if (at->slip == 0.0) return stick_margin(s.theta, s.theta_dot, at->u, at->p, rate).value;
+  return *rate = at->slip * x_ddot, at->slip * s.x_dot;
+}
+
+static struct piece take(const struct start *at, double tau, const struct state *known, double smallest) {
+  double mu = kinetic(at->slip, at->p);
+  struct acceleration first = at->first;
+  struct state end = known ? *known : runge_kutta(at->s, at->slip, mu, at->u, at->p, tau, first, &smallest);
+  if (smallest < 0.0) {  // the contact is lost: the platform is free
+    first = accelerations(at->s, at->slip, mu = 0.0, at->u, at->p);
+    end = runge_kutta(at->s, at->slip, mu, at->u, at->p, tau, first, &smallest);
+  }
+  struct piece r = {tau, 0.0, 0.0, larger(0.0, first.normal), end, accelerations(end, at->slip, mu, at->u, at->p)};
+  r.value = boundary(end, r.last.x, at, &r.rate);
   return r;
 }
 
 // The piece that ends on the boundary: Newton's method in a bracket, from the root of the cubic through its ends.
-static struct piece locate(struct state s, double slip, double u, struct plant p, double low, double g_0, double r_0, struct piece beyond) {
+static struct piece locate(const struct start *at, double low, double g_0, double r_0, struct piece beyond) {
   double width = beyond.tau - low, high = beyond.tau, g_1 = beyond.value, c = r_0 * width;
   double d = 3.0 * (g_1 - g_0) - 2.0 * c - beyond.rate * width, e = 2.0 * (g_0 - g_1) + c + beyond.rate * width;
   double share = g_0 / (g_0 - g_1);
@@ -193,7 +206,7 @@ static struct piece locate(struct state s, double slip, double u, struct plant p
   }
   double tau = low + share * width, step = LARGE;
   for (int i = 0; i < 60; i++) {
-    beyond = take(s, slip, u, p, tau);
+    beyond = take(at, tau, 0, 0.0);
     step = beyond.rate < 0.0 ? -beyond.value / beyond.rate : LARGE;
     if (fabs(step) <= 1e-6 * width || fabs(beyond.value) <= 1e-15 || high - low <= 1e-14 * width) break;
     *(beyond.value < 0.0 ? &high : &low) = tau, tau += step;
@@ -206,18 +219,18 @@ static struct piece locate(struct state s, double slip, double u, struct plant p
   return beyond;
 }
 
-static struct piece until_event(struct state s, double slip, double u, struct plant p, double before, double rate, struct piece whole) {
+static struct piece until_event(const struct start *at, double before, double rate, struct piece whole) {
   struct piece beyond = whole;
   if (whole.value >= 0.0) {
     double curvature = whole.value - before - rate * whole.tau;
     double dip = curvature > 0.0 ? -0.5 * rate * whole.tau * whole.tau / curvature : whole.tau;
-    if (dip >= whole.tau || (beyond = take(s, slip, u, p, dip)).value >= 0.0) return whole;
+    if (dip >= whole.tau || (beyond = take(at, dip, 0, 0.0)).value >= 0.0) return whole;
   }
-  if (before > 1e-15) return locate(s, slip, u, p, 0.0, before, rate, beyond);
+  if (before > 1e-15) return locate(at, 0.0, before, rate, beyond);
   // The phase starts on its boundary.
   for (int i = 0; i < 60; i++) {
-    struct piece left = take(s, slip, u, p, 0.5 * beyond.tau);
-    if (left.value > 0.0) return locate(s, slip, u, p, left.tau, left.value, left.rate, beyond);
+    struct piece left = take(at, 0.5 * beyond.tau, 0, 0.0);
+    if (left.value > 0.0) return locate(at, left.tau, left.value, left.rate, beyond);
     beyond = left;
   }
   return beyond;
@@ -225,27 +238,28 @@ static struct piece until_event(struct state s, double slip, double u, struct pl
 
 // A substep of one environment through every change of phase.
 static void step_with_events(struct block *b, struct settings q, int j, double h, double elapsed) {
-  struct plant p = plant_of(b, q, j);
-  struct state s = {b->theta[j], b->theta_dot[j], b->x[j], b->x_dot[j]};
-  double slip = b->slip[j], u = b->torque[j], left = h, normal = LARGE;
+  struct start at = {{b->theta[j], b->theta_dot[j], b->x[j], b->x_dot[j]}, b->slip[j], b->torque[j], plant_of(b, q, j), {0}};
+  struct state s = at.s, next = {b->next_theta[j], b->next_theta_dot[j], b->next_x[j], b->next_x_dot[j]};
+  double left = h, normal = LARGE, rate;
   for (int count = 0; count < 1000 && left > 0.0; count++) {
-    double rate, before = boundary(s, accelerate(s.theta, s.theta_dot, slip, kinetic(slip, p), u, p).x, slip, u, p, &rate);
-    struct piece r = take(s, slip, u, p, left);
+    at.s = s, at.first = accelerations(s, at.slip, kinetic(at.slip, at.p), at.u, at.p);
+    struct piece r = take(&at, left, count == 0 ? &next : 0, b->smallest[j]);
+    double before = boundary(s, at.first.x, &at, &rate);
     int crossed = crosses(before, rate, r.value, left) && count < 999, beyond = crossed && r.value < 0.0;
-    if (crossed) r = until_event(s, slip, u, p, before, rate, r);
-    add_motion(b, j, s, r.end, r.tau, 1.0, slip == 0.0 ? 1.0 : 0.0);
+    if (crossed) r = until_event(&at, before, rate, r);
+    add_motion(b, j, s, r.end, r.tau, 1.0, at.slip == 0.0 ? 1.0 : 0.0);
     normal = smaller(normal, r.normal), s = r.end;
     if (!(r.tau < left || beyond)) break;
     left -= r.tau;
-    if (slip == 0.0) {
-      slip = stick_margin(s.theta, s.theta_dot, u, p, &rate).force > 0.0 ? 1.0 : -1.0;
+    if (at.slip == 0.0) {
+      at.slip = stick_margin(s.theta, s.theta_dot, at.u, at.p, &rate).force > 0.0 ? 1.0 : -1.0;
     } else {
       s.x_dot = 0.0;
-      slip = before <= 0.0 && r.tau <= 1e-9 * h ? 0.0 : phase(s.theta, s.theta_dot, 0.0, u, p);
+      at.slip = before <= 0.0 && r.tau <= 1e-9 * h ? 0.0 : phase(s.theta, s.theta_dot, 0.0, at.u, at.p);
     }
   }
   b->theta[j] = s.theta, b->theta_dot[j] = s.theta_dot, b->x[j] = s.x, b->x_dot[j] = s.x_dot;
-  b->slip[j] = phase(s.theta, s.theta_dot, s.x_dot, u, p), b->normal_force[j] = smaller(b->normal_force[j], normal);
+  b->slip[j] = phase(s.theta, s.theta_dot, s.x_dot, at.u, at.p), b->normal_force[j] = smaller(b->normal_force[j], normal);
   b->largest_theta[j] = larger(b->largest_theta[j], fabs(s.theta));
   b->largest_theta_dot[j] = larger(b->largest_theta_dot[j], fabs(s.theta_dot));
   double reason = fabs(s.theta) >= 1.5707963267948966 ? 1.0 : normal <= 0.0 ? 2.0 : fabs(s.theta_dot) + fabs(s.x_dot) > 1e4 ? 3.0 : 0.0;
