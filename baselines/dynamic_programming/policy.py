@@ -147,19 +147,21 @@ class Oracle(Lookahead):
         super().__init__(count, MIN_NORMAL_FORCE, *plant_problems(grid), law=law)
         self._grid = grid
         self._observed = np.zeros((count, 2), np.float32)
+        self._corners, self._weights = np.zeros((count, 4), np.int64), np.zeros((count, 4))
 
     def scores(self, observations: np.ndarray, simulation: Simulation | None = None) -> np.ndarray:
         """`Lookahead.scores` on the observed plants."""
         plants = observations[:, -2:]
         # On most steps no plant has changed.
-        if not np.array_equal(plants, self._observed):
+        changed = np.flatnonzero((plants != self._observed).any(axis=1))
+        if changed.size:
             self._observed[:] = plants
             M, mu = plants.T.astype(np.float64)
             self._transitions.set_plants(np.repeat(M, NUM_TORQUES), np.repeat(mu, NUM_TORQUES))
             self._q = NOMINAL.m * NOMINAL.l / (M + NOMINAL.m)
-            cells = [self._grid.cell(*plant) for plant in zip(M.tolist(), mu.tolist(), strict=True)]
-            self._corners, a, b = (np.array(each) for each in zip(*cells, strict=True))
-            self._weights = np.stack([(1.0 - a) * (1.0 - b), (1.0 - a) * b, a * (1.0 - b), a * b], axis=1)
+            cells = [self._grid.cell(*plant) for plant in zip(M[changed].tolist(), mu[changed].tolist(), strict=True)]
+            self._corners[changed], a, b = (np.array(each) for each in zip(*cells, strict=True))
+            self._weights[changed] = np.stack([(1.0 - a) * (1.0 - b), (1.0 - a) * b, a * (1.0 - b), a * b], axis=1)
         return super().scores(observations, simulation)
 
 

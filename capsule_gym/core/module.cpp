@@ -332,6 +332,9 @@ int fill(PyObject* module) {
   failed |= add_names(module, "PLANT", CAPSULE_PLANT(FIELD));
   failed |= add_names(module, "NETWORK", CAPSULE_NETWORK(FIELD));
 #undef FIELD
+#define FIELD(type, name) #name " "
+  failed |= add_names(module, "BATCH", CAPSULE_BATCH(FIELD));
+#undef FIELD
 #define F(name, arguments, results, call) #name ":" #arguments ":" #results " "
   failed |= add_names(module, "PLANT_FUNCTIONS", CAPSULE_PLANT_FUNCTIONS(F));
   failed |= add_names(module, "ELEMENTARY_FUNCTIONS", CAPSULE_ELEMENTARY_FUNCTIONS(F));
