@@ -46,14 +46,14 @@ class Args(OutputArgs):
     """Processes for each program."""
 
 
-def rate(python: Path, program: str) -> float:
-    """Runs a program; returns processes per second of processor time (of time, where there is no `os.fork`)."""
+def seconds(python: Path, program: str) -> float:
+    """The processor time of a program (the time, where there is no `os.fork`)."""
     clock = (lambda: sum(os.times()[2:4])) if hasattr(os, "fork") else time.perf_counter
     start = clock()
     # Python's compiled files are kept, as after any first use.
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     subprocess.run([python, "-c", program], cwd=tempfile.gettempdir(), env=kept, check=True)
-    return 1.0 / (clock() - start)
+    return clock() - start
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -63,12 +63,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         python = Path(folder, "Scripts" if os.name == "nt" else "bin", "python")
         subprocess.run([sys.executable, "-m", "venv", folder], check=True)
         subprocess.run([python, "-m", "pip", "install", "-q", ROOT, "-c", ROOT / "constraints.txt"], check=True)
-        turns = {name: lambda program=program: rate(python, program) for name, program in PROGRAMS.items()}
+        turns = {name: lambda program=program: seconds(python, program) for name, program in PROGRAMS.items()}
         # The first processes write Python's compiled files.
         take_turns(turns, 1)
-        rates = take_turns(turns, args.turns)
-    seconds = {name: 1.0 / each for name, each in fastest(rates).items()}
-    rows = [[name, f"{each:.2f}", f"{each / seconds['Pendulum-v1']:.2f}"] for name, each in seconds.items()]
+        rates = fastest(take_turns(turns, args.turns))
+    rows = [[name, f"{1.0 / rate:.2f}", f"{rates['Pendulum-v1'] / rate:.2f}"] for name, rate in rates.items()]
     note = f"Processor time of a whole process, 10th percentile of {args.turns}, of an installed wheel. {machine()}."
     args.report(COMMAND, [["first step", "s", "over Pendulum-v1"], *rows], note)
     return 0

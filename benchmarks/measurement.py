@@ -1,19 +1,16 @@
 """Shared functions of the benchmarks: output files, the description of the machine, and measurements in turns.
 
-Ratios within one run are comparable between machines; absolute numbers are not. Contenders take turns, so that other
-processes affect all of them equally.
+Ratios within one run are comparable between machines; absolute numbers are not.
 """
 
 from __future__ import annotations
 
 import os
 import platform
-import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from tqdm import tqdm
@@ -26,8 +23,6 @@ from capsule_gym.files import write_atomically
 PACKAGES = ("capsule-gym", "numpy", "gymnasium", "mujoco", "envpool")
 # Vectors that the core uses, by its levels of instructions.
 VECTORS = {"v4": " with AVX-512", "v3": " with AVX2"}
-
-Name = TypeVar("Name")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,11 +47,6 @@ class OutputArgs:
             write_atomically(self.markdown, "\n\n".join([header, *paragraphs]) + "\n")
 
 
-def available_cores() -> int:
-    """The number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def machine() -> str:
     """One line with the processor, the vectors of the core, the cores, and the versions of installed packages."""
     versions = []
@@ -68,25 +58,19 @@ def machine() -> str:
     info = Path("/proc/cpuinfo")
     _, _, model = (info.read_text(encoding="utf-8") if info.exists() else "").partition("model name")
     cpu = model.partition(":")[2].partition("\n")[0].strip() or platform.processor() or platform.machine()
-    cores, python = f"{available_cores()} of {os.cpu_count()} cores", f"Python {platform.python_version()}"
+    cores, python = f"{os.cpu_count()} cores", f"Python {platform.python_version()}"
     return ", ".join([cpu + VECTORS.get(native.LEVEL, ""), cores, platform.system(), python, *versions])
 
 
-def take_turns(contenders: Mapping[Name, Callable[[], float]], turns: int) -> dict[Name, list[float]]:
-    """Runs all contenders in turns; returns their rates by name, one number per turn."""
-    rates: dict[Name, list[float]] = {name: [] for name in contenders}
+def take_turns(contenders: Mapping[str, Callable[[], float]], turns: int) -> dict[str, list[float]]:
+    """Measures the seconds of all contenders in turns, so that other processes affect all of them equally."""
+    seconds: dict[str, list[float]] = {name: [] for name in contenders}
     for _ in tqdm(range(turns), desc="turns"):
         for name, turn in contenders.items():
-            rates[name].append(turn())
-    return rates
+            seconds[name].append(turn())
+    return seconds
 
 
-def fastest(rates: Mapping[Name, Sequence[float]]) -> dict[Name, float]:
-    """The rates at the 10th percentile of the times, by name."""
-    return {name: float(np.percentile(each, 90.0)) for name, each in rates.items()}
-
-
-def spread(rates: Sequence[float]) -> float:
-    """The interquartile range divided by the median."""
-    low, median, high = statistics.quantiles(rates, n=4, method="inclusive") if len(rates) > 1 else [*rates] * 3
-    return (high - low) / median
+def fastest(seconds: Mapping[str, Sequence[float]]) -> dict[str, float]:
+    """The rates, per second, at the 10th percentiles of the times."""
+    return {name: 1.0 / float(np.percentile(each, 10.0)) for name, each in seconds.items()}

@@ -3,9 +3,9 @@
 All actions are drawn beforehand. A single environment runs whole episodes, including resets. A batch of this package
 does not truncate episodes, so that all batch sizes are comparable; an environment that fails is reset within the step.
 
-Contenders take turns, and the 10th percentile of their processor times is used, so that other processes have little
-effect. Unlike rates, ratios are comparable between machines. Each floor is about two thirds of the lowest ratio that was
-measured with AVX2 and AVX-512; a ratio below its floor usually means that the compiler vectorises a loop no longer.
+Contenders take turns, and the 10th percentiles of their processor times are used, so that other processes have little
+effect. Unlike rates, ratios are comparable between machines. Each floor is about two thirds of the lowest ratio found
+with AVX2 and AVX-512; a ratio below its floor usually means that the compiler vectorises a loop no longer.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -28,14 +28,16 @@ from benchmarks.plain import Plain, find_compiler
 from capsule_gym import ENV_ID, task
 from capsule_gym.command_line import Count, parse
 from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, EnvConfig
+from capsule_gym.parameters import Capsule
 from capsule_gym.simulation import Simulation
 
 COMMAND = "python -m benchmarks.throughput"
-TURN_SECONDS = 0.03
+TURN_SECONDS = 0.02
 # With random torques up to the limit, resets would dominate. The paper's torques rarely exceed this fraction.
 ACTION_SCALE = 0.2
 LAW: dict[str, Any] = {"controller": "baselines:adaptive", "residual_limit": ACTION_SCALE * task.TORQUE_LIMIT}
 REAL: dict[str, Any] = {"disturbances": "real", "randomization": "real"}
+PEERS = {"capsule": ENV_ID, "CartPole-v1": "CartPole-v1"}
 # Number of distinct actions, which are repeated; of episodes from the same states; of environments in most batches.
 DRAWS, EPISODE, BATCH = 256, 40, 1024
 
@@ -50,10 +52,10 @@ FLOORS = {
     ("capsule, core, 1024", "capsule, plain C, 1024"): 0.65,
 }
 NOTE = (
-    f"Environment steps per second of processor time. A step of the capsule is {1e3 * task.CONTROL_DT:g} ms in 10 substeps, "
-    f"with the law baselines:adaptive or at 1 ms in 20; direct torque is uniform within ±{ACTION_SCALE * task.TORQUE_LIMIT:g} "
-    "N m. It includes observation, reward and info, in MuJoCo (mujoco.rollout) the physics alone, and in the core and in plain "
-    'C no infos and resets. Real: plants and disturbances of "real". Drawn: render() after each step, in "rgb_array".'
+    "Environment steps per second of processor time; a number at the end is that of the environments of a batch. A step "
+    "of the capsule is 20 ms in 10 substeps, with the law baselines:adaptive or at 1 ms in 20; direct torque is uniform "
+    f"within ±{ACTION_SCALE * task.TORQUE_LIMIT:g} N m. It includes observation, reward and info; in MuJoCo the physics "
+    'alone, in the core and in plain C no infos and resets. Real: plants and disturbances of "real".'
 )
 
 
@@ -66,24 +68,31 @@ def _draw(space: gym.Space[Any], count: int) -> Iterator[Any]:
     )
 
 
-def single(env_id: str, reset: bool = False, **kwargs: Any) -> Step:
-    """Steps or resets of one environment with gymnasium's default wrappers; with a render mode each step draws a frame."""
+def single(env_id: str, **kwargs: Any) -> Step:
+    """Steps of one environment with gymnasium's default wrappers; with a render mode each step draws a frame."""
     env = gym.make(env_id, **kwargs)
     env.reset(seed=0)
     actions = _draw(env.action_space, DRAWS)
 
     def step() -> None:
         _, _, terminated, truncated, _ = env.step(next(actions))
-        if "render_mode" in kwargs:
+        if env.render_mode:
             env.render()
         if terminated or truncated:
             env.reset()
 
-    return env.reset if reset else step
+    return step
+
+
+def resets(env_id: str) -> Step:
+    """Resets of one environment with gymnasium's default wrappers."""
+    env = gym.make(env_id)
+    env.reset(seed=0)
+    return env.reset
 
 
 def batch(env_id: str, num_envs: int = BATCH, **kwargs: Any) -> Step:
-    """A native batch through gym.make_vec."""
+    """Steps of a native batch through gym.make_vec."""
     env = gym.make_vec(env_id, num_envs=num_envs, vectorization_mode="vector_entry_point", **kwargs)
     env.reset(seed=0)
     actions = _draw(env.action_space, 16)
@@ -103,14 +112,25 @@ def envpool_batch() -> Step:
     return lambda: env.step(actions)
 
 
-def mujoco_batch() -> Step:
-    """The physics of the capsule in MuJoCo under the same random torques."""
-    from benchmarks import mujoco
+def mujoco_physics() -> Step:
+    """The physics of one capsule in MuJoCo under random torques, which restarts where its ball meets the platform."""
+    import mujoco
 
-    found = mujoco.Batch(mujoco.build_model("frictionloss", DIRECT_PHYSICS_DT), BATCH, 1)
-    limit = ACTION_SCALE * task.TORQUE_LIMIT
-    torques = cycle(np.random.default_rng(0).uniform(-limit, limit, (16, BATCH)))
-    return lambda: found.step(next(torques))
+    from benchmarks.mujoco import build_model, start_data
+
+    model = build_model("frictionloss", DIRECT_PHYSICS_DT, Capsule())
+    data = start_data(model)
+    limit, substeps = ACTION_SCALE * task.TORQUE_LIMIT, round(task.CONTROL_DT / DIRECT_PHYSICS_DT)
+    torques = cycle(np.random.default_rng(0).uniform(-limit, limit, DRAWS).tolist())
+
+    def step() -> None:
+        data.ctrl[0] = next(torques)
+        mujoco.mj_step(model, data, nstep=substeps)
+        if abs(data.qpos[1]) >= task.THETA_LIMIT:
+            mujoco.mj_resetData(model, data)
+            data.qpos[1] = task.START_THETA
+
+    return step
 
 
 def from_the_start(compiler: str | None = None) -> tuple[Step, np.ndarray]:
@@ -146,40 +166,33 @@ def contenders() -> dict[str, Callable[[], Step]]:
         found[f"capsule{kind}"] = partial(single, ENV_ID, **options)
         for count in (BATCH,) if "real" in kind else (64, BATCH, 16384):
             found[f"capsule{kind}, {count}"] = partial(batch, ENV_ID, count, **options, **endless)
-    found[f"capsule, 1 ms, {BATCH}"] = partial(batch, ENV_ID, physics_dt=LAW_PHYSICS_DT, **endless)
-    found[f"capsule, core, {BATCH}"] = lambda: from_the_start()[0]
+    found |= {
+        f"capsule, 1 ms, {BATCH}": partial(batch, ENV_ID, physics_dt=LAW_PHYSICS_DT, **endless),
+        "CartPole-v1": partial(single, "CartPole-v1"),
+        f"CartPole-v1, {BATCH}": partial(batch, "CartPole-v1"),
+        "Pendulum-v1": partial(single, "Pendulum-v1"),
+        **{f"{name}, reset": partial(resets, env_id) for name, env_id in PEERS.items()},
+        **{f"{name}, drawn": partial(single, env_id, render_mode="rgb_array") for name, env_id in PEERS.items()},
+        f"capsule, core, {BATCH}": lambda: from_the_start()[0],
+    }
     if compiler := find_compiler():
         found[f"capsule, plain C, {BATCH}"] = lambda: from_the_start(compiler)[0]
-    for name in ("CartPole-v1", "Pendulum-v1"):
-        found[name] = partial(single, name)
-    found[f"CartPole-v1, {BATCH}"] = partial(batch, "CartPole-v1")
-    for name, env_id in (("capsule", ENV_ID), ("CartPole-v1", "CartPole-v1")):
-        found[f"{name}, reset"] = partial(single, env_id, reset=True)
-    for name, env_id in (("capsule", ENV_ID), ("Pendulum-v1", "Pendulum-v1")):
-        found[f"{name}, drawn"] = partial(single, env_id, render_mode="rgb_array")
     if find_spec("mujoco"):
-        found["InvertedPendulum-v5"] = partial(single, "InvertedPendulum-v5")
-        found[f"capsule, MuJoCo, {BATCH}"] = mujoco_batch
+        found |= {"InvertedPendulum-v5": partial(single, "InvertedPendulum-v5"), "capsule, MuJoCo": mujoco_physics}
     if find_spec("envpool"):
         found[f"Pendulum-v1, EnvPool, {BATCH}"] = envpool_batch
     return found
 
 
-def rate(step: Step, environments: int) -> float:
-    """Makes steps for `TURN_SECONDS`; returns the environment steps per second of processor time."""
+def seconds_per_step(step: Step, environments: int) -> float:
+    """Makes steps for `TURN_SECONDS`; returns the processor time of a step of one environment."""
     start, steps, seconds = time.process_time(), 0, 0.0
     while seconds < TURN_SECONDS:
         for _ in range(max(1, 64 // environments)):
             step()
             steps += environments
         seconds = time.process_time() - start
-    return steps / seconds
-
-
-def measure(found: Mapping[str, Callable[[], Step]], turns: int) -> dict[str, float]:
-    """The environment steps per second of the contenders, by their names."""
-    sizes = {name: int(name.split(", ")[-1]) if name[-1].isdigit() and "," in name else 1 for name in found}
-    return fastest(take_turns({name: partial(rate, make(), sizes[name]) for name, make in found.items()}, turns))
+    return seconds / steps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,7 +217,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parse(Args, COMMAND, arguments)
     found = contenders()
     needed = {name for pair in FLOORS for name in pair if set(pair) <= set(found)}
-    rates = measure({name: make for name, make in found.items() if name in needed or not args.ratios}, args.turns)
+    turns = {}
+    for name, make in found.items():
+        if name in needed or not args.ratios:
+            last = name.rpartition(", ")[2]
+            turns[name] = partial(seconds_per_step, make(), int(last) if last.isdigit() else 1)
+    rates = fastest(take_turns(turns, args.turns))
     table = [["ratio", "of", "to", "at least"]]
     failed = False
     for (one, other), floor in FLOORS.items():
