@@ -109,27 +109,24 @@ def run(torques: np.ndarray, capsule: Capsule, step: float) -> np.ndarray:
     return np.array(states)
 
 
-def errors(solved: Sequence[Expected], steps: Sequence[float]) -> np.ndarray:
-    """The error of every trajectory (rows) at every step size in seconds (columns)."""
+def errors(solved: Sequence[Expected], step: float) -> list[float]:
+    """The error of every trajectory at a step size in seconds."""
     found = []
     for capsule, group in groupby(solved, key=lambda each: each.capsule):
         members = list(group)
         longest = max(each.intervals for each in members)
-        torques = np.array([each.torques[:longest] for each in members]).T
-        runs = [run(torques, capsule, step) for step in steps]
-        for i, each in enumerate(members):
-            found.append([np.abs(states[each.intervals, :, i] - each.state).max() for states in runs])
-    return np.array(found)
+        states = run(np.array([each.torques[:longest] for each in members]).T, capsule, step)
+        found += [np.abs(states[each.intervals, :, i] - each.state).max() for i, each in enumerate(members)]
+    return found
 
 
-def mujoco_errors(solved: Sequence[Expected], friction: str, steps: Sequence[float]) -> np.ndarray:
+def mujoco_errors(solved: Sequence[Expected], friction: str, step: float) -> list[float]:
     """The same for MuJoCo."""
-    found = []
-    for each in solved:
-        models = [mujoco.build_model(friction, step, each.capsule) for step in steps]
-        ends = [mujoco.simulate(model, each.torques[: each.intervals])[-1] for model in models]
-        found.append([np.abs(end - each.state).max() for end in ends])
-    return np.array(found)
+    models = [mujoco.build_model(friction, step, each.capsule) for each in solved]
+    ends = [
+        mujoco.simulate(model, each.torques[: each.intervals])[-1] for model, each in zip(models, solved, strict=True)
+    ]
+    return [np.abs(end - each.state).max() for end, each in zip(ends, solved, strict=True)]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -142,13 +139,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for kind, capsules, amplitude in tqdm(kinds, desc="errors"):
         solved = expected_trajectories(capsules, amplitude)
         length = float(np.median([task.CONTROL_DT * each.intervals for each in solved]))
-        rows = {kind: errors(solved, STEPS)}
+        rows = {kind: [errors(solved, step) for step in STEPS]}
         if (capsules[0].mu, amplitude) in MUJOCO_CASES and find_spec("mujoco"):
-            rows |= {f"{kind}, MuJoCo {name}": mujoco_errors(solved, name, STEPS) for name in mujoco.FRICTIONS}
-        for name, deviations in rows.items():
-            cells = [f"{column.max():.1e} ({np.median(column):.1e})" for column in deviations.T]
-            line = [name, f"±{amplitude:g}", *cells, f"{length:.1f} s"]
-            (table if name == kind else compared).append(line)
+            for name in mujoco.FRICTIONS:
+                rows[f"{kind}, MuJoCo {name}"] = [mujoco_errors(solved, name, step) for step in STEPS]
+        for name, columns in rows.items():
+            cells = [f"{max(column):.1e} ({np.median(column):.1e})" for column in columns]
+            (table if name == kind else compared).append([name, f"±{amplitude:g}", *cells, f"{length:.1f} s"])
     note = (
         f"Largest (in brackets: median) error in any state after {SECONDS:g} s of random torque held for "
         f"{1e3 * task.CONTROL_DT:g} ms, {TRAJECTORIES} trajectories of the paper's plant per row, against DOP853 at a "

@@ -20,7 +20,7 @@ from capsule_gym import native
 from capsule_gym.command_line import check_output
 from capsule_gym.files import write_atomically
 
-PACKAGES = ("capsule-gym", "numpy", "gymnasium", "mujoco", "envpool")
+PACKAGES = ("capsule-gym", "numpy", "gymnasium", "mujoco")
 # Vectors that the core uses, by its levels of instructions.
 VECTORS = {"v4": " with AVX-512", "v3": " with AVX2"}
 

@@ -7,12 +7,13 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from capsule_gym import native
-from capsule_gym.layout import Row
+from capsule_gym.layout import LANES, Row
 from capsule_gym.simulation import Simulation
 
 SOURCE = Path(__file__).with_name("plain.c")
@@ -29,34 +30,30 @@ def find_compiler() -> str | None:
     return os.environ.get("CC") or next(filter(shutil.which, ("cc", "gcc", "clang")), None)
 
 
-class Plain:
-    """Copies of the environments of a simulation, whose number is a multiple of its lanes.
+def copy_to_c(compiler: str, simulation: Simulation) -> tuple[Callable[[np.ndarray], object], np.ndarray]:
+    """Copies environments of the speed task with direct torque into plain C.
 
     Args:
         compiler: command of the C compiler.
-        simulation: environments of the speed task with direct torque, which begin an episode.
+        simulation: the environments, a multiple of its lanes.
 
-    Attributes:
-        world: the rows of `Simulation.world` before `Row.clock`.
+    Returns:
+        Their `Simulation.step`, and the rows of `Simulation.world` before `Row.clock`.
     """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "plain.so")
+        options = [*OPTIONS, *PROCESSORS.get(native.LEVEL, ()), str(SOURCE), "-lm", "-o", str(path)]
+        subprocess.run([*compiler.split(), *options], check=True)
+        library = ctypes.CDLL(str(path))
+    blocks, rows = len(simulation.world), ctypes.c_int.in_dll(library, "ROWS").value
+    world, observations = native.aligned_zeros((blocks, rows, LANES)), np.zeros((simulation.num_envs, 5), np.float32)
+    values = {**simulation.capsule.plant()._asdict(), **simulation.settings._asdict()}
+    settings = native.ordered(FIELDS.split(), values)
+    first = world[:, : Row.clock]
+    first[...] = simulation.world[:, : Row.clock]
 
-    def __init__(self, compiler: str, simulation: Simulation) -> None:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder, "plain.so")
-            options = [*OPTIONS, *PROCESSORS.get(native.LEVEL, ()), str(SOURCE), "-lm", "-o", str(path)]
-            subprocess.run([*compiler.split(), *options], check=True)
-            self._library = ctypes.CDLL(str(path))
-        rows = ctypes.c_int.in_dll(self._library, "ROWS").value
-        whole = native.aligned_zeros((len(simulation.world), rows, simulation.lanes))
-        self.world = whole[:, : Row.clock]
-        self.world[...] = simulation.world[:, : Row.clock]
-        values = {**simulation.capsule.plant()._asdict(), **simulation.settings._asdict()}
-        # The library reads these arrays by their addresses.
-        self._arrays = whole, native.ordered(FIELDS.split(), values), np.zeros((simulation.num_envs, 5), np.float32)
+    def step(actions: np.ndarray) -> None:
+        b, q, u, out = (ctypes.c_void_p(native.address(each)) for each in (world, settings, actions, observations))
+        library.step(b, blocks, q, u, out)
 
-    def step(self, actions: np.ndarray) -> None:
-        """One agent step, as `Simulation.step`."""
-        world, settings, observations, torques = (
-            ctypes.c_void_p(native.address(each)) for each in (*self._arrays, actions)
-        )
-        self._library.step(world, len(self.world), settings, torques, observations)
+    return step, first

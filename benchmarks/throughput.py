@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import sys
 import time
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -24,7 +23,7 @@ import gymnasium as gym
 import numpy as np
 
 from benchmarks.measurement import OutputArgs, fastest, machine, take_turns
-from benchmarks.plain import Plain, find_compiler
+from benchmarks.plain import copy_to_c, find_compiler
 from capsule_gym import ENV_ID, task
 from capsule_gym.command_line import Count, parse
 from capsule_gym.config import DIRECT_PHYSICS_DT, LAW_PHYSICS_DT, EnvConfig
@@ -37,7 +36,6 @@ TURN_SECONDS = 0.02
 ACTION_SCALE = 0.2
 LAW: dict[str, Any] = {"controller": "baselines:adaptive", "residual_limit": ACTION_SCALE * task.TORQUE_LIMIT}
 REAL: dict[str, Any] = {"disturbances": "real", "randomization": "real"}
-PEERS = {"capsule": ENV_ID, "CartPole-v1": "CartPole-v1"}
 # Number of distinct actions, which are repeated; of episodes from the same states; of environments in most batches.
 DRAWS, EPISODE, BATCH = 256, 40, 1024
 
@@ -52,8 +50,8 @@ FLOORS = {
     ("capsule, core, 1024", "capsule, plain C, 1024"): 0.65,
 }
 NOTE = (
-    "Environment steps per second of processor time; a number at the end is that of the environments of a batch. A step "
-    "of the capsule is 20 ms in 10 substeps, with the law baselines:adaptive or at 1 ms in 20; direct torque is uniform "
+    "Environment steps per second of processor time; a number at the end: environments of a batch. A step of the "
+    "capsule is 20 ms in 10 substeps, with the law baselines:adaptive or at 1 ms in 20; the direct torque is uniform "
     f"within ±{ACTION_SCALE * task.TORQUE_LIMIT:g} N m. It includes observation, reward and info; in MuJoCo the physics "
     'alone, in the core and in plain C no infos and resets. Real: plants and disturbances of "real".'
 )
@@ -69,15 +67,13 @@ def _draw(space: gym.Space[Any], count: int) -> Iterator[Any]:
 
 
 def single(env_id: str, **kwargs: Any) -> Step:
-    """Steps of one environment with gymnasium's default wrappers; with a render mode each step draws a frame."""
+    """Steps of one environment with gymnasium's default wrappers."""
     env = gym.make(env_id, **kwargs)
     env.reset(seed=0)
     actions = _draw(env.action_space, DRAWS)
 
     def step() -> None:
         _, _, terminated, truncated, _ = env.step(next(actions))
-        if env.render_mode:
-            env.render()
         if terminated or truncated:
             env.reset()
 
@@ -97,19 +93,6 @@ def batch(env_id: str, num_envs: int = BATCH, **kwargs: Any) -> Step:
     env.reset(seed=0)
     actions = _draw(env.action_space, 16)
     return lambda: env.step(next(actions))
-
-
-def envpool_batch() -> Step:
-    """A batch of EnvPool, stepped synchronously in one thread."""
-    import envpool
-
-    with warnings.catch_warnings():
-        # gymnasium warns that the bounds of EnvPool's spaces lose precision.
-        warnings.simplefilter("ignore", UserWarning)
-        env = envpool.make("Pendulum-v1", env_type="gymnasium", num_envs=BATCH, num_threads=1, seed=0)
-        env.reset()
-    actions = np.random.default_rng(0).uniform(-2.0, 2.0, (BATCH, 1)).astype(np.float32)
-    return lambda: env.step(actions)
 
 
 def mujoco_physics() -> Step:
@@ -137,24 +120,24 @@ def from_the_start(compiler: str | None = None) -> tuple[Step, np.ndarray]:
     """Steps of the core, or with a compiler of plain C, always from the same states in episodes of `EPISODE` steps.
 
     Returns:
-        The function and the rows of the environments that it changes, see `Plain.world`.
+        The function and the rows of the environments that it changes, see `copy_to_c`.
     """
     simulation = Simulation(BATCH, EnvConfig(randomization="wide"))
     for i in range(BATCH):
         simulation.seed(i, i)
     simulation.reset(np.arange(BATCH))
-    stepped = Plain(compiler, simulation) if compiler else simulation
-    start = stepped.world.copy()
-    limits = ACTION_SCALE * np.random.default_rng(0).uniform(-1.0, 1.0, (EPISODE, BATCH))
-    actions = cycle(enumerate(limits))
+    advance, world = copy_to_c(compiler, simulation) if compiler else (simulation.step, simulation.world)
+    start = world.copy()
+    torques = ACTION_SCALE * np.random.default_rng(0).uniform(-1.0, 1.0, (EPISODE, BATCH))
+    actions = cycle(enumerate(torques))
 
     def step() -> None:
-        n, torques = next(actions)
+        n, action = next(actions)
         if n == 0:
-            stepped.world[...] = start
-        stepped.step(torques)
+            world[...] = start
+        advance(action)
 
-    return step, stepped.world
+    return step, world
 
 
 def contenders() -> dict[str, Callable[[], Step]]:
@@ -171,16 +154,14 @@ def contenders() -> dict[str, Callable[[], Step]]:
         "CartPole-v1": partial(single, "CartPole-v1"),
         f"CartPole-v1, {BATCH}": partial(batch, "CartPole-v1"),
         "Pendulum-v1": partial(single, "Pendulum-v1"),
-        **{f"{name}, reset": partial(resets, env_id) for name, env_id in PEERS.items()},
-        **{f"{name}, drawn": partial(single, env_id, render_mode="rgb_array") for name, env_id in PEERS.items()},
+        "capsule, reset": partial(resets, ENV_ID),
+        "CartPole-v1, reset": partial(resets, "CartPole-v1"),
         f"capsule, core, {BATCH}": lambda: from_the_start()[0],
     }
     if compiler := find_compiler():
         found[f"capsule, plain C, {BATCH}"] = lambda: from_the_start(compiler)[0]
     if find_spec("mujoco"):
-        found |= {"InvertedPendulum-v5": partial(single, "InvertedPendulum-v5"), "capsule, MuJoCo": mujoco_physics}
-    if find_spec("envpool"):
-        found[f"Pendulum-v1, EnvPool, {BATCH}"] = envpool_batch
+        found["capsule, MuJoCo"] = mujoco_physics
     return found
 
 
@@ -199,7 +180,7 @@ def seconds_per_step(step: Step, environments: int) -> float:
 class Args(OutputArgs):
     """Environment steps per second, and ratios to other environments and to plain C; fails if a ratio is too small.
 
-    Plain C needs a compiler, EnvPool and MuJoCo the extra `bench`; what is not installed is left out.
+    Plain C needs a compiler, MuJoCo the extra `bench`; what is not installed is left out.
 
     Examples:
       python -m benchmarks.throughput --markdown docs/speed_tables.md
