@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,15 +14,18 @@ import pytest
 
 from capsule_gym import CapsuleVectorEnv, Controller, _core, native
 from capsule_gym.controller import CoreLaw, find_controller
-from capsule_gym.layout import Row
+from capsule_gym.layout import ROWS
+from capsule_gym.parameters import REAL
 from capsule_gym.task import TASKS
+from tests.capsule_gym.fakes import EPISODE_ROWS
 
 SIZES = (1, 3, 64, 65, 130)
 STEPS = 30
+ROUGH = replace(REAL, push=(0.0, 0.5), theta_resolution=0.001, torque_resolution=0.01)
 CASES: dict[str, dict[str, Any]] = {
     **{f"{name}, direct": {"task": name} for name in TASKS},
     **{f"{name}, law and disturbances": {
-        "task": name, "controller": "baselines:gait_identifying", "disturbances": "real", "randomization": "real-wide"
+        "task": name, "controller": "baselines:gait_identifying", "disturbances": ROUGH, "randomization": "real-wide"
     } for name in TASKS},
     "adaptive": {"controller": "baselines:adaptive", "residual_limit": 3.0, "observe_parameters": True},
     "stack": {"stack_size": 3, "initial_range": (1.0, 8.0)},
@@ -36,7 +40,8 @@ def episode(n: int, threads: int, **kwargs: Any) -> list[bytes]:
     shown = []
     for t in range(STEPS):
         observations, rewards, terminated, _, _ = env.step(actions[:, t : t + 1])
-        world = env.simulation.rows(0, Row.clock + 1).T
+        columns = env.simulation.columns(np.arange(n))
+        world = columns[[*EPISODE_ROWS, *range(ROWS, env.simulation.task_end)]].T
         shown.append(np.concatenate([observations, rewards[:, None], terminated[:, None], world], axis=1))
     env.close()
     return [np.array(shown)[:, i].tobytes() for i in range(n)]
