@@ -52,8 +52,8 @@ FLOORS = {
 NOTE = (
     "Environment steps per second of processor time; a number at the end: environments of a batch. A step of the "
     "capsule is 20 ms in 10 substeps, with the law baselines:adaptive or at 1 ms in 20; the direct torque is uniform "
-    f"within ±{ACTION_SCALE * task.TORQUE_LIMIT:g} N m. It includes observation, reward and info; in MuJoCo the physics "
-    'alone, in the core and in plain C no infos and resets. Real: plants and disturbances of "real".'
+    f"within ±{ACTION_SCALE * task.TORQUE_LIMIT:g} N m. It includes observation, reward and info; in MuJoCo the "
+    'physics alone, in the core and in plain C no infos and resets. Real: plants and disturbances of "real".'
 )
 
 
