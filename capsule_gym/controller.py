@@ -95,7 +95,7 @@ class CoreLaw:
         if (given.shape, renewed.shape, rows.shape) != expected:
             raise ValueError(f"states, memories and rows of {self.name!r} must have the shapes {expected}")
         addresses = map(native.address, (constants, given, renewed, rows, torques))
-        _core.law_torques(native.LEVEL, self.number, *addresses, n)
+        _core.call("law_torques", self.number, *addresses, n)
         return torques, renewed
 
     def __call__(

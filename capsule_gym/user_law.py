@@ -14,9 +14,12 @@ from collections.abc import Callable
 from typing import Any
 from weakref import WeakKeyDictionary
 
+import numpy as np
+
 from capsule_gym import _core
 from capsule_gym.checks import first_cause
 from capsule_gym.layout import ROWS
+from capsule_gym.native import address
 
 # Loops over the environments of a block. The source is generated since numba's public interface cannot make a tuple of a
 # part of an array. All rows are at constant offsets from one pointer: with a pointer for each kind of row LLVM cannot
@@ -56,8 +59,22 @@ def bind_user_law(controller: Any, row_size: int, lanes: int) -> tuple[int, int,
                 known[lanes] = _compile(controller, row_size, lanes)
             if known[lanes] is not None:
                 return known[lanes].address, 0, known[lanes]
-    handle, function, data = _core.plain_law(controller.law, len(controller.memory), row_size, lanes)
-    return function, data, handle
+    plain, cells = _plain(controller.law, len(controller.memory)), len(controller.memory)
+    # The core's `PlainLaw`.
+    data = np.array([id(plain), cells, cells + row_size, lanes], np.int64)
+    return _core.PLAIN_LAW, address(data), (plain, data)
+
+
+def _plain(law: Callable[..., Any], cells: int) -> Callable[..., tuple[float, ...]]:
+    """The law as the core calls it: with separate numbers, for one tuple of the torque and the memory."""
+
+    def call(theta: float, theta_dot: float, x: float, x_dot: float, *numbers: float) -> tuple[float, ...]:
+        found = tuple(law(theta, theta_dot, x, x_dot, numbers[:cells], numbers[cells:]))
+        if len(found) != 2 or len(renewed := tuple(found[1])) != cells:
+            raise TypeError(f"a control law must return (torque, memory) with {cells} cells of memory")
+        return float(found[0]), *map(float, renewed)
+
+    return call
 
 
 def _compile(controller: Any, row_size: int, lanes: int) -> Any:

@@ -1,12 +1,13 @@
-// The functions of the plant, and elementary ones, over arrays: for Python.
+// The functions of the plant, elementary ones, and the laws, over arrays: for Python.
 #pragma once
 #include "contact.hpp"
-#include "layout.hpp"
+#include "laws.hpp"
 #include "resets.hpp"
 
 namespace LEVEL {
 
-// Name, numbers of arguments and of results, and the call with the arguments a[0], a[1], .. and the plant p.
+// Name, numbers of arguments and of results, and the call with the arguments a[0], a[1], .. and, for functions of the
+// plant, the plant p.
 #define CAPSULE_PLANT_FUNCTIONS(F)                                                                                     \
   F(accelerations, 5, 3, (accelerations(a[0], a[1], a[2], a[3], a[4], p)))                                             \
   F(normal_force, 3, 1, (normal_force(a[0], a[1], a[2], p)))                                                           \
@@ -22,56 +23,43 @@ namespace LEVEL {
   F(normals, 1, 2, (normals(scramble(bits_of(a[0])))))                                                                 \
   F(plant_at, 7, 2, (plant_at(a, a[5], a[6])))
 
-// Most arguments and results of these.
-constexpr int MOST_NUMBERS = 10;
-
 // The most general plant: one compiled function serves all.
 using AnyPlant = Plant<double, Kind::extended>;
 
-inline AnyPlant plant_from(const Settings& q, double M, double mu) {
-  AnyPlant p;
-  p.M = M, p.mu = mu, p.mass_ratio = q.m / (M + q.m), p.pivot_torque_on_contact = q.pivot_torque_on_contact;
-#define FIELD(name) p.name = q.name;
-  CAPSULE_PLANT(FIELD)
-#undef FIELD
-  return p;
-}
-
-// Evaluates function `number` of the lists at n places: `in`, shape (arguments, n), after rows of M and mu for functions
-// of the plant; `out`, shape (results, n).
-inline void evaluate_plant(int number, const double* in, double* out, long long n, const Settings& q) {
-  for (long long i = 0; i < n; i++) {
-    AnyPlant p = plant_from(q, in[i], in[n + i]);
-    double a[MOST_NUMBERS], r[MOST_NUMBERS];
-    int place = 0, results = 0;
-#define F(name, arguments, count, call)                                          \
-  if (number == place++) {                                                       \
-    for (int k = 0; k < arguments; k++) a[k] = in[(2 + k) * n + i];              \
-    auto found = call;                                                           \
-    static_assert(sizeof found == count * sizeof(double));                       \
-    __builtin_memcpy(r, &found, sizeof found);                                   \
-    results = count;                                                             \
-  }
-    CAPSULE_PLANT_FUNCTIONS(F)
-#undef F
-    for (int k = 0; k < results; k++) out[k * n + i] = r[k];
-  }
-}
-
-inline void evaluate(int number, const double* in, double* out, long long n, const Settings* q) {
-  if (q) return evaluate_plant(number, in, out, n, *q);
-  for (long long i = 0; i < n; i++) {
-    double a[MOST_NUMBERS];
+// Evaluates function `number` of both lists at n places: `in`, shape (arguments, n), after rows of M and mu for functions
+// of the plant, the first ones; `out`, shape (results, n).
+inline void evaluate(long long number, const double* in, double* out, long long n, const AnyPlant* plant) {
+  for (long long i = 0; i < n; i++, in++, out++) {
+    AnyPlant p = {};
+    double a[7];
+    if (plant) p = *plant, p.M = in[0], p.mu = in[n], p.mass_ratio = p.m / (p.M + p.m);
+    const double* arguments = plant ? in + 2 * n : in;
     int place = 0;
-#define F(name, arguments, count, call)                                                    \
-  if (number == place++) {                                                                 \
-    for (int k = 0; k < arguments; k++) a[k] = in[k * n + i];                              \
-    auto found = call;                                                                     \
-    for (int k = 0; k < count; k++) out[k * n + i] = ((const double*)&found)[k];           \
+#define F(name, count, results, call)                                                 \
+  if (number == place++) {                                                            \
+    for (int k = 0; k < count; k++) a[k] = arguments[k * n];                          \
+    auto found = call;                                                                \
+    static_assert(sizeof found == results * sizeof(double));                          \
+    for (int k = 0; k < results; k++) out[k * n] = ((const double*)&found)[k];        \
   }
-    CAPSULE_ELEMENTARY_FUNCTIONS(F)
+    CAPSULE_PLANT_FUNCTIONS(F) CAPSULE_ELEMENTARY_FUNCTIONS(F)
 #undef F
   }
+}
+
+// The torques of n calls of a law of the core, from arrays of shape (n, numbers): the state, the memory, which is
+// replaced, and the row of the reference with the task's memory.
+inline void law_torques(long long number, const double* constants, const State<double>* states, double* memory,
+                        const double* rows, double* torques, long long n) {
+  int place = 0;
+#define LAW(Law)                                                                                            \
+  if (number == place++) {                                                                                  \
+    Law law(constants);                                                                                     \
+    for (long long i = 0; i < n; i++)                                                                       \
+      torques[i] = law(states[i], memory + Law::MEMORY * i, rows + Law::COLUMNS * i);                       \
+  }
+  CAPSULE_LAWS(LAW)
+#undef LAW
 }
 
 }  // namespace LEVEL

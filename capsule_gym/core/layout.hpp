@@ -113,3 +113,11 @@ struct Batch {
   CAPSULE_BATCH(FIELD)
 #undef FIELD
 };
+
+// Doubles of a block of N environments.
+template <int N> constexpr long long block_size(const Batch& batch) {
+  long long rows = batch.memory_size + batch.reference_size + batch.task_size;
+  return sizeof(Block<N>) / 8 + (rows + HISTORY_ROWS * (long long)batch.settings->history) * N;
+}
+// What functions return where memory is short; else the index of an environment whose law has failed, or -1.
+constexpr long long NO_MEMORY = -2;

@@ -206,16 +206,20 @@ inline void act(const Network& network, const float* observations, long long ent
   }
 }
 
-// The actions of any number of environments, with working memory for min(n, LANES).
-template <class T = Pack>
-inline void act_batch(const Network& network, const float* observations, long long entries, long long n,
-                      Identification* memory, void* workspace, float* actions) {
-  double found[LANES];
+// The actions of any number of environments, as `act`; -1, or NO_MEMORY.
+inline long long act_batch(const double* packed, const float* observations, long long entries, long long n,
+                           Identification* memory, float* actions) {
+  Network network(packed);
+  void* workspace = __builtin_malloc(workspace_size(network, n < LANES ? (int)n : LANES));
+  if (!workspace) return NO_MEMORY;
   for (long long first = 0; first < n; first += LANES) {
+    double found[LANES];
     int count = n - first < LANES ? (int)(n - first) : LANES;
-    act<T>(network, observations, entries, first, count, memory, workspace, found);
+    act(network, observations, entries, first, count, memory, workspace, found);
     for (int j = 0; j < count; j++) actions[first + j] = (float)found[j];
   }
+  __builtin_free(workspace);
+  return -1;
 }
 
 }  // namespace LEVEL

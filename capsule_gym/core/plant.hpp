@@ -69,11 +69,11 @@ template <class T, Kind kind_> struct Plant {
   using Constant = typename Choose<varied, T, double>::type;
 
   T M, mu;
-  T mass_ratio;  // m / (M + m), which saves divisions
+  T mass_ratio;                    // m / (M + m), which saves divisions
+  double pivot_torque_on_contact;  // 1.0 for the paper's normal force, 0.0 for Newton's
 #define FIELD(name) Constant name;
   CAPSULE_PLANT(FIELD)
 #undef FIELD
-  double pivot_torque_on_contact;  // 1.0 for the paper's normal force, 0.0 for Newton's
 };
 
 template <class P> using Number = typename P::Number;

@@ -62,4 +62,9 @@ template <int N> void begin_blocks(const Batch& b, long long count, long long si
   }
 }
 
+inline void begin_episodes(const Batch& b, long long count) {
+  if (b.lanes == 1) begin_blocks<1>(b, count, block_size<1>(b));
+  else begin_blocks<LANES>(b, count, block_size<LANES>(b));
+}
+
 }  // namespace LEVEL

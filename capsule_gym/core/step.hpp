@@ -442,12 +442,6 @@ template <class T, int N> struct Step {
 #undef PUT
 };
 
-// Doubles of a block of N environments.
-template <int N> constexpr long long block_size(const Batch& batch) {
-  long long rows = batch.memory_size + batch.reference_size + batch.task_size;
-  return sizeof(Block<N>) / 8 + (rows + HISTORY_ROWS * (long long)batch.settings->history) * N;
-}
-
 // Steps the environments first..last-1, or begins their episodes; `first` is a multiple of N. Returns the index of an
 // environment whose law returned a torque that is not finite, or -1.
 template <class T, int N> long long advance_blocks(const Batch& batch, long long first, long long last, bool begin) {

@@ -35,7 +35,7 @@ template <class T> struct NoReference {
 #define NOMINAL_CONSTANTS(ONE) ONE(M) ONE(mu) ONE(mass_ratio) ONE(pivot_torque_on_contact) CAPSULE_PLANT(ONE)
 template <class T, Kind kind, class Q> INLINE Plant<T, kind> nominal_plant(const Q& q) {
 #define FIELD(name) q.name,
-  return {q.M, q.mu, q.mass_ratio, CAPSULE_PLANT(FIELD) q.pivot_torque_on_contact};
+  return {NOMINAL_CONSTANTS(FIELD)};
 #undef FIELD
 }
 

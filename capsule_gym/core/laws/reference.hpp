@@ -39,7 +39,8 @@ inline double slide(double force, double forwards, double backwards, double stat
 // angle, velocity and acceleration are given at every h seconds, n times. Writes x, x' and x'', shape (3, n), from rest
 // at x = 0.
 inline void platform_motion(const double* angle, const double* velocity, const double* acceleration, long long n,
-                            double h, const Plant<double, Kind::extended>& p, double* motion) {
+                            double h, const double* plant, double* motion) {
+  auto p = load<Plant<double, Kind::extended>>(plant);
   double x = 0.0, x_dot = 0.0;
   for (long long i = 0; i < n; i++) {
     double force = driving_force(angle[i], velocity[i], acceleration[i], p);
