@@ -125,8 +125,8 @@ class BoundLaw(NamedTuple):
     kept: Any
 
 
-def bind_law(controller: Controller, lanes: int) -> BoundLaw:
-    """Binds the law of a controller, for blocks of `lanes` environments."""
+def bind_law(controller: Controller, lanes: int, state: int) -> BoundLaw:
+    """Binds the law of a controller, for blocks of `lanes` environments; it observes the state in the rows from `state`."""
     law = controller.law
     fields = {"law": len(_core.LAWS), "law_constants": 0, "user_law": 0, "user_data": 0}
     if isinstance(law, CoreLaw):
@@ -134,7 +134,7 @@ def bind_law(controller: Controller, lanes: int) -> BoundLaw:
         fields |= {"law": law.number, "law_constants": native.address(constants)}
         return BoundLaw(fields, constants)
     task_size = 0 if controller.task is None else find_task(controller.task).rows
-    function, data, kept = bind_user_law(controller, controller.reference.shape[1] + task_size, lanes)
+    function, data, kept = bind_user_law(controller, controller.reference.shape[1] + task_size, lanes, state)
     return BoundLaw({**fields, "user_law": function, "user_data": data}, kept)
 
 

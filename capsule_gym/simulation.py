@@ -248,7 +248,8 @@ class Simulation:
             "reference_size": self.reference.shape[1],
             "draw_lines": len(self.draw_table),
         }
-        self._law = bind_law(acting, self.lanes)
+        state = Row.read_theta if self.settings.law_reads else Row.theta
+        self._law = bind_law(acting, self.lanes, state)
         # The core reads these arrays by their addresses.
         self._arrays = arrays
         fields = {**{name: native.address(array) for name, array in arrays.items()}, **sizes, **self._law.fields}

@@ -30,24 +30,25 @@ def call_law(data, block, torques, n):
     u = carray(torques, ({lanes},))
     for j in range(n):
         try:
-            torque, renewed = law(b[j], b[j + {lanes}], b[j + 2 * {lanes}], b[j + 3 * {lanes}], ({memory}), ({row}))
+            torque, renewed = law({state}, ({memory}), ({row}))
             u[j] = torque
 {stores}
         except Exception:
             u[j] = nan
 """
 
-_compiled: WeakKeyDictionary[Any, dict[int, Any]] = WeakKeyDictionary()
+_compiled: WeakKeyDictionary[Any, dict[tuple[int, int], Any]] = WeakKeyDictionary()
 _lock = threading.Lock()
 
 
-def bind_user_law(controller: Any, row_size: int, lanes: int) -> tuple[int, int, Any]:
+def bind_user_law(controller: Any, row_size: int, lanes: int, state: int) -> tuple[int, int, Any]:
     """Makes the law of a `Controller` callable for the core.
 
     Args:
         controller: the controller.
         row_size: numbers that the law receives in `reference`: its row, and the task's memory if it reads it.
         lanes: environments in a block.
+        state: the row of theta that the law observes; those of theta_dot, x and x_dot follow.
 
     Returns:
         The addresses of the function and of its data, and what must be kept alive while they are used.
@@ -55,13 +56,13 @@ def bind_user_law(controller: Any, row_size: int, lanes: int) -> tuple[int, int,
     if importlib.util.find_spec("numba") is not None:
         with _lock:
             known = _compiled.setdefault(controller, {})
-            if lanes not in known:
-                known[lanes] = _compile(controller, row_size, lanes)
-            if known[lanes] is not None:
-                return known[lanes].address, 0, known[lanes]
+            if (lanes, state) not in known:
+                known[lanes, state] = _compile(controller, row_size, lanes, state)
+            if (compiled := known[lanes, state]) is not None:
+                return compiled.address, 0, compiled
     plain, cells = _plain(controller.law, len(controller.memory)), len(controller.memory)
     # The core's `PlainLaw`.
-    data = np.array([id(plain), cells, cells + row_size, lanes], np.int64)
+    data = np.array([id(plain), cells, cells + row_size, lanes, state], np.int64)
     return _core.PLAIN_LAW, address(data), (plain, data)
 
 
@@ -77,7 +78,7 @@ def _plain(law: Callable[..., Any], cells: int) -> Callable[..., tuple[float, ..
     return call
 
 
-def _compile(controller: Any, row_size: int, lanes: int) -> Any:
+def _compile(controller: Any, row_size: int, lanes: int, state: int) -> Any:
     """The law in a loop over a block, compiled; None with a warning where numba cannot compile it."""
     import numba
 
@@ -86,6 +87,7 @@ def _compile(controller: Any, row_size: int, lanes: int) -> Any:
     source = SOURCE.format(
         size=(ROWS + cells + row_size) * lanes,
         lanes=lanes,
+        state=", ".join(f"b[j + {(state + n) * lanes}]" for n in range(4)),
         memory="".join(f"{name}, " for name in names[:cells]),
         row="".join(f"{name}, " for name in names[cells:]),
         stores="\n".join(f"            {name} = renewed[{n}]" for n, name in enumerate(names[:cells])),

@@ -77,13 +77,7 @@ inline void identify(Identification& f, double theta, double theta_dot, double x
   f.across = across, f.along = along, f.x_dot = x_dot;
 }
 
-// M in kg, log(mu), and the standard deviations of both.
-struct Estimates {
-  double M, log_mu, M_deviation, log_mu_deviation;
-};
-
-INLINE Estimates estimates(const Identification& f) {
-  return {f.M, f.log_mu, sqrt(max(0.0, f.P_MM)), sqrt(max(0.0, f.P_ff))};
-}
+// The standard deviation of an estimate from its variance, which rounding may have made negative.
+INLINE double deviation(double variance) { return sqrt(max(0.0, variance)); }
 
 }  // namespace LEVEL

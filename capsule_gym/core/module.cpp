@@ -127,19 +127,19 @@ PyObject* call(PyObject*, PyObject* const* args, Py_ssize_t count) {
 // a tuple of the torque and the next cells. `numbers` counts cells and reference.
 struct PlainLaw {
   PyObject* function;
-  long long cells, numbers, lanes;
+  long long cells, numbers, lanes, state;  // `state`: the row of the theta that the law observes
 };
 
 // The `UserLaw` with a `PlainLaw` as its data.
 void call_plain(void* data, double* block, double* torques, long long n) {
-  const auto& [function, cells, numbers, lanes] = *(const PlainLaw*)data;
+  const auto& [function, cells, numbers, lanes, first] = *(const PlainLaw*)data;
   const double* halt = lanes == 1 ? ((Block<1>*)block)->halt : ((Block<LANES>*)block)->halt;
   PyGILState_STATE lock = PyGILState_Ensure();
   for (long long j = 0; j < n; j++) {
     torques[j] = __builtin_nan("");
     // After the first exception, which `advance` raises, the others are not called.
     if (halt[j] == HALTED || PyErr_Occurred()) continue;
-    double *state = block + j, *memory = state + sizeof(Block<1>) / sizeof(double) * lanes;
+    double *state = block + first * lanes + j, *memory = block + sizeof(Block<1>) / sizeof(double) * lanes + j;
     PyObject* given = PyTuple_New(4 + numbers);
     for (long long r = 0; r < 4 + numbers; r++)
       PyTuple_SetItem(given, r, PyFloat_FromDouble(r < 4 ? state[r * lanes] : memory[(r - 4) * lanes]));
@@ -169,12 +169,11 @@ int fill(PyObject* module) {
   int failed = !laws || !tasks;
   auto add = [&](const char* name, PyObject* value) { failed |= PyModule_AddObject(module, name, value); };
   add("LEVELS", names_in(levels)), add("LAWS", laws), add("TASKS", tasks);
-#define NAME(name) #name " "
-#define ROW(name) NAME(name)
+#define ROW(name) CAPSULE_NAME(name)
   add("ROWS", names_in(CAPSULE_ROWS));
 #undef ROW
-  add("SETTINGS", names_in(CAPSULE_SETTINGS(NAME))), add("NETWORK", names_in(CAPSULE_NETWORK(NAME)));
-  add("PLANT", names_in(NOMINAL_CONSTANTS(NAME)));
+  add("SETTINGS", names_in(CAPSULE_SETTINGS(CAPSULE_NAME))), add("NETWORK", names_in(CAPSULE_NETWORK(CAPSULE_NAME)));
+  add("PLANT", names_in(NOMINAL_CONSTANTS(CAPSULE_NAME)));
 #define FUNCTION(name, arguments, results, call) #name ":" #results " "
   add("PLANT_FUNCTIONS", names_in(CAPSULE_PLANT_FUNCTIONS(FUNCTION)));
   add("ELEMENTARY_FUNCTIONS", names_in(CAPSULE_ELEMENTARY_FUNCTIONS(FUNCTION)));

@@ -24,9 +24,7 @@
 namespace LEVEL {
 
 struct Header {
-#define FIELD(name) double name;
-  CAPSULE_NETWORK(FIELD)
-#undef FIELD
+  CAPSULE_NETWORK(CAPSULE_DOUBLE)
 };
 
 // Units and environments are padded to multiples of it: the numbers of the widest register.
@@ -60,54 +58,47 @@ struct Layer {
   const double *bias, *weights;
 };
 
-// Adds the products of ROWS scalars and PACKS registers to the sums, for each input. The scalars of the next input lie
-// `scalar_step` further, its registers `vector_step`.
+// Adds to ROWS rows of PACKS registers of sums, for each input, the products of ROWS scalars and PACKS registers. The
+// scalars of the next input lie `scalar_step` further, its registers, and the next row of sums, `vector_step`.
 template <class T, int ROWS, int PACKS>
 INLINE void add_products(int inputs, const double* scalars, int scalar_step, const double* vectors, int vector_step,
-                         T (&sums)[ROWS][PACKS]) {
+                         double* sums) {
+  T s[ROWS][PACKS];
+  for (int r = 0; r < ROWS; r++)
+    for (int p = 0; p < PACKS; p++) s[r][p] = load<T>(sums + r * vector_step + p * WIDTH<T>);
   for (int i = 0; i < inputs; i++, scalars += scalar_step, vectors += vector_step) {
     T v[PACKS];
     for (int p = 0; p < PACKS; p++) v[p] = load<T>(vectors + p * WIDTH<T>);
     for (int r = 0; r < ROWS; r++)
-      for (int p = 0; p < PACKS; p++) sums[r][p] = fma(T(scalars[r]), v[p], sums[r][p]);
+      for (int p = 0; p < PACKS; p++) s[r][p] = fma(T(scalars[r]), v[p], s[r][p]);
   }
-}
-
-// The sums of PACKS registers of units, from k on, of one environment.
-template <class T, int PACKS>
-INLINE void add_units(const Layer& layer, int k, const double* values, double* sums) {
-  T s[1][PACKS];
-  for (int p = 0; p < PACKS; p++) s[0][p] = load<T>(layer.bias + k + p * WIDTH<T>);
-  add_products<T>(layer.inputs, values, 1, layer.weights + k, layer.units, s);
-  for (int p = 0; p < PACKS; p++) store(sums + k + p * WIDTH<T>, s[0][p]);
-}
-
-// The sums of ROWS units, from k on, of PACKS registers of environments.
-template <class T, int ROWS, int PACKS>
-INLINE void add_lanes(const Layer& layer, int k, const double* values, int rows, double* sums) {
-  T s[ROWS][PACKS];
   for (int r = 0; r < ROWS; r++)
-    for (int p = 0; p < PACKS; p++) s[r][p] = layer.bias[k + r];
-  add_products<T>(layer.inputs, layer.weights + k, layer.units, values, rows, s);
-  for (int r = 0; r < ROWS; r++)
-    for (int p = 0; p < PACKS; p++) store(sums + (k + r) * rows + p * WIDTH<T>, s[r][p]);
+    for (int p = 0; p < PACKS; p++) store(sums + r * vector_step + p * WIDTH<T>, s[r][p]);
 }
 
 // The sums of all units of a layer for 1 environment or a multiple of PADDING, `rows`; the values of an input, and the
 // sums of a unit, lie side by side.
 template <class T> NOINLINE void affine(const Layer& layer, const double* values, int rows, double* sums) {
+  const int inputs = layer.inputs, outputs = layer.outputs, units = layer.units;
+  const double *bias = layer.bias, *weights = layer.weights;
   // Registers of PADDING numbers, and as many as can be added to at once.
   constexpr int NARROW = PADDING / WIDTH<T>, WIDE = NARROW == 1 ? 4 : NARROW;
   if (rows == 1) {
+    __builtin_memcpy(sums, bias, units * sizeof(double));
     int k = 0;
-    for (; k + 8 * WIDTH<T> <= layer.units; k += 8 * WIDTH<T>) add_units<T, 8>(layer, k, values, sums);
-    for (; k < layer.units; k += PADDING) add_units<T, NARROW>(layer, k, values, sums);
+    for (; k + 8 * WIDTH<T> <= units; k += 8 * WIDTH<T>)
+      add_products<T, 1, 8>(inputs, values, 1, weights + k, units, sums + k);
+    for (; k < units; k += PADDING) add_products<T, 1, NARROW>(inputs, values, 1, weights + k, units, sums + k);
     return;
   }
+  for (int k = 0; k < outputs; k++)
+    for (int j = 0; j < rows; j++) sums[k * rows + j] = bias[k];
   auto add = [&]<int PACKS>(int j) {
     int k = 0;
-    for (; k + 4 <= layer.outputs; k += 4) add_lanes<T, 4, PACKS>(layer, k, values + j, rows, sums + j);
-    for (; k < layer.outputs; k++) add_lanes<T, 1, PACKS>(layer, k, values + j, rows, sums + j);
+    for (; k + 4 <= outputs; k += 4)
+      add_products<T, 4, PACKS>(inputs, weights + k, units, values + j, rows, sums + k * rows + j);
+    for (; k < outputs; k++)
+      add_products<T, 1, PACKS>(inputs, weights + k, units, values + j, rows, sums + k * rows + j);
   };
   int j = 0;
   for (; j + WIDE * WIDTH<T> <= rows; j += WIDE * WIDTH<T>) add.template operator()<WIDE>(j);
@@ -157,9 +148,8 @@ inline void write_inputs(const Header& header, const float* observations, long l
     for (int k = 0; k < header.observed; k++) *inputs++ = observed[k];
     if (header.identifies != 0.0) {
       identify(memory[i], observed[0], observed[1], observed[2], header.m, header.l, header.g, header.dt);
-      auto [M, log_mu, M_deviation, log_mu_deviation] = estimates(memory[i]);
-      *inputs++ = (float)M, *inputs++ = (float)log_mu;
-      *inputs++ = (float)M_deviation, *inputs++ = (float)log_mu_deviation;
+      *inputs++ = (float)memory[i].M, *inputs++ = (float)memory[i].log_mu;
+      *inputs++ = (float)deviation(memory[i].P_MM), *inputs++ = (float)deviation(memory[i].P_ff);
     }
     if (header.observes_energy_weight != 0.0) *inputs++ = (float)header.log_energy_weight;
   }

@@ -26,7 +26,7 @@
 
 #if defined(__AVX512F__)
 #define LANES_IN_PACK 8
-#elif defined(__AVX__)
+#elif defined(__FMA__)
 #define LANES_IN_PACK 4
 #else
 #define LANES_IN_PACK 2
@@ -36,6 +36,11 @@
 #ifndef LEVEL
 #define LEVEL portable
 #endif
+
+// For lists of names: the fields of a struct, and their names in a text.
+#define CAPSULE_DOUBLE(name) double name;
+#define CAPSULE_NUMBER(name) T name;
+#define CAPSULE_NAME(name) #name " "
 
 namespace LEVEL {
 
@@ -133,45 +138,28 @@ INLINE Pack copysign(Pack size, Pack sign) {
   return from_bits((bits_of(size) & ~SIGN) | (bits_of(sign) & SIGN));
 }
 
-INLINE Pack fma(Pack a, Pack b, Pack c) {
-#if defined(__clang__)
-  return __builtin_elementwise_fma(a.v, b.v, c.v);
-#elif defined(__AVX512F__)
-  return (Doubles)_mm512_fmadd_pd((__m512d)a.v, (__m512d)b.v, (__m512d)c.v);
+#if defined(__AVX512F__)
+INLINE Pack fma(Pack a, Pack b, Pack c) { return (Doubles)_mm512_fmadd_pd((__m512d)a.v, (__m512d)b.v, (__m512d)c.v); }
+INLINE Pack sqrt(Pack x) { return (Doubles)_mm512_maskz_sqrt_pd(0xff, (__m512d)x.v); }
+INLINE Pack floor(Pack x) { return (Doubles)_mm512_maskz_roundscale_pd(0xff, (__m512d)x.v, _MM_FROUND_TO_NEG_INF); }
+INLINE unsigned lanes(Mask condition) { return _mm512_movepi64_mask((__m512i)condition.m); }
 #elif defined(__FMA__)
-  return (Doubles)_mm256_fmadd_pd((__m256d)a.v, (__m256d)b.v, (__m256d)c.v);
+INLINE Pack fma(Pack a, Pack b, Pack c) { return (Doubles)_mm256_fmadd_pd((__m256d)a.v, (__m256d)b.v, (__m256d)c.v); }
+INLINE Pack sqrt(Pack x) { return (Doubles)_mm256_sqrt_pd((__m256d)x.v); }
+INLINE Pack floor(Pack x) { return (Doubles)_mm256_floor_pd((__m256d)x.v); }
+INLINE unsigned lanes(Mask condition) { return (unsigned)_mm256_movemask_pd((__m256d)condition.m); }
+#else
+#if defined(__clang__)
+INLINE Pack fma(Pack a, Pack b, Pack c) { return __builtin_elementwise_fma(a.v, b.v, c.v); }
 #elif defined(__aarch64__)
-  return (Doubles)vfmaq_f64((float64x2_t)c.v, (float64x2_t)a.v, (float64x2_t)b.v);
+INLINE Pack fma(Pack a, Pack b, Pack c) { return (Doubles)vfmaq_f64((float64x2_t)c.v, (float64x2_t)a.v, (float64x2_t)b.v); }
 #else
-  Doubles r;
-  for (int i = 0; i < PACK; i++) r[i] = __builtin_fma(a.v[i], b.v[i], c.v[i]);
-  return r;
+INLINE Pack fma(Pack a, Pack b, Pack c) { return Doubles{fma(a.v[0], b.v[0], c.v[0]), fma(a.v[1], b.v[1], c.v[1])}; }
 #endif
-}
-
-INLINE Pack sqrt(Pack x) {
-#if defined(__AVX512F__)
-  return (Doubles)_mm512_maskz_sqrt_pd(0xff, (__m512d)x.v);
-#elif defined(__AVX__)
-  return (Doubles)_mm256_sqrt_pd((__m256d)x.v);
-#else
-  Doubles r;
-  for (int i = 0; i < PACK; i++) r[i] = __builtin_sqrt(x.v[i]);
-  return r;
+INLINE Pack sqrt(Pack x) { return Doubles{sqrt(x.v[0]), sqrt(x.v[1])}; }
+INLINE Pack floor(Pack x) { return Doubles{floor(x.v[0]), floor(x.v[1])}; }
+INLINE unsigned lanes(Mask condition) { return (condition.m[0] != 0) | (condition.m[1] != 0) << 1; }
 #endif
-}
-
-INLINE Pack floor(Pack x) {
-#if defined(__AVX512F__)
-  return (Doubles)_mm512_maskz_roundscale_pd(0xff, (__m512d)x.v, _MM_FROUND_TO_NEG_INF);
-#elif defined(__AVX__)
-  return (Doubles)_mm256_floor_pd((__m256d)x.v);
-#else
-  Doubles r;
-  for (int i = 0; i < PACK; i++) r[i] = __builtin_floor(x.v[i]);
-  return r;
-#endif
-}
 
 // The numbers at these places, without a detour over memory, which would stall the load of the whole register.
 INLINE Pack gather(const double* at, const int (&i)[PACK]) {
@@ -181,20 +169,6 @@ INLINE Pack gather(const double* at, const int (&i)[PACK]) {
   return Doubles{at[i[0]], at[i[1]], at[i[2]], at[i[3]]};
 #else
   return Doubles{at[i[0]], at[i[1]]};
-#endif
-}
-
-INLINE unsigned lanes(Mask condition) {
-#if defined(__AVX512DQ__)
-  return _mm512_movepi64_mask((__m512i)condition.m);
-#elif defined(__AVX__)
-  return (unsigned)_mm256_movemask_pd((__m256d)condition.m);
-#elif defined(__SSE2__)
-  return (unsigned)_mm_movemask_pd((__m128d)condition.m);
-#else
-  unsigned r = 0;
-  for (int i = 0; i < PACK; i++) r |= (unsigned)(condition.m[i] != 0) << i;
-  return r;
 #endif
 }
 

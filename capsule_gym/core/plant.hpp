@@ -53,13 +53,6 @@ template <class A, class B> struct Choose<false, A, B> {
   /* the force that pushes the platform forwards */                                                                    \
   FIELD(push)
 
-// Constants that plants share.
-struct SharedPlant {
-#define FIELD(name) double name;
-  CAPSULE_PLANT(FIELD)
-#undef FIELD
-};
-
 template <class T, Kind kind_> struct Plant {
   using Number = T;
   static constexpr Kind kind = kind_;
@@ -88,6 +81,12 @@ template <class P> INLINE bool pivot_on_contact(const P& p) {
 template <class T> struct State {
   T theta, theta_dot, x, x_dot;
 };
+
+// rad: the ball meets the platform.
+constexpr double THETA_LIMIT = PI / 2.0;
+// Bounds of the observation, which is clipped to them. Full torque switched in the worst phase gives 13 rad/s and 1.2 m/s
+// on the capsule of the paper; the rest is room for other capsules.
+constexpr double THETA_DOT_BOUND = 20.0, X_DOT_BOUND = 2.0;
 
 // Friction coefficient while sliding fast in the direction of `slip` (+1.0 or -1.0).
 template <class P> INLINE Number<P> kinetic_friction(Number<P> slip, const P& p) {

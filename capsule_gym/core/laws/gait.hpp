@@ -48,11 +48,9 @@ struct Gait {
 
 // The gait with its parameters in its memory, so that the environments of a batch can have different ones.
 struct GaitCandidate {
-#define FIELD(name) T name;
   template <class T> struct Parameters {
-    GAIT_PARAMETERS(FIELD)
+    GAIT_PARAMETERS(CAPSULE_NUMBER)
   };
-#undef FIELD
 #define CANDIDATE_CONSTANTS(ONE, MANY) ONE(torque_limit)
   CAPSULE_LAW(GaitCandidate, "gait_candidate", false, Parameters, NoReference, CANDIDATE_CONSTANTS)
 

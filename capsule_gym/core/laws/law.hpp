@@ -8,19 +8,17 @@ namespace LEVEL {
 // its reference with the memory of the task behind it. LIST(ONE, MANY) names the constants `q`, numbers and arrays: C++
 // takes the fields from it, Python their order.
 #define CAPSULE_LAW(Law, name, branches, Memory, Row, LIST)                                                            \
-  static constexpr const char *NAME = name, *CONSTANTS = LIST(LAW_NAME, LAW_NAMES);                                    \
+  static constexpr const char *NAME = name, *CONSTANTS = LIST(CAPSULE_NAME, LAW_NAMES);                                    \
   static constexpr int MEMORY = WIDTH<Memory<double>>, COLUMNS = WIDTH<Row<double>>;                                   \
   static constexpr bool BRANCHES = branches;                                                                           \
   struct Constants {                                                                                                   \
-    LIST(LAW_FIELD, LAW_FIELDS)                                                                                        \
+    LIST(CAPSULE_DOUBLE, LAW_FIELDS)                                                                                   \
   } q;                                                                                                                 \
   explicit Law(const double* constants) : q(load<Constants>(constants)) {}                                             \
   template <class T> INLINE T operator()(const State<T>& s, T* cells, const T* row) const {                            \
     return torque(s, *(Memory<T>*)cells, *(const Row<T>*)row);                                                         \
   }
-#define LAW_NAME(name) #name " "
 #define LAW_NAMES(name, count) #name ":" #count " "
-#define LAW_FIELD(name) double name;
 #define LAW_FIELDS(name, count) double name[count];
 
 // For a law without memory, and for one without a reference.

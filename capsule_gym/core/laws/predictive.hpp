@@ -5,7 +5,6 @@
 // friction coefficient, the mass of the platform and the bias of the measured x_dot are estimated by gradient descent
 // on the squared error of x_dot. The position is not measured.
 #pragma once
-#include "../observation.hpp"
 #include "adaptive.hpp"
 #include "gait.hpp"
 

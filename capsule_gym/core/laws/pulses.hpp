@@ -132,9 +132,8 @@ double torque(const State<double>& s, Memory& memory, double error, double near,
   auto& [filter, phase, side, rate, start_x, gain, timer] = memory;
   const auto& [theta, theta_dot, x, x_dot] = s;
   identify(filter, theta, theta_dot, x_dot, q.m, q.l, q.g, q.dt);
-  Estimates known = estimates(filter);
-  double mu = known.log_mu_deviation > DOUBT ? UNKNOWN_MU : min(LARGEST_MU, max(LEAST_MU, exp(known.log_mu)));
-  double grip = min(LARGEST_GRIP, max(LEAST_GRIP, GRIP * mu * (known.M + q.m) * q.g / (q.m * q.l)));
+  double mu = deviation(filter.P_ff) > DOUBT ? UNKNOWN_MU : min(LARGEST_MU, max(LEAST_MU, exp(filter.log_mu)));
+  double grip = min(LARGEST_GRIP, max(LEAST_GRIP, GRIP * mu * (filter.M + q.m) * q.g / (q.m * q.l)));
   double size = abs(error), home = 0.0;
   bool rests = x_dot == 0.0, aims = false;
   timer = timer + q.dt;

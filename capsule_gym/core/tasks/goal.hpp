@@ -15,13 +15,9 @@ struct Goal {
   // Position of the goal, and that minus the platform's, m; times since the start, at rest within the tolerance, and at
   // which the goal was reached (0 before), s; the drawn displacement of the goal, m.
 #define GOAL_MEMORY(FIELD) FIELD(goal) FIELD(error) FIELD(time) FIELD(held) FIELD(reached) FIELD(displacement)
-#define FIELD(name) #name " "
-  static constexpr const char* FIELDS = GOAL_MEMORY(FIELD);
-#undef FIELD
+  static constexpr const char* FIELDS = GOAL_MEMORY(CAPSULE_NAME);
   template <class T> struct Memory {
-#define FIELD(name) T name;
-    GOAL_MEMORY(FIELD)
-#undef FIELD
+    GOAL_MEMORY(CAPSULE_NUMBER)
   };
   static constexpr int ROWS = WIDTH<Memory<double>>, ENTRIES = 3;
 

@@ -21,14 +21,10 @@ struct Velocity {
   FIELD(command) FIELD(target) FIELD(error) FIELD(speed) FIELD(since) FIELD(lasts)                                     \
   FIELD(measured_from) FIELD(measured_x) FIELD(settled) FIELD(missed) FIELD(commanded) FIELD(measured)                 \
   FIELD(unsettled)
-#define FIELD(name) #name " "
-  static constexpr const char* FIELDS = VELOCITY_MEMORY(FIELD)
+  static constexpr const char* FIELDS = VELOCITY_MEMORY(CAPSULE_NAME)
       "v_0 v_1 v_2 v_3 v_4 v_5 v_6 v_7 lasts_0 lasts_1 lasts_2 lasts_3 lasts_4 lasts_5 lasts_6 lasts_7";
-#undef FIELD
   template <class T> struct Memory {
-#define FIELD(name) T name;
-    VELOCITY_MEMORY(FIELD)
-#undef FIELD
+    VELOCITY_MEMORY(CAPSULE_NUMBER)
     T v[COMMANDS], lasts_for[COMMANDS];
   };
   static constexpr int ROWS = WIDTH<Memory<double>>, ENTRIES = 4;
