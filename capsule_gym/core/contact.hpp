@@ -6,7 +6,6 @@
 #include "plant.hpp"
 
 namespace LEVEL {
-
 // Far more events than in any step. The limit only prevents an endless loop after a rounding error.
 constexpr int EVENT_LIMIT = 1000;
 constexpr int ROOT_ITERATIONS = 60, CUBIC_ITERATIONS = 3;
@@ -75,13 +74,6 @@ template <class P> NOINLINE inline Piece<Number<P>> piece(const Phase<P>& start,
   return finish(start, tau, r.end, first.x_ddot, first.normal);
 }
 
-// The location in (0, h) of the minimum of the parabola with this start, rate and end; h if there is none.
-template <class T> INLINE T dip_of(T before, T rate, T after, T h) {
-  T curvature = after - before - rate * h;
-  if (curvature <= 0.0) return h;
-  return min(h, -0.5 * rate * h * h / curvature);
-}
-
 // Root in (0, width) of the cubic with those values and rates at its ends, the first positive, the last not.
 template <class T> INLINE T first_guess(T g_low, T rate_low, T g_high, T rate_high, T width) {
   // In s = tau / width: g_low + c s + d s^2 + e s^3.
@@ -95,14 +87,6 @@ template <class T> INLINE T first_guess(T g_low, T rate_low, T g_high, T rate_hi
     s = select(slope < 0.0, min(T(1.0), max(T(0.0), s - value / slope)), s);
   }
   return s * width;
-}
-
-// The piece, extended to the boundary by a time so small that its end follows the tangent.
-template <class T> INLINE Piece<T> shifted(const Piece<T>& a, T correction) {
-  const auto& e = a.end;
-  State<T> end = {e.theta + correction * e.theta_dot, e.theta_dot + correction * a.theta_ddot, e.x + correction * e.x_dot,
-                  e.x_dot + correction * a.x_ddot};
-  return {a.tau + correction, end, {0.0, a.boundary.rate}, a.theta_ddot, a.x_ddot, a.first_x_ddot, a.normal_force};
 }
 
 // The piece that ends on the boundary: Newton's method on re-taken steps, kept inside a bracket. The first guess is the
@@ -124,7 +108,12 @@ NOINLINE inline Piece<T> root(const Phase<P>& start, T low, T before, T rate, co
     tau = tau + correction;
     if (!(low < tau && tau < end)) tau = 0.5 * (low + end);
   }
-  return abs(correction) > LAST_CORRECTION * width ? trial : shifted(trial, correction);
+  if (abs(correction) > LAST_CORRECTION * width) return trial;
+  auto& [theta, theta_dot, x, x_dot] = trial.end;
+  theta = theta + correction * theta_dot, theta_dot = theta_dot + correction * trial.theta_ddot;
+  x = x + correction * x_dot, x_dot = x_dot + correction * trial.x_ddot;
+  trial.tau = trial.tau + correction, trial.boundary.value = 0.0;
+  return trial;
 }
 
 // The piece up to the first event of a step that may have crossed the boundary, or `whole` without an event.
@@ -132,8 +121,10 @@ template <class P, class T = Number<P>>
 NOINLINE inline Piece<T> until_event(const Phase<P>& start, T before, T rate, const Piece<T>& whole) {
   Piece<T> beyond = whole;
   if (whole.boundary.value >= 0.0) {
-    T dip = dip_of(before, rate, whole.boundary.value, whole.tau);
-    if (dip >= whole.tau) return whole;
+    // The minimum of the parabola with this start, rate and end.
+    T h = whole.tau, curvature = whole.boundary.value - before - rate * h;
+    T dip = curvature > 0.0 ? -0.5 * rate * h * h / curvature : h;
+    if (!(dip < h)) return whole;
     beyond = piece(start, dip);
     if (beyond.boundary.value >= 0.0) return whole;
   }
@@ -150,47 +141,45 @@ NOINLINE inline Piece<T> until_event(const Phase<P>& start, T before, T rate, co
 // A step from a phase and from the whole step under the assumption that this phase lasts.
 template <class P, class T = Number<P>>
 NOINLINE inline Motion<T> event_step(const Phase<P>& start, const Piece<T>& whole) {
-  State<T> s = start.s;
-  T slip = start.slip, u = start.u;
   const P& p = start.p;
-  T forward = 0.0, backward = 0.0, stuck = 0.0, turned = 0.0, smallest_normal = INFINITE;
-  T events = 0.0;
-  T h = whole.tau, remaining = h;
+  Motion<T> m = {start.s, 0.0, 0.0, 0.0, 0.0, INFINITE, 0.0};
+  T slip = start.slip, h = whole.tau, remaining = h;
   Phase<P> phase = start;
   Piece<T> done = whole;
   for (int count = 0; count < EVENT_LIMIT; count++) {
+    const State<T> s = m.end;
     if (count > 0) {
-      phase = begin_phase(s, slip, u, p);
+      phase = begin_phase(s, slip, start.u, p);
       done = piece(phase, remaining);
     }
-    auto [before, rate] = boundary(s, done.first_x_ddot, slip, u, p);
+    auto [before, rate] = boundary(s, done.first_x_ddot, slip, start.u, p);
     // The last piece takes the rest of the step, so that no time is lost.
     bool crossed = crosses(before, rate, done.boundary.value, remaining) && count < EVENT_LIMIT - 1;
     bool beyond = crossed && done.boundary.value < 0.0;
     if (crossed) done = until_event(phase, before, rate, done);
     T tau = done.tau;
     bool ended = tau < remaining || beyond;
-    smallest_normal = min(smallest_normal, done.normal_force);
-    turned = turned + swept(s.theta_dot, done.end.theta_dot, done.end.theta - s.theta, tau);
-    forward = forward + max(T(0.0), done.end.x - s.x);
-    backward = backward + max(T(0.0), s.x - done.end.x);
-    if (slip == 0.0) stuck = stuck + tau;
-    s = done.end;
+    m.end = done.end;
+    m.normal_force = min(m.normal_force, done.normal_force);
+    m.swept = m.swept + swept(s.theta_dot, m.end.theta_dot, m.end.theta - s.theta, tau);
+    m.forward = m.forward + max(T(0.0), m.end.x - s.x);
+    m.backward = m.backward + max(T(0.0), s.x - m.end.x);
+    if (slip == 0.0) m.stuck = m.stuck + tau;
     remaining = remaining - tau;
     if (!ended) break;
-    events = events + 1.0;
+    m.events = m.events + 1.0;
     if (slip == 0.0) {
       // At the boundary rounding could give either phase, so the direction of the load decides.
-      slip = stick_margin(s.theta, s.theta_dot, u, p).force > 0.0 ? 1.0 : -1.0;
+      slip = stick_margin(m.end.theta, m.end.theta_dot, start.u, p).force > 0.0 ? 1.0 : -1.0;
     } else {
-      s.x_dot = 0.0;
+      m.end.x_dot = 0.0;
       // If load and limit are equal up to rounding, a slip that stops where it started would start again forever.
       bool none = before <= 0.0 && tau <= VOID_PHASE * h;
-      slip = none ? T(0.0) : contact_phase(s, u, p);
+      slip = none ? T(0.0) : contact_phase(m.end, start.u, p);
     }
     if (remaining <= 0.0) break;
   }
-  return {s, forward, backward, stuck, turned, smallest_normal, events};
+  return m;
 }
 
 // Advances the plant by h seconds at constant torque, through every change of contact phase.
@@ -237,5 +226,4 @@ INLINE auto pass_rest(const Phase<P>& start, T theta_1, T theta_dot_1, T x_dot_1
   return Passed<T, decltype(holds)>{
       {e, forward, backward, stuck, turned, min(first.normal, last.first.normal), 1.0}, next_slip, holds};
 }
-
 }  // namespace LEVEL

@@ -5,7 +5,6 @@
 #include "random.hpp"
 
 namespace LEVEL {
-
 // Added to a whole number: the lowest 52 bits of the sum are those of the number.
 constexpr double WHOLE = 4503599627370496.0;
 // Duration of the push in every second, and tolerance of the episode's time, s.
@@ -138,5 +137,4 @@ template <class T, int N> struct Disturbed {
     if (begins || last || q.with_reference != 0.0) read_sensors();
   }
 };
-
 }  // namespace LEVEL

@@ -8,7 +8,6 @@
 #include "number.hpp"
 
 namespace LEVEL {
-
 // 2 pi to twice the precision of a double.
 constexpr double TURN = 2.0 * PI, TURN_REST = 2.4492935982947064e-16, TURNS_PER_RADIAN = 1.0 / TURN;
 // Adding and subtracting it rounds a number below 2^51 to a whole number, half to even.
@@ -23,9 +22,7 @@ constexpr double C_0 = 0.041666666666666664, C_1 = -0.001388888888888888, C_2 = 
                  C_3 = -2.7557319221567154e-07, C_4 = 2.0876756602568905e-09, C_5 = -1.1470712252875163e-11,
                  C_6 = 4.777877290768691e-14, C_7 = -1.521855926409455e-16;
 
-template <class T> struct SinCos {
-  T sin, cos;
-};
+template <class T> struct SinCos { T sin, cos; };
 
 // Sine and cosine of an angle in rad: within 3.4e-16 of the exact values up to +-pi / 2, within 1.2e-15 beyond.
 //
@@ -52,9 +49,7 @@ constexpr double E_0 = 0.5000000000000001, E_1 = 0.16666666666666669, E_2 = 0.04
                  E_6 = 2.4801521295954376e-05, E_7 = 2.7557268459997064e-06, E_8 = 2.7620088445409746e-07,
                  E_9 = 2.510038549551032e-08;
 
-template <class T> struct Exponential {
-  T scale, rest;
-};
+template <class T> struct Exponential { T scale, rest; };
 
 // 2^n and exp(r) - 1 with x = n ln(2) + r and |r| <= ln(2) / 2; |n| must not exceed 1022.
 template <class T> INLINE Exponential<T> exponential(T x) {
@@ -100,5 +95,4 @@ inline double log(double x) {
   }
   return y;
 }
-
 }  // namespace LEVEL

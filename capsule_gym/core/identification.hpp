@@ -14,7 +14,6 @@
 #include "elementary.hpp"
 
 namespace LEVEL {
-
 // The memory, 0.0 at the start of an episode: 1.0 once begun; M in kg, log(mu) and their covariance; cos(theta) theta',
 // sin(theta) theta' and x' of the last observation.
 struct Identification {
@@ -79,5 +78,4 @@ inline void identify(Identification& f, double theta, double theta_dot, double x
 
 // The standard deviation of an estimate from its variance, which rounding may have made negative.
 INLINE double deviation(double variance) { return sqrt(max(0.0, variance)); }
-
 }  // namespace LEVEL

@@ -83,9 +83,7 @@ constexpr int HISTORY_ROWS = 3;
   /* The plant: whether it is extended, and differs in more than M and mu; and its constants. */                       \
   FIELD(extended) FIELD(varied) FIELD(pivot_torque_on_contact) CAPSULE_PLANT(FIELD)
 
-struct Settings {
-  CAPSULE_SETTINGS(CAPSULE_DOUBLE)
-};
+struct Settings { CAPSULE_SETTINGS(CAPSULE_DOUBLE) };
 
 // Calls a law that is not part of the core for n environments of a block whose rows begin at `block`: replaces their
 // memory and writes their torques, NaN where the law raises an exception. Where the law observes the sensors, its state

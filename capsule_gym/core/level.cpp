@@ -5,13 +5,12 @@
 #include "rollout.hpp"
 
 namespace LEVEL {
-
 // Returns the index of an environment whose law has failed, -1, or NO_MEMORY.
 long long call(const char* function, const Argument* a) {
   auto is = [&](const char* name) { return !__builtin_strcmp(function, name); };
   if (is("evaluate")) return evaluate(a[0], a[1], a[2], a[3], a[4]), -1;
   if (is("law_torques")) return law_torques(a[0], a[1], a[2], a[3], a[4], a[5], a[6]), -1;
-  if (is("platform_motion")) return platform_motion(a[0], a[1], a[2], a[3], a[4], a[5], a[6]), -1;
+  if (is("platform_motion")) return platform_motion(a[0], a[1], a[2], a[3], a[4], *(const AnyPlant*)a[5], a[6]), -1;
   if (is("write_inputs")) return write_inputs(*(const Header*)a[0], a[1], a[2], a[3], a[4], a[5]), -1;
   if (is("act_batch")) return act_batch(a[0], a[1], a[2], a[3], a[4], a[5]);
   const Batch& batch = *(const Batch*)a[0];
@@ -20,7 +19,6 @@ long long call(const char* function, const Argument* a) {
   if (is("run_episodes")) return run_episodes(batch, a[1], a[2], a[3], a[4], a[5], a[6], a[7], a[8]);
   return UNKNOWN;
 }
-
 }  // namespace LEVEL
 
 #define TEXT(x) #x

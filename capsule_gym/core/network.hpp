@@ -22,10 +22,7 @@
   FIELD(m) FIELD(l) FIELD(g) FIELD(dt)
 
 namespace LEVEL {
-
-struct Header {
-  CAPSULE_NETWORK(CAPSULE_DOUBLE)
-};
+struct Header { CAPSULE_NETWORK(CAPSULE_DOUBLE) };
 
 // Units and environments are padded to multiples of it: the numbers of the widest register.
 constexpr int PADDING = 8;
@@ -211,5 +208,4 @@ inline long long act_batch(const double* packed, const float* observations, long
   __builtin_free(workspace);
   return -1;
 }
-
 }  // namespace LEVEL

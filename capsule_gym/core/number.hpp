@@ -43,7 +43,6 @@
 #define CAPSULE_NAME(name) #name " "
 
 namespace LEVEL {
-
 constexpr double INFINITE = __builtin_inf();
 constexpr double PI = 3.141592653589793;
 
@@ -192,5 +191,4 @@ template <class M> INLINE bool any(M condition) { return lanes(condition) != 0; 
   INLINE T sign_of(T x) { return select(x > 0.0, T(1.0), select(x < 0.0, T(-1.0), T(0.0))); }
 CAPSULE_FUNCTIONS(double)
 CAPSULE_FUNCTIONS(Pack)
-
 }  // namespace LEVEL

@@ -6,12 +6,12 @@
 //     m l^2 theta'' - m l cos(theta) x'' - m g l sin(theta) + k theta + c theta' = u
 //     (M + m) x'' - m l cos(theta) theta'' + m l sin(theta) theta'^2 + f = 0
 //
-// Within a phase the motion is smooth. `slip` names the phase: +1.0 forwards, -1.0 backwards, 0.0 stick. The phase
-// follows from the state alone: the platform sticks only where x_dot is exactly 0.0.
+// on a level floor with Coulomb friction alone. Within a phase of contact the motion is smooth. `slip` names the phase:
+// +1.0 forwards, -1.0 backwards, 0.0 stick. It follows from the state: the platform sticks only where x_dot is exactly 0.0.
 //
-// That is the plant on a level floor with Coulomb friction alone. The floor of an extended plant may slope (g is then g
-// cos(slope), and a = g sin(slope)), its friction may depend on the speed (b is the viscous coefficient, v_s the speed of
-// the Stribeck curve), the motor may have friction u_f, and a force F may push the platform. The equations become
+// The floor of an extended plant may slope (g is then g cos(slope), and a = g sin(slope)), its friction may depend on the
+// speed (b is the viscous coefficient, v_s the speed of the Stribeck curve), the motor may have friction u_f, and a force
+// F may push the platform:
 //
 //     m l^2 theta'' - m l cos(theta) x'' - m l (g sin(theta) + a cos(theta)) + k theta + c theta'
 //         = u - u_f (35 s - 35 s^3 + 21 s^5 - 5 s^7) / 16
@@ -20,13 +20,12 @@
 // with f = d mu (1 + (static_ratio - 1) / (1 + (x' / v_s)^2)) N in slip in the direction d, and s = theta' / w, clipped to
 // [-1, 1].
 //
-// A step inside one phase, `smooth_step`, is free of branches: a register takes several environments through it at once.
-// Steps through changes of phase are in contact.hpp. `fma(a, b, c)` is a b + c, rounded once.
+// A step inside one phase is free of branches: a register takes several environments through it at once. Steps through
+// changes of phase are in contact.hpp. `fma(a, b, c)` is a b + c, rounded once.
 #pragma once
 #include "elementary.hpp"
 
 namespace LEVEL {
-
 // The constants of a plant that an `extended` one adds are zero in the others, which do not read them.
 enum class Kind {
   coulomb,   // a level floor with Coulomb friction alone
@@ -36,12 +35,8 @@ enum class Kind {
   level,     // they differ, on level floors with Coulomb friction alone and without pushes
 };
 
-template <bool condition, class A, class B> struct Choose {
-  using type = A;
-};
-template <class A, class B> struct Choose<false, A, B> {
-  using type = B;
-};
+template <bool condition, class A, class B> struct Choose { using type = A; };
+template <class A, class B> struct Choose<false, A, B> { using type = B; };
 
 // The names of the constants from m on; their values are in SI units.
 #define CAPSULE_PLANT(FIELD)                                                                                           \
@@ -57,7 +52,7 @@ template <class T, Kind kind_> struct Plant {
   using Number = T;
   static constexpr Kind kind = kind_;
   static constexpr bool varied = kind == Kind::varied || kind == Kind::level;
-  // Whether the floor may slope, its friction depend on the speed, and a force push; whether the motor may have friction.
+  // Whether all that an extended plant adds may act; whether the motor may have friction.
   static constexpr bool rough = kind == Kind::extended || kind == Kind::varied, geared = rough || kind == Kind::level;
   using Constant = typename Choose<varied, T, double>::type;
 
@@ -70,17 +65,12 @@ template <class T, Kind kind_> struct Plant {
 };
 
 template <class P> using Number = typename P::Number;
-
 // Whether the paper's normal force is chosen.
 template <class P> INLINE bool pivot_on_contact(const P& p) {
-  if constexpr (P::kind == Kind::coulomb) return false;
-  if constexpr (P::kind == Kind::paper) return true;
-  return p.pivot_torque_on_contact != 0.0;
+  return P::kind != Kind::coulomb && (P::kind == Kind::paper || p.pivot_torque_on_contact != 0.0);
 }
 
-template <class T> struct State {
-  T theta, theta_dot, x, x_dot;
-};
+template <class T> struct State { T theta, theta_dot, x, x_dot; };
 
 // rad: the ball meets the platform.
 constexpr double THETA_LIMIT = PI / 2.0;
@@ -147,9 +137,7 @@ template <class P> INLINE Number<P> stick_acceleration(Number<P> theta, Number<P
   return fma(p.g / p.l, sin, free);
 }
 
-template <class T> struct Accelerations {
-  T theta_ddot, x_ddot, normal;
-};
+template <class T> struct Accelerations { T theta_ddot, x_ddot, normal; };
 
 // theta'', x'' and N of Eq. (1) with f = slip mu N, one formula for slip and stick (slip = 0 pins x'' = 0); N is not
 // clamped and can be below zero.
@@ -196,9 +184,7 @@ INLINE Accelerations<Number<P>> accelerations(Number<P> theta, Number<P> theta_d
   return a;
 }
 
-template <class T> struct Margin {
-  T value, force;
-};
+template <class T> struct Margin { T value, force; };
 
 // Static friction limit minus |driving force|, in N, and the driving force itself; stick needs a margin >= 0.
 template <class P> INLINE Margin<Number<P>> stick_margin(Number<P> theta, Number<P> theta_dot, Number<P> u, const P& p) {
@@ -276,9 +262,7 @@ INLINE Stepped<Number<P>> runge_kutta(const State<Number<P>>& s, Number<P> slip,
           min(min(normal_1, normal_2), min(normal_3, normal_4))};
 }
 
-template <class T> struct Boundary {
-  T value, rate;
-};
+template <class T> struct Boundary { T value, rate; };
 
 // The quantity that stays positive while the phase lasts, and its time derivative: m/s in slip, N in stick. For one
 // environment.
@@ -327,5 +311,4 @@ INLINE auto smooth_step(const State<Number<P>>& s, Number<P> slip, Number<P> u, 
 template <class T> INLINE T swept(T start, T end, T turned, T h) {
   return select(start * end >= 0.0, abs(turned), 0.5 * h * (start * start + end * end) / (abs(start) + abs(end)));
 }
-
 }  // namespace LEVEL

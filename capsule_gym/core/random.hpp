@@ -3,7 +3,6 @@
 #include "elementary.hpp"
 
 namespace LEVEL {
-
 // Each purpose has its own stream, so that draws for one do not shift another.
 enum Stream : Word { PARAMETERS = 0, INITIAL_STATE = 1 };
 
@@ -38,9 +37,7 @@ template <class W> INLINE W scramble(W word) {
   return word ^ (word >> 31);
 }
 
-template <class T> struct Two {
-  T first, second;
-};
+template <class T> struct Two { T first, second; };
 
 constexpr Word ONE_BITS = 1023ULL << 52, FRACTION = (1ULL << 52) - 1;
 
@@ -68,5 +65,4 @@ template <class W> INLINE auto normals(W word) {
   auto [sine, cosine] = sincos<T>(TURN * (second - 1.5));
   return Two<T>{radius * cosine, radius * sine};
 }
-
 }  // namespace LEVEL

@@ -4,7 +4,6 @@
 #include "step.hpp"
 
 namespace LEVEL {
-
 // Steps the environments first..last-1 of `batch`, each until its episode ends, and returns as `advance`. `memory` is that
 // of every environment; `changes` are rows of environment, time (s), M (kg) and mu, those of an environment in order of
 // time.
@@ -47,5 +46,4 @@ inline long long run_episodes(const Batch& batch, long long first, long long las
   __builtin_free(workspace);
   return broken;
 }
-
 }  // namespace LEVEL

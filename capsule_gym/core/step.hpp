@@ -10,7 +10,6 @@
 #include "tasks.hpp"
 
 namespace LEVEL {
-
 // Stands for the phase of a platform at rest until `smooth_substep` has found it.
 constexpr double AT_REST = 2.0;
 // |theta_dot| + |x_dot| (rad/s, m/s) at an event, such as the end of an episode, beyond which the motion counts as lost.
@@ -443,5 +442,4 @@ inline long long advance(const Batch& batch, long long first, long long last, bo
 #endif
   return advance_blocks<double, 1>(batch, first, last, begin);
 }
-
 }  // namespace LEVEL

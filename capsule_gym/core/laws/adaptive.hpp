@@ -4,14 +4,10 @@
 // of eta, (39d) is r' = r^2 delta_theta^2 (..) / ((2n + 1) (delta_theta^2 + beta)), which needs no power function.
 #pragma once
 #include "law.hpp"
-#include "reference.hpp"
 
 namespace LEVEL {
-
 // The estimates, the root of eta, and the start of x_d in m.
-template <class T> struct AdaptiveMemory {
-  T h[5], g[4], root, anchor;
-};
+template <class T> struct AdaptiveMemory { T h[5], g[4], root, anchor; };
 
 // The nominal plant, for the normal force in Y_x; the gains; and what the paper leaves open: beta, n, the half width in
 // rad/s of the saturation that replaces sgn (0.0 for sgn itself), bounds of root and estimates, 1.0 if x_d starts from
@@ -67,5 +63,4 @@ struct Adaptive {
     return adaptive_torque(s, memory, r, q);
   }
 };
-
 }  // namespace LEVEL

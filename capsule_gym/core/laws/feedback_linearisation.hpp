@@ -1,10 +1,8 @@
 // Feedback linearisation (35) of the paper along a profile.
 #pragma once
 #include "law.hpp"
-#include "reference.hpp"
 
 namespace LEVEL {
-
 struct FeedbackLinearising {
   // K_p in 1/s^2, K_v in 1/s.
 #define FEEDBACK_CONSTANTS(ONE, MANY) NOMINAL_CONSTANTS(ONE) ONE(K_p) ONE(K_v)
@@ -25,5 +23,4 @@ struct FeedbackLinearising {
     return inertia * a + coupling - ml * q.g * sin + q.k * s.theta + q.c * s.theta_dot;  // Eq. (35)
   }
 };
-
 }  // namespace LEVEL

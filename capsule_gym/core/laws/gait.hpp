@@ -4,7 +4,6 @@
 #include "law.hpp"
 
 namespace LEVEL {
-
 // phi_ijk is the coefficient of theta^i theta_dot^j x_dot^k, each divided by its scale; then the step in the direction
 // of slip, the guard's gain in N m s^2, and the theta_dot^2 cos(theta), 1/s^2, from which the guard acts.
 #define GAIT_PARAMETERS(ONE)                                                                                           \
@@ -48,9 +47,7 @@ struct Gait {
 
 // The gait with its parameters in its memory, so that the environments of a batch can have different ones.
 struct GaitCandidate {
-  template <class T> struct Parameters {
-    GAIT_PARAMETERS(CAPSULE_NUMBER)
-  };
+  template <class T> struct Parameters { GAIT_PARAMETERS(CAPSULE_NUMBER) };
 #define CANDIDATE_CONSTANTS(ONE, MANY) ONE(torque_limit)
   CAPSULE_LAW(GaitCandidate, "gait_candidate", false, Parameters, NoReference, CANDIDATE_CONSTANTS)
 
@@ -75,5 +72,4 @@ struct GaitIdentifying {
     return guarded_torque(s.theta, s.theta_dot, s.x_dot, q, share * q.guard_from, q.torque_limit);
   }
 };
-
 }  // namespace LEVEL

@@ -3,7 +3,6 @@
 #include "../plant.hpp"
 
 namespace LEVEL {
-
 // The members of a law besides its function `torque`. Memory and Row are the structs of its memory, and of the row of
 // its reference with the memory of the task behind it. LIST(ONE, MANY) names the constants `q`, numbers and arrays: C++
 // takes the fields from it, Python their order.
@@ -22,11 +21,12 @@ namespace LEVEL {
 #define LAW_FIELDS(name, count) double name[count];
 
 // For a law without memory, and for one without a reference.
-template <class T> struct NoMemory {
-  T unused;
-};
-template <class T> struct NoReference {
-  T theta_d, theta_d_dot;
+template <class T> struct NoMemory { T unused; };
+template <class T> struct NoReference { T theta_d, theta_d_dot; };
+
+// A row of the reference table: rad and m with their derivatives, and 1.0 where a cycle begins.
+template <class T> struct Reference {
+  T theta_d, theta_d_dot, theta_d_ddot, x_d, x_d_dot, x_d_ddot, cycle_start;
 };
 
 // The constants of a nominal plant.
@@ -36,5 +36,4 @@ template <class T, Kind kind, class Q> INLINE Plant<T, kind> nominal_plant(const
   return {NOMINAL_CONSTANTS(FIELD)};
 #undef FIELD
 }
-
 }  // namespace LEVEL

@@ -9,7 +9,6 @@
 #include "gait.hpp"
 
 namespace LEVEL {
-
 namespace predictor {
 
 // Assumed: calls from a measurement to its torque, the time constant of the motor in s, and its friction in N m.
@@ -29,9 +28,7 @@ constexpr int STRIDE = 3;
 // The estimate of the state LATENCY calls ago, before the measurement of that time: 1.0 after the first measurement,
 // the state, the motor's torque after its lag in N m, M in kg, mu, and the bias of the measured x_dot in m/s; and the
 // torques of the last calls, the oldest first.
-template <class T> struct Estimate {
-  T begun, theta, theta_dot, x_dot, motor, M, mu, bias;
-};
+template <class T> struct Estimate { T begun, theta, theta_dot, x_dot, motor, M, mu, bias; };
 template <class T> struct Memory {
   Estimate<T> estimate;
   T queue[LATENCY];
@@ -137,5 +134,4 @@ struct AdaptivePredictive {
     return predicted.queue[predictor::LATENCY - 1] = clip(wanted, T(q.torque_limit));
   }
 };
-
 }  // namespace LEVEL

@@ -5,7 +5,6 @@
 #include "gait.hpp"
 
 namespace LEVEL {
-
 // The gait's parameters, the nominal pendulum, and the law's period.
 #define PULSES_CONSTANTS(ONE, MANY) GAIT_CONSTANTS(ONE, MANY) ONE(m) ONE(l) ONE(g) ONE(k) ONE(c) ONE(dt)
 
@@ -213,5 +212,4 @@ struct VelocityPulses {
     return pulses::torque(s, memory, row.task.target + 0.3 * row.task.command - s.x, 0.004, 0.0, q);
   }
 };
-
 }  // namespace LEVEL
