@@ -89,17 +89,16 @@ template <class T, int N> struct Disturbed {
     return motor;
   }
 
-  // Writes the present states into the history.
-  void remember() {
-    int cursor = (int)b.cursor[0] + 1;
-    cursor = cursor < (int)q.history ? cursor : 0;
-    b.cursor[0] = cursor;
-    double* here = entry(cursor);
-    EACH store(here + j, GET(theta)), store(here + N + j, GET(theta_dot)), store(here + 2 * N + j, GET(x_dot));
-  }
-
-  // Takes a reading of every sensor of the environments that take part.
-  NOINLINE void read_sensors() {
+  // Takes a reading of every sensor of the environments that take part, where law or agent need it. `begins`: whether
+  // episodes begin, whose history `begin` has filled; `last`: whether the agent's step ends.
+  NOINLINE void measure(bool begins, bool last) {
+    if (!begins) {
+      int next = (int)b.cursor[0] + 1;
+      b.cursor[0] = next < (int)q.history ? next : 0;
+      double* here = entry((int)b.cursor[0]);
+      EACH store(here + j, GET(theta)), store(here + N + j, GET(theta_dot)), store(here + 2 * N + j, GET(x_dot));
+    }
+    if (!begins && !last && q.with_reference == 0.0) return;
     for (int j = 0; j < n; j++) {
       int place = (int)b.cursor[0] - (int)b.delay[j];
       const double* state = entry(place < 0 ? place + (int)q.history : place) + j;
@@ -128,13 +127,6 @@ template <class T, int N> struct Disturbed {
       PUT(read_x, select(active, GET(read_x) + min(count, T(1.0)) * pause * GET(read_x_dot), GET(read_x)));
       PUT(readings, select(active, count + 1.0, count));
     }
-  }
-
-  // Reads the sensors where law or agent need it. `begins`: whether episodes begin, whose history `begin` has filled;
-  // `last`: whether the agent's step ends.
-  void measure(bool begins, bool last) {
-    if (!begins) remember();
-    if (begins || last || q.with_reference != 0.0) read_sensors();
   }
 };
 }  // namespace LEVEL

@@ -8,14 +8,14 @@ namespace LEVEL {
 // Name, numbers of arguments and of results, and the call with the arguments a[0], a[1], .. and, for functions of the
 // plant, the plant p.
 #define CAPSULE_PLANT_FUNCTIONS(F)                                                                                     \
-  F(accelerations, 5, 3, (accelerations(a[0], a[1], a[2], a[3], a[4], p)))                                             \
-  F(normal_force, 3, 1, (normal_force(a[0], a[1], a[2], p)))                                                           \
-  F(driving_force, 3, 1, (driving_force(a[0], a[1], a[2], p)))                                                         \
-  F(friction_force, 3, 1, (friction_force(a[0], a[1], a[2], p)))                                                       \
-  F(stick_acceleration, 3, 1, (stick_acceleration(a[0], a[1], a[2], p)))                                               \
-  F(stick_margin, 3, 2, (stick_margin(a[0], a[1], a[2], p)))                                                           \
-  F(stick_margin_rate, 3, 1, (stick_margin_rate(a[0], a[1], a[2], p)))                                                 \
-  F(contact_phase, 4, 1, (contact_phase(State<double>{a[0], a[1], 0.0, a[2]}, a[3], p)))                               \
+  F(accelerations, 5, 3, (p.accelerations(a[0], a[1], a[2], a[3], a[4])))                                              \
+  F(normal_force, 3, 1, (p.normal_force(a[0], a[1], a[2])))                                                            \
+  F(driving_force, 3, 1, (p.driving_force(a[0], a[1], a[2])))                                                          \
+  F(friction_force, 3, 1, (p.friction_force(a[0], a[1], a[2])))                                                        \
+  F(stick_acceleration, 3, 1, (p.stick_acceleration(a[0], a[1], a[2])))                                                \
+  F(stick_margin, 3, 2, (p.stick_margin(a[0], a[1], a[2])))                                                            \
+  F(stick_margin_rate, 3, 1, (p.stick_margin_rate(a[0], a[1], a[2])))                                                  \
+  F(contact_phase, 4, 1, (p.contact_phase(State<double>{a[0], a[1], 0.0, a[2]}, a[3])))                                \
   F(step, 6, 10, (plant_step(State<double>{a[0], a[1], a[2], a[3]}, a[4], p, a[5])))
 #define CAPSULE_ELEMENTARY_FUNCTIONS(F)                                                                                \
   F(sincos, 1, 2, (sincos(a[0]))) F(exp, 1, 1, (exp(a[0]))) F(tanh, 1, 1, (tanh(a[0]))) F(log, 1, 1, (log(a[0])))      \
@@ -94,10 +94,10 @@ inline void platform_motion(const double* angle, const double* velocity, const d
                             double h, const AnyPlant& p, double* motion) {
   double x = 0.0, x_dot = 0.0;
   for (long long i = 0; i < n; i++) {
-    double force = driving_force(angle[i], velocity[i], acceleration[i], p);
-    double normal = max(0.0, normal_force(angle[i], velocity[i], acceleration[i], p));
+    double force = p.driving_force(angle[i], velocity[i], acceleration[i]);
+    double normal = max(0.0, p.normal_force(angle[i], velocity[i], acceleration[i]));
     motion[i] = x, motion[n + i] = x_dot;
-    motion[2 * n + i] = slide(force, kinetic_friction(1.0, p) * normal, kinetic_friction(-1.0, p) * normal,
+    motion[2 * n + i] = slide(force, p.kinetic_friction(1.0) * normal, p.kinetic_friction(-1.0) * normal,
                               p.static_ratio, p.M + p.m, x, x_dot, h);
   }
 }

@@ -52,8 +52,7 @@
 
 // Environments of a block in a batch. One environment alone is a block of one lane, so that its rows lie side by side.
 constexpr int LANES = 64;
-// Largest number of cells in the memory of a law.
-constexpr int MOST_CELLS = 256;
+constexpr int MOST_CELLS = 256;  // largest number of cells in the memory of a law
 
 template <int N> struct Block {
 #define ROW(name) double name[N];
@@ -68,8 +67,7 @@ template <int N> struct Block {
 
 // Values of the row `halt`: under way; stopped in the present substep, with one call of the law left; and halted.
 constexpr double UNDER_WAY = 0.0, ENDING = 1.0, HALTED = 2.0;
-// Rows of a state in the history: theta, theta_dot, x_dot.
-constexpr int HISTORY_ROWS = 3;
+constexpr int HISTORY_ROWS = 3;  // rows of a state in the history: theta, theta_dot, x_dot
 
 // The settings of a step, SI units; conditions are 0.0 or 1.0.
 #define CAPSULE_SETTINGS(FIELD)                                                                                        \

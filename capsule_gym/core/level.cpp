@@ -21,10 +21,9 @@ long long call(const char* function, const Argument* a) {
 }
 }  // namespace LEVEL
 
-#define TEXT(x) #x
-#define NAME_OF(x) TEXT(x)
-#define JOIN(a, b) a##b
-#define SYMBOL(x) JOIN(capsule_level_, x)
-
-extern "C" const Level SYMBOL(LEVEL);
-extern "C" const Level SYMBOL(LEVEL) = {NAME_OF(LEVEL), LEVEL::advance, LEVEL::call};
+// The table that module.cpp reads, `capsule_level_v4` for the level v4.
+#define TABLE(level) TABLE_OF(level)
+#define TABLE_OF(level) \
+  extern "C" const Level capsule_level_##level; \
+  const Level capsule_level_##level = {#level, level::advance, level::call};
+TABLE(LEVEL)

@@ -1,6 +1,5 @@
-// The Python module `capsule_gym._core`: the plain C API, limited to what is stable since Python 3.10, so that one module
-// serves all Pythons. Python allocates the arrays, passes their addresses, and keeps them alive; `capsule_gym.native`
-// checks what it passes.
+// The Python module `capsule_gym._core`, by the C API that is stable since Python 3.10. Python allocates the arrays,
+// passes their addresses, and keeps them alive; `capsule_gym.native` checks what it passes.
 #define PY_SSIZE_T_CLEAN
 #ifndef Py_LIMITED_API
 #define Py_LIMITED_API 0x030A0000
@@ -12,13 +11,11 @@
 
 #include "functions.hpp"
 #include "level.hpp"
-#include "network.hpp"
-#include "step.hpp"
+#include "rollout.hpp"
 
 extern "C" const Level capsule_level_portable, capsule_level_v3, capsule_level_v4;
 
 namespace {
-
 // --- the levels of instructions, the best first ---
 
 #if defined(__x86_64__)
@@ -205,7 +202,6 @@ PyMethodDef METHODS[] = {
     {nullptr, nullptr, 0, nullptr}};
 PyModuleDef_Slot SLOTS[] = {{Py_mod_exec, (void*)fill}, {0, nullptr}};
 PyModuleDef MODULE = {PyModuleDef_HEAD_INIT, "_core", nullptr, 0, METHODS, SLOTS, nullptr, nullptr, nullptr};
-
 }  // namespace
 
 PyMODINIT_FUNC PyInit__core() { return PyModuleDef_Init(&MODULE); }

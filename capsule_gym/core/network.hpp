@@ -24,8 +24,7 @@
 namespace LEVEL {
 struct Header { CAPSULE_NETWORK(CAPSULE_DOUBLE) };
 
-// Units and environments are padded to multiples of it: the numbers of the widest register.
-constexpr int PADDING = 8;
+constexpr int PADDING = 8;  // units and environments are padded to multiples of it: the numbers of the widest register
 constexpr int padded(int width) { return (width + PADDING - 1) / PADDING * PADDING; }
 // Total torque, in torque limits, above which the action is the whole residual: the law's torque may change before the
 // next action, and the torque limit then keeps the sum at the limit.
@@ -110,16 +109,15 @@ template <class T> NOINLINE void activate(double* sums, int count, bool relu) {
   }
 }
 
-// The outputs for inputs of shape (n, stride), of one environment or of at least PADDING.
+// The outputs for inputs of shape (n, inputs), of one environment or of at least PADDING.
 template <class T>
-inline const double* forward(const Network& network, const float* inputs, long long stride, int n, double* values,
-                             double* sums) {
+inline const double* forward(const Network& network, const float* inputs, int n, double* values, double* sums) {
   const Header& header = network.header;
   int rows = n == 1 ? 1 : padded(n);
   double size = header.clip;
   for (int i = 0; i < header.inputs; i++) {
     double *row = values + i * rows, mean = network.mean[i], scale = network.scale[i];
-    for (int j = 0; j < rows; j++) row[j] = j < n ? inputs[j * stride + i] : 0.0;
+    for (int j = 0; j < rows; j++) row[j] = j < n ? inputs[j * (int)header.inputs + i] : 0.0;
     for (int j = 0; j < rows; j++) row[j] = clip((row[j] - mean) * scale, size);
   }
   const double* next = network.layers;
@@ -144,21 +142,12 @@ inline void write_inputs(const Header& header, const float* observations, long l
     const float* observed = observations + i * entries;
     for (int k = 0; k < header.observed; k++) *inputs++ = observed[k];
     if (header.identifies != 0.0) {
-      identify(memory[i], observed[0], observed[1], observed[2], header.m, header.l, header.g, header.dt);
+      identify(memory[i], observed[0], observed[1], observed[2], header);
       *inputs++ = (float)memory[i].M, *inputs++ = (float)memory[i].log_mu;
       *inputs++ = (float)deviation(memory[i].P_MM), *inputs++ = (float)deviation(memory[i].P_ff);
     }
     if (header.observes_energy_weight != 0.0) *inputs++ = (float)header.log_energy_weight;
   }
-}
-
-// The action in [-1, 1] for an output of the network, which is the action or the total torque in torque limits, and the
-// torque of the law at this instant, N m.
-inline double to_action(const Header& header, double output, double law_torque) {
-  double wanted = clip(output, 1.0);
-  if (header.outputs_torque == 0.0) return wanted;
-  if (abs(wanted) > SATURATION) return wanted > 0.0 ? 1.0 : -1.0;
-  return clip((header.torque_limit * wanted - law_torque) / header.residual_limit, 1.0);
 }
 
 // Bytes of the working memory of `act` for n environments.
@@ -175,20 +164,20 @@ inline void act(const Network& network, const float* observations, long long ent
   // A wide load that crosses a cache line takes twice as long.
   double* values = (double*)(((Word)workspace + 63) & ~63ULL);
   double* sums = values + network.widest * padded(n);
-  const float* inputs = observations += first * entries;
-  long long stride = entries;
-  if (header.inputs > header.observed) {
-    float* written = (float*)(sums + network.widest * padded(n));
-    write_inputs(header, observations, entries, n, memory + first, written);
-    inputs = written, stride = (long long)header.inputs;
-  }
+  float* inputs = (float*)(sums + network.widest * padded(n));
+  write_inputs(header, observations + first * entries, entries, n, memory + first, inputs);
   // A few environments one after the other, in registers of units.
   int together = n < PADDING ? 1 : n;
   for (int j = 0; j < n; j += together) {
-    const double* outputs = forward<T>(network, inputs + j * stride, stride, together, values, sums);
+    const double* outputs = forward<T>(network, inputs + j * (int)header.inputs, together, values, sums);
     for (int i = j; i < j + together; i++) {
-      double law_torque = header.law_torque < 0.0 ? 0.0 : observations[i * entries + (int)header.law_torque];
-      actions[i] = to_action(header, outputs[i - j], law_torque);
+      double& action = actions[i];
+      action = clip(outputs[i - j], 1.0);
+      if (header.outputs_torque == 0.0) continue;
+      // It is the total torque in torque limits.
+      double law_torque = header.law_torque < 0.0 ? 0.0 : observations[(first + i) * entries + (int)header.law_torque];
+      double residual = header.torque_limit * action - law_torque;
+      action = abs(action) > SATURATION ? copysign(1.0, action) : clip(residual / header.residual_limit, 1.0);
     }
   }
 }

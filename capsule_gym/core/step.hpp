@@ -10,20 +10,15 @@
 #include "tasks.hpp"
 
 namespace LEVEL {
-// Stands for the phase of a platform at rest until `smooth_substep` has found it.
-constexpr double AT_REST = 2.0;
+constexpr double AT_REST = 2.0;  // stands for the phase of a platform at rest until `smooth_substep` has found it
 // |theta_dot| + |x_dot| (rad/s, m/s) at an event, such as the end of an episode, beyond which the motion counts as lost.
 constexpr double RATE_LIMIT = 1e4;
 
 // Reasons for the termination of an episode: the ball meets the platform, the platform leaves the floor, the integrator
 // cannot resolve the motion.
-enum Termination { NONE = 0, PENDULUM = 1, CONTACT = 2, DIVERGED = 3 };
+enum Termination { PENDULUM = 1, CONTACT = 2, DIVERGED = 3 };
 
-INLINE Termination termination(double theta, double normal_force) {
-  return abs(theta) >= THETA_LIMIT ? PENDULUM : normal_force <= 0.0 ? CONTACT : NONE;
-}
-
-// Whether `termination` is NONE and both are numbers. This check finds every step that overflows: within the limits of
+// Whether the episode goes on and both are numbers. This check finds every step that overflows: within the limits of
 // plant and torque, accelerations that overflow grow so fast from stage to stage that none cancels another in theta.
 template <class T> INLINE auto continues(T theta, T normal_force) {
   return (abs(theta) < THETA_LIMIT) & (normal_force > 0.0);
@@ -72,8 +67,6 @@ template <class T, int N> struct Step {
     });
   }
 
-  // --- the start of a step ---
-
   // Clips the action; returns how many environments take part.
   NOINLINE int begin_step(bool begin) {
     int taking_part = 0;
@@ -92,18 +85,16 @@ template <class T, int N> struct Step {
     return taking_part;
   }
 
-  // --- the torque, constant until the law is called again ---
-
   void hold_torque(bool level) {
     if (q.varied != 0.0) return level ? hold_on<Kind::level>() : hold_on<Kind::varied>();
     if (q.extended != 0.0) return hold_on<Kind::extended>();
     return q.pivot_torque_on_contact != 0.0 ? hold_on<Kind::paper>() : hold_on<Kind::coulomb>();
   }
 
+  // The torque is constant until the law is called again.
   template <Kind kind> NOINLINE void hold_on() {
     double h = q.physics_dt;
-    int substeps = (int)q.physics_steps;
-    for (int substep = 0; substep < substeps; substep++) {
+    for (int substep = 0; substep < (int)q.physics_steps; substep++) {
       count = 0;
       EACH {
         if (substep == 0) apply_torque<kind>(j);
@@ -112,7 +103,9 @@ template <class T, int N> struct Step {
         if (any((slip == 0.0) | (slip == AT_REST))) smooth_substep<kind, true>(j, slip, h);
         else smooth_substep<kind, false>(j, slip, h);
       }
-      if (count) handle_events<kind>(h, (substep + 1) * h);
+      int left = count;
+      if constexpr (N > 1) left = count > 1 ? pass_events<kind>(h) : count;
+      for (int e = 0; e < left; e++) step_with_events<kind>(events[e], h, (substep + 1) * h);
     }
   }
 
@@ -150,10 +143,10 @@ template <class T, int N> struct Step {
     State<T> s = {GET(theta), GET(theta_dot), GET(x), GET(x_dot)};
     T torque = GET(torque);
     if constexpr (may_stick) {
-      slip = select(slip == AT_REST, phase_at_rest(s.theta, s.theta_dot, torque, p), slip);
+      slip = select(slip == AT_REST, p.phase_at_rest(s.theta, s.theta_dot, torque), slip);
       PUT(slip, slip);
     }
-    auto r = smooth_step<may_stick>(s, slip, torque, p, h);
+    auto r = p.template smooth_step<may_stick>(s, slip, torque, h);
     auto going = GET(halt) == UNDER_WAY;
     auto smooth = r.lasts & continues(r.end.theta, r.first.normal);
     auto commit = going & smooth;
@@ -183,16 +176,6 @@ template <class T, int N> struct Step {
     store(b.normal_force + j, min(load<S>(b.normal_force + j), m.normal_force));
     store(b.largest_theta + j, max(load<S>(b.largest_theta + j), abs(m.end.theta)));
     store(b.largest_theta_dot + j, max(load<S>(b.largest_theta_dot + j), abs(m.end.theta_dot)));
-  }
-
-  // --- events ---
-
-  template <Kind kind> NOINLINE void handle_events(double h, double elapsed) {
-    int left = count;
-    if constexpr (N > 1) {
-      if (count > 1) left = pass_events<kind>(h);
-    }
-    for (int e = 0; e < left; e++) step_with_events<kind>(events[e], h, elapsed);
   }
 
   // Steps the environments that come to rest once in the substep, several at a time; returns how many others are left.
@@ -230,19 +213,20 @@ template <class T, int N> struct Step {
     State<double> s = {b.theta[j], b.theta_dot[j], b.x[j], b.x_dot[j]};
     Phase<Plant<double, kind>> start = {s, b.slip[j], b.torque[j], p, {b.theta_ddot[j], b.x_ddot[j], b.first_normal_force[j]}};
     State<double> end = {b.next_theta[j], b.next_theta_dot[j], b.next_x[j], b.next_x_dot[j]};
-    auto whole = b.least_normal_force[j] >= 0.0 ? finish(start, h, end, start.first.x_ddot, start.first.normal)
-                                                : piece(start, h);
+    auto whole = b.least_normal_force[j] >= 0.0 ? start.finish(h, end, start.first.x_ddot, start.first.normal)
+                                                : start.piece(h);
     auto m = event_step(start, whole);
     double sum = m.end.theta + m.end.x + m.swept + m.normal_force;
     if (!(bounded(m.end.theta_dot, m.end.x_dot) && abs(sum) < INFINITE)) {
       // The substep is discarded: the environment keeps the state at its start.
-      auto a = accelerations(s.theta, s.theta_dot, s.x_dot, start.slip, start.u, p);
+      auto a = p.accelerations(s.theta, s.theta_dot, s.x_dot, start.slip, start.u);
       b.normal_force[j] = min(b.normal_force[j], a.normal);
       return end_episode(j, DIVERGED, elapsed - h);
     }
     add_motion(j, m);
-    b.slip[j] = contact_phase(m.end, start.u, p);
-    if (auto reason = termination(m.end.theta, m.normal_force)) end_episode(j, reason, elapsed);
+    b.slip[j] = p.contact_phase(m.end, start.u);
+    if (abs(m.end.theta) >= THETA_LIMIT) end_episode(j, PENDULUM, elapsed);
+    else if (m.normal_force <= 0.0) end_episode(j, CONTACT, elapsed);
   }
 
   INLINE void end_episode(int j, Termination reason, double elapsed) {
@@ -251,8 +235,6 @@ template <class T, int N> struct Step {
     b.elapsed[j] = elapsed;
     b.slip[j] = 1.0;
   }
-
-  // --- the law ---
 
   NOINLINE void call_law(double tick) {
     // The only row of a reference stays where the first call has written it.
@@ -328,8 +310,6 @@ template <class T, int N> struct Step {
     store<S>(b.halt + j, select((halt == UNDER_WAY) & (clipped == clipped), S(UNDER_WAY), S(HALTED)));
   }
 
-  // --- the task ---
-
   template <class Call> INLINE void with_task(Call call) {
     int number = 0;
 #define TASK(Task) \
@@ -387,8 +367,6 @@ template <class T, int N> struct Step {
       PUT(smallest_normal_ratio, select(active, smallest, GET(smallest_normal_ratio)));
     }
   }
-
-  // --- the observation ---
 
   // Writes the entries in the order of `observation_names`.
   template <class Task> NOINLINE void observe(bool begin) {

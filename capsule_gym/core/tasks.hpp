@@ -7,8 +7,7 @@
 #define CAPSULE_TASKS(TASK) TASK(Speed) TASK(Goal) TASK(Velocity)
 
 namespace LEVEL {
-// Tolerance of times, s, which are sums of the agent's steps.
-constexpr double TIME_TOLERANCE = 1e-9;
+constexpr double TIME_TOLERANCE = 1e-9;  // tolerance of times, s, which are sums of the agent's steps
 
 // Forwards as fast as possible.
 struct Speed {

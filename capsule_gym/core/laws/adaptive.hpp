@@ -33,7 +33,8 @@ INLINE T adaptive_torque(const State<T>& s, AdaptiveMemory<T>& memory, const Ref
   // Y_theta and Y_x of Eq. (38), with the sign that makes N = -Y alpha. The normal force contains theta'', which a law
   // cannot know before its torque acts; theta_d'' replaces it.
   auto [sin, cos] = sincos(s.theta);
-  T normal = max(T(0.0), normal_force(s.theta, s.theta_dot, theta_d_ddot, nominal_plant<T, Kind::extended>(q)));
+  auto p = nominal_plant<T, Kind::extended>(q);
+  T normal = max(T(0.0), p.normal_force(s.theta, s.theta_dot, theta_d_ddot));
   T y[5] = {rho_theta_dot, -cos * rho_x_dot, s.theta, s.theta_dot, -sin};
   T z[4] = {-cos * rho_theta_dot, rho_x_dot, normal * sign_of(s.x_dot), sin * s.theta_dot * rho_theta};
 

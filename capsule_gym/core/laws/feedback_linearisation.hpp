@@ -13,8 +13,8 @@ struct FeedbackLinearising {
     auto p = nominal_plant<T, Kind::extended>(q);
     T a = r.theta_d_ddot - q.K_v * (s.theta_dot - r.theta_d_dot) - q.K_p * (s.theta - r.theta_d);
     auto [sin, cos] = sincos(s.theta);
-    T force = driving_force(s.theta, s.theta_dot, a, p);
-    T limit = q.mu * max(T(0.0), normal_force(s.theta, s.theta_dot, a, p));
+    T force = p.driving_force(s.theta, s.theta_dot, a);
+    T limit = q.mu * max(T(0.0), p.normal_force(s.theta, s.theta_dot, a));
     T reaction = min(limit, max(-limit, force));
     T f = select(s.x_dot > 0.0, limit, select(s.x_dot < 0.0, -limit, reaction));
     double ml = q.m * q.l, total = q.M + q.m;

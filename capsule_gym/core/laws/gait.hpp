@@ -67,7 +67,7 @@ struct GaitIdentifying {
   static constexpr double CAUTION = 1.3;
 
   double torque(const State<double>& s, Identification& filter, const NoReference<double>&) const {
-    identify(filter, s.theta, s.theta_dot, s.x_dot, q.m, q.l, q.g, q.dt);
+    identify(filter, s.theta, s.theta_dot, s.x_dot, q);
     double share = 1.0 - CAUTION * (q.lightest - min(q.lightest, filter.M)) / (q.lightest + q.m);
     return guarded_torque(s.theta, s.theta_dot, s.x_dot, q, share * q.guard_from, q.torque_limit);
   }
