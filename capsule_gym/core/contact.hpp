@@ -26,8 +26,8 @@ template <class T> struct Motion {
   T events;             // number of changes of phase located inside the step
 };
 
-// A part of a step that stays in one phase: its length tau in s, the state and the accelerations at its end, and x'' and N
-// at its start. The phase lasts while the boundary is positive.
+// A part of a step that stays in one phase: its length tau in s, the state and the accelerations at its end, and x''
+// and N at its start. The phase lasts while the boundary is positive.
 template <class T> struct Piece {
   T tau;
   State<T> end;
@@ -64,9 +64,9 @@ template <class P> struct Phase {
     return {tau, end, p.boundary(end, a.x_ddot, slip, u), a.theta_ddot, a.x_ddot, x_ddot, max(T(0.0), normal)};
   }
 
-  // A step of tau seconds in one phase, even if the phase would end earlier. It is always a full Runge-Kutta step from the
-  // phase's start, so that an event is as accurate as the integrator itself. A step in which the contact is lost is taken
-  // without friction.
+  // A step of tau seconds in one phase, even if the phase would end earlier. It is always a full Runge-Kutta step from
+  // the phase's start, so that an event is as accurate as the integrator itself. A step in which the contact is lost is
+  // taken without friction.
   NOINLINE Piece<T> piece(T tau) const {
     auto start = first;
     auto r = p.runge_kutta(s, slip, p.kinetic_friction(slip), u, tau, start);
@@ -77,9 +77,9 @@ template <class P> struct Phase {
     return finish(tau, r.end, start.x_ddot, start.normal);
   }
 
-  // The piece that ends on the boundary: Newton's method on re-taken steps, kept inside a bracket. The first guess is the
-  // root of the cubic through the bracket's ends. The last correction is so small that the state is extrapolated along its
-  // tangent. The bracket begins at `low`, with the boundary `before` > 0 and its rate there.
+  // The piece that ends on the boundary: Newton's method on re-taken steps, kept inside a bracket. The first guess is
+  // the root of the cubic through the bracket's ends. The last correction is so small that the state is extrapolated
+  // along its tangent. The bracket begins at `low`, with the boundary `before` > 0 and its rate there.
   NOINLINE Piece<T> root(T low, T before, T rate, const Piece<T>& beyond) const {
     T width = beyond.tau - low, end = beyond.tau;
     T tau = low + first_guess(before, rate, beyond.boundary.value, beyond.boundary.rate, width);

@@ -1,5 +1,5 @@
-// Disturbances of sensors, motor and platform; `Disturbances` in parameters.py documents them. Random numbers are hashes
-// of the episode's key and a counter, so that a reading is the same alone and in a batch.
+// Disturbances of sensors, motor and platform; `Disturbances` in parameters.py documents them. Random numbers are
+// hashes of the episode's key and a counter, so that a reading is the same alone and in a batch.
 #pragma once
 #include "layout.hpp"
 #include "random.hpp"
@@ -23,7 +23,8 @@ template <class T> INLINE T rounded(T value, T resolution) {
   return select(rounds, ((value / unit + ROUNDING) - ROUNDING) * unit, value);
 }
 
-// Disturbances of a block of N environments, with the number type T; `history` holds the last states, HISTORY_ROWS each.
+// Disturbances of a block of N environments, with the number type T; `history` holds the last states, HISTORY_ROWS
+// each.
 template <class T, int N> struct Disturbed {
   const Settings& q;
   Block<N>& b;
@@ -41,8 +42,8 @@ template <class T, int N> struct Disturbed {
       if (b.active[j] == 0.0) continue;
       auto [sin, cos] = sincos(b.drawn_slope[j]);
       double g = b.drawn_g[j], speed = b.drawn_stribeck_speed[j], lag = b.lag[j], key = b.key[j];
-      b.plant_m[j] = b.drawn_m[j], b.plant_l[j] = b.drawn_l[j], b.plant_k[j] = b.drawn_k[j], b.plant_c[j] = b.drawn_c[j];
-      b.plant_g[j] = g * cos, b.plant_downhill[j] = g * sin, b.plant_viscous[j] = b.drawn_viscous[j];
+      b.plant_m[j] = b.drawn_m[j], b.plant_l[j] = b.drawn_l[j], b.plant_g[j] = g * cos, b.plant_k[j] = b.drawn_k[j];
+      b.plant_c[j] = b.drawn_c[j], b.plant_downhill[j] = g * sin, b.plant_viscous[j] = b.drawn_viscous[j];
       b.plant_static_ratio[j] = b.drawn_static_ratio[j], b.plant_backward_ratio[j] = b.drawn_backward_ratio[j];
       b.plant_stribeck_excess[j] = speed > 0.0 ? b.drawn_static_ratio[j] - 1.0 : 0.0;
       b.plant_stribeck_rate[j] = speed > 0.0 ? 1.0 / speed : 0.0;
@@ -67,10 +68,11 @@ template <class T, int N> struct Disturbed {
 
   // Whether every floor is level with Coulomb friction alone, and nothing pushes.
   NOINLINE bool is_level() const {
+    bool level = true;
     for (int j = 0; j < n; j++)
-      if (!(b.plant_downhill[j] == 0.0 && b.plant_viscous[j] == 0.0 && b.plant_stribeck_excess[j] == 0.0 && b.push[j] == 0.0))
-        return false;
-    return true;
+      level &= b.plant_downhill[j] == 0.0 && b.plant_viscous[j] == 0.0 && b.plant_stribeck_excess[j] == 0.0 &&
+               b.push[j] == 0.0;
+    return level;
   }
 
   // The motor's torque in N m for a command, and the push on the platform, from now on.

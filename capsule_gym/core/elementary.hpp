@@ -1,8 +1,8 @@
 // Sine, cosine, exponential, logarithm and hyperbolic tangent with the same bits on every machine.
 //
-// The results of the standard libraries differ in the last digit between versions and instruction sets, and no loop that
-// calls them is vectorised. The functions here are straight-line arithmetic, and one environment gives the bits of a
-// batch. The multiplications and additions of the polynomials are fused explicitly: a compiler that may fuse freely
+// The results of the standard libraries differ in the last digit between versions and instruction sets, and no loop
+// that calls them is vectorised. The functions here are straight-line arithmetic, and one environment gives the bits of
+// a batch. The multiplications and additions of the polynomials are fused explicitly: a compiler that may fuse freely
 // decides differently in different loops. tests/capsule_gym/test_elementary.py derives the coefficients.
 #pragma once
 #include "number.hpp"
@@ -26,8 +26,8 @@ template <class T> struct SinCos { T sin, cos; };
 
 // Sine and cosine of an angle in rad: within 3.4e-16 of the exact values up to +-pi / 2, within 1.2e-15 beyond.
 //
-// The angle is brought to +-pi by whole turns and halved; in sin(2 y) = 2 sin(y) cos(y) and cos(2 y) = 1 - 2 sin(y)^2 the
-// remaining half turns cancel, so that no quadrant has to be determined.
+// The angle is brought to +-pi by whole turns and halved; in sin(2 y) = 2 sin(y) cos(y) and cos(2 y) = 1 - 2 sin(y)^2
+// the remaining half turns cancel, so that no quadrant has to be determined.
 template <class T> INLINE SinCos<T> sincos(T angle) {
   T turns = fma(angle, TURNS_PER_RADIAN, ROUNDING) - ROUNDING;
   T y = fma(-turns, 0.5 * TURN_REST, fma(-turns, 0.5 * TURN, 0.5 * angle));

@@ -25,8 +25,8 @@ namespace LEVEL {
 // The most general plant: one compiled function serves all.
 using AnyPlant = Plant<double, Kind::extended>;
 
-// Evaluates function `number` of both lists at n places: `in`, shape (arguments, n), after rows of M and mu for functions
-// of the plant, the first ones; `out`, shape (results, n).
+// Evaluates function `number` of both lists at n places: `in`, shape (arguments, n), after rows of M and mu for
+// functions of the plant, the first ones; `out`, shape (results, n).
 inline void evaluate(long long number, const double* in, double* out, long long n, const AnyPlant* plant) {
   for (long long i = 0; i < n; i++, in++, out++) {
     AnyPlant p = {};

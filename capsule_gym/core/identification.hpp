@@ -6,9 +6,9 @@
 //     d x' = q d(cos(theta) theta') - mu s (g dt - q d(sin(theta) theta')).
 //
 // An iterated extended Kalman filter estimates M and log(mu) with their covariance from such pairs of observations. The
-// covariance grows a little with every pair and is reset where a pair contradicts the estimate, since M and mu can change
-// during an episode. For a capsule with another friction coefficient backwards, or with the paper's normal force, the
-// balance is approximate. The filter is part of a policy or a law, not of the environment.
+// covariance grows a little with every pair and is reset where a pair contradicts the estimate, since M and mu can
+// change during an episode. For a capsule with another friction coefficient backwards, or with the paper's normal
+// force, the balance is approximate. The filter is part of a policy or a law, not of the environment.
 #pragma once
 #include "elementary.hpp"
 

@@ -48,9 +48,9 @@ const Level* level = LEVELS[BEST];
 // select_level(name): one of LEVELS
 PyObject* select_level(PyObject*, PyObject* given) {
   const char* name = PyUnicode_AsUTF8AndSize(given, nullptr);
-  for (int i = BEST; name && i < NUM_LEVELS; i++)
-    if (!__builtin_strcmp(LEVELS[i]->name, name)) level = LEVELS[i];
   if (!name) return nullptr;
+  for (int i = BEST; i < NUM_LEVELS; i++)
+    if (!__builtin_strcmp(LEVELS[i]->name, name)) level = LEVELS[i];
   Py_RETURN_NONE;
 }
 
@@ -120,8 +120,8 @@ PyObject* call(PyObject*, PyObject* const* args, Py_ssize_t count) {
 
 // --- laws that Python calls ---
 
-// A function that takes theta, theta_dot, x, x_dot, the cells of the memory, and the numbers of the reference, and returns
-// a tuple of the torque and the next cells. `numbers` counts cells and reference.
+// A function that takes theta, theta_dot, x, x_dot, the cells of the memory, and the numbers of the reference, and
+// returns a tuple of the torque and the next cells. `numbers` counts cells and reference.
 struct PlainLaw {
   PyObject* function;
   long long cells, numbers, lanes, state;  // `state`: the row of the theta that the law observes
@@ -181,7 +181,8 @@ int fill(PyObject* module) {
   };
 #define LAW(Law) put(laws, portable::Law::NAME, \
                      Py_BuildValue("(sii)", portable::Law::CONSTANTS, portable::Law::MEMORY, portable::Law::COLUMNS));
-#define TASK(Task) put(tasks, portable::Task::NAME, Py_BuildValue("(si)", portable::Task::FIELDS, portable::Task::ENTRIES));
+#define TASK(Task) \
+  put(tasks, portable::Task::NAME, Py_BuildValue("(si)", portable::Task::FIELDS, portable::Task::ENTRIES));
   CAPSULE_LAWS(LAW) CAPSULE_TASKS(TASK)
 #define REAL(name) add(#name, PyFloat_FromDouble(portable::name));
   REAL(THETA_LIMIT) REAL(THETA_DOT_BOUND) REAL(X_DOT_BOUND) REAL(RATE_LIMIT) REAL(MOTOR_WIDTH) REAL(MOTOR_SLOPE)

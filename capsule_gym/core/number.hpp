@@ -15,22 +15,14 @@
 #endif
 
 #if defined(CAPSULE_INSTRUMENTED) || (defined(__x86_64__) && !defined(__FMA__))
-// Checks of addresses, or on processors before 2013 calls of the library's fma, take most of the time: inlined everywhere,
-// they would take most of the compiler's.
+// Checks of addresses, or on processors before 2013 calls of the library's fma, take most of the time: inlined
+// everywhere, they would take most of the compiler's.
 #define INLINE inline
 #else
 #define INLINE inline __attribute__((always_inline))
 #endif
 // For what is rare: inlined, it would take registers from the loops over environments.
 #define NOINLINE __attribute__((noinline))
-
-#if defined(__AVX512F__)
-#define LANES_IN_PACK 8
-#elif defined(__FMA__)
-#define LANES_IN_PACK 4
-#else
-#define LANES_IN_PACK 2
-#endif
 
 // Each level of instructions is a namespace, so that the linker cannot mix their functions.
 #ifndef LEVEL
@@ -97,7 +89,13 @@ INLINE unsigned lanes(bool condition) { return condition; }
 
 // --- as many environments as a register holds ---
 
-constexpr int PACK = LANES_IN_PACK;
+#if defined(__AVX512F__)
+constexpr int PACK = 8;
+#elif defined(__FMA__)
+constexpr int PACK = 4;
+#else
+constexpr int PACK = 2;
+#endif
 typedef double Doubles __attribute__((vector_size(8 * PACK)));
 typedef long long Integers __attribute__((vector_size(8 * PACK)));
 typedef Word Words __attribute__((vector_size(8 * PACK)));
@@ -151,7 +149,9 @@ INLINE unsigned lanes(Mask condition) { return (unsigned)_mm256_movemask_pd((__m
 #if defined(__clang__)
 INLINE Pack fma(Pack a, Pack b, Pack c) { return __builtin_elementwise_fma(a.v, b.v, c.v); }
 #elif defined(__aarch64__)
-INLINE Pack fma(Pack a, Pack b, Pack c) { return (Doubles)vfmaq_f64((float64x2_t)c.v, (float64x2_t)a.v, (float64x2_t)b.v); }
+INLINE Pack fma(Pack a, Pack b, Pack c) {
+  return (Doubles)vfmaq_f64((float64x2_t)c.v, (float64x2_t)a.v, (float64x2_t)b.v);
+}
 #else
 INLINE Pack fma(Pack a, Pack b, Pack c) { return Doubles{fma(a.v[0], b.v[0], c.v[0]), fma(a.v[1], b.v[1], c.v[1])}; }
 #endif
@@ -160,15 +160,11 @@ INLINE Pack floor(Pack x) { return Doubles{floor(x.v[0]), floor(x.v[1])}; }
 INLINE unsigned lanes(Mask condition) { return (condition.m[0] != 0) | (condition.m[1] != 0) << 1; }
 #endif
 
-// The numbers at these places, without a detour over memory, which would stall the load of the whole register.
+// The numbers at these places.
 INLINE Pack gather(const double* at, const int (&i)[PACK]) {
-#if LANES_IN_PACK == 8
-  return Doubles{at[i[0]], at[i[1]], at[i[2]], at[i[3]], at[i[4]], at[i[5]], at[i[6]], at[i[7]]};
-#elif LANES_IN_PACK == 4
-  return Doubles{at[i[0]], at[i[1]], at[i[2]], at[i[3]]};
-#else
-  return Doubles{at[i[0]], at[i[1]]};
-#endif
+  Doubles values = {};
+  for (int k = 0; k < PACK; k++) values[k] = at[i[k]];
+  return values;
 }
 
 // --- both ---
@@ -179,7 +175,11 @@ template <class T> INLINE T load(const double* at) {
   __builtin_memcpy(&values, at, sizeof values);
   return values;
 }
-template <class T> INLINE void store(double* at, T values) { __builtin_memcpy(at, &values, sizeof values); }
+template <class T> INLINE void store(double* at, T values);
+template <> INLINE void store(double* at, double value) { *at = value; }
+// Not by a copy of bytes, which the compiler would take for a write to anything, also to pointers.
+typedef double Unaligned __attribute__((vector_size(8 * PACK), aligned(8)));
+template <> INLINE void store(double* at, Pack values) { *(Unaligned*)at = values.v; }
 template <class M> INLINE bool any(M condition) { return lanes(condition) != 0; }
 
 // `min` and `max` of a NaN and of zeros of both signs give the first argument, as Python's.

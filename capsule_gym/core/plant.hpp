@@ -7,18 +7,19 @@
 //     (M + m) x'' - m l cos(theta) theta'' + m l sin(theta) theta'^2 + f = 0
 //
 // on a level floor with Coulomb friction alone. Within a phase of contact the motion is smooth. `slip` names the phase:
-// +1.0 forwards, -1.0 backwards, 0.0 stick. It follows from the state: the platform sticks only where x_dot is exactly 0.0.
+// +1.0 forwards, -1.0 backwards, 0.0 stick. It follows from the state: the platform sticks only where x_dot is exactly
+// 0.0.
 //
-// The floor of an extended plant may slope (g is then g cos(slope), and a = g sin(slope)), its friction may depend on the
-// speed (b is the viscous coefficient, v_s the speed of the Stribeck curve), the motor may have friction u_f, and a force
-// F may push the platform:
+// The floor of an extended plant may slope (g is then g cos(slope), and a = g sin(slope)), its friction may depend on
+// the speed (b is the viscous coefficient, v_s the speed of the Stribeck curve), the motor may have friction u_f, and a
+// force F may push the platform:
 //
 //     m l^2 theta'' - m l cos(theta) x'' - m l (g sin(theta) + a cos(theta)) + k theta + c theta'
 //         = u - u_f (35 s - 35 s^3 + 21 s^5 - 5 s^7) / 16
 //     (M + m) (x'' + a) + b x' - m l cos(theta) theta'' + m l sin(theta) theta'^2 + f = F
 //
-// with f = d mu (1 + (static_ratio - 1) / (1 + (x' / v_s)^2)) N in slip in the direction d, and s = theta' / w, clipped to
-// [-1, 1].
+// with f = d mu (1 + (static_ratio - 1) / (1 + (x' / v_s)^2)) N in slip in the direction d, and s = theta' / w, clipped
+// to [-1, 1].
 //
 // A step inside one phase is free of branches: a register takes several environments through it at once. Steps through
 // changes of phase are in contact.hpp. `fma(a, b, c)` is a b + c, rounded once.
@@ -52,8 +53,8 @@ template <class T> struct State { T theta, theta_dot, x, x_dot; };
 
 // rad: the ball meets the platform.
 constexpr double THETA_LIMIT = PI / 2.0;
-// Bounds of the observation, which is clipped to them. Full torque switched in the worst phase gives 13 rad/s and 1.2 m/s
-// on the capsule of the paper; the rest is room for other capsules.
+// Bounds of the observation, which is clipped to them. Full torque switched in the worst phase gives 13 rad/s and 1.2
+// m/s on the capsule of the paper; the rest is room for other capsules.
 constexpr double THETA_DOT_BOUND = 20.0, X_DOT_BOUND = 2.0;
 
 template <class T> struct Accelerations { T theta_ddot, x_ddot, normal; };
@@ -72,8 +73,8 @@ template <class T, class M> struct Smooth {
   M lasts;
 };
 
-// Rate in rad/s below which the motor's Coulomb friction is smooth, so that the integrator resolves a change of sign, and
-// its slope at rest, 35 / 16, in units of the friction over that rate.
+// Rate in rad/s below which the motor's Coulomb friction is smooth, so that the integrator resolves a change of sign,
+// and its slope at rest, 35 / 16, in units of the friction over that rate.
 constexpr double MOTOR_WIDTH = 1.0, MOTOR_SLOPE = 2.1875;
 
 // Whether the boundary may have been crossed within h seconds. The tangent bounds a convex function from below: no dip
@@ -135,8 +136,8 @@ template <class T, Kind kind_> struct Plant {
     return slip * mu * normal;
   }
 
-  // Torque in N m with which the motor's own friction opposes its motion: from MOTOR_WIDTH on Coulomb's. It is three times
-  // continuously differentiable, which preserves the integrator's order, without a root or a division.
+  // Torque in N m with which the motor's own friction opposes its motion: from MOTOR_WIDTH on Coulomb's. It is three
+  // times continuously differentiable, which preserves the integrator's order, without a root or a division.
   INLINE T motor_drag(T theta_dot) const {
     T ratio = theta_dot * (1.0 / MOTOR_WIDTH);
     T z = min(ratio * ratio, T(1.0));
@@ -266,8 +267,8 @@ template <class T, Kind kind_> struct Plant {
     return {slip * s.x_dot, slip * x_ddot};
   }
 
-  // A step of h seconds inside one phase. may_stick = false asserts that slip is nowhere 0.0, which saves a third of the
-  // work.
+  // A step of h seconds inside one phase. may_stick = false asserts that slip is nowhere 0.0, which saves a third of
+  // the work.
   template <bool may_stick>
   INLINE auto smooth_step(const State<T>& s, T slip, T u, T h) const {
     T mu = kinetic_friction(slip);

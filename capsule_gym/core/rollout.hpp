@@ -4,9 +4,9 @@
 #include "step.hpp"
 
 namespace LEVEL {
-// Steps the environments first..last-1 of `batch`, each until its episode ends, and returns as `advance`. `memory` is that
-// of every environment; `changes` are rows of environment, time (s), M (kg) and mu, those of an environment in order of
-// time.
+// Steps the environments first..last-1 of `batch`, each until its episode ends, and returns as `advance`. `memory` is
+// that of every environment; `changes` are rows of environment, time (s), M (kg) and mu, those of an environment in
+// order of time.
 template <int N>
 long long run_blocks(const Batch& batch, long long first, long long last, long long steps, double control_dt,
                      const Network& network, Identification* memory, const double* changes, long long num_changes,

@@ -11,7 +11,8 @@
 
 namespace LEVEL {
 constexpr double AT_REST = 2.0;  // stands for the phase of a platform at rest until `smooth_substep` has found it
-// |theta_dot| + |x_dot| (rad/s, m/s) at an event, such as the end of an episode, beyond which the motion counts as lost.
+// |theta_dot| + |x_dot| (rad/s, m/s) at an event, such as the end of an episode, beyond which the motion counts as
+// lost.
 constexpr double RATE_LIMIT = 1e4;
 
 // Reasons for the termination of an episode: the ball meets the platform, the platform leaves the floor, the integrator
@@ -93,6 +94,8 @@ template <class T, int N> struct Step {
 
   // The torque is constant until the law is called again.
   template <Kind kind> NOINLINE void hold_on() {
+    // A copy, which no write to the block can change: its quotients are computed once.
+    const Settings settings = q;
     double h = q.physics_dt;
     for (int substep = 0; substep < (int)q.physics_steps; substep++) {
       count = 0;
@@ -100,8 +103,8 @@ template <class T, int N> struct Step {
         if (substep == 0) apply_torque<kind>(j);
         T slip = GET(slip);
         // Where nothing sticks a third of the work is left out.
-        if (any((slip == 0.0) | (slip == AT_REST))) smooth_substep<kind, true>(j, slip, h);
-        else smooth_substep<kind, false>(j, slip, h);
+        if (any((slip == 0.0) | (slip == AT_REST))) smooth_substep<kind, true>(j, slip, h, settings);
+        else smooth_substep<kind, false>(j, slip, h, settings);
       }
       int left = count;
       if constexpr (N > 1) left = count > 1 ? pass_events<kind>(h) : count;
@@ -125,7 +128,7 @@ template <class T, int N> struct Step {
   }
 
   // The plants of the lanes of which `read` gives the numbers of a row.
-  template <class P, class Read> INLINE P read_plant(Read read) const {
+  template <class P, class Read> INLINE P read_plant(const Settings& q, Read read) const {
     P p;
     p.M = read(b.M), p.mu = read(b.mu), p.mass_ratio = read(b.mass_ratio);
     p.pivot_torque_on_contact = q.pivot_torque_on_contact;
@@ -138,8 +141,8 @@ template <class T, int N> struct Step {
   }
 
   // Takes the lanes from j on through one substep, unless it has an event: then they are listed.
-  template <Kind kind, bool may_stick> INLINE void smooth_substep(int j, T slip, T h) {
-    auto p = read_plant<Plant<T, kind>>([j](const double* row) { return load<T>(row + j); });
+  template <Kind kind, bool may_stick> INLINE void smooth_substep(int j, T slip, T h, const Settings& q) {
+    auto p = read_plant<Plant<T, kind>>(q, [j](const double* row) { return load<T>(row + j); });
     State<T> s = {GET(theta), GET(theta_dot), GET(x), GET(x_dot)};
     T torque = GET(torque);
     if constexpr (may_stick) {
@@ -187,7 +190,7 @@ template <class T, int N> struct Step {
       for (int i = 0; i < WIDTH<T>; i++) lane[i] = events[first + (i < many ? i : many - 1)];
       auto at = [&lane](const double* row) { return gather(row, lane); };
       Phase<Plant<T, kind>> start = {{at(b.theta), at(b.theta_dot), at(b.x), at(b.x_dot)}, at(b.slip), at(b.torque),
-                                     read_plant<Plant<T, kind>>(at),
+                                     read_plant<Plant<T, kind>>(q, at),
                                      {at(b.theta_ddot), at(b.x_ddot), at(b.first_normal_force)}};
       auto [m, slip, holds] = pass_rest(start, at(b.next_theta), at(b.next_theta_dot), at(b.next_x_dot), T(h));
       holds = holds & continues(m.end.theta, m.normal_force) & bounded(m.end.theta_dot, m.end.x_dot) &
@@ -209,12 +212,12 @@ template <class T, int N> struct Step {
 
   // Steps one environment through a substep with any event.
   template <Kind kind> NOINLINE void step_with_events(int j, double h, double elapsed) {
-    auto p = read_plant<Plant<double, kind>>([j](const double* row) { return row[j]; });
+    auto p = read_plant<Plant<double, kind>>(q, [j](const double* row) { return row[j]; });
     State<double> s = {b.theta[j], b.theta_dot[j], b.x[j], b.x_dot[j]};
-    Phase<Plant<double, kind>> start = {s, b.slip[j], b.torque[j], p, {b.theta_ddot[j], b.x_ddot[j], b.first_normal_force[j]}};
+    Accelerations<double> first = {b.theta_ddot[j], b.x_ddot[j], b.first_normal_force[j]};
+    Phase<Plant<double, kind>> start = {s, b.slip[j], b.torque[j], p, first};
     State<double> end = {b.next_theta[j], b.next_theta_dot[j], b.next_x[j], b.next_x_dot[j]};
-    auto whole = b.least_normal_force[j] >= 0.0 ? start.finish(h, end, start.first.x_ddot, start.first.normal)
-                                                : start.piece(h);
+    auto whole = b.least_normal_force[j] >= 0.0 ? start.finish(h, end, first.x_ddot, first.normal) : start.piece(h);
     auto m = event_step(start, whole);
     double sum = m.end.theta + m.end.x + m.swept + m.normal_force;
     if (!(bounded(m.end.theta_dot, m.end.x_dot) && abs(sum) < INFINITE)) {
@@ -267,7 +270,7 @@ template <class T, int N> struct Step {
   }
 
   // Calls the law with the present state; its torque acts until the next call.
-  template <class Law> NOINLINE void evaluate_law(const Law& law, double tick) {
+  template <class Law> NOINLINE void evaluate_law(const Law law, double tick) {
     // A law with branches takes one environment at a time.
     using S = typename Choose<Law::BRANCHES, double, T>::type;
     for (int j = 0; j < n; j += WIDTH<S>) {
@@ -286,8 +289,8 @@ template <class T, int N> struct Step {
 
   NOINLINE void evaluate_user_law(double tick) {
     long long size = batch.memory_size * N;
-    // It writes the memory of every lane. Those that have halted get theirs back, and those whose law has failed, so that it
-    // can be called again with the same arguments.
+    // It writes the memory of every lane. Lanes that have halted get theirs back, and those whose law has failed, so
+    // that it can be called again with the same arguments.
     double torques[N], kept[MOST_CELLS * N];
     __builtin_memcpy(kept, memory, size * sizeof(double));
     batch.user_law(batch.user_data, (double*)&b, torques, n);

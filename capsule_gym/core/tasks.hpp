@@ -1,6 +1,6 @@
-// The tasks. A task is a struct with the names of its memory, and functions for the start of an episode, the reward at the
-// end of an agent step, and its entries of the observation. The memory's last fields are the numbers that an episode
-// draws.
+// The tasks. A task is a struct with the names of its memory, and functions for the start of an episode, the reward at
+// the end of an agent step, and its entries of the observation. The memory's last fields are the numbers that an
+// episode draws.
 #pragma once
 #include "elementary.hpp"
 
@@ -25,8 +25,8 @@ struct Speed {
   static INLINE void observe(float*, const Memory<double>&) {}
 };
 
-// Bound of the observed error, m; largest distance from the goal at which the platform must rest, m; and duration of the
-// rest, s.
+// Bound of the observed error, m; largest distance from the goal at which the platform must rest, m; and duration of
+// the rest, s.
 constexpr double ERROR_BOUND = 1.0, TOLERANCE = 0.002, HOLD = 1.0;
 
 // To move to a goal and to rest there, as soon as possible.

@@ -47,7 +47,8 @@ inline double arriving(double way) {
 // The torque in N m and, in `phase`, the next phase, CREEP or STROKE, for a goal that lies `way` metres ahead. For a
 // goal behind the platform the state is mirrored. x_dot is exactly 0.0 in stick.
 template <class Q>
-double torque(double theta, double theta_dot, double x_dot, double way, double M, double mu, double& phase, const Q& q) {
+double torque(double theta, double theta_dot, double x_dot, double way, double M, double mu, double& phase,
+              const Q& q) {
   auto [sin, cos] = sincos(theta);
   double weight = (M + q.m) * q.g, shift = q.m * q.l / (M + q.m);
   // The centre of mass, relative to the platform, and its velocity.
