@@ -270,7 +270,7 @@ template <class T, int N> struct Step {
   }
 
   // Calls the law with the present state; its torque acts until the next call.
-  template <class Law> NOINLINE void evaluate_law(const Law law, double tick) {
+  template <class Law> NOINLINE void evaluate_law(const Law& law, double tick) {
     // A law with branches takes one environment at a time.
     using S = typename Choose<Law::BRANCHES, double, T>::type;
     for (int j = 0; j < n; j += WIDTH<S>) {
