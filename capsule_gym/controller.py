@@ -126,7 +126,7 @@ class BoundLaw(NamedTuple):
 
 
 def bind_law(controller: Controller, lanes: int, state: int) -> BoundLaw:
-    """Binds the law of a controller, for blocks of `lanes` environments; it observes the state in the rows from `state`."""
+    """Binds the law of a controller, for blocks of `lanes` environments; it observes the rows from `state` on."""
     law = controller.law
     fields = {"law": len(_core.LAWS), "law_constants": 0, "user_law": 0, "user_data": 0}
     if isinstance(law, CoreLaw):
