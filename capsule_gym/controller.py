@@ -95,7 +95,7 @@ class CoreLaw:
         if (given.shape, renewed.shape, rows.shape) != expected:
             raise ValueError(f"states, memories and rows of {self.name!r} must have the shapes {expected}")
         addresses = map(native.address, (constants, given, renewed, rows, torques))
-        _core.law_torques(native.LEVEL, self.number, *addresses, n)
+        _core.call("law_torques", self.number, *addresses, n)
         return torques, renewed
 
     def __call__(
@@ -125,8 +125,8 @@ class BoundLaw(NamedTuple):
     kept: Any
 
 
-def bind_law(controller: Controller, lanes: int) -> BoundLaw:
-    """Binds the law of a controller, for blocks of `lanes` environments."""
+def bind_law(controller: Controller, lanes: int, state: int) -> BoundLaw:
+    """Binds the law of a controller, for blocks of `lanes` environments; it observes the rows from `state` on."""
     law = controller.law
     fields = {"law": len(_core.LAWS), "law_constants": 0, "user_law": 0, "user_data": 0}
     if isinstance(law, CoreLaw):
@@ -134,7 +134,7 @@ def bind_law(controller: Controller, lanes: int) -> BoundLaw:
         fields |= {"law": law.number, "law_constants": native.address(constants)}
         return BoundLaw(fields, constants)
     task_size = 0 if controller.task is None else find_task(controller.task).rows
-    function, data, kept = bind_user_law(controller, controller.reference.shape[1] + task_size, lanes)
+    function, data, kept = bind_user_law(controller, controller.reference.shape[1] + task_size, lanes, state)
     return BoundLaw({**fields, "user_law": function, "user_data": data}, kept)
 
 

@@ -62,8 +62,8 @@ class Motion(NamedTuple):
 
 
 def _evaluate(name: str, plant: Plant, *arguments: Numbers) -> tuple[np.ndarray, ...]:
-    constants = {**dict.fromkeys(_core.SETTINGS, 0.0), **plant._asdict(), "M": 0.0, "mu": 0.0}
-    return evaluate(name, plant.M, plant.mu, *arguments, settings=ordered(_core.SETTINGS, constants))
+    constants = {**plant._asdict(), "M": 0.0, "mu": 0.0, "mass_ratio": 0.0}
+    return evaluate(name, plant.M, plant.mu, *arguments, plant=ordered(_core.PLANT, constants))
 
 
 def accelerations(

@@ -90,10 +90,9 @@ def write_inputs(header: Header, observations: np.ndarray, memory: np.ndarray, i
         inputs: shape (n, inputs), float32, C-contiguous; written.
     """
     values = native.ordered(_core.NETWORK, header)
-    _core.write_inputs(
-        *(native.LEVEL, native.address(values), native.address(observations), *observations.shape[::-1]),
-        *(native.address(memory), native.address(inputs)),
-    )
+    addresses = native.address(values), native.address(observations)
+    further = native.address(memory), native.address(inputs)
+    _core.call("write_inputs", *addresses, *observations.shape[::-1], *further)
 
 
 def act(network: np.ndarray, observations: np.ndarray, memory: np.ndarray) -> np.ndarray:
@@ -108,10 +107,8 @@ def act(network: np.ndarray, observations: np.ndarray, memory: np.ndarray) -> np
         Shape (n, 1), float32, in [-1, 1].
     """
     actions = np.empty((len(observations), 1), np.float32)
-    _core.act_batch(
-        *(native.LEVEL, native.address(network), native.address(observations), *observations.shape[::-1]),
-        *(native.address(memory), native.address(actions)),
-    )
+    addresses = native.address(network), native.address(observations)
+    _core.call("act_batch", *addresses, *observations.shape[::-1], native.address(memory), native.address(actions))
     return actions
 
 
@@ -145,10 +142,11 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
         [(i, *change) for i, schedule in simulation._changes.items() for change in schedule], np.float64
     ).reshape(-1, 4)
     memory = np.zeros(simulation.num_envs * _core.CELLS)
-    given = native.address(policy._network), native.address(memory), native.address(changes), len(changes)
+    addresses = native.address(policy._network), native.address(memory), native.address(changes)
+    given = steps, float(simulation.options.control_dt), *addresses, len(changes)
 
     def run(first: int, last: int) -> int:
-        return _core.run_episodes(simulation._batch, first, last, steps, simulation.options.control_dt, *given)
+        return _core.call("run_episodes", simulation._batch, first, last, *given)
 
     # The schedules of changes stay as they are: the next step applies due changes again.
     simulation._everyone = False

@@ -248,11 +248,12 @@ class Simulation:
             "reference_size": self.reference.shape[1],
             "draw_lines": len(self.draw_table),
         }
-        self._law = bind_law(acting, self.lanes)
+        state = Row.read_theta if self.settings.law_reads else Row.theta
+        self._law = bind_law(acting, self.lanes, state)
         # The core reads these arrays by their addresses.
         self._arrays = arrays
         fields = {**{name: native.address(array) for name, array in arrays.items()}, **sizes, **self._law.fields}
-        self._batch = _core.bind(native.LEVEL, fields)
+        self._batch = _core.bind(fields)
         # Looking the arguments up each time takes a tenth of a step.
         self._advance = partial(_core.advance, self._batch)
         self._step_one = partial(_core.step_one, self._batch)
@@ -323,7 +324,7 @@ class Simulation:
             raise IndexError(f"{accepted}, got {written(rows.tolist())}")
         self._rows[:count] = rows
         starts = self._starts[:, :count]
-        _core.draw_episodes(self._batch, count)
+        _core.call("draw_episodes", self._batch, count)
         drawn = self._draw_rows(count, task_options, capsule, disturbances) if len(self.draw_table) else None
         if M is not None or mu is not None or capsule:
             masses = starts[Row.M].tolist() if M is None else M
@@ -339,7 +340,7 @@ class Simulation:
         # Nothing above changes the environments, so a reset that raises an error leaves them unchanged.
         if self._changes or schedules:
             self._plan(rows, schedules)
-        _core.begin_episodes(self._batch, count)
+        _core.call("begin_episodes", self._batch, count)
         self._everyone = False
         self.resets += 1
         self._run(begin=True)

@@ -4,7 +4,6 @@
 #include "random.hpp"
 
 namespace LEVEL {
-
 // M in kg and mu at these shares, in [0, 1), of their ranges, or of the range of log(mu) where that is drawn. `ranges`:
 // lowest M, width of its range, lowest mu, width of its range, and width of the range of log(mu), or 0.
 inline Two<double> plant_at(const double* ranges, double share_M, double share_mu) {
@@ -62,4 +61,8 @@ template <int N> void begin_blocks(const Batch& b, long long count, long long si
   }
 }
 
+inline void begin_episodes(const Batch& b, long long count) {
+  if (b.lanes == 1) begin_blocks<1>(b, count, block_size<1>(b));
+  else begin_blocks<LANES>(b, count, block_size<LANES>(b));
+}
 }  // namespace LEVEL
