@@ -145,3 +145,14 @@ def test_the_zoo_trains_sac_with_the_presets_settings():
     scale = (*config.observation_scale, 1.0, 1.0)
     np.testing.assert_allclose(bounds["min_obs"], observations.low * scale)
     np.testing.assert_allclose(bounds["max_obs"], observations.high * scale)
+
+
+def test_recurrent_ppos_preset_is_the_best_trial_of_its_committed_search():
+    content = json.loads((CHECKPOINTS.parent / "study" / "data" / "direct-recurrent-ppo.json").read_text())
+    trials = [trial for trial in content["trials"] if trial["state"] == "complete"]
+    best = max(trials, key=lambda trial: trial["score"])["parameters"]
+    expected = {"gamma": 1.0 - best["one_minus_gamma"], "gae_lambda": 1.0 - best["one_minus_lambda"]}
+    expected |= {name: best[name] for name in ("learning_rate", "n_epochs")}
+    preset = PRESETS["direct", "recurrent-ppo"].to_dict()
+    # Rounded to two or three digits.
+    assert {name: preset[name] for name in expected} == pytest.approx(expected, rel=5e-3)
