@@ -150,9 +150,7 @@ def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.
     def run(first: int, last: int) -> int:
         return _core.run_episodes(simulation._batch, first, last, steps, simulation.options.control_dt, *given)
 
-    broken = max(simulation.share(run))
     # The schedules of changes stay as they are: the next step applies due changes again.
     simulation._everyone = False
-    if broken >= 0:
-        simulation._report(broken)
+    simulation.run(run)
     return simulation.metrics(np.arange(simulation.num_envs), steps)

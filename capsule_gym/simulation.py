@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from copy import deepcopy
 from dataclasses import replace
 from functools import partial
@@ -18,7 +18,7 @@ import numpy as np
 from capsule_gym import _core, layout, native, resets, task
 from capsule_gym.checks import check_count, check_integer, check_number, written
 from capsule_gym.config import EnvConfig, find_task
-from capsule_gym.controller import bind_law, find_controller
+from capsule_gym.controller import CoreLaw, bind_law, find_controller
 from capsule_gym.layout import LANES, Row
 from capsule_gym.observation import observation_names, parameter_bounds
 from capsule_gym.parameters import (
@@ -352,7 +352,8 @@ class Simulation:
             active: shape (num_envs,), bool: the environments that take part; the others do not change. None means all.
 
         Raises:
-            ValueError: if a user's control law returned a torque that is not finite.
+            ValueError: if a user's control law returned a torque that is not finite. An exception in a law is raised
+                as it is.
         """
         if self._changes:
             self._apply_changes()
@@ -368,15 +369,34 @@ class Simulation:
         """`step` for a single environment, without the arrays."""
         if self._changes:
             self._apply_changes()
-        if self._step_one(action) >= 0:
+        try:
+            broken = self._step_one(action)
+        except BaseException:
+            self._discard_failed()
+            raise
+        if broken >= 0:
             self._report(0)
 
     def _run(self, begin: bool) -> None:
-        """Runs the core on all environments."""
-        if len(self._ranges) == 1:
-            broken = self._advance(0, self.num_envs, begin)
-        else:
-            broken = max(self.share(lambda first, last: self._advance(first, last, begin)))
+        """Advances all environments."""
+        self.run(lambda first, last: self._advance(first, last, begin))
+
+    def run(self, work: Callable[[int, int], int]) -> None:
+        """Runs the core on all environments.
+
+        Args:
+            work: function of the first environment and one past the last, which returns the index of an environment
+                whose law has failed, or -1; see `share`.
+
+        Raises:
+            ValueError: if a user's control law returned a torque that is not finite. An exception in a law is raised
+                as it is.
+        """
+        try:
+            broken = max(self.share(work))
+        except BaseException:
+            self._discard_failed()
+            raise
         if broken >= 0:
             self._report(broken)
 
@@ -398,22 +418,38 @@ class Simulation:
             self._owner = os.getpid()
             self._pool = ThreadPoolExecutor(len(others), thread_name_prefix="capsule")
         futures = [self._pool.submit(work, *bounds) for bounds in others]
-        # The calling thread takes a part too, so one thread less has to be woken up.
-        return [work(first, last), *(future.result() for future in futures)]
+        try:
+            # The calling thread takes a part too, so one thread less has to be woken up.
+            return [work(first, last), *(future.result() for future in futures)]
+        except BaseException:
+            # The caller may change what the other threads still write.
+            wait(futures)
+            raise
 
     def _report(self, broken: int) -> None:
-        """Raises the error for a law that returned a torque that is not finite in an environment."""
-        name = self.controller.name if self.controller else "none"
+        """Raises the exception of a law that has failed in an environment, or the error for its torque."""
         column = self.columns(np.array([broken]))[:, 0]
-        state = dict(zip(("theta", "theta_dot", "x", "x_dot"), column[:4].tolist(), strict=True))
-        # A reset of other environments would return these values too.
+        self._discard_failed()
+        names = "theta", "theta_dot", "x", "x_dot"
+        prefix = "read_" if self.settings.history and self.settings.law_reads else ""
+        state = {name: float(column[getattr(Row, prefix + name)]) for name in names}
+        assert self.controller is not None
+        law, reads_task = self.controller.law, self.controller.task is not None
+        if not isinstance(law, CoreLaw):
+            # Compiled code catches the law's exceptions. The arguments are still those of the call that has failed.
+            first, last = layout.ROWS + len(self.memory), self.task_end if reads_task else self.task_row
+            memory, row = (tuple(part.tolist()) for part in (column[layout.ROWS : first], column[first:last]))
+            getattr(law, "py_func", law)(*state.values(), memory, row)
+        raise ValueError(
+            f"the control law {self.controller.name!r} returned a torque that is not finite in environment {broken} "
+            f"(step {column[Row.steps]:.0f}, state {state}); a law must return finite numbers"
+        )
+
+    def _discard_failed(self) -> None:
+        """Discards the torques of failed laws, which a reset of other environments would return too."""
         lost = np.flatnonzero(~np.isfinite(self.row(Row.law_torque)))
         self.world[lost // self.lanes, Row.law_torque, lost % self.lanes] = 0.0
         self.observations[lost] = np.nan_to_num(self.observations[lost])
-        raise ValueError(
-            f"the control law {name!r} returned a torque that is not finite in environment {broken} "
-            f"(step {column[Row.steps]:.0f}, state {state}); a law must return finite numbers"
-        )
 
     def metrics(self, rows: np.ndarray, horizon: int | None = None) -> dict[str, np.ndarray]:
         """The metrics of running episodes.

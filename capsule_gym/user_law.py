@@ -8,9 +8,11 @@ at 1 kHz then takes about a millisecond per step. The torques are the same up to
 from __future__ import annotations
 
 import importlib.util
+import math
 import threading
 import warnings
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -18,20 +20,37 @@ from capsule_gym import _core
 from capsule_gym.checks import first_cause
 from capsule_gym.layout import ROWS
 
-# Loops over the environments of a block. The source is generated since numba's public interface cannot make a tuple of a
-# part of an array. All rows are at constant offsets from one pointer: with a pointer for each kind of row LLVM cannot
-# exclude that they overlap, and does not vectorise the loop. An exception in one environment must not end the loop.
+# Loops over the environments of a block. The source is generated since numba's public interface cannot make a tuple of
+# a part of an array. All rows are at constant offsets from one pointer: with a pointer for each kind of row LLVM cannot
+# exclude that they overlap, and does not vectorise the loop. Nor does it vectorise a loop that catches exceptions: only
+# after an exception each environment is called by itself, from the failed one on, and those that fail keep NaN.
 SOURCE = """
+@njit(**options)
+def call_each(b, u, first, last):
+    for j in range(first, last):
+        theta, theta_dot, x, x_dot = b[j], b[j + {lanes}], b[j + 2 * {lanes}], b[j + 3 * {lanes}]
+        torque, renewed = law({given}theta, theta_dot, x, x_dot, ({memory}), ({row}){named})
+{stores}
+        u[j] = torque
+
+
 def call_law(data, block, torques, n):
     b = carray(block, ({size},))
     u = carray(torques, ({lanes},))
     for j in range(n):
-        try:
-            torque, renewed = law(b[j], b[j + {lanes}], b[j + 2 * {lanes}], b[j + 3 * {lanes}], ({memory}), ({row}))
-            u[j] = torque
-{stores}
-        except Exception:
-            u[j] = nan
+        u[j] = nan
+    failed = False
+    try:
+        call_each(b, u, 0, n)
+    except Exception:
+        failed = True
+    if failed:
+        for j in range(n):
+            if u[j] != u[j]:
+                try:
+                    call_each(b, u, j, j + 1)
+                except Exception:
+                    pass
 """
 
 _compiled: WeakKeyDictionary[Any, dict[int, Any]] = WeakKeyDictionary()
@@ -53,7 +72,8 @@ def bind_user_law(controller: Any, row_size: int, lanes: int) -> tuple[int, int,
         with _lock:
             known = _compiled.setdefault(controller, {})
             if lanes not in known:
-                known[lanes] = _compile(controller, row_size, lanes)
+                # Where the compilation has failed once, it has warned.
+                known[lanes] = None if None in known.values() else _compile(controller, row_size, lanes)
             if known[lanes] is not None:
                 return known[lanes].address, 0, known[lanes]
     handle, function, data = _core.plain_law(controller.law, len(controller.memory), row_size, lanes)
@@ -62,23 +82,31 @@ def bind_user_law(controller: Any, row_size: int, lanes: int) -> tuple[int, int,
 
 def _compile(controller: Any, row_size: int, lanes: int) -> Any:
     """The law in a loop over a block, compiled; None with a warning where numba cannot compile it."""
-    import numba
-
+    law: Any = controller.law
+    given: tuple[Any, ...] = ()
+    named: dict[str, Any] = {}
+    if isinstance(law, partial):
+        given, named, law = law.args, law.keywords, law.func
     cells = len(controller.memory)
     names = [f"b[j + {(ROWS + n) * lanes}]" for n in range(cells + row_size)]
     source = SOURCE.format(
         size=(ROWS + cells + row_size) * lanes,
         lanes=lanes,
+        given="".join(f"given_{n}, " for n in range(len(given))),
         memory="".join(f"{name}, " for name in names[:cells]),
         row="".join(f"{name}, " for name in names[cells:]),
-        stores="\n".join(f"            {name} = renewed[{n}]" for n, name in enumerate(names[:cells])),
+        named="".join(f", {name}=named_{name}" for name in named),
+        stores="\n".join(f"        {name} = renewed[{n}]" for n, name in enumerate(names[:cells])),
     )
-    law = controller.law
     # A division by zero gives infinity, as in the core: an exception would prevent vectorised loops.
     options: dict[str, Any] = {"error_model": "numpy"}
     try:
+        import numba
+
         inner = law if hasattr(law, "py_func") else numba.njit(forceinline=True, **options)(law)
-        scope: dict[str, Any] = {"law": inner, "carray": numba.carray, "nan": float("nan")}
+        scope = {"law": inner, "njit": numba.njit, "options": options, "carray": numba.carray, "nan": math.nan}
+        scope |= {f"given_{n}": value for n, value in enumerate(given)}
+        scope |= {f"named_{name}": value for name, value in named.items()}
         exec(source, scope)
         pointer = numba.types.CPointer(numba.float64)
         signature = numba.void(numba.types.voidptr, pointer, pointer, numba.int64)
@@ -86,8 +114,8 @@ def _compile(controller: Any, row_size: int, lanes: int) -> Any:
         return compile_function(scope["call_law"])
     except Exception as error:
         warnings.warn(
-            f"Python calls the control law {controller.name!r}, about 1 ms per step of an environment, since numba cannot "
-            f"compile it: {first_cause(error)}",
+            f"Python calls the control law {controller.name!r}, about 1 ms per step of an environment, since numba "
+            f"cannot compile it: {first_cause(error)}",
             stacklevel=2,
         )
         return None

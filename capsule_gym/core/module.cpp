@@ -275,11 +275,24 @@ void call_plain(void* data, double* block, double* torques, long long n) {
   const PlainLaw& p = *(const PlainLaw*)data;
   const double* halt = p.lanes == 1 ? ((Block<1>*)block)->halt : ((Block<LANES>*)block)->halt;
   PyGILState_STATE lock = PyGILState_Ensure();
+  // The first exception, which `advance` raises. One that is no `Exception`, such as Ctrl-C, replaces it and ends the calls.
+  PyObject *type, *value, *trace;
+  PyErr_Fetch(&type, &value, &trace);
+  bool stops = type && !PyErr_GivenExceptionMatches(type, PyExc_Exception);
   for (long long j = 0; j < n; j++) {
     torques[j] = __builtin_nan("");
-    // After the first exception, which `advance` raises, the others are not called.
-    if (halt[j] != HALTED && !PyErr_Occurred()) torques[j] = call_plain_once(p, block + j, block + p.first * p.lanes + j);
+    if (halt[j] == HALTED || stops) continue;
+    torques[j] = call_plain_once(p, block + j, block + p.first * p.lanes + j);
+    if (!PyErr_Occurred()) continue;
+    stops = !PyErr_ExceptionMatches(PyExc_Exception);
+    if (type && !stops) {
+      PyErr_Clear();
+      continue;
+    }
+    Py_XDECREF(type), Py_XDECREF(value), Py_XDECREF(trace);
+    PyErr_Fetch(&type, &value, &trace);
   }
+  PyErr_Restore(type, value, trace);
   PyGILState_Release(lock);
 }
 

@@ -329,10 +329,11 @@ template <class T, int N> struct Step {
     double torques[N], kept[MOST_CELLS * N];
     __builtin_memcpy(kept, memory, size * sizeof(double));
     batch.user_law(batch.user_data, (double*)&b, torques, n);
-    for (int j = 0; j < n; j++) {
-      if (b.halt[j] == HALTED || !(abs(torques[j]) < INFINITE))
-        for (long long r = 0; r < batch.memory_size; r++) memory[r * N + j] = kept[r * N + j];
-      keep_torque(j, torques[j], tick);
+    EACH {
+      T torque = load<T>(torques + j);
+      auto keeps = (GET(halt) == HALTED) | !(abs(torque) < INFINITE);
+      for (long long at = j; at < size; at += N) store<T>(memory + at, select(keeps, load<T>(kept + at), load<T>(memory + at)));
+      keep_torque(j, torque, tick);
     }
   }
 
@@ -396,8 +397,10 @@ template <class T, int N> struct Step {
       T moved = GET(x) - GET(before_x), energy = GET(energy);
       auto m = read_task<T, Task>(j);
       T gain = Task::reward(GET(x), GET(x_dot), moved, dt, m);
+      // Where the law has failed it can be called again with the same arguments.
+      auto renews = active & (abs(GET(law_torque)) < INFINITE);
       for (int r = 0; r < Task::ROWS; r++)
-        store<T>(task + r * N + j, select(active, ((T*)&m)[r], load<T>(task + r * N + j)));
+        store<T>(task + r * N + j, select(renews, ((T*)&m)[r], load<T>(task + r * N + j)));
       T energy_cost = -q.energy_weight * energy;
       T penalty = select(GET(termination) != 0.0, T(-q.termination_penalty), T(0.0));
       PUT(reward, select(active, gain + energy_cost + penalty, T(0.0)));

@@ -8,13 +8,13 @@ from capsule_gym import Controller
 from capsule_gym.layout import Row
 
 # Inputs of a step, and values that every step overwrites; all other rows belong to the episode.
-SCRATCH = {"action", "active", "mass_ratio", "before_x", "slip", "elapsed", "halt", "eventful"} | {
+SCRATCH = {"action", "active", "mass_ratio", "before_x", "slip", "elapsed", "halt"} | {
     *("next_theta", "next_theta_dot", "next_x", "next_x_dot"),
     *("theta_ddot", "x_ddot", "first_normal_force", "least_normal_force"),
 }
 
 
-EPISODE_ROWS = [row for name, row in Row._asdict().items() if name not in SCRATCH]
+EPISODE_ROWS = [row for name, row in vars(Row).items() if name not in SCRATCH]
 
 
 def helper(value):

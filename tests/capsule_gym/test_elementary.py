@@ -1,25 +1,26 @@
-"""The elementary functions: their accuracy, and the same bits in compiled code."""
+"""The elementary functions: errors compared with 40 digits, and the same bits at every level of instructions."""
 
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
-from numba import njit
 
-from capsule_gym import elementary
-from capsule_gym.elementary import arccos, exp, log, sincos, sines_and_cosines, tanh
+import capsule_gym
+from capsule_gym import _core, native
+from capsule_gym.elementary import arccos, exp, log, sincos, tanh
 
 mpmath = pytest.importorskip("mpmath", exc_type=ImportError)
 
+HEADER = Path(capsule_gym.__file__).with_name("core") / "elementary.hpp"
 HALF_TURN = math.pi / 2
 # Largest errors of ten million random angles of each range, to the last digit.
 NEAR_ERROR, FAR_ERROR = 3.4e-16, 1.2e-15
 # The angles with the largest errors.
 NEAR_WORST, FAR_WORST = 1.5515752168417596, 3.111995651295123
-
-compiled_sincos = njit(sincos)
 
 
 def angles(seed: int, limit: float, count: int) -> list[float]:
@@ -36,9 +37,9 @@ def largest_error(points: list[float]) -> float:
     """The largest error of either function, compared with 40 digits."""
     worst = 0.0
     with mpmath.workdps(40):
-        for angle in points:
-            for found, exact in zip(sincos(angle), (mpmath.sin(angle), mpmath.cos(angle)), strict=True):
-                worst = max(worst, abs(float(found - exact)))
+        for angle, *found in zip(points, *(part.tolist() for part in sincos(points)), strict=True):
+            errors = (abs(float(a - b)) for a, b in zip(found, (mpmath.sin(angle), mpmath.cos(angle)), strict=True))
+            worst = max(worst, *errors)
     return worst
 
 
@@ -49,22 +50,25 @@ def test_errors_stay_within_an_ulp_or_two():
     assert 0.95 * FAR_ERROR < largest_error(far) <= FAR_ERROR
 
 
-def test_compiled_and_interpreted_sincos_are_equal_bit_for_bit():
-    assert all(math.isnan(value) for angle in (math.nan, math.inf) for value in sincos(angle))
+@pytest.mark.parametrize("level", _core.LEVELS)
+def test_every_level_gives_the_same_bits_in_every_form_of_array(level, monkeypatch):
+    values = np.array([*angles(7, HALF_TURN, 2000), *angles(8, 1e4, 2000), *quarters(20), 0.0, -0.0, 5e-324, 1e15])
+    small = np.array([*numbers(7, -30.0, 30.0, 2000), *numbers(8, -1.0, 1.0, 2000), 0.0, -0.0, 1e-310])
+    given = {"sincos": values, "exp": small, "tanh": small, "log": 1e-300 + np.abs(small)}
+    expected = {name: native.evaluate(name, array) for name, array in given.items()}
+    monkeypatch.setattr(native, "LEVEL", level)
+    for name, array in given.items():
+        for found, whole in zip(native.evaluate(name, array), expected[name], strict=True):
+            assert found.tobytes() == whole.tobytes(), name
+    assert (tanh(-small) == -tanh(small)).all() and (np.abs(tanh(small)) <= 1.0).all()
+    assert np.isnan(sincos([math.nan, math.inf])).all()
     assert math.isnan(tanh(math.nan)) and tanh(math.inf) == 1.0
-    for angle in [*angles(7, HALF_TURN, 2000), *angles(8, 1e4, 2000), *quarters(20), 0.0, -0.0, 5e-324, 1e15]:
-        interpreted, compiled = sincos(angle), compiled_sincos(angle)
-        assert np.array(interpreted).tobytes() == np.array(compiled).tobytes()
-
-
-def test_arrays_give_the_bits_of_single_angles():
-    values = np.array([*angles(10, 1e3, 600), *quarters(20)[:400]]).reshape(4, 250)
-    singles = np.array([sincos(angle) for angle in values.ravel().tolist()]).T
-    for array, single in zip(sines_and_cosines(values), singles, strict=True):
-        assert array.shape == values.shape
-        assert array.tobytes() == single.tobytes()
-    assert sines_and_cosines(values.T[1::2])[0].tolist() == sines_and_cosines(values)[0].T[1::2].tolist()
-    assert [part.shape for part in sines_and_cosines(np.float64(0.5))] == [(), ()]
+    table = values[:4000].reshape(4, 1000)
+    assert sincos(table.T[1::2])[0].tolist() == sincos(table)[0].T[1::2].tolist()
+    assert [part.shape for part in sincos(np.float64(0.5))] == [(), ()]
+    with pytest.raises(ValueError, match=r"^level must be one .* runs, got 'v9'$"):
+        monkeypatch.setattr(native, "LEVEL", "v9")
+        sincos(0.5)
 
 
 def test_arccos_inverts_the_cosine():
@@ -77,6 +81,11 @@ def test_arccos_inverts_the_cosine():
     assert arccos(1.0) == 0.0
 
 
+def coefficients(letter: str) -> list[float]:
+    """The constants S_0, S_1, .. of the header, by their first letter."""
+    return [float(value) for value in re.findall(rf"\b{letter}_\d = ([^,;]+)[,;]", HEADER.read_text("utf-8"))]
+
+
 def polynomial(function) -> list[float]:
     """The coefficients of degree 0 to 7 that interpolate a function of z at the Chebyshev nodes of its range."""
     count = 8
@@ -86,20 +95,16 @@ def polynomial(function) -> list[float]:
     return [float(c) for c in mpmath.lu_solve(powers, mpmath.matrix([function(z) for z in nodes]))]
 
 
-def test_the_coefficients_are_the_interpolation_that_the_module_names():
+def test_the_coefficients_are_the_interpolation_that_the_header_names():
     with mpmath.workdps(60):
         sine = polynomial(lambda z: (mpmath.sin(mpmath.sqrt(z)) / mpmath.sqrt(z) - 1) / z)
         cosine = polynomial(lambda z: (mpmath.cos(mpmath.sqrt(z)) - 1 + z / 2) / z**2)
-    assert sine == [getattr(elementary, f"S_{degree}") for degree in range(8)]
-    assert cosine == [getattr(elementary, f"C_{degree}") for degree in range(8)]
+    assert (sine, cosine) == (coefficients("S"), coefficients("C"))
 
 
 # Largest errors of ten million random numbers, relative to the exact value, and the numbers with these errors.
 EXP_ERROR, TANH_ERROR, LOG_ERROR = 1.7e-16, 4.3e-16, 2.2e-16
 EXP_WORST, TANH_WORST = (0.36194805464755997, -29.44537109825084), (0.17385258259706, 0.17331649703049387)
-
-
-compiled_exp, compiled_tanh = njit(exp), njit(tanh)
 
 
 def numbers(seed: int, low: float, high: float, count: int) -> list[float]:
@@ -133,13 +138,7 @@ def test_log_inverts_exp():
     assert exp(log(1.0)) == 1.0
 
 
-def test_compiled_and_interpreted_functions_are_equal_bit_for_bit():
-    for x in [*numbers(7, -30.0, 30.0, 2000), *numbers(8, -1.0, 1.0, 2000), 0.0, -0.0, 1e-310]:
-        assert tanh(-x) == -tanh(x) and -1.0 <= tanh(x) <= 1.0
-        assert np.array([exp(x), tanh(x)]).tobytes() == np.array([compiled_exp(x), compiled_tanh(x)]).tobytes()
-
-
-def test_the_coefficients_of_exp_are_the_interpolation_that_the_module_names():
+def test_the_coefficients_of_exp_are_the_interpolation_that_the_header_names():
     count = 10
     with mpmath.workdps(60):
         widest = mpmath.log(2) / 2 * mpmath.mpf("1.0001")
@@ -147,7 +146,7 @@ def test_the_coefficients_of_exp_are_the_interpolation_that_the_module_names():
         powers = mpmath.matrix([[r**degree for degree in range(count)] for r in nodes])
         values = mpmath.matrix([(mpmath.expm1(r) - r) / r**2 for r in nodes])
         found = [float(c) for c in mpmath.lu_solve(powers, values)]
-        assert found == [getattr(elementary, f"E_{degree}") for degree in range(count)]
+        assert found == coefficients("E")
         for r in [widest * mpmath.mpf(k) / 300 for k in range(-300, 301) if k]:
             polynomial = r + r * r * sum(c * r**degree for degree, c in enumerate(map(mpmath.mpf, found)))
             assert abs(polynomial / mpmath.expm1(r) - 1) < 4.2e-17

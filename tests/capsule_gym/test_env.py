@@ -14,7 +14,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import baselines
-from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization, contact
+from capsule_gym import Capsule, CapsuleEnv, Controller, Randomization, dynamics
 from capsule_gym.config import EnvConfig
 from capsule_gym.layout import Row
 from capsule_gym.simulation import Simulation
@@ -426,5 +426,5 @@ def test_an_episode_may_begin_in_stick_or_in_slip_either_way(x_dot, capsule):
     _, _, _, _, info = env.step(np.array([0.2], np.float32))
     plant = env.simulation.capsule.plant()
     for _ in range(settings.physics_steps * settings.law_steps):
-        state = contact.step(*state, info["torque"], plant, settings.physics_dt)[:4]
+        state = dynamics.step(*state, info["torque"], plant, settings.physics_dt)[:4]
     assert info["state"] == pytest.approx(state, rel=1e-9, abs=1e-12)

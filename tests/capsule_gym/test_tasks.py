@@ -6,7 +6,6 @@ import copy
 import math
 import pickle
 import warnings
-from typing import NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -16,12 +15,11 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.env_checker import check_env as check_sb3
 
 from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Controller
-from capsule_gym.compilation import inlined
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.env import shown_state
 from capsule_gym.resets import Stream, random_stream
 from capsule_gym.sb3 import CapsuleSB3VecEnv
-from capsule_gym.task import METRICS, TASKS, Draw, Option, Task
+from capsule_gym.task import METRICS, TASKS, Task
 from capsule_gym.tasks.velocity import with_commands
 from tests.capsule_gym.fakes import layout
 
@@ -161,62 +159,20 @@ def test_the_defaults_are_the_tasks_and_what_is_given_goes_before():
         EnvConfig(tusk="velocity")
 
 
-class Height(NamedTuple):
-    """The memory of the task below."""
-
-    best: float
-    wanted: float
-
-
-@inlined
-def climb(x: float, x_dot: float, moved: float, dt: float, memory: Height) -> tuple[float, Height]:
-    best = max(memory.best, x)
-    return best - memory.best, Height(best, memory.wanted)
-
-
-@inlined
-def start(x: float, memory: Height) -> Height:
-    return Height(x, memory.wanted)
-
-
-@inlined
-def show(out: np.ndarray, x: float, memory: Height) -> None:
-    out[0] = memory.wanted - x
-
-
-OWN = Task(
-    name="record",
-    term="reward_record",
-    reward=climb,
-    memory=Height,
-    begin=start,
-    entries={"left": (-10.0, 10.0)},
-    observe=show,
-    shown=("best",),
-    options={"wanted": Option((Draw(1.0, 2.0),), lambda name, value: [float(value)])},
-    metrics=lambda memory, whole: {"best": memory.best},
-)
-
-
-def test_a_task_of_ones_own_is_an_object_and_its_law_reads_its_memory():
+def test_a_law_belongs_to_its_task_and_reads_its_memory():
     def law(theta, theta_dot, x, x_dot, memory, reference):
-        # The best and the wanted height follow the two columns of the reference.
-        return 0.1 * reference[3], memory
+        # The task's memory follows the two columns of the reference.
+        return 0.1 * reference[2], memory
 
-    made = Controller("follows", law, np.zeros((1, 2)), task=OWN)
+    made = Controller("follows", law, np.zeros((1, 2)), task="goal")
     with pytest.raises(TypeError, match=r"the control law of 'follows' must be .* a trial call"):
         Controller("follows", law, np.zeros((1, 2)))
-    with pytest.raises(ValueError, match=r"^controller must be a law for the task 'speed' or .* for the task 'record'"):
+    with pytest.raises(ValueError, match=r"^controller must be a law for the task 'speed' or .* for the task 'goal'"):
         CapsuleEnv(controller=made)
-    env = CapsuleEnv(task=OWN, controller=made)
-    observation, info = env.reset(seed=1, options={"wanted": 1.5, "state": [0.0, 0.0, 0.25, 0.5]})
-    assert observation[-1] == 1.25 and info["best"] == 0.25
-    assert info["law_torque"] == 0.1 * 1.5
-    _, reward, _, _, info = env.step(np.zeros(1, np.float32))
-    assert reward == info["reward_record"] + info["reward_energy"] + info["reward_termination"]
-    assert info["reward_record"] == info["state"][2] - 0.25 == info["best"] - 0.25 > 0.0
-    assert env.episode_metrics()["best"] == info["best"]
-    assert 1.0 <= CapsuleEnv(task=OWN).reset(seed=0)[0][-1] < 2.0
+    env = CapsuleEnv(task="goal", controller=made)
+    _, info = env.reset(seed=1, options={"goal": 1.5})
+    field = env.simulation.task.fields[0]
+    assert info["law_torque"] == 0.1 * env.simulation.world[0, env.simulation.task_row, 0], field
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,317 @@
+"""Laws that users write in Python: compiled by numba or called by Python, the same torques, and their exceptions."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+from dataclasses import replace
+from functools import partial
+
+import numba
+import numpy as np
+import pytest
+
+from capsule_gym import CapsuleEnv, CapsuleVectorEnv, Controller, load_policy, user_law
+from capsule_gym.layout import ROWS, Row
+from capsule_gym.network import rollout
+from capsule_gym.parameters import REAL
+
+# A law that reads its whole input, with functions of numba's that the loader must find in every process.
+LAW = """
+import math
+import numpy as np
+from capsule_gym import Controller
+
+def law(theta, theta_dot, x, x_dot, memory, reference):
+    count, mean = memory
+    mean = 0.9 * mean + 0.1 * (math.gamma(2.0 + 0.1 * theta) + math.sin(theta))
+    torque = 0.05 * mean - 0.02 * theta_dot + 0.01 * x + 0.1 * x_dot + reference[0] + 0.1 * reference[2]
+    return torque + 0.01 * math.cos(count), (count + 1.0, mean)
+
+def make():
+    table = 0.05 * np.sin(np.arange(21.0).reshape(7, 3))
+    return Controller("own", law, table, (0.0, 1.0))
+"""
+SCOPE: dict = {}
+exec(LAW, SCOPE)
+
+
+def torques(controller: Controller, n: int, disturbances: object = "none", **kwargs: object) -> np.ndarray:
+    """The torques of the law in an episode, alone or in a batch, shape (steps, n)."""
+    env = CapsuleVectorEnv(n, controller=controller, disturbances=disturbances, residual_limit=0.5, **kwargs)
+    env.reset(seed=3)
+    rows = []
+    for actions in np.random.default_rng(0).uniform(-1.0, 1.0, (70, 60)).astype(np.float32)[:n].T:
+        env.step(actions[:, None])
+        rows.append(env.simulation.row(Row.law_torque))
+    env.close()
+    return np.array(rows)
+
+
+@pytest.fixture
+def without_numba(monkeypatch):
+    monkeypatch.setitem(sys.modules, "numba", None)
+
+
+@pytest.fixture(params=["numba", "Python"])
+def either_way(request, monkeypatch):
+    """The test runs with compiled laws, and with laws that Python calls."""
+    if request.param == "Python":
+        monkeypatch.setitem(sys.modules, "numba", None)
+
+
+@pytest.mark.parametrize("disturbances", ["none", "real"])
+@pytest.mark.parametrize("n", [1, 70])
+def test_python_gives_the_torques_of_numba_up_to_rounding(n, disturbances, monkeypatch):
+    compiled = torques(SCOPE["make"](), n, disturbances)
+    monkeypatch.setitem(sys.modules, "numba", None)
+    called = torques(SCOPE["make"](), n, disturbances)
+    # The motion amplifies the rounding.
+    np.testing.assert_allclose(called, compiled, rtol=0.0, atol=1e-7)
+    assert np.ptp(compiled) > 0.1
+
+
+@pytest.mark.parametrize("name", ["goal", "velocity"])
+def test_a_law_reads_the_memory_of_its_task(name, either_way):
+    def law(theta, theta_dot, x, x_dot, memory, reference):
+        # The last number of the task's memory follows the two columns of the reference.
+        return 0.001 * reference[-1] + len(reference), memory
+
+    env = CapsuleVectorEnv(
+        3, task=name, controller=Controller("reads", law, np.zeros((1, 2)), task=name), torque_limit=99
+    )
+    env.reset(seed=0)
+    own = env.simulation.world[0, env.simulation.task_row : env.simulation.task_end, :3]
+    assert env.simulation.row(Row.law_torque).tolist() == (0.001 * own[-1] + 2 + len(own)).tolist()
+
+
+def test_a_second_process_compiles_the_law_again_to_the_same_torques():
+    script = LAW + textwrap.dedent("""
+        from capsule_gym import CapsuleEnv
+        env = CapsuleEnv(controller=make())
+        env.reset(seed=0)
+        print(env.step(np.zeros(1, np.float32))[4]["law_torque"])
+    """)
+    printed = {
+        subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout for _ in "ab"
+    }
+    assert len(printed) == 1 and float(printed.pop()) != 0.0
+
+
+def test_an_edited_helper_is_noticed_by_the_next_controller(either_way):
+    compiled = sys.modules["numba"] is not None
+    scope: dict = {"wrapped": numba.njit if compiled else lambda function: function}
+
+    def law(theta, theta_dot, x, x_dot, memory, reference):
+        return helper(theta), memory
+
+    for number in (2.0, 3.0):
+        exec(f"@wrapped\ndef helper(value):\n    return {number} * value", scope)
+        helper = scope["helper"]
+        env = CapsuleEnv(controller=Controller("own", law, np.zeros((1, 2))), torque_limit=9.0)
+        _, info = env.reset(seed=0)
+        assert info["law_torque"] == number * info["state"][0]
+
+
+def test_threads_that_compile_laws_and_functions_at_once_get_right_results():
+    def law_of(gain):
+        return lambda theta, theta_dot, x, x_dot, memory, reference: (gain * theta + x_dot, memory)
+
+    wrong, done = [], threading.Event()
+
+    def make_environments(first):
+        for gain in range(first, first + 6):
+            env = CapsuleEnv(controller=Controller("own", law_of(0.1 * gain), np.zeros((1, 2))))
+            _, info = env.reset(seed=0)
+            if info["law_torque"] != 0.1 * gain * info["state"][0]:
+                wrong.append(gain)
+
+    def compile_functions():
+        n = 0
+        while not done.is_set():
+            n += 1
+            function = numba.njit(lambda value, factor=float(n): factor * value + 1.0)
+            if function(3.0) != 3.0 * n + 1.0:
+                wrong.append(f"function {n}")
+
+    threads = [threading.Thread(target=make_environments, args=(first,)) for first in (0, 6)]
+    third = threading.Thread(target=compile_functions)
+    for thread in (*threads, third):
+        thread.start()
+    for thread in threads:
+        thread.join()
+    done.set()
+    third.join()
+    assert not wrong
+
+
+class OwnError(Exception):
+    """An exception of a law."""
+
+
+def failing(theta, theta_dot, x, x_dot, memory, reference):
+    (count,) = memory
+    if count >= 25.0 and x < -5.0:
+        raise OwnError("too far")
+    if x > 5.0:
+        raise OwnError("too far on the right")
+    return 0.1, (count + 1.0,)
+
+
+@pytest.mark.parametrize(("n", "threads"), [(1, 1), (70, 1), (130, 2)])
+def test_an_exception_in_a_law_reaches_the_caller_and_spares_the_others(n, threads, either_way):
+    made = partial(CapsuleVectorEnv, n, controller=Controller("failing", failing, np.zeros((1, 2))), threads=threads)
+    env, sound = made(), made()
+    states, zeros = np.tile([-1.0, 0.0, 0.0, 0.0], (n, 1)), np.zeros((n, 1), np.float32)
+    sound.reset(seed=0, options={"state": states})
+    states[[n - 1, n // 2], 2] = -5.5
+    env.reset(seed=0, options={"state": states})
+    env.step(zeros)
+    sound.step(zeros)
+    for _ in range(2):
+        with pytest.raises(OwnError, match=r"^too far$"):
+            env.step(zeros)
+        sound.step(zeros)
+    others = states[:, 2] == 0.0
+    assert env.simulation.rows(0, ROWS + 1)[:4, others].tobytes() == sound.simulation.rows(0, 4)[:, others].tobytes()
+    states[0, 2] = 5.5
+    with pytest.raises(OwnError, match=r"on the right$"):
+        env.reset(options={"state": states})
+    assert np.isfinite(env.simulation.row(Row.law_torque)).all()
+    env.reset(options={"state": np.zeros(4)})
+    assert (env.step(zeros)[4]["law_torque"] == 0.1).all()
+
+
+def test_an_exception_ends_a_rollout(either_way):
+    env = CapsuleVectorEnv(3, controller=Controller("failing", failing, np.zeros((1, 2))), autoreset_mode="DISABLED")
+    env.reset(seed=0, options={"state": [-1.0, 0.0, -5.5, 0.0]})
+    policy = load_policy("residual-ppo")
+    with pytest.raises(OwnError, match=r"^too far$"):
+        rollout(env.simulation, policy, 30)
+
+
+@pytest.mark.parametrize("controls", ["both", "agent"])
+def test_a_failed_law_is_called_again_with_the_same_arguments(controls, monkeypatch):
+    """Compiled code swallows exceptions: the one that reaches the caller is that of a second call."""
+    seen: list[tuple] = []
+
+    def law(theta, theta_dot, x, x_dot, memory, reference):
+        if memory[0] >= 30.0:
+            raise OwnError
+        return 0.1 * theta + 0.01 * reference[3], (memory[0] + 1.0, theta, theta_dot, x, x_dot)
+
+    def recorded(*arguments):
+        seen.append(arguments)
+        return law(*arguments)
+
+    table = np.arange(14.0).reshape(7, 2)
+    calls = []
+    for function in (law, recorded):
+        if function is recorded:
+            monkeypatch.setitem(sys.modules, "numba", None)
+        made = Controller("own", function, table, (0.0,) * 5, task="goal")
+        env = CapsuleVectorEnv(3, task="goal", controller=made, disturbances=replace(REAL, controls=controls))
+        object.__setattr__(made, "law", recorded)
+        env.reset(seed=1)
+        env.step(np.zeros((3, 1), np.float32))
+        seen.clear()
+        with pytest.raises(OwnError):
+            env.step(np.zeros((3, 1), np.float32))
+        calls.append(list(seen))
+    (again,), called = calls
+    # In Python, the calls that fail, of three environments, are the last ones.
+    np.testing.assert_allclose(
+        np.concatenate([np.ravel(part) for part in again]),
+        np.concatenate([np.ravel(part) for part in called[-1]]),
+        rtol=1e-9,
+    )
+
+
+class Squared:
+    """A law that is an object."""
+
+    def __call__(self, theta, theta_dot, x, x_dot, memory, reference):
+        return 0.3 * theta * abs(theta), memory
+
+
+def test_a_callable_object_is_a_law_that_python_calls_with_one_warning():
+    made = Controller("squared", Squared(), np.zeros((1, 2)))
+    with pytest.warns(
+        UserWarning, match=r"^Python calls the control law 'squared', .* since numba cannot compile it: "
+    ) as said:
+        single, batch = (torques(made, n) for n in (1, 70))
+    assert len(said) == 1 and "\n" not in str(said[0].message)
+    assert single[:, 0].tobytes() == batch[:, 0].tobytes() and np.ptp(single) > 0.01
+
+
+def scaled(gain, theta, theta_dot, x, x_dot, memory, reference, offset=0.0):
+    return gain * theta + offset, memory
+
+
+def test_a_partial_is_a_law_that_numba_compiles():
+    law = partial(partial(scaled, 0.5), offset=0.25)
+    env = CapsuleEnv(controller=Controller("scaled", law, np.zeros((1, 2))))
+    _, info = env.reset(seed=0)
+    assert info["law_torque"] == 0.5 * info["state"][0] + 0.25
+    assert user_law._compiled[env.simulation.controller][1] is not None
+
+
+@pytest.mark.parametrize(
+    ("law", "cause"),
+    [
+        (lambda *state: (state[0] if state[2] < 5.0 else "far", state[4]), TypeError),
+        (lambda *state: (state[0], state[4] if state[2] < 5.0 else (*state[4], 0.0)), TypeError),
+        (lambda *state: (state[0], state[4]) if state[2] < 5.0 else state[0], TypeError),
+        (lambda *state: [state[0]] if state[2] > 5.0 else (state[0], [0.0]), TypeError),
+    ],
+)
+def test_a_law_that_returns_something_else_later_is_an_error(law, cause, without_numba):
+    env = CapsuleVectorEnv(3, controller=Controller("odd", law, np.zeros((1, 2))))
+    env.reset(seed=0)
+    with pytest.raises(cause):
+        env.reset(options={"state": [0.1, 0.0, 6.0, 0.0]})
+
+
+@pytest.mark.skipif(not hasattr(signal, "raise_signal"), reason="needs signals")
+@pytest.mark.parametrize("n", [1, 130])
+def test_ctrl_c_in_a_law_that_python_calls_ends_the_step(n, without_numba):
+    calls = []
+
+    def law(theta, theta_dot, x, x_dot, memory, reference):
+        calls.append(x)
+        if len(calls) == 3 * n:
+            os.kill(os.getpid(), signal.SIGINT)
+            # Where the signal is handled.
+            sum(range(10))
+        return 0.1, memory
+
+    env = CapsuleVectorEnv(n, controller=Controller("long", law, np.zeros((1, 2))))
+    env.reset(seed=0)
+    with pytest.raises(KeyboardInterrupt):
+        env.step(np.zeros((n, 1), np.float32))
+    # No further environment is asked.
+    assert len(calls) <= 3 * n + 1
+    env.reset(seed=0)
+    assert np.isfinite(env.step(np.zeros((n, 1), np.float32))[0]).all()
+
+
+def test_no_index_error_of_compiled_code_is_silent_where_numba_checks(monkeypatch):
+    def law(theta, theta_dot, x, x_dot, memory, reference):
+        return table[int(memory[0])], (memory[0] + 1.0,)
+
+    table = np.zeros(25)
+    monkeypatch.setenv("NUMBA_BOUNDSCHECK", "1")
+    numba.config.reload_config()
+    try:
+        env = CapsuleVectorEnv(3, controller=Controller("checked", law, np.zeros((1, 2))))
+        env.reset(seed=0)
+        env.step(np.zeros((3, 1), np.float32))
+        with pytest.raises(IndexError):
+            env.step(np.zeros((3, 1), np.float32))
+    finally:
+        monkeypatch.delenv("NUMBA_BOUNDSCHECK")
+        numba.config.reload_config()
