@@ -44,9 +44,7 @@ NETWORK: tuple[str, ...]
 PADDING: int
 CELLS: int
 
-def act_batch(
-    level: str, network: int, observations: int, entries: int, n: int, memory: int, actions: int
-) -> None: ...
+def act_batch(level: str, network: int, observations: int, entries: int, n: int, memory: int, actions: int) -> None: ...
 def write_inputs(
     level: str, header: int, observations: int, entries: int, n: int, memory: int, inputs: int
 ) -> None: ...

@@ -64,6 +64,7 @@ def observation_bounds(
     low, high = np.array([bounds[name] for name in names], np.float32).T
     return np.tile(low, stack_size), np.tile(high, stack_size)
 
+
 # Inputs of a policy from the online filter (`capsule_gym/core/identification.hpp`): M, log(mu), and the standard
 # deviations of both.
 ESTIMATES = ("M_estimate", "log_mu_estimate", "M_deviation", "log_mu_deviation")

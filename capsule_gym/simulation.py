@@ -16,20 +16,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 from capsule_gym import _core, layout, native, resets, task
-from capsule_gym.checks import check_count, check_integer, check_number, written
+from capsule_gym.checks import check_count, check_integer, check_number, check_timed, written
 from capsule_gym.config import EnvConfig, find_task
 from capsule_gym.controller import CoreLaw, bind_law, find_controller
 from capsule_gym.layout import LANES, Row
 from capsule_gym.observation import observation_names, parameter_bounds
-from capsule_gym.parameters import (
-    CONSTANTS,
-    DISTURBANCES,
-    LARGEST,
-    NOMINAL,
-    Capsule,
-    Disturbances,
-    Randomization,
-)
+from capsule_gym.parameters import CONSTANTS, DISTURBANCES, LARGEST, NOMINAL, Capsule, Disturbances, Randomization
 from capsule_gym.settings import DEFAULTS, NO_CONTROLLER, SPEED, check_step, count_rows, ends, make_settings
 
 Result = TypeVar("Result")
@@ -65,30 +57,27 @@ def episode_metrics(world: np.ndarray, horizon: float | None, own: task.Task = S
     Returns:
         One float64 array of shape (n,) for each field of `task.Metrics`, and for each metric of the task.
     """
-    duration, energy = world[Row.duration], world[Row.episode_energy]
-    failed = world[Row.termination] != 0
-    distance = world[Row.x] - world[Row.start_x]
+    rows = SimpleNamespace(**{name: world[row] for name, row in vars(Row).items()})
+    failed, distance = rows.termination != 0, rows.x - rows.start_x
     # Before the first step every integral is 0, and so is every ratio.
-    elapsed = np.where(duration > 0.0, duration, 1.0)
+    elapsed = np.where(rows.duration > 0.0, rows.duration, 1.0)
     whole = elapsed if horizon is None else np.where(failed, horizon, elapsed)
-    moved = world[Row.weight_distance]
-    transport = np.divide(energy, moved, out=np.full(len(moved), math.inf), where=moved > 0.0)
-    forward, backward = world[Row.forward], world[Row.backward]
-    nowhere = np.where(backward > 0.0, math.inf, 0.0)
-    backward_ratio = np.divide(backward, forward, out=nowhere, where=forward > 0.0)
+    nowhere, never = np.where(rows.backward > 0.0, math.inf, 0.0), np.full(len(failed), math.inf)
     metrics = task.Metrics(
         mean_speed=100.0 * distance / whole,
-        cost_of_transport=transport,
-        peak_torque=world[Row.peak_torque],
-        rms_torque=np.sqrt(world[Row.torque_squared] / elapsed),
-        backward_ratio=backward_ratio,
-        stuck_fraction=world[Row.stuck] / elapsed,
-        smallest_normal_ratio=world[Row.smallest_normal_ratio],
-        largest_theta=world[Row.largest_theta],
-        largest_theta_dot=world[Row.largest_theta_dot],
+        cost_of_transport=np.divide(
+            rows.episode_energy, rows.weight_distance, out=never, where=rows.weight_distance > 0.0
+        ),
+        peak_torque=rows.peak_torque,
+        rms_torque=np.sqrt(rows.torque_squared / elapsed),
+        backward_ratio=np.divide(rows.backward, rows.forward, out=nowhere, where=rows.forward > 0.0),
+        stuck_fraction=rows.stuck / elapsed,
+        smallest_normal_ratio=rows.smallest_normal_ratio,
+        largest_theta=rows.largest_theta,
+        largest_theta_dot=rows.largest_theta_dot,
         distance=distance,
-        energy=energy,
-        duration=duration,
+        energy=rows.episode_energy,
+        duration=rows.duration,
         failed=failed.astype(np.float64),
     )
     memory = SimpleNamespace(**dict(zip(own.fields, world[len(world) - own.rows :], strict=True)))
@@ -125,7 +114,6 @@ class Simulation:
         self.options = options
         self.capsule = options.capsule or NOMINAL
         self.randomization = Randomization.named(options.randomization)
-        self.randomization.check(self.capsule)
         # Largest M in kg and mu if they are observed.
         self._largest = parameter_bounds(self.capsule, self.randomization)
         self.controller = find_controller(options.controller)
@@ -184,33 +172,28 @@ class Simulation:
 
     def __getstate__(self) -> dict[str, Any]:
         """The state of the episodes, without code and threads."""
-        names = ("num_envs", "options", "_changes", *COPIED_ATTRIBUTES)
-        return {name: getattr(self, name) for name in names}
+        return {name: getattr(self, name) for name in ("num_envs", "options", "_changes", *COPIED_ATTRIBUTES)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         options = state["options"]
-        controller, own = find_controller(options.controller), find_task(options.task)
-        history = make_settings(options, controller).history
-        if count_rows(controller, own) + layout.HISTORY_ROWS * history != state["world"].shape[1]:
+        # A function that returns the controller may return another one the second time: a copy passes its own.
+        Simulation.__init__(
+            self, state["num_envs"], replace(options, controller=state.get("controller", options.controller))
+        )
+        self.options = options
+        if self.world.shape != state["world"].shape:
             raise ValueError(
                 f"controller={options.controller!r} must be as it was when the simulation was pickled, with as "
                 f"much memory and as many columns of the reference"
             )
-        Simulation.__init__(self, state["num_envs"], state["options"])
-        self._take_over(state)
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
-        # The same controller: a function that returns one may return another the second time.
-        twin = memo[id(self)] = type(self)(self.num_envs, replace(self.options, controller=self.controller))
-        twin.options = self.options
-        twin._take_over(self.__getstate__())
-        return twin
-
-    def _take_over(self, state: dict[str, Any]) -> None:
-        """Continues the episodes of another simulation."""
         for name in COPIED_ATTRIBUTES:
             getattr(self, name)[...] = state[name]
         self._changes = deepcopy(state["_changes"])
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
+        twin = memo[id(self)] = type(self).__new__(type(self))
+        twin.__setstate__({**self.__getstate__(), "controller": self.controller})
+        return twin
 
     def _bind(self) -> None:
         """Binds the arrays and the law to the core."""
@@ -221,8 +204,9 @@ class Simulation:
         # The first quantities of the environments that begin, and the other values that their episodes draw.
         self._rows, self._starts = np.zeros(count, np.int64), np.zeros((Row.torque, count))
         self._drawn = np.zeros((len(self.draw_table), count))
-        ranges = resets.plant_ranges(self.randomization, self.capsule)
-        arrays = {
+        self._law = bind_law(acting, self.lanes)
+        # The core reads these arrays by their addresses.
+        self._arrays = {
             "world": self.world,
             "observations": self.observations,
             "settings": native.ordered(_core.SETTINGS, given),
@@ -232,12 +216,14 @@ class Simulation:
             "episodes": self._episodes,
             "rows": self._rows,
             "starts": self._starts,
-            "ranges": ranges,
+            "ranges": resets.plant_ranges(self.randomization, self.capsule),
             "start": self.start,
             "draw_table": self.draw_table,
             "drawn": self._drawn,
         }
-        sizes = {
+        fields = {
+            **{name: native.address(array) for name, array in self._arrays.items()},
+            **self._law.fields,
             "num_envs": count,
             "lanes": self.lanes,
             "entries": self.observations.shape[1],
@@ -248,10 +234,6 @@ class Simulation:
             "reference_size": self.reference.shape[1],
             "draw_lines": len(self.draw_table),
         }
-        self._law = bind_law(acting, self.lanes)
-        # The core reads these arrays by their addresses.
-        self._arrays = arrays
-        fields = {**{name: native.address(array) for name, array in arrays.items()}, **sizes, **self._law.fields}
         self._batch = _core.bind(native.LEVEL, fields)
         # Looking the arguments up each time takes a tenth of a step.
         self._advance = partial(_core.advance, self._batch)
@@ -297,14 +279,13 @@ class Simulation:
 
         Args:
             rows: indices of the environments, shape (n,).
-            M: masses of their platforms, kg.
-            mu: their friction coefficients.
-            state: shape (n, 4): theta, theta_dot, x, x_dot.
-            changes: per environment the jumps of M and mu during the episode, in order of time: `{"t": s, "M": kg,
-                "mu": ..}`.
-            capsule: per environment, constants of the plant by the names in `parameters.CONSTANTS`.
-            disturbances: per environment, disturbances by the names in `parameters.DISTURBANCES`.
-            **task_options: per environment, values that the task would draw, by the names of `Task.options`.
+            M: the options of `CapsuleEnv.reset`, here and below one value per environment.
+            mu: see M.
+            state: shape (n, 4), or one state for all.
+            changes: see M.
+            capsule: see M.
+            disturbances: see M.
+            **task_options: values that the task would draw, by the names of `Task.options`.
 
         Raises:
             TypeError: if a value is of the wrong type.
@@ -330,8 +311,7 @@ class Simulation:
             frictions = starts[Row.mu].tolist() if mu is None else mu
             for n, plant in enumerate(zip(masses, frictions, strict=True)):
                 own = () if drawn is None else drawn[len(self.task.draws) :, n].tolist()
-                constants = dict(zip(CONSTANTS, own, strict=False))
-                self._check_plant(*plant, replace(self.capsule, **constants) if constants else self.capsule)
+                self._check_plant(*plant, replace(self.capsule, **dict(zip(CONSTANTS, own, strict=False))))
             starts[Row.M], starts[Row.mu] = masses, frictions
         if state is not None:
             starts[: Row.M] = self._check_state(state, len(rows)).T
@@ -385,12 +365,10 @@ class Simulation:
         """Runs the core on all environments.
 
         Args:
-            work: function of the first environment and one past the last, which returns the index of an environment
-                whose law has failed, or -1; see `share`.
+            work: see `share`; returns the index of an environment whose law has failed, or -1.
 
         Raises:
-            ValueError: if a user's control law returned a torque that is not finite. An exception in a law is raised
-                as it is.
+            ValueError: as `step`.
         """
         try:
             broken = max(self.share(work))
@@ -504,14 +482,12 @@ class Simulation:
     def _limits(self, name: str) -> tuple[float, float]:
         """The smallest and the largest value of a disturbance that a reset may set."""
         low, high = Disturbances.limits(name)
-        if name == "latency":
-            # The length of the history.
-            high = (self.settings.history - 1) * self.settings.physics_steps * self.settings.physics_dt
-        return low, high
+        # The length of the history.
+        remembered = (self.settings.history - 1) * self.settings.physics_steps * self.settings.physics_dt
+        return low, remembered if name == "latency" else high
 
-    def _check_plant(self, M: float, mu: float, capsule: Capsule | None = None) -> None:
+    def _check_plant(self, M: float, mu: float, capsule: Capsule) -> None:
         """Raises an error for M and mu that are invalid, too stiff for the step, or outside their observed bounds."""
-        capsule = capsule or self.capsule
         capsule.check_plant(M, mu)
         check_step(capsule, float(M), float(mu), self.settings)
         if self.settings.with_parameters:
@@ -540,20 +516,10 @@ class Simulation:
     def _schedule(self, changes: Sequence[dict[str, float]]) -> list[tuple[float, float, float]]:
         """The changes of one episode as (t, M, mu)."""
         accepted = "a list of dicts {'t': s, 'M': kg, 'mu': ..}, each later than the one before"
-        if not isinstance(changes, (list, tuple)):
-            raise TypeError(f"options['changes'] must be {accepted}, got {written(changes)}")
         schedule: list[tuple[float, float, float]] = []
-        for n, change in enumerate(changes):
-            name = f"options['changes'][{n}]"
-            if not isinstance(change, dict):
-                raise TypeError(f"{name} must be a dict with the keys {CHANGE}, got {written(change)}")
-            if set(change) != set(CHANGE):
-                raise ValueError(f"{name} must have the keys {CHANGE} and no others, got {written(change)}")
-            t = check_number(f"{name}['t']", change["t"], "a finite number >= 0 (s)", 0.0)
-            if schedule and t <= schedule[-1][0]:
-                raise ValueError(f"{name}['t'] must be later than the one before, {schedule[-1][0]:g} s, got {t:g} s")
+        for name, t, change in check_timed("options['changes']", changes, accepted, CHANGE):
             try:
-                self._check_plant(change["M"], change["mu"])
+                self._check_plant(change["M"], change["mu"], self.capsule)
             except (TypeError, ValueError) as error:
                 raise type(error)(f"{name}: {error}") from None
             schedule.append((t, float(change["M"]), float(change["mu"])))
@@ -565,8 +531,7 @@ class Simulation:
             self._changes.pop(i, None)
             self._due[i] = math.inf
             if schedules and schedules[n]:
-                self._changes[i] = schedules[n]
-                self._due[i] = schedules[n][0][0]
+                self._changes[i], self._due[i] = schedules[n], schedules[n][0][0]
 
     def _apply_changes(self) -> None:
         """Applies the changes of M and mu that are due: at the first agent step that starts at or after t."""

@@ -68,7 +68,7 @@ import numpy as np
 
 from capsule_gym import _core
 from capsule_gym._core import COMMANDS, SPEED_BOUND
-from capsule_gym.checks import check_number, written
+from capsule_gym.checks import check_number, check_timed
 from capsule_gym.task import TASKS, Draw, Option, Task
 from capsule_gym.tasks import DEFAULTS
 
@@ -85,24 +85,16 @@ def parse_commands(name: str, value: Any) -> list[float]:
         ValueError: if an entry is out of range, or there are too many.
     """
     accepted = f"a list of 1 to {COMMANDS} dicts {{'t': s, 'v': m/s}}, the first at 0 s, each later than the one before"
-    if not isinstance(value, (list, tuple)):
-        raise TypeError(f"{name} must be {accepted}, got {written(value)}")
-    if not 1 <= len(value) <= COMMANDS:
+    if isinstance(value, (list, tuple)) and not 1 <= len(value) <= COMMANDS:
         raise ValueError(f"{name} must be {accepted}, got {len(value)}")
     times: list[float] = []
     commands: list[float] = []
-    for n, command in enumerate(value):
-        if not isinstance(command, dict):
-            raise TypeError(f"{name}[{n}] must be a dict with the keys 't' and 'v', got {written(command)}")
-        if set(command) != {"t", "v"}:
-            raise ValueError(f"{name}[{n}] must have the keys 't' and 'v' and no others, got {written(command)}")
-        t = check_number(f"{name}[{n}]['t']", command["t"], "a finite number >= 0 (s)", 0.0)
-        if (t != 0.0) if n == 0 else (t <= times[-1]):
-            late = f"later than the one before, {times[-1]:g} s" if n else "0 s for the first command"
-            raise ValueError(f"{name}[{n}]['t'] must be {late}, got {t:g} s")
+    for own, t, command in check_timed(name, value, accepted, ("t", "v")):
+        if not times and t != 0.0:
+            raise ValueError(f"{own}['t'] must be 0 s for the first command, got {t:g} s")
         times.append(t)
         limit = f"a number of m/s within {LARGEST:g} of 0"
-        commands.append(check_number(f"{name}[{n}]['v']", command["v"], limit, -LARGEST, LARGEST))
+        commands.append(check_number(f"{own}['v']", command["v"], limit, -LARGEST, LARGEST))
     more = COMMANDS - len(times)
     lasts = [later - t for t, later in zip(times, [*times[1:], math.inf], strict=True)]
     return [*commands, *[commands[-1]] * more, *lasts, *[math.inf] * more]
