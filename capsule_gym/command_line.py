@@ -54,8 +54,8 @@ def parse(kind: type[T], prog: str, arguments: Sequence[str] | None = None, *, d
     """Reads a command line.
 
     Args:
-        kind: a dataclass. Its docstring is the description. A `ValueError` or `TypeError` of its method `check`, if it
-            has one, is an error of the command line.
+        kind: a dataclass, whose docstring is the description. A `ValueError` or `TypeError` of its method `check`, if
+            it has one, is an error of the command line.
         prog: the command as the user types it.
         arguments: the words after the command; None takes them from `sys.argv`.
         default: defaults other than the fields' own.

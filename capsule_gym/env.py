@@ -15,7 +15,7 @@ from capsule_gym import task
 from capsule_gym.checks import check_count, written
 from capsule_gym.config import RENDER_MODES, EnvConfig
 from capsule_gym.layout import Row
-from capsule_gym.observation import observation_bounds
+from capsule_gym.observation import observation_bounds, observation_names
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES
 from capsule_gym.rendering import Renderer
 from capsule_gym.settings import SPEED
@@ -386,11 +386,10 @@ def name_drawn(drawn: Sequence[Value]) -> tuple[dict[str, Value], dict[str, Valu
 
 def make_spaces(simulation: Simulation) -> tuple[spaces.Box, spaces.Box]:
     """The action and the observation space of one environment."""
-    settings, plants = simulation.settings, (simulation.capsule, simulation.randomization)
-    switches = settings.with_reference, settings.with_parameters
-    low, high = observation_bounds(
-        *switches, *plants, settings.torque_limit, simulation.task.entries, settings.stack_size
-    )
+    settings, entries = simulation.settings, simulation.task.entries
+    names = observation_names(settings.with_reference, settings.with_parameters, entries)
+    plants = simulation.capsule, simulation.randomization
+    low, high = observation_bounds(*plants, settings.torque_limit, entries, names, settings.stack_size)
     return spaces.Box(-1.0, 1.0, (1,), np.float32), spaces.Box(low, high, dtype=np.float32)
 
 
@@ -416,13 +415,10 @@ def check_options(options: dict[str, Any] | None, accepted: tuple[str, ...]) -> 
 
 def shown_state(simulation: Simulation, i: int) -> dict[str, Any]:
     """The arguments of `Renderer.draw` for environment i."""
-    row = simulation.columns(np.array([i]))[:, 0]
-    names = ("theta", "x", "x_dot", "torque", "M", "mu")
-    found: dict[str, Any] = {
-        **{name: float(row[getattr(Row, name)]) for name in names},
-        "time": float(row[Row.duration]),
-    }
+    row = simulation.columns(np.array([i]))[:, 0].tolist()
+    found = {name: row[getattr(Row, name)] for name in ("theta", "x", "x_dot", "torque", "M", "mu")}
+    found["time"] = row[Row.duration]
     for name, place in simulation.task.places:
         if name in _PLACES:
-            found["ghost"] = name, 0.0, float(row[simulation.task_row + place])
+            found["ghost"] = name, 0.0, row[simulation.task_row + place]
     return found

@@ -52,19 +52,20 @@ class PlantSpec:
     goal: float | None = None
     capsule: dict[str, float] | None = None
 
+    @property
+    def _given(self) -> dict[str, Any]:
+        return {name: value for name in ("goal", "capsule") if (value := getattr(self, name)) is not None}
+
     def reset_options(self) -> dict[str, Any]:
         """The options of `reset` for this episode."""
-        own: dict[str, Any] = {} if self.goal is None else {"goal": self.goal}
-        own |= {} if self.capsule is None else {"capsule": self.capsule}
         state = [self.theta, 0.0, 0.0, 0.0]
-        return {"M": self.M, "mu": self.mu, "state": state, "changes": list(self.changes), **own}
+        return {"M": self.M, "mu": self.mu, "state": state, "changes": list(self.changes), **self._given}
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types."""
-        start: dict[str, Any] = {} if self.theta == START_THETA else {"theta": self.theta}
-        start |= {} if self.goal is None else {"goal": self.goal}
-        start |= {} if self.capsule is None else {"capsule": self.capsule}
-        return {"M": self.M, "mu": self.mu, "seed": self.seed, **start, "changes": list(self.changes)}
+        start = {} if self.theta == START_THETA else {"theta": self.theta}
+        given = {**start, **self._given}
+        return {"M": self.M, "mu": self.mu, "seed": self.seed, **given, "changes": list(self.changes)}
 
 
 NOMINAL_PLANT = PlantSpec(NOMINAL.M, NOMINAL.mu, seed=0)
@@ -141,9 +142,8 @@ def _fields(where: str, value: Any, required: Sequence[str], optional: Sequence[
 
 
 def _parse_plant(where: str, value: Any, task: str) -> PlantSpec:
-    entry = _fields(
-        where, value, ("M", "mu", "seed"), ("theta", "changes", "capsule", *(("goal",) if task == "goal" else ()))
-    )
+    optional = ("theta", "changes", "capsule", *(("goal",) if task == "goal" else ()))
+    entry = _fields(where, value, ("M", "mu", "seed"), optional)
     accepted = f"an angle in rad within {THETA_LIMIT:.4g} of 0"
     largest = math.nextafter(THETA_LIMIT, 0.0)
     theta = check_number(f"{where}.theta", entry.get("theta", START_THETA), accepted, -largest, largest)
@@ -193,8 +193,7 @@ def parse_set(content: Any) -> EvaluationSet:
         raise ValueError(f"set.name must be a string that is not empty, got {name!r}")
     capsule = entry.get("capsule")
     if capsule is not None:
-        constants = [each.name for each in fields(Capsule)]
-        capsule = Capsule(**_fields("set.capsule", capsule, (), constants))
+        capsule = Capsule(**_fields("set.capsule", capsule, (), [each.name for each in fields(Capsule)]))
     disturbances = entry.get("disturbances", "none")
     if isinstance(disturbances, dict):
         names = [each.name for each in fields(Disturbances)]

@@ -21,12 +21,10 @@ if LEVEL not in _core.LEVELS:
 
 # Float64 in a cache line.
 LINE = 8
-# Function numbers with the numbers of their arguments and results, by name.
+# Function numbers and numbers of results, by name.
 _PLANT, _ELEMENTARY = (
-    {name: (number, int(arguments), int(results)) for number, (name, arguments, results) in enumerate(parts)}
-    for parts in (
-        [entry.split(":") for entry in entries] for entries in (_core.PLANT_FUNCTIONS, _core.ELEMENTARY_FUNCTIONS)
-    )
+    {name: (number, int(results)) for number, (name, _, results) in enumerate(entry.split(":") for entry in entries)}
+    for entries in (_core.PLANT_FUNCTIONS, _core.ELEMENTARY_FUNCTIONS)
 )
 
 
@@ -65,7 +63,7 @@ def evaluate(name: str, *arguments: np.ndarray | float, settings: np.ndarray | N
     Returns:
         The results, float64 arrays of the common shape.
     """
-    number, _, results = (_ELEMENTARY if settings is None else _PLANT)[name]
+    number, results = (_ELEMENTARY if settings is None else _PLANT)[name]
     inputs = np.array(np.broadcast_arrays(*(np.asarray(each, np.float64) for each in arguments)), order="C")
     outputs = np.empty((results, *inputs.shape[1:]))
     given = 0 if settings is None else address(settings)

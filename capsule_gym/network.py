@@ -28,11 +28,8 @@ Header = dict[str, float]
 
 def input_names(observation: Sequence[str], identifies: bool, observes_energy_weight: bool) -> tuple[str, ...]:
     """The inputs of a network in order: the environment's observation and what the policy adds to it."""
-    return (
-        *observation,
-        *(ESTIMATES if identifies else ()),
-        *(("log_energy_weight",) if observes_energy_weight else ()),
-    )
+    weight = ("log_energy_weight",) if observes_energy_weight else ()
+    return (*observation, *(ESTIMATES if identifies else ()), *weight)
 
 
 def make_header(options: EnvConfig, *, identifies: bool, observes_energy_weight: bool, **network: Any) -> Header:

@@ -23,12 +23,9 @@ class Stream(IntEnum):
     variation = 4
 
 
-WORD = 2**64
-
-
 def make_key(seed: int) -> tuple[int, int]:
-    """The key of the generator, two words, for a seed, any integer >= 0."""
-    return seed % WORD, (seed >> 64) % WORD
+    """The key of the generator, two words of 64 bits, for a seed, any integer >= 0."""
+    return seed % 2**64, (seed >> 64) % 2**64
 
 
 def random_stream(seed: int, episode: int, stream: Stream) -> np.random.Generator:
