@@ -204,7 +204,7 @@ class Simulation:
         # The first quantities of the environments that begin, and the other values that their episodes draw.
         self._rows, self._starts = np.zeros(count, np.int64), np.zeros((Row.torque, count))
         self._drawn = np.zeros((len(self.draw_table), count))
-        self._law = bind_law(acting, self.lanes)
+        law, self._law = bind_law(acting, self.lanes)
         # The core reads these arrays by their addresses.
         self._arrays = {
             "world": self.world,
@@ -223,7 +223,7 @@ class Simulation:
         }
         fields = {
             **{name: native.address(array) for name, array in self._arrays.items()},
-            **self._law.fields,
+            **law,
             "num_envs": count,
             "lanes": self.lanes,
             "entries": self.observations.shape[1],
