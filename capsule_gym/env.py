@@ -173,10 +173,6 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
         TypeError: if an argument is of the wrong type.
         ValueError: if an argument is out of range, or a plant admits Painleve's paradox or is too stiff for
             `physics_dt`.
-
-    ## Version History
-
-    * v0: initial version
     """
 
     # Gymnasium declares it as the instance's, and wrappers change it: each instance gets a copy.
@@ -219,9 +215,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
         Args:
             seed: an integer in [0, 2**128) that restarts the random streams; None continues them.
-            options: values that replace random draws: "M" (kg), "mu", "state" ([theta, theta_dot, x, x_dot]), "changes"
-                (a list of `{"t": s, "M": kg, "mu": ..}` in order of time) and, if these are drawn, the dicts "capsule"
-                and "disturbances".
+            options: values that replace random draws, see "Starting State".
 
         Returns:
             Observation and info.
@@ -242,8 +236,7 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
             own = self.simulation.task.options
             check_options(options, (*RESET_OPTIONS, *own))
             # One environment is a batch of one.
-            names = ("M", "mu", "changes", "capsule", "disturbances", *own)
-            given = {name: [options[name]] for name in names if options.get(name) is not None}
+            given = {name: [value] for name, value in options.items() if value is not None and name != "state"}
             self.simulation.reset(_FIRST, state=options.get("state"), **given)
         self._bind_drawn()
         self._running = True

@@ -42,9 +42,7 @@ CHANGE = ("t", "M", "mu")
 def check_seed(seed: Any, accepted: str = "an integer in [0, 2**128) or None", count: int = 1) -> int:
     """An environment's seed as an int; `count` environments get seeds from this one on.
 
-    Raises:
-        TypeError: if it is not an integer.
-        ValueError: if it, or the last of the environments' seeds, is negative or has more bits than a stream's key.
+    Raises a TypeError or ValueError for what is not accepted.
     """
     return check_integer("seed", seed, accepted, 0, 2**128 - count)
 
@@ -332,8 +330,7 @@ class Simulation:
             active: shape (num_envs,), bool: the environments that take part; the others do not change. None means all.
 
         Raises:
-            ValueError: if a user's control law returned a torque that is not finite. An exception in a law is raised
-                as it is.
+            ValueError: if a control law returned a torque that is not finite. A law's own exception is raised as it is.
         """
         if self._changes:
             self._apply_changes()
@@ -430,15 +427,12 @@ class Simulation:
         self.observations[lost] = np.nan_to_num(self.observations[lost])
 
     def metrics(self, rows: np.ndarray, horizon: int | None = None) -> dict[str, np.ndarray]:
-        """The metrics of running episodes.
+        """`episode_metrics` of the running episodes with these indices.
 
         Args:
             rows: indices of the environments, int64, shape (n,).
             horizon: agent steps of a whole episode. The mean speed of a failed episode is over all of them, so that an
                 early failure is no advantage; None takes the elapsed time.
-
-        Returns:
-            One float64 array of shape (n,) for each field of `task.Metrics`, and for each metric of the task.
         """
         seconds = horizon * self.options.control_dt if horizon else None
         return episode_metrics(self.columns(rows)[: self.task_end], seconds, self.task)
@@ -449,13 +443,7 @@ class Simulation:
             self._pool.shutdown()
         self._pool = None
 
-    def _draw_rows(
-        self,
-        count: int,
-        task_options: dict[str, Sequence[Any]],
-        capsule: Sequence[Any] | None,
-        disturbances: Sequence[Any] | None,
-    ) -> np.ndarray:
+    def _draw_rows(self, count: int, task_options: dict[str, Any], capsule: Any, disturbances: Any) -> np.ndarray:
         """The given or drawn values of `count` environments that begin, shape (lines of `draw_table`, count)."""
         drawn = self._drawn[:, :count]
         first = 0
@@ -467,24 +455,20 @@ class Simulation:
         for name, given, names in (("capsule", capsule, CONSTANTS), ("disturbances", disturbances, DISTURBANCES)):
             for n, values in enumerate(given or ()):
                 accepted = f"a dict with keys out of {names}"
-                if not isinstance(values, dict):
-                    raise TypeError(f"options[{name!r}] must be {accepted}, got {written(values)}")
-                if set(values) - set(names):
-                    raise ValueError(f"options[{name!r}] must be {accepted}, got {written(values)}")
+                if not isinstance(values, dict) or set(values) - set(names):
+                    error = ValueError if isinstance(values, dict) else TypeError
+                    raise error(f"options[{name!r}] must be {accepted}, got {written(values)}")
                 for key, value in values.items():
-                    low, high = self._limits(key) if name == "disturbances" else (-LARGEST, LARGEST)
+                    low, high = Disturbances.limits(key) if name == "disturbances" else (-LARGEST, LARGEST)
+                    if key == "latency":
+                        # The length of the history.
+                        settings = self.settings
+                        high = (settings.history - 1) * settings.physics_steps * settings.physics_dt
                     in_words = f"a number from {low:g} to {high:g}"
                     number = check_number(f"options[{name!r}][{key!r}]", value, in_words, low, high)
                     drawn[first + names.index(key), n] = number
             first += len(names)
         return drawn
-
-    def _limits(self, name: str) -> tuple[float, float]:
-        """The smallest and the largest value of a disturbance that a reset may set."""
-        low, high = Disturbances.limits(name)
-        # The length of the history.
-        remembered = (self.settings.history - 1) * self.settings.physics_steps * self.settings.physics_dt
-        return low, remembered if name == "latency" else high
 
     def _check_plant(self, M: float, mu: float, capsule: Capsule) -> None:
         """Raises an error for M and mu that are invalid, too stiff for the step, or outside their observed bounds."""
@@ -498,11 +482,8 @@ class Simulation:
     def _check_state(self, state: Any, count: int) -> np.ndarray:
         """The states of `count` environments as float64, shape (count, 4)."""
         _, *rest = task.LARGEST_STATE
-        accepted = (
-            "[theta, theta_dot, x, x_dot] with |theta| < pi/2, |theta_dot| <= {:g} rad/s, |x| <= {:g} m and |x_dot| "
-            "<= {:g} m/s"
-        ).format(*rest)
-        message = f"options['state'] must be {accepted}, got {written(state)}"
+        accepted = "|theta| < pi/2, |theta_dot| <= {:g} rad/s, |x| <= {:g} m and |x_dot| <= {:g} m/s".format(*rest)
+        message = f"options['state'] must be [theta, theta_dot, x, x_dot] with {accepted}, got {written(state)}"
         try:
             array = np.asarray(state, dtype=np.float64)
         except (TypeError, ValueError, OverflowError) as error:

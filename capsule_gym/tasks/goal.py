@@ -5,9 +5,7 @@
 The capsule of `CapsuleStickSlip-v0` on a floor with more friction. Every episode draws the displacement of a goal. The
 goal is reached when the platform has been at rest, with a velocity of exactly 0, within 2 mm of the goal for 1 s.
 
-## Action Space
-
-As in `CapsuleStickSlip-v0`.
+Actions are those of `CapsuleStickSlip-v0`.
 
 ## Observation Space
 
@@ -48,10 +46,6 @@ length of the episode if it was not).
 Those of `CapsuleStickSlip-v0`, with the defaults `capsule=Capsule(static_ratio=1.3)`, M uniform in [0.45, 0.55] kg, mu
 log-uniform in [0.05, 0.5], `energy_weight=0` and `termination_penalty=3`. `capsule=Capsule(), randomization="paper"`
 gives the paper's floor, where a torque of 1.3 % of the limit moves the platform, so that it is difficult to rest.
-
-## Version History
-
-* v0: initial version
 """
 
 from __future__ import annotations

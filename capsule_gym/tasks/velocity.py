@@ -5,9 +5,7 @@
 The capsule of `CapsuleStickSlip-v0` on a floor with more friction. A target moves with the commanded velocity. It
 starts at the platform at every change of the command and stays within 0.3 m of the platform.
 
-## Action Space
-
-As in `CapsuleStickSlip-v0`.
+Actions are those of `CapsuleStickSlip-v0`.
 
 ## Observation Space
 
@@ -52,10 +50,6 @@ A command counts if it was measured for 1 s. If none was, `velocity_error` is 10
 
 Those of `CapsuleStickSlip-v0`, with the defaults `capsule=Capsule(static_ratio=1.3)`, M uniform in [0.45, 0.55] kg, mu
 log-uniform in [0.05, 0.5], `energy_weight=0` and `termination_penalty=3`.
-
-## Version History
-
-* v0: initial version
 """
 
 from __future__ import annotations
