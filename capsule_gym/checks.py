@@ -47,9 +47,9 @@ def check_number(
     """Returns `value` as a float, or raises an error that names the argument, its value and the accepted values.
 
     Args:
-        name: the argument's name, for the message.
+        name: the argument's name.
         value: value of the argument.
-        accepted: the accepted range in words, for the message.
+        accepted: the accepted range in words.
         low: smallest accepted value.
         high: largest accepted value.
         open_low: whether `low` itself is excluded.
@@ -70,16 +70,10 @@ def check_number(
 
 
 def check_integer(name: str, value: Any, accepted: str, low: int, high: int) -> int:
-    """Returns `value` as an int, or raises an error that names the argument, its value and the accepted values.
-
-    Raises:
-        TypeError: if it is not an integer.
-        ValueError: if it is below `low` or above `high`.
-    """
-    if isinstance(value, NO_NUMBERS) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"{name} must be {accepted}, got {written(value)}")
-    if not low <= value <= high:
-        raise ValueError(f"{name} must be {accepted}, got {written(value)}")
+    """Returns `value` as an int; a TypeError or ValueError names the argument, its value and the accepted values."""
+    number = isinstance(value, (int, np.integer)) and not isinstance(value, NO_NUMBERS)
+    if not number or not low <= value <= high:
+        raise (ValueError if number else TypeError)(f"{name} must be {accepted}, got {written(value)}")
     return int(value)
 
 

@@ -127,14 +127,10 @@ class Capsule:
         self.check_plant(self.M, self.mu)
 
     def check_plant(self, M: float, mu: float) -> None:
-        """Raises an error for values of M and mu that are invalid for this capsule.
+        """Raises an error for M in kg and mu that are invalid for this capsule.
 
         In slip N depends on theta'' and theta'' on N through friction. There is exactly one solution at every angle if
         (M + m) / m > (1 + sqrt(1 + mu^2)) / 2. Other plants admit Painleve's paradox.
-
-        Args:
-            M: mass of the platform in kg.
-            mu: kinetic friction coefficient forwards.
 
         Raises:
             TypeError: if M or mu is not a number.
@@ -158,10 +154,6 @@ class Capsule:
 
         It is the largest absolute eigenvalue of the motion linearised at rest, over all angles and both directions of
         slip (docs/physics.md). It is larger for lighter platforms and more friction.
-
-        Args:
-            M: mass of the platform in kg.
-            mu: kinetic friction coefficient forwards.
         """
         mu *= max(1.0, self.backward_ratio)
         share = self.m / (M + self.m)
@@ -279,12 +271,7 @@ class Randomization:
 
     @classmethod
     def named(cls, name: str | Randomization) -> Randomization:
-        """The `Randomization` of a name; a `Randomization` is returned unchanged.
-
-        Raises:
-            ValueError: if the name is not known.
-            TypeError: if `name` is neither a string nor a Randomization.
-        """
+        """The `Randomization` of a name; a `Randomization` is returned unchanged."""
         if isinstance(name, cls):
             return name
         return RANDOMIZATIONS[check_name("randomization", name, cls, RANDOMIZATIONS)]
@@ -307,11 +294,11 @@ class Randomization:
             raise ValueError(f"{self!r}: {error}") from None
 
     def __repr__(self) -> str:
-        given = {each.name: getattr(self, each.name) for each in fields(self)}
-        return f"Randomization({', '.join(f'{name}={value!r}' for name, value in given.items() if value)})"
+        given = [f"{each.name}={getattr(self, each.name)!r}" for each in fields(self) if getattr(self, each.name)]
+        return f"Randomization({', '.join(given)})"
 
     def __str__(self) -> str:
-        if self.M is None and self.mu is None and not self.drawn:
+        if self == Randomization():
             return "the capsule's own M and mu"
         M = f"M in [{self.M[0]:g}, {self.M[1]:g}] kg" if self.M else "the capsule's own M"
         scale = "log-uniform " if self.log_mu else ""
@@ -426,12 +413,7 @@ class Disturbances:
 
     @classmethod
     def named(cls, name: str | Disturbances) -> Disturbances | None:
-        """The `Disturbances` of a name, None for "none"; a `Disturbances` is returned unchanged.
-
-        Raises:
-            ValueError: if the name is not known.
-            TypeError: if `name` is neither a string nor a Disturbances.
-        """
+        """The `Disturbances` of a name, None for "none"; a `Disturbances` is returned unchanged."""
         if isinstance(name, cls):
             return name
         return REAL if check_name("disturbances", name, cls, ("none", "real")) == "real" else None

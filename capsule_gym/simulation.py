@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from types import SimpleNamespace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -23,8 +23,6 @@ from capsule_gym.layout import LANES, Row
 from capsule_gym.observation import observation_names, parameter_bounds
 from capsule_gym.parameters import CONSTANTS, DISTURBANCES, LARGEST, NOMINAL, Capsule, Disturbances, Randomization
 from capsule_gym.settings import DEFAULTS, NO_CONTROLLER, SPEED, check_step, count_rows, ends, make_settings
-
-Result = TypeVar("Result")
 
 # Upper limit of the keys of an episode's noise; floats represent all whole numbers up to it exactly.
 LARGEST_KEY = 2.0**53
@@ -85,19 +83,15 @@ def episode_metrics(world: np.ndarray, horizon: float | None, own: task.Task = S
 class Simulation:
     """The state of N environments and its evolution; everything is float64 and in SI units.
 
-    Args:
-        num_envs: number of environments.
-        options: options of the environments.
-
     Attributes:
+        options: options of the environments.
         capsule: the plant's constants.
         controller: the law inside the step, or None.
-        task: the task.
         settings: the options as the core reads them.
-        lanes: environments in a block, LANES or, for a single environment, 1.
-        world: shape (blocks, rows, lanes): environment i is lane i % lanes of block i // lanes; the rows are those of
-            `Row`, the law's memory, its line of the reference, the task's memory and, of varied plants, the history of
-            states that late sensors show. `row` and `columns` read it by environments.
+        world: shape (blocks, rows, lanes): environment i is lane i % lanes of block i // lanes, and `lanes` is LANES or,
+            for a single environment, 1. The rows are those of `Row`, the law's memory, its line of the reference, the
+            task's memory from `task_row` to `task_end`, and of varied plants the history of states that late sensors
+            show. `row`, `rows` and `columns` read it by environments.
         observations: shape (num_envs, entries), float32, of the present state.
         start: distribution of the initial states: middle (rad) and half width of theta's, half width of theta_dot's
             (rad/s).
@@ -133,7 +127,6 @@ class Simulation:
             check_step(stiffest, corner.M, corner.mu, self.settings)
         self.lanes = 1 if self.num_envs == 1 else LANES
         blocks = -(-self.num_envs // self.lanes)
-        # One past the last row of the task's memory, and the first one.
         self.task_end = count_rows(self.controller, self.task)
         self.task_row = self.task_end - self.task.rows
         rows = self.task_end + layout.HISTORY_ROWS * self.settings.history
@@ -268,34 +261,29 @@ class Simulation:
         M: Sequence[float] | None = None,
         mu: Sequence[float] | None = None,
         state: np.ndarray | None = None,
-        changes: Sequence[Sequence[dict[str, float]]] | None = None,
-        capsule: Sequence[dict[str, float]] | None = None,
-        disturbances: Sequence[dict[str, float]] | None = None,
-        **task_options: Sequence[Any],
+        **options: Sequence[Any],
     ) -> None:
         """Begins a new episode in some environments. Values that are not given are drawn.
 
         Args:
             rows: indices of the environments, shape (n,).
-            M: the options of `CapsuleEnv.reset`, here and below one value per environment.
-            mu: see M.
+            M: masses of their platforms, kg.
+            mu: their friction coefficients.
             state: shape (n, 4), or one state for all.
-            changes: see M.
-            capsule: see M.
-            disturbances: see M.
-            **task_options: values that the task would draw, by the names of `Task.options`.
+            **options: the other options of `CapsuleEnv.reset`, one value per environment.
 
         Raises:
             TypeError: if a value is of the wrong type.
             ValueError: if a value is out of range, or the law returned a torque that is not finite.
             IndexError: if there is no such environment.
         """
-        if not self.settings.history and (capsule or disturbances):
-            raise ValueError(
-                f"options[{'capsule' if capsule else 'disturbances'!r}] needs an environment with disturbances "
-                f"other than 'none', or with a Randomization of constants besides M and mu"
-            )
-        schedules = [self._schedule(changes[n]) for n in range(len(rows))] if changes is not None else None
+        for name in ("capsule", "disturbances"):
+            if options.get(name) and not self.settings.history:
+                raise ValueError(
+                    f"options[{name!r}] needs an environment with disturbances other than 'none', or with a "
+                    "Randomization of constants besides M and mu"
+                )
+        schedules = [self._schedule(changes) for changes in options.get("changes", ())]
         count = len(rows)
         if count and not (0 <= rows.min() and rows.max() < self.num_envs and count <= self.num_envs):
             accepted = f"rows must be indices of environments, from 0 to {self.num_envs - 1}, each at most once"
@@ -303,8 +291,8 @@ class Simulation:
         self._rows[:count] = rows
         starts = self._starts[:, :count]
         _core.draw_episodes(self._batch, count)
-        drawn = self._draw_rows(count, task_options, capsule, disturbances) if len(self.draw_table) else None
-        if M is not None or mu is not None or capsule:
+        drawn = self._draw_rows(count, options) if len(self.draw_table) else None
+        if M is not None or mu is not None or options.get("capsule"):
             masses = starts[Row.M].tolist() if M is None else M
             frictions = starts[Row.mu].tolist() if mu is None else mu
             for n, plant in enumerate(zip(masses, frictions, strict=True)):
@@ -359,32 +347,25 @@ class Simulation:
         self.run(lambda first, last: self._advance(first, last, begin))
 
     def run(self, work: Callable[[int, int], int]) -> None:
-        """Runs the core on all environments.
+        """Runs the core on all environments, distributed over the threads.
 
         Args:
-            work: see `share`; returns the index of an environment whose law has failed, or -1.
+            work: function of the first environment and one past the last, which releases the interpreter's lock and
+                returns the index of an environment whose law has failed, or -1.
 
         Raises:
             ValueError: as `step`.
         """
         try:
-            broken = max(self.share(work))
+            broken = max(self._share(work))
         except BaseException:
             self._discard_failed()
             raise
         if broken >= 0:
             self._report(broken)
 
-    def share(self, work: Callable[[int, int], Result]) -> list[Result]:
-        """Distributes the environments over the threads.
-
-        Args:
-            work: function of the first environment and one past the last; it must release the interpreter's lock to
-                gain from threads.
-
-        Returns:
-            The results of `work`, in the order of the environments.
-        """
+    def _share(self, work: Callable[[int, int], int]) -> list[int]:
+        """The results of `work`, which the threads call for parts of the environments."""
         (first, last), *others = self._ranges
         if not others:
             return [work(first, last)]
@@ -443,17 +424,17 @@ class Simulation:
             self._pool.shutdown()
         self._pool = None
 
-    def _draw_rows(self, count: int, task_options: dict[str, Any], capsule: Any, disturbances: Any) -> np.ndarray:
+    def _draw_rows(self, count: int, options: dict[str, Sequence[Any]]) -> np.ndarray:
         """The given or drawn values of `count` environments that begin, shape (lines of `draw_table`, count)."""
         drawn = self._drawn[:, :count]
         first = 0
         for name, option in self.task.options.items():
             last = first + len(option.draws)
-            for n, value in enumerate(task_options.get(name, ())):
+            for n, value in enumerate(options.get(name, ())):
                 drawn[first:last, n] = option.parse(f"options[{name!r}]", value)
             first = last
-        for name, given, names in (("capsule", capsule, CONSTANTS), ("disturbances", disturbances, DISTURBANCES)):
-            for n, values in enumerate(given or ()):
+        for name, names in (("capsule", CONSTANTS), ("disturbances", DISTURBANCES)):
+            for n, values in enumerate(options.get(name, ())):
                 accepted = f"a dict with keys out of {names}"
                 if not isinstance(values, dict) or set(values) - set(names):
                     error = ValueError if isinstance(values, dict) else TypeError
@@ -506,7 +487,7 @@ class Simulation:
             schedule.append((t, float(change["M"]), float(change["mu"])))
         return schedule
 
-    def _plan(self, rows: np.ndarray, schedules: list[list[tuple[float, float, float]]] | None) -> None:
+    def _plan(self, rows: np.ndarray, schedules: list[list[tuple[float, float, float]]]) -> None:
         """Replaces the scheduled changes of some environments."""
         for n, i in enumerate(rows.tolist()):
             self._changes.pop(i, None)
