@@ -233,12 +233,8 @@ def _hidden_baselines(controller: str) -> str:
 def find_controller(controller: str | Controller | Callable[[], Controller] | None) -> Controller | None:
     """Returns the `Controller` for the environment's argument `controller`.
 
-    Args:
-        controller: None; a `Controller`; a function without arguments that returns one; or an import string
-            "module:attribute" of either, such as "baselines:adaptive".
-
     Raises:
-        TypeError: if the argument or the object that it names is something else.
+        TypeError: if the argument or the object that it names is not of an accepted type.
         ValueError: if the import string names a module or attribute that does not exist.
     """
     accepted = "None, a Controller, a function that returns one, or an import string 'module:attribute'"

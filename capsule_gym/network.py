@@ -112,8 +112,8 @@ def act(network: np.ndarray, observations: np.ndarray, memory: np.ndarray) -> np
 def rollout(simulation: Simulation, policy: Policy, steps: int) -> dict[str, np.ndarray]:
     """Runs a policy in every environment of a simulation after `reset`, each to the end of its episode.
 
-    The results are those of a batch that is stepped with `policy.start(..)`, bit for bit. The policy's memory starts with
-    the call.
+    The results are those of a batch that is stepped with `policy.start(..)`, bit for bit. The policy's memory starts
+    with the call.
 
     Args:
         simulation: the simulation, which is changed.

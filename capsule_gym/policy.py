@@ -57,11 +57,7 @@ ENV_ARGUMENTS = tuple(each.name for each in fields(EnvConfig) if each.name not i
 
 
 def policy_names(*, seeds: bool = False) -> list[str]:
-    """The names of the policies that come with the package.
-
-    Args:
-        seeds: return the names of all training runs, such as "residual-ppo/seed-2", instead.
-    """
+    """The names of the policies that come with the package, or of all their training runs ("residual-ppo/seed-2")."""
     return [name for name in pretrained() if ("/" in name) is seeds]
 
 
@@ -261,14 +257,11 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
     """Loads a trained policy. A policy file contains no pickled objects and no code.
 
     Args:
-        name_or_path: a name of `policy_names()`, such as "residual-ppo", which is the training run with the lowest
-            seed; one run, such as "residual-ppo/seed-2"; the path of a policy file; or the folder of a training run, of
-            which the best policy is loaded.
+        name_or_path: a name of `policy_names()`, which is the training run with the lowest seed; one run, such as
+            "residual-ppo/seed-2"; the path of a policy file; or the folder of a training run, whose best policy is
+            loaded.
         trust_controller: accept a policy with a control law outside this package. The environment imports the law,
             which runs its code.
-
-    Returns:
-        The policy, for `gym.make("CapsuleStickSlip-v0", **policy.env_kwargs)`.
 
     Raises:
         TypeError: if `name_or_path` is neither a string nor a path.
@@ -291,10 +284,8 @@ def load_policy(name_or_path: str | os.PathLike[str], *, trust_controller: bool 
             )
         folder = path.absolute().parent
         name = folder.parent.name if folder.name == "best" else folder.name
-    if path.stat().st_size > LARGEST_FILE:
-        raise ValueError(
-            f"{path} is not a policy file: it must have at most {LARGEST_FILE} bytes, got {path.stat().st_size}"
-        )
+    if (size := path.stat().st_size) > LARGEST_FILE:
+        raise ValueError(f"{path} is not a policy file: it must have at most {LARGEST_FILE} bytes, got {size}")
     try:
         policy = _read(name, path)
     except (SafetensorError, ValueError, TypeError, RecursionError, OverflowError) as error:

@@ -338,11 +338,11 @@ class Renderer:
 
 
 def write_gif(frames: Iterable[np.ndarray], path: Path, frame_seconds: float = FRAME_SECONDS, width: int = 640) -> None:
-    """Writes pictures as a looping GIF.
+    """Writes pictures, each (height, width, 3), uint8, as a looping GIF, atomically.
 
     Args:
-        frames: (height, width, 3) uint8 each.
-        path: path of the GIF, which is written atomically.
+        frames: the pictures.
+        path: path of the GIF.
         frame_seconds: time between frames; GIF counts hundredths of a second.
         width: width of the GIF, in pixels.
 
@@ -357,10 +357,8 @@ def write_gif(frames: Iterable[np.ndarray], path: Path, frame_seconds: float = F
         pictures.append(Image.fromarray(frame).resize((width, height), Image.Resampling.LANCZOS))
     if not pictures:
         raise ValueError("frames must contain at least one picture, got none: the episode ended before the first")
-    # One palette for all frames: colours do not flicker, and only moving parts are stored again. A single frame might
-    # lack the colour of stick or that of slip.
-    # By coverage, not by frequency, so that the few pixels of a legend keep their colour too. Then means (kmeans): the
-    # middle of a range of colours would tint the background, which is most of the picture.
+    # One palette for all frames: colours do not flicker, and only moving parts are stored again. By coverage, so that
+    # the few pixels of a legend keep their colour; then means (kmeans), which do not tint the background.
     shown = pictures[:: -(-len(pictures) // FRAMES_OF_PALETTE)]
     together = Image.fromarray(np.concatenate([np.asarray(picture) for picture in shown]))
     palette = together.quantize(128, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)

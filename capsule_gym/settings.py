@@ -48,11 +48,7 @@ class StepSettings(NamedTuple):
 
 
 def divide(name: str, whole: float, part_name: str, part: float) -> int:
-    """The whole number of times that `part` fits into `whole`; both in seconds.
-
-    Raises:
-        ValueError: if it does not fit a whole number of times, or too often.
-    """
+    """The whole number of times that `part` fits into `whole`, both in seconds; a ValueError if it does not."""
     ratio = whole / part
     if ratio > MOST_SUBSTEPS:
         raise ValueError(

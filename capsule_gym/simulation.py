@@ -88,10 +88,9 @@ class Simulation:
         capsule: the plant's constants.
         controller: the law inside the step, or None.
         settings: the options as the core reads them.
-        world: shape (blocks, rows, lanes): environment i is lane i % lanes of block i // lanes, and `lanes` is LANES or,
-            for a single environment, 1. The rows are those of `Row`, the law's memory, its line of the reference, the
-            task's memory from `task_row` to `task_end`, and of varied plants the history of states that late sensors
-            show. `row`, `rows` and `columns` read it by environments.
+        world: shape (blocks, rows, lanes): environment i is lane i % lanes of block i // lanes, and `lanes` is LANES
+            or, for a single environment, 1. The rows are those of `capsule_gym.layout`; those of the task's memory are
+            `task_row` to `task_end`. `row`, `rows` and `columns` read it by environments.
         observations: shape (num_envs, entries), float32, of the present state.
         start: distribution of the initial states: middle (rad) and half width of theta's, half width of theta_dot's
             (rad/s).

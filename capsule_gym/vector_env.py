@@ -280,7 +280,8 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             fresh = True
         # Without a seed the first reset draws one from the system's entropy.
         _ = self.np_random
-        assert (first := self.np_random_seed) is not None
+        first = self.np_random_seed
+        assert first is not None
         for i, own in enumerate(given):
             if own is not None or fresh:
                 self.simulation.seed(i, first + i if own is None else own)

@@ -64,18 +64,13 @@ NEAREST, FARTHEST = 0.05, 0.5
 
 
 def parse_goal(name: str, value: Any) -> list[float]:
-    """The displacement of the goal from the start, in m.
-
-    Raises:
-        TypeError: if it is not a number.
-        ValueError: if it is not finite or too large.
-    """
+    """The displacement of the goal from the start, in m."""
     farthest = LARGEST_STATE[2]
     return [check_number(name, value, f"a finite number of m within {farthest:g} of 0", -farthest, farthest)]
 
 
 def metrics(memory: Any, whole: np.ndarray) -> dict[str, np.ndarray]:
-    """The metrics of `Task.metrics`."""
+    """See `Task.metrics`."""
     success = memory.reached > 0.0
     return {"success": success.astype(np.float64), "goal_time": np.where(success, memory.reached, whole)}
 

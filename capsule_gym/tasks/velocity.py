@@ -72,12 +72,7 @@ LASTS = (4.0, 8.0)
 
 
 def parse_commands(name: str, value: Any) -> list[float]:
-    """The velocities of the commands and how long each lasts, from `[{"t": s, "v": m/s}]`.
-
-    Raises:
-        TypeError: if the value or an entry is of the wrong type.
-        ValueError: if an entry is out of range, or there are too many.
-    """
+    """The velocities of the commands and how long each lasts, from `[{"t": s, "v": m/s}]`."""
     accepted = f"a list of 1 to {COMMANDS} dicts {{'t': s, 'v': m/s}}, the first at 0 s, each later than the one before"
     if isinstance(value, (list, tuple)) and not 1 <= len(value) <= COMMANDS:
         raise ValueError(f"{name} must be {accepted}, got {len(value)}")
