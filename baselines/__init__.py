@@ -1,8 +1,7 @@
 """The scripted baselines: the paper's trajectories, control laws and policies made of them.
 
 The environment's argument `controller` accepts the laws of `baselines.laws.LAWS`, and those of `TASK_LAWS` in their
-tasks, as in `controller="baselines:adaptive"`. Each law is imported at its first use, since importing numba takes most
-of a second.
+tasks, as in `controller="baselines:adaptive"`. Each law is imported at its first use.
 """
 
 from importlib import import_module

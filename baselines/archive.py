@@ -46,7 +46,7 @@ class PlantGrid:
     @cached_property
     def log_mu(self) -> tuple[float, ...]:
         """The logarithms of mu."""
-        return tuple(log(mu) for mu in self.mu)
+        return tuple(log(np.array(self.mu)).tolist())
 
     @property
     def plants(self) -> tuple[tuple[float, float], ...]:
@@ -71,7 +71,7 @@ class PlantGrid:
             return cell, min(max((value - nodes[cell]) / (nodes[cell + 1] - nodes[cell]), 0.0), 1.0)
 
         row, along_M = along(M, self.M)
-        column, along_mu = along(log(max(mu, self.mu[0])), self.log_mu)
+        column, along_mu = along(float(log(max(mu, self.mu[0]))), self.log_mu)
         corners = [i * len(self.mu) + j for i in (row, row + 1) for j in (column, column + 1)]
         return corners, along_M, along_mu
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from baselines.gaits import GAIT_DT
+from baselines.dynamic_programming import policy
+from baselines.gaits import GAIT_DT, archive
 from baselines.laws import LAWS as _LAWS
 from baselines.laws import TASK_LAWS
 
@@ -28,11 +27,6 @@ def _random_actions(seeds: Sequence[int]) -> Act:
     """Uniform actions; each environment has its own generator, so that its episode depends on its seed alone."""
     generators = [np.random.default_rng([seed, 1]) for seed in seeds]
     return lambda observations: np.array([[rng.uniform(-1.0, 1.0)] for rng in generators], np.float32)
-
-
-def _start(module: str, function: str, seeds: Sequence[int]) -> Act:
-    """Calls a `start` of a module that is imported at the first call, since importing numba takes most of a second."""
-    return getattr(import_module(module), function)(seeds)
 
 
 @dataclass(frozen=True)
@@ -57,8 +51,8 @@ class ScriptedPolicy:
 LAWS = {law.policy: f"baselines:{name}" for name, law in _LAWS.items()}
 
 SCRIPTED = {
-    policy.name: policy
-    for policy in (
+    each.name: each
+    for each in (
         ScriptedPolicy("zero", "no torque"),
         ScriptedPolicy("random", "uniform random torque, drawn every agent step", {}, _random_actions),
         *(ScriptedPolicy(law.policy, law.description, {"controller": LAWS[law.policy]}) for law in _LAWS.values()),
@@ -66,25 +60,25 @@ SCRIPTED = {
             "gait-nominal",
             "the tolerant gait of the nominal plant, whatever the plant; torque every 10 ms",
             {"control_dt": GAIT_DT},
-            partial(_start, "baselines.gaits.archive", "start_nominal"),
+            archive.start_nominal,
         ),
         ScriptedPolicy(
             "gait-oracle",
             "observes M and mu and takes the known gait that was fastest around such a plant; torque every 10 ms",
             {"control_dt": GAIT_DT, "observe_parameters": True},
-            partial(_start, "baselines.gaits.archive", "start_oracle"),
+            archive.start_oracle,
         ),
         ScriptedPolicy(
             "dp-nominal",
             "dynamic programming for the nominal plant with a margin of normal force, whatever the plant",
             {},
-            partial(_start, "baselines.dynamic_programming.policy", "start_nominal"),
+            policy.start_nominal,
         ),
         ScriptedPolicy(
             "dp-oracle",
             "observes M and mu; dynamic programming for that plant",
             {"observe_parameters": True},
-            partial(_start, "baselines.dynamic_programming.policy", "start_oracle"),
+            policy.start_oracle,
         ),
     )
 }

@@ -11,7 +11,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from itertools import groupby
+from typing import Any, NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -92,19 +93,34 @@ def expected_trajectories(capsules: Sequence[Capsule], amplitude: float) -> list
     return solved
 
 
+def run(torques: np.ndarray, plant: Plant, step: float) -> np.ndarray:
+    """Steps trajectories of one plant under torques in N m, shape (intervals, n), each held for `task.CONTROL_DT`.
+
+    Returns:
+        theta, theta_dot, x, x_dot at the start and after every interval, shape (intervals + 1, 4, n).
+    """
+    from capsule_gym import dynamics
+
+    state: tuple[Any, Any, Any, Any] = START
+    states, steps = [np.tile(np.array(START)[:, None], torques.shape[1])], round(task.CONTROL_DT / step)
+    for u in torques:
+        for _ in range(steps):
+            state = dynamics.step(*state, u, plant, task.CONTROL_DT / steps)[:4]
+        states.append(np.array(state))
+    return np.array(states)
+
+
 def errors(solved: Sequence[Expected], steps: Sequence[float]) -> np.ndarray:
     """The error of every trajectory (rows) at every step size in seconds (columns)."""
-    from benchmarks import reference
-
-    hold = task.CONTROL_DT
-    found = [
-        [
-            reference.run(each.torques[: each.intervals], START, each.plant, hold, round(hold / step)).states[-1]
-            for step in steps
-        ]
-        for each in solved
-    ]
-    return np.abs(np.array(found) - np.array([each.state for each in solved])[:, None]).max(axis=2)
+    found = []
+    for plant, group in groupby(solved, key=lambda each: each.plant):
+        members = list(group)
+        longest = max(each.intervals for each in members)
+        torques = np.array([each.torques[:longest] for each in members]).T
+        runs = [run(torques, plant, step) for step in steps]
+        for i, each in enumerate(members):
+            found.append([np.abs(states[each.intervals, :, i] - each.state).max() for states in runs])
+    return np.array(found)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -15,14 +15,16 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TypeVar
 
-from llvmlite.binding import get_host_cpu_features
 from tqdm import tqdm
 
 from baselines.tables import Rows, markdown_table, text_table
+from capsule_gym import native
 from capsule_gym.command_line import check_output
 from capsule_gym.files import write_atomically
 
-PACKAGES = ("capsule-gym", "numba", "numpy", "gymnasium")
+PACKAGES = ("capsule-gym", "numpy", "gymnasium")
+# Vectors that the core uses, by its levels of instructions.
+VECTORS = {"v4": "AVX-512", "v3": "AVX2"}
 
 Name = TypeVar("Name")
 
@@ -67,7 +69,7 @@ def available_cores() -> int:
 
 
 def machine(*packages: str) -> str:
-    """One line with the processor, its widest vectors, cores and versions, also of `packages` if installed."""
+    """One line with the processor, vectors of the core, cores and versions, also of `packages` if installed."""
     versions = []
     for package in (*PACKAGES, *packages):
         try:
@@ -78,11 +80,10 @@ def machine(*packages: str) -> str:
     lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     cpu = names[0] if names else platform.processor() or platform.machine()
-    features = get_host_cpu_features()
-    vectors = [name for feature, name in {"avx512f": "AVX-512", "avx2": "AVX2"}.items() if features.get(feature)]
+    vectors = [VECTORS[native.LEVEL]] if native.LEVEL in VECTORS else []
     cores = f"{available_cores()} of {os.cpu_count()} cores"
     system = f"{platform.system()}, Python {platform.python_version()}"
-    return ", ".join([" with ".join([cpu, *vectors[:1]]), cores, system, *versions])
+    return ", ".join([" with ".join([cpu, *vectors]), cores, system, *versions])
 
 
 def take_turns(contenders: Mapping[Name, Callable[[], float]], turns: int) -> dict[Name, list[float]]:

@@ -1,12 +1,10 @@
-"""An independent reference for the plant, and compiled loops around `contact.step` to compare with it.
+"""An independent reference for the plant.
 
-The reference does not use the equations of `capsule_gym`. Its equations are typed again from the paper, corrected, and
+It does not use the equations of `capsule_gym`. Its equations are typed again from the paper, corrected, and
 solved differently: the first row of Eq. (1) gives theta'' in terms of x'', the normal force is linear in x'', and the
 second row then contains only x''. `simulate` integrates the smooth phases of contact (slip = +1, -1 or 0 for stick) one
 after another with SciPy's DOP853, of eighth order. It searches for the end of a phase on samples of the dense output of
 every step, so that it also finds a phase that leaves and re-enters its domain within one step.
-
-The compiled loops are not cached on disk, since numba's cache does not notice edits in imported modules.
 """
 
 from __future__ import annotations
@@ -16,11 +14,9 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.integrate import DOP853
 from scipy.optimize import brentq, minimize_scalar
 
-from capsule_gym import contact
 from capsule_gym.parameters import Plant
 
 RTOL = 2e-13
@@ -220,66 +216,3 @@ def _phase(
         swept += _swept(y_0, y_1, dense, t_0, t_1)
         accel = accel_1
     return end, solver.y.copy(), normal, False, swept
-
-
-# --- compiled loops around `contact.step` ---
-
-step = njit(contact.step)
-
-
-class Run(NamedTuple):
-    """The result of `run`; row i of the arrays belongs to the time i * hold.
-
-    Attributes:
-        states: theta, theta_dot, x, x_dot.
-        sums: sums of the step's integrals so far: forward, backward, stuck, swept.
-        normal: the smallest `Motion.normal_force` in the control interval that ends at that time.
-        events: number of events so far.
-        most_events: the most events in any one step.
-    """
-
-    states: np.ndarray
-    sums: np.ndarray
-    normal: np.ndarray
-    events: np.ndarray
-    most_events: int
-
-
-@njit
-def run(torques: np.ndarray, state: tuple, p: Plant, hold: float, steps: int) -> Run:
-    """Steps the plant through `torques`, each held for `hold` seconds in `steps` equal steps."""
-    n = torques.size
-    states, sums = np.empty((n + 1, 4)), np.zeros((n + 1, 4))
-    normal, events = np.full(n + 1, math.inf), np.zeros(n + 1, dtype=np.int64)
-    theta, theta_dot, x, x_dot = state
-    states[0] = state
-    h = hold / steps
-    most_events = 0
-    for i in range(n):
-        sums[i + 1], events[i + 1] = sums[i], events[i]
-        for _ in range(steps):
-            motion = step(theta, theta_dot, x, x_dot, torques[i], p, h)
-            theta, theta_dot, x, x_dot = motion.theta, motion.theta_dot, motion.x, motion.x_dot
-            sums[i + 1, 0] += motion.forward
-            sums[i + 1, 1] += motion.backward
-            sums[i + 1, 2] += motion.stuck
-            sums[i + 1, 3] += motion.swept
-            normal[i + 1] = min(normal[i + 1], motion.normal_force)
-            events[i + 1] += motion.events
-            most_events = max(most_events, motion.events)
-        states[i + 1] = (theta, theta_dot, x, x_dot)
-    return Run(states, sums, normal, events, most_events)
-
-
-@njit
-def torque_for_load(ratio: float, theta: float, theta_dot: float, p: Plant) -> float:
-    """The torque at which the load on a platform at rest is `ratio` times mu N (negative: backwards).
-
-    With x'' = 0, the second row of Eq. (1) gives theta'' and the first row then the torque; mu is the forward
-    coefficient.
-    """
-    s, c = math.sin(theta), math.cos(theta)
-    rough = ratio * p.mu
-    wanted = rough * ((p.M + p.m) * p.g / (p.m * p.l) - theta_dot**2 * c) + theta_dot**2 * s
-    alpha = wanted / (c + rough * s)
-    return p.m * p.l**2 * alpha - p.m * p.g * p.l * s + p.k * theta + p.c * theta_dot

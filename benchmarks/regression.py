@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import cycle
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -29,9 +29,9 @@ from benchmarks.throughput import ACTION_SCALE, DRAWS, LAW, SEED, SINGLE_PEER, s
 from capsule_gym import ENV_ID, Policy, load_policy
 from capsule_gym.command_line import parse
 from capsule_gym.config import LAW_PHYSICS_DT, EnvConfig
-
-if TYPE_CHECKING:
-    from capsule_gym.simulation import Simulation
+from capsule_gym.layout import Row
+from capsule_gym.network import rollout
+from capsule_gym.simulation import Simulation
 
 COMMAND = "python -m benchmarks.regression"
 NUM_ENVS = 1024
@@ -74,9 +74,6 @@ class Guard:
 
 def seeded(num_envs: int, **options: Any) -> Simulation:
     """Creates environments with different seeds, so that their plants differ."""
-    # Imported here, since numba takes most of a second to import and --help does not need it.
-    from capsule_gym.simulation import Simulation
-
     simulation = Simulation(num_envs, EnvConfig(**options))
     for i in range(num_envs):
         simulation.seed(i, i)
@@ -89,8 +86,6 @@ def kernel_steps(held: bool = False, **options: Any) -> Turn:
 
     With `held`, each environment keeps its first torque, so that the platform rarely reverses.
     """
-    from capsule_gym.layout import Row
-
     # Episodes continue from turn to turn; an environment whose episode has ended is reset.
     simulation = seeded(NUM_ENVS, **options)
     draws = cycle(ACTION_SCALE * np.random.default_rng(SEED).uniform(-1.0, 1.0, (1 if held else DRAWS, NUM_ENVS)))
@@ -114,8 +109,6 @@ def kernel_steps(held: bool = False, **options: Any) -> Turn:
 
 def single_kernel_steps() -> Turn:
     """Steps of a single environment (a block with one lane in use), without the overhead of the call from Python."""
-    from capsule_gym.layout import Row
-
     simulation = seeded(1)
     # Few enough calls that no torque ends the episode.
     calls, torques = 200, cycle(ACTION_SCALE * np.linspace(-1.0, 1.0, 9))
@@ -159,8 +152,6 @@ def resets(env_id: str) -> Turn:
 
 def episodes(policy: Policy) -> Turn:
     """The first steps of episodes of a trained policy in one compiled call, as evaluations run them."""
-    from capsule_gym.network import rollout
-
     simulation = seeded(EVALUATED, **policy.env_kwargs)
 
     def work() -> None:

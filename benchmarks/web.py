@@ -25,7 +25,7 @@ from benchmarks.measurement import OutputArgs, machine, spread, take_turns
 from capsule_gym.command_line import Count, parse, refuse
 from capsule_gym.task import EPISODE_STEPS
 from web import build
-from web.episodes import env_kwargs, is_trained
+from web.episodes import drivers
 
 COMMAND = "python -m benchmarks.web"
 # No control law, a law, a network, and a law with a network and a filter.
@@ -60,12 +60,12 @@ class Args(OutputArgs):
 
 def native_episode(name: str) -> float:
     """Runs a nominal episode in Python's environment, as a user does; returns the steps per second."""
-    env = capsule_gym.CapsuleEnv(**env_kwargs(name))
-    policy = capsule_gym.load_policy(name) if is_trained(name) else None
+    policy = drivers()[name]
+    env = capsule_gym.CapsuleEnv(**policy.env_kwargs)
     nothing, nominal = np.zeros(1, np.float32), {"M": env.simulation.capsule.M, "mu": env.simulation.capsule.mu}
     start = time.process_time()
     observation, _ = env.reset(options=nominal)
-    act = policy.start([0]) if policy else None
+    act = policy.start([0]) if isinstance(policy, capsule_gym.Policy) else None
     for _ in range(EPISODE_STEPS):
         observation, *_ = env.step(act(observation) if act else nothing)
     rate = EPISODE_STEPS / (time.process_time() - start)

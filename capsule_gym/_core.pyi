@@ -21,6 +21,7 @@ MOTOR_WIDTH: float
 MOTOR_SLOPE: float
 ERROR_BOUND: float
 HOLD: float
+TOLERANCE: float
 TIME_TOLERANCE: float
 SPEED_BOUND: float
 SETTLING: float

@@ -174,8 +174,8 @@ def parse_set(content: Any) -> EvaluationSet:
     Args:
         content: `{"name": .., "plants": [..]}`, optionally with the other fields of an `EvaluationSet`, such as
             `"capsule": {"static_ratio": 1.3}` and `"disturbances": {"latency": [0.005, 0.015]}`. A plant is an object
-            with M, mu, seed and optionally the other fields of a `PlantSpec`; all or none have a goal, and the constants
-            of their capsules have the same names.
+            with M, mu, seed and optionally the other fields of a `PlantSpec`; all or none have a goal, and their
+            capsules have constants of the same names.
 
     Raises:
         TypeError: if a number is of the wrong type.

@@ -114,8 +114,8 @@ def _compile(controller: Any, row_size: int, lanes: int) -> Any:
         return compile_function(scope["call_law"])
     except Exception as error:
         warnings.warn(
-            f"Python calls the control law {controller.name!r}, about 1 ms per step of an environment, since numba "
-            f"cannot compile it: {first_cause(error)}",
+            f"Python calls the control law {controller.name!r}, some tens of times slower than compiled code, since "
+            f"numba cannot compile it: {first_cause(error)}",
             stacklevel=2,
         )
         return None

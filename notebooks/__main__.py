@@ -1,6 +1,6 @@
 """Runs the notebooks and stores their outputs: `python notebooks`, which `make notebooks` runs.
 
-A notebook with unchanged outputs stays unchanged: execution times and numba's compilation messages are not stored.
+A notebook with unchanged outputs stays unchanged: execution times are not stored.
 A notebook that fails also stays unchanged, and ends the command.
 """
 
@@ -21,8 +21,6 @@ def main() -> None:
         NotebookClient(notebook, record_timing=False, resources={"metadata": {"path": path.parent}}).execute()
         for cell in notebook.cells:
             cell.metadata.pop("execution", None)
-            if cell.cell_type == "code":
-                cell.outputs = [one for one in cell.outputs if "capsule_gym: compiling" not in one.get("text", "")]
         write_atomically(path, nbformat.writes(notebook) + "\n")
         print(f"{path.name}: {time.monotonic() - start:.0f} s", flush=True)
 

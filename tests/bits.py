@@ -3,8 +3,9 @@
 `bits.json` holds a sha256 for the plant under random torques, for every law of `baselines` under random residuals, for
 every scripted policy without a law, for every committed policy, and for two made ones that use the options of policies.
 A hash covers all observations, rewards and states of a batch over a whole episode, and the metrics at its end. Some
-environments also run alone, and trained policies also run in one compiled call on two threads: the bits must be equal.
-`--variants` also changes the processor and the libraries of elementary functions, each in a process of its own.
+environments also run alone, and trained policies also run in one call of the core on two threads: the bits must be
+equal. `--variants` also changes the level of instructions and the libraries of elementary functions, which Python's
+tables use, each in a process of its own.
 """
 
 from __future__ import annotations
@@ -12,11 +13,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import platform
 import re
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -29,9 +28,10 @@ from gymnasium.vector import AutoresetMode
 import baselines
 import capsule_gym
 from baselines.policies import SCRIPTED
-from capsule_gym import Capsule, Disturbances, policy_names
+from capsule_gym import Capsule, Disturbances, _core, policy_names
 from capsule_gym.command_line import parse
 from capsule_gym.files import write_atomically
+from capsule_gym.network import rollout
 from capsule_gym.task import CONTROL_DT, HORIZON
 
 if TYPE_CHECKING:
@@ -203,9 +203,6 @@ def batch(subject: Subject, threads: int = 1) -> CapsuleVectorEnv:
 
 def compute(subject: Subject) -> tuple[str, list[str]]:
     """The hash of a subject, and one line for each difference between runs of the same episode."""
-    # numba takes most of a second to import, and --help does not need it.
-    from capsule_gym.network import rollout
-
     trajectory, metrics = batched(subject)
     wrong = []
     i = ALONE[len(subject.name) % 2]
@@ -215,36 +212,19 @@ def compute(subject: Subject) -> tuple[str, list[str]]:
     if subject.policy:
         env = batch(subject, threads=2)
         env.reset(seed=0)
-        compiled = rollout(env.simulation, subject.policy, subject.steps)
+        rolled = rollout(env.simulation, subject.policy, subject.steps)
         env.close()
-        if any(compiled[name].tobytes() != metrics[name].tobytes() for name in metrics):
-            wrong.append(f"{subject.name}: the compiled rollout differs from the loop")
+        if any(rolled[name].tobytes() != metrics[name].tobytes() for name in metrics):
+            wrong.append(f"{subject.name}: the rollout differs from the loop")
     digest = hashlib.sha256()
     for array in (*trajectory, *metrics.values()):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest(), wrong
 
 
-def processors() -> dict[str, dict[str, str]]:
-    """Environment variables that make numba compile for other processors that this one can execute.
-
-    One processor has no fused instructions and narrow vectors, two of different makers have 256 bits, and one has 512.
-    """
-    needed = {"generic": set(), "haswell": {"avx2", "fma"}, "znver3": {"avx2", "fma"}, "skylake-avx512": {"avx512bw"}}
-    # With the name alone, numba would keep this processor's features. It derives the features from the name only if
-    # they are empty.
-    return {
-        name: {"NUMBA_CPU_NAME": name, "NUMBA_CPU_FEATURES": ""}
-        for name, features in needed.items()
-        if platform.machine() in ("x86_64", "AMD64") and features <= own_features()
-    }
-
-
-def own_features() -> set[str]:
-    """The features of this processor, as Linux names them."""
-    path = Path("/proc/cpuinfo")
-    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-    return set(next((line for line in lines if line.startswith("flags")), "").split())
+def levels() -> dict[str, dict[str, str]]:
+    """Environment variables that choose the levels of instructions that this processor runs."""
+    return {f"level {name}": {"CAPSULE_GYM_LEVEL": name} for name in _core.LEVELS}
 
 
 def libraries() -> dict[str, dict[str, str]]:
@@ -267,14 +247,12 @@ def run(variables: dict[str, str], *names: str) -> subprocess.CompletedProcess[s
     """Compares in a separate process.
 
     Args:
-        variables: environment variables. Code for another processor is not kept.
+        variables: environment variables.
         names: of the subjects; all subjects if none is given.
     """
     command = [sys.executable, "-m", "tests.bits", *(("--only", *names) if names else ())]
-    with tempfile.TemporaryDirectory() as folder:
-        cache = {"NUMBA_CACHE_DIR": folder} if "NUMBA_CPU_NAME" in variables else {}
-        environment = {**os.environ, **cache, **variables}
-        return subprocess.run(command, cwd=FILE.parents[1], env=environment, capture_output=True, text=True)
+    environment = {**os.environ, **variables}
+    return subprocess.run(command, cwd=FILE.parents[1], env=environment, capture_output=True, text=True)
 
 
 @dataclass(frozen=True)
@@ -290,7 +268,7 @@ class Args:
     """Write them to tests/bits.json."""
 
     variants: bool = False
-    """Also compare as other processors and libraries compute, as far as this machine can emulate them."""
+    """Also compare with each level of instructions that this processor runs, and as other libraries compute."""
 
     only: tuple[str, ...] = ()
     """Subjects that are compared; all where none is given."""
@@ -321,7 +299,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_atomically(FILE, json.dumps(found, indent=1) + "\n")
     first = [s.name for s in subjects() if not (s.policy and re.search(r"/seed-[1-9]", s.name))]
     failed = bool(compare(first if args.first_seeds and not args.only else args.only))
-    for name, variables in ({**processors(), **libraries()} if args.variants else {}).items():
+    for name, variables in ({**levels(), **libraries()} if args.variants else {}).items():
         begun = time.perf_counter()
         done = run(variables, *args.only)
         print(

@@ -1,7 +1,8 @@
 """Measures how many random faults the tests find: `python -m tests.mutants --count 150 --seed 0`.
 
-A mutant changes one operator, constant or comparison, or removes one statement, in a clone of the last commit. A mutant
-is killed if a test fails. The tests of its module run first, then those of its folder, and with `--whole` all tests.
+A mutant changes one operator, constant or comparison of Python, or removes one statement, in a clone of the last
+commit. A mutant is killed if a test fails. The tests of its module run first, then those of its folder, and with
+`--whole` all tests.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Writes the live page and its module: `python -m web.build`, which `make web` runs.
 
-The command writes three files to the folder of the site: the page `index.html`, from the page's template, style and
-modules; the module `capsule.mjs`; and its types `capsule.d.mts`. Page and module need no other file and no server.
+The command compiles the core to WebAssembly and writes three files to the folder of the site: the page `index.html`,
+the module `capsule.mjs`, and its types `capsule.d.mts`. Page and module need no other file and no server.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ import json
 import os
 import re
 import subprocess
+import sys
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,42 +26,50 @@ from capsule_gym.command_line import parse, refuse
 from capsule_gym.files import write_atomically
 
 PROG = "python -m web.build"
-FOLDER = Path("site/live")
 SOURCES = Path(__file__).parent
-# The line of web/capsule.mjs that is replaced by the archive.
-PLACE = 'const ARCHIVE = "";'
-LINK = '<a id="documentation"'
-PAGE = SOURCES / "page"
-MODULE = "capsule.mjs"
-# Lengths and colours that the page shares with `capsule_gym.rendering`.
-LENGTHS = (
-    *("ROD", "BALL", "PIVOT", "SHELL_HEIGHT", "SHELL_HALF", "PLATFORM_HALF", "PLATFORM_HEIGHT", "GAUGE"),
-    *("SPRING_INNER", "SPRING_OUTER", "SPRING_TURNS"),
+CORE = SOURCES.parent / "capsule_gym" / "core"
+COMPILER = (
+    *(sys.executable, "-m", "ziglang", "c++", "-std=c++20", "-O3", "-g0", "-I", str(CORE)),
+    # Features that every engine supports since 2021.
+    *("-target", "wasm32-freestanding", "-mcpu=generic+bulk_memory+mutable_globals+nontrapping_fptoint+sign_ext"),
+    *("-ffp-contract=off", "-DCAPSULE_FP_CONTRACT_OFF", "-fno-math-errno", "-fno-exceptions", "-fno-rtti"),
+    *("-nostdlib++", "-Wl,--no-entry", "-Wl,--strip-all", "-Wl,-z,stack-size=1048576"),
 )
-COLOURS = (
-    *("PAPER", "WHITE", "FLOOR_FILL", "GRID", "HAIRLINE", "TICK", "GREY", "INK", "SLATE", "SHELL", "INSIDE"),
-    *("BALL_COLOUR", "TORQUE", "STICK", "SLIP"),
-)
+
+
+def compile_wasm(source: Path = CORE / "web.cpp") -> bytes:
+    """The WebAssembly module of a C++ file, by default of the core.
+
+    The target is fixed, so the same version of `ziglang` gives the same bytes.
+
+    Raises:
+        RuntimeError: if the compiler fails.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        module = Path(folder, "core.wasm")
+        done = subprocess.run([*COMPILER, "-o", str(module), str(source)], capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise RuntimeError(f"python -m ziglang c++ failed:\n{done.stderr}")
+        return module.read_bytes()
 
 
 def build_module(archive: str) -> str:
     """The text of capsule.mjs with the archive inserted."""
     source = (SOURCES / "capsule.mjs").read_text(encoding="utf-8")
-    before, after = source.split(PLACE)
+    before, after = source.split('const ARCHIVE = "";')
     return f'{before}const ARCHIVE = "{archive}";{after}'
 
 
 def build_page(module: str) -> str:
     """The text of the page, one HTML file; an import map contains the text of every JavaScript module by its name."""
-    lengths = {name: getattr(rendering, name) for name in LENGTHS}
-    sources = {MODULE: module, "figure.js": f"export const figure = {json.dumps(lengths)};\n"}
-    sources |= {path.name: path.read_text("utf-8") for path in sorted(PAGE.glob("*.js"))}
+    lengths = {name: value for name, value in vars(rendering).items() if name.isupper() and isinstance(value, float)}
+    sources = {"capsule.mjs": module, "figure.js": f"export const figure = {json.dumps(lengths)};\n"}
+    folder = SOURCES / "page"
+    sources |= {path.name: path.read_text("utf-8") for path in sorted(folder.glob("*.js"))}
     imports = {name: "data:text/javascript," + quote(text, safe="/+= ;:,()[]{}*!?&|") for name, text in sources.items()}
-    parts = {
-        "style": palette() + (PAGE / "page.css").read_text("utf-8"),
-        "import map": json.dumps({"imports": imports}),
-    }
-    template = (PAGE / "index.html").read_text("utf-8")
+    style = palette() + (folder / "page.css").read_text("utf-8")
+    parts = {"style": style, "import map": json.dumps({"imports": imports})}
+    template = (folder / "index.html").read_text("utf-8")
     page = re.sub(r"/\* (style|import map) \*/", lambda match: parts[match[1]], template)
     # The address of the preview image must be absolute. SITE_URL is set when the site is deployed, as in mkdocs.yml.
     return page.replace("../media/", (os.environ.get("SITE_URL") or "../") + "media/", 1)
@@ -67,7 +77,11 @@ def build_page(module: str) -> str:
 
 def palette() -> str:
     """The colours of the robot and the figures as CSS properties, for example --ink for INK."""
-    robot = {name: "#" + "".join(f"{part:02x}" for part in getattr(rendering, name)) for name in COLOURS}
+    robot = {
+        name: "#" + bytes(value).hex()
+        for name, value in vars(rendering).items()
+        if name.isupper() and isinstance(value, tuple) and len(value) == 3
+    }
     colours = {**robot, "RIVAL": drawing.PURPLE, "ACCENT": drawing.BLUE, "WARNING": drawing.VERMILION}
     lines = (f"  --{name.lower().replace('_', '-')}: {value};\n" for name, value in colours.items())
     return ":root {\n" + "".join(lines) + "}\n"
@@ -82,7 +96,7 @@ class Args:
       python -m web.build --output elsewhere
     """
 
-    output: Annotated[Path, arg(metavar="DIR", aliases=["-o"])] = FOLDER
+    output: Annotated[Path, arg(metavar="DIR", aliases=["-o"])] = Path("site/live")
     """Folder of the files; created if it does not exist."""
 
 
@@ -97,19 +111,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except OSError as error:
         refuse(PROG, f"--output must be a folder that can be written to, got {str(args.output)!r}: {error}")
     try:
-        archive = pack_data()
-    except subprocess.CalledProcessError as error:
-        refuse(PROG, f"the modules cannot be built: {error}")
-    module = build_module(archive)
+        core = compile_wasm()
+    except RuntimeError as error:
+        refuse(PROG, f"the core cannot be compiled: {error}")
+    module = build_module(pack_data(core))
     page = build_page(module)
     if not (args.output.parent / "index.html").is_file():
         # Hides the link to the documentation, which does not exist in the folder above.
-        page = page.replace(LINK, f"{LINK} hidden", 1)
-    for name, text in (
-        ("index.html", page),
-        ("capsule.mjs", module),
-        ("capsule.d.mts", (SOURCES / "capsule.d.mts").read_text(encoding="utf-8")),
-    ):
+        page = page.replace('<a id="documentation"', '<a id="documentation" hidden', 1)
+    types = (SOURCES / "capsule.d.mts").read_text(encoding="utf-8")
+    for name, text in (("index.html", page), ("capsule.mjs", module), ("capsule.d.mts", types)):
         write_atomically(args.output / name, text)
         print(f"{args.output / name}: {len(text.encode()) / 1000:.0f} kB")
 

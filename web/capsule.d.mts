@@ -192,6 +192,8 @@ export class Capsule {
   readonly metrics: Metrics;
   /** The `quantities`, the law's memory, its row of the reference table, the task's memory, and the history. */
   readonly world: Float64Array;
+  /** What `check` compares: the rows of `info`, the memories of law and task, the last reading, and the observation. */
+  readonly compared: (Float64Array | Float32Array)[];
   reset(start?: Start): { observation: Float32Array; info: Info };
   step(action: number): StepResult;
   setPlant(plant: Plant): void;
@@ -224,20 +226,20 @@ export interface OwnDriver {
   /** One of `controllers`. */
   controller: string;
   seed?: number;
-  /** The step's settings, plain and disturbed, in the package's internal layout; control_dt in s. */
+  /** The step's settings in the order of the core, for ideal and for disturbed plants; control_dt in s. */
   settings: {
-    fixed: number[];
-    varied: number[];
+    ideal: number[];
+    disturbed: number[];
     capsule: number[];
     disturbances: "none" | "real" | Disturbances;
     entries: number;
     control_dt: number;
     steps: number;
   };
-  /** The packed network in the package's internal layout. */
+  /** Lowest and highest energy weight of a policy that observes it, cm/J. */
+  energyWeight?: [number, number];
+  /** The network as the core takes it. */
   network: number[];
-  /** Largest number of units in a layer. */
-  units: number;
 }
 
 /** Adds a policy of your own to `drivers`. */

@@ -1,18 +1,13 @@
 /**
- * The capsule robot in a browser or in node. The environment's compiled step, its laws and its trained policies run as
- * WebAssembly, with the same bits as in Python. `capsule.d.mts` declares the types; docs/live.md shows the usage.
- *
- * This file contains no physics: it lays out arrays in memory, calls the compiled functions, and reads the results.
+ * The capsule robot in a browser or in node. The core (`capsule_gym/core/web.cpp`) with the environment's step, its laws
+ * and its trained policies runs as WebAssembly, with the same bits as in Python. `capsule.d.mts` declares the types;
+ * docs/live.md shows the usage.
  *
  * @module
  */
 
-/** The data that `python -m web.build` inserts: modules, tables, networks, plants; see `web/data.py`. */
+/** The data that `python -m web.build` inserts: the core, tables, networks, plants; see `web/data.py`. */
 const ARCHIVE = "";
-
-const STACK = 65536;
-const PAGE = 65536;
-const LINE = 64;
 
 /** Returns the archive's header and the bytes after it. */
 async function unpack(text) {
@@ -25,18 +20,23 @@ async function unpack(text) {
 }
 
 const [HEADER, CONTENT] = await unpack(ARCHIVE);
-const { layout: LAYOUT, tasks: TASKS, controllers: CONTROLLERS, drivers: DRIVERS, variation: VARIATION } = HEADER;
+const { core: CORE, tasks: TASKS, controllers: CONTROLLERS, drivers: DRIVERS, variation: VARIATION } = HEADER;
 const { constants: CONSTANTS, disturbances: DISTURBANCES } = VARIATION;
+const MODULE = await WebAssembly.compile(CONTENT.slice(HEADER.module.at, HEADER.module.at + HEADER.module.size));
 const SENSORS = ["theta", "theta_dot", "x_dot"];
-const { lanes: LANES, quantities: QUANTITIES } = LAYOUT;
-const ROW = Object.fromEntries(QUANTITIES.map((name, row) => [name, row]));
+const ROW = numbered(CORE.rows);
+const SETTING = numbered(CORE.settings);
 const STATE = Object.keys(HEADER.constants.start);
 /** The quantities that are meaningful between two steps. */
-const SHOWN = QUANTITIES.slice(0, ROW.clock + 1);
-const MODULES = new Map();
+const SHOWN = CORE.rows.slice(0, ROW.clock + 1);
+
+/** Returns the place of each name. */
+function numbered(names) {
+  return Object.fromEntries(names.map((name, place) => [name, place]));
+}
 
 /** Returns the public fields of a driver. */
-function describe({ settings, network, units, gaits, recordings, seeds, ...shown }) {
+function describe({ settings, network, gaits, recordings, seeds, ...shown }) {
   const own = { controlDt: settings.control_dt, steps: settings.steps };
   return { ...shown, ...own, ...(recordings && { recorded: Object.keys(recordings) }), ...(seeds && { seeds: seeds.count }) };
 }
@@ -54,7 +54,7 @@ export const tasks = Object.keys(TASKS);
  * Names of the rows of `world`, in their order. The law's memory, its row of the reference table, the task's memory,
  * and the history of a disturbed plant follow.
  */
-export const quantities = QUANTITIES;
+export const quantities = CORE.rows;
 
 /** Reads a float64 array from the archive, which stores its bytes by column and significance. */
 function readArray({ at, rows, columns }) {
@@ -68,37 +68,13 @@ function readArray({ at, rows, columns }) {
   return new Float64Array(bytes.buffer);
 }
 
-/** Returns a compiled module; compiles each once. */
-function compiled(name) {
-  if (!MODULES.has(name)) {
-    const { at, size } = HEADER.modules[name];
-    MODULES.set(name, WebAssembly.compile(CONTENT.slice(at, at + size)));
-  }
-  return MODULES.get(name);
-}
-
-/** Allocates arrays in one memory; returns their addresses, the modules' functions, and the views. */
-async function place(sizes, names) {
-  let end = STACK;
-  const address = {};
-  for (const [name, [Kind, length]] of Object.entries(sizes)) {
-    address[name] = end;
-    end += Math.ceil((length * Kind.BYTES_PER_ELEMENT) / LINE) * LINE;
-  }
-  const memory = new WebAssembly.Memory({ initial: Math.ceil(end / PAGE) });
-  const env = {
-    __linear_memory: memory,
-    __stack_pointer: new WebAssembly.Global({ value: "i32", mutable: true }, STACK),
-  };
-  const call = {};
-  for (const name of names) {
-    // The step imports the law, which precedes it.
-    Object.assign(call, (await WebAssembly.instantiate(await compiled(name), { env: { ...env, ...call } })).exports);
-  }
-  const views = Object.entries(sizes).map(([name, [Kind, length]]) => [
-    name,
-    new Kind(memory.buffer, address[name], length),
-  ]);
+/** Starts the core with arrays in its memory; returns their addresses, the core's functions, and the views. */
+async function place(sizes) {
+  const { exports: call } = await WebAssembly.instantiate(MODULE, {});
+  const entries = Object.entries(sizes);
+  const places = entries.map(([name, [Kind, length]]) => [name, call.allocate(length * Kind.BYTES_PER_ELEMENT)]);
+  const address = Object.fromEntries(places);
+  const views = entries.map(([name, [Kind, length]]) => [name, new Kind(call.memory.buffer, address[name], length)]);
   return { address, call, view: Object.fromEntries(views) };
 }
 
@@ -165,26 +141,25 @@ function rounded(value) {
 }
 
 /** Time between two calls of the law or, without a law, of the integrator, s. */
-function periodOf(fixed) {
-  return fixed[LAYOUT.settings.physics_steps] * fixed[LAYOUT.settings.physics_dt];
+function periodOf(packed) {
+  return packed[SETTING.physics_steps] * packed[SETTING.physics_dt];
 }
 
 /** Packs plant and settings for the step, for an ideal or a disturbed plant. */
-function packFixed(settings, capsule, disturbed) {
-  const fixed = Float64Array.from(disturbed ? settings.varied : settings.fixed);
-  CONSTANTS.forEach((name, n) => { if (name in LAYOUT.plant) fixed[LAYOUT.plant[name]] = capsule[n]; });
-  if (!disturbed) return fixed;
+function packSettings(settings, capsule, disturbed) {
+  const packed = Float64Array.from(disturbed ? settings.disturbed : settings.ideal);
+  CONSTANTS.forEach((name, n) => { if (name in SETTING) packed[SETTING[name]] = capsule[n]; });
+  if (!disturbed) return packed;
   const { controls, unmeasured, latency, stick_threshold } = disturbed;
-  const at = LAYOUT.settings;
-  fixed[at.history] = rounded([latency].flat().at(-1) / periodOf(fixed)) + 1;
-  fixed[at.law_reads] = fixed[at.with_reference] && controls !== "agent";
-  fixed[at.agent_reads] = controls !== "law";
-  fixed[at.stick_threshold] = controls === "law" ? 0 : stick_threshold;
-  for (const name of SENSORS) fixed[at[`with_${name}`]] = !unmeasured.includes(name);
-  return fixed;
+  packed[SETTING.history] = rounded([latency].flat().at(-1) / periodOf(packed)) + 1;
+  packed[SETTING.law_reads] = packed[SETTING.with_reference] && controls !== "agent";
+  packed[SETTING.agent_reads] = controls !== "law";
+  packed[SETTING.stick_threshold] = controls === "law" ? 0 : stick_threshold;
+  for (const name of SENSORS) packed[SETTING[`with_${name}`]] = !unmeasured.includes(name);
+  return packed;
 }
 
-/** The table for `resets.draw_rows`: draws of the task, whose memory begins at row `first`, and of a varied plant. */
+/** The table of draws for the core: those of the task, whose memory begins at row `first`, and of a varied plant. */
 function drawTable(task, first, capsule, disturbed) {
   const table = TASKS[task].table.map(([row, ...line]) => [row + first, ...line]);
   if (!disturbed) return table;
@@ -260,11 +235,19 @@ export class Capsule {
     this.#place = placed;
     this.#kind = kind;
     this.#settings = settings;
-    const { view } = placed;
-    view.fixed.set(kind.fixed);
-    view.fixed.set(kind.reference, kind.fixed.length);
+    const { address, call, view } = placed;
+    view.settings.set(kind.settings);
+    view.reference.set(kind.reference);
+    view.law_constants.set(kind.constants);
     view.memory.set(kind.memory);
-    view.table.set(kind.table.flat());
+    view.draw_table.set(kind.table.flat());
+    const fields = {
+      ...address, num_envs: 1, lanes: 1, entries: settings.entries, task: tasks.indexOf(kind.task), law: kind.law,
+      task_size: TASKS[kind.task].memory.length, memory_size: kind.memory.length, draw_lines: kind.table.length,
+      reference_rows: kind.reference.length / kind.columns, reference_size: kind.columns,
+    };
+    view.fields.set(CORE.batch.map((name) => fields[name] ?? 0));
+    call.bind(address.fields);
   }
 
   /** Whether an episode draws values and accepts a seed. */
@@ -292,7 +275,7 @@ export class Capsule {
    * since then do. By default, M and mu are nominal, and the state is `constants.start`.
    */
   reset({ M = constants.nominal.M, mu = constants.nominal.mu, changes = [], seed, ...others } = {}) {
-    const { task, table, disturbed, fixed } = this.#kind;
+    const { task, table, disturbed } = this.#kind;
     const plant = checkPlant("", { M, mu });
     const schedule = checkChanges(changes);
     const [start, given] = [{ ...constants.start }, {}];
@@ -318,20 +301,16 @@ export class Capsule {
       checkCount("seed", seed, 2 ** 53);
     }
     const overrides = this.#overrides(given);
-    const { address, call, view } = this.#place;
+    const { call, view } = this.#place;
     if (seed !== undefined) {
-      view.key.set([BigInt(seed), 0n]);
+      view.keys.set([BigInt(seed), 0n]);
       view.episodes[0] = 0n;
     }
-    if (table.length) call.draw(address.table, table.length, address.rows, address.key, address.episodes, address.drawn);
+    call.draw_episode();
     view.starts.set([...STATE.map((name) => start[name]), plant.M, plant.mu]);
+    table.forEach(([row], n) => (view.drawn[n] = overrides.get(row) ?? view.drawn[n]));
     [this.#changes, this.#due] = [schedule, 0];
-    const [m, g] = ["m", "g"].map((name) => fixed[LAYOUT.plant[name]]);
-    call.renew(
-      ...[address.world, view.world.length, address.memory, view.memory.length, m, g],
-      ...[address.starts, address.rows, address.episodes],
-    );
-    table.forEach(([row], n) => (view.world[LANES * row] = overrides.get(row) ?? view.drawn[n]));
+    call.begin_episode();
     this.#advance(true);
     return { observation: this.observation, info: this.info };
   }
@@ -344,7 +323,7 @@ export class Capsule {
     while (this.#due < this.#changes.length && this.#changes[this.#due].t <= now) {
       this.#setPlant(this.#changes[this.#due++]);
     }
-    this.#place.view.world[LANES * ROW.action] = Math.fround(action);
+    this.#place.view.world[ROW.action] = Math.fround(action);
     this.#advance(false);
     const terminated = this.#get(ROW.termination) !== 0;
     return {
@@ -385,13 +364,13 @@ export class Capsule {
       shown.capsule = read(CONSTANTS, "drawn_");
       shown.disturbances = read(DISTURBANCES, "");
     }
-    return { ...shown, termination: LAYOUT.terminations[shown.termination] };
+    return { ...shown, termination: CORE.terminations[shown.termination] };
   }
 
   /** The metrics of the episode so far; a failed episode's mean speed is over the length of a whole episode. */
   get metrics() {
     const is = this.info;
-    const failed = is.termination !== LAYOUT.terminations[0];
+    const failed = is.termination !== CORE.terminations[0];
     const elapsed = is.duration > 0 ? is.duration : 1;
     const distance = is.x - is.start_x;
     const nowhere = is.backward > 0 ? Infinity : 0;
@@ -432,35 +411,44 @@ export class Capsule {
     return { velocity_error: error, unsettled: measured > 0 ? unsettled / measured : 1 };
   }
 
-  /** A copy of the step's whole memory, in the order of `quantities`; `check` compares its bits. */
+  /** A copy of the step's whole memory, in the order of `quantities`. */
   get world() {
-    return Float64Array.from({ length: this.#kind.rows }, (_, row) => this.#get(row));
+    return this.#place.view.world.slice();
+  }
+
+  /** Copies of what `check` compares: the rows of `info`, the memories of law and task, the last reading. */
+  get compared() {
+    const { view } = this.#place;
+    const { rows } = CORE;
+    const end = this.#kind.memoryRow + TASKS[this.task].memory.length;
+    const reading = this.#kind.disturbed ? [view.world.slice(ROW.read_theta, ROW.read_x_dot + 1)] : [];
+    return [view.world.slice(0, SHOWN.length), view.world.slice(rows.length, end), ...reading, this.observation];
   }
 
   /** The whole state, for `restore`. */
   snapshot() {
     const [changes, due] = [this.#changes, this.#due];
     const { cells, episodes } = this.#place.view;
-    const drawn = [episodes[0], ...this.#place.view.key];
+    const drawn = [episodes[0], ...this.#place.view.keys];
     return { world: this.world, observation: this.observation, changes, due, cells: cells.slice(), drawn };
   }
 
   /** Restores the state from a snapshot of this capsule. */
   restore({ world, observation, changes, due, cells, drawn: [episodes, ...key] }) {
     const { view } = this.#place;
-    if (world.length !== this.#kind.rows || cells.length !== view.cells.length) {
+    if (world.length !== view.world.length || cells.length !== view.cells.length) {
       throw new RangeError("snapshot must be one of a capsule of the same kind");
     }
-    world.forEach((value, row) => (view.world[LANES * row] = value));
+    view.world.set(world);
     view.observations.set(observation);
     view.cells.set(cells);
     view.episodes[0] = episodes;
-    view.key.set(key);
+    view.keys.set(key);
     [this.#changes, this.#due] = [changes, due];
   }
 
   #get(row) {
-    return this.#place.view.world[LANES * row];
+    return this.#place.view.world[row];
   }
 
   /** A value in the task's memory. */
@@ -470,7 +458,7 @@ export class Capsule {
 
   /** Values passed to `reset` that replace drawn ones, by row of the world. */
   #overrides({ capsule = {}, disturbances = {}, goal, commands }) {
-    const { fixed, memoryRow, task } = this.#kind;
+    const { settings, memoryRow, task } = this.#kind;
     const { memory, table } = TASKS[task];
     const found = new Map();
     checkFields("capsule", capsule, CONSTANTS);
@@ -480,7 +468,7 @@ export class Capsule {
     checkFields("disturbances", disturbances, DISTURBANCES);
     for (const [name, value] of Object.entries(disturbances)) {
       const [low, high] = VARIATION.limits[name];
-      const longest = name === "latency" ? (fixed[LAYOUT.settings.history] - 1) * periodOf(fixed) : high;
+      const longest = name === "latency" ? (settings[SETTING.history] - 1) * periodOf(settings) : high;
       found.set(ROW[name], checkNumber(`disturbances.${name}`, value, low, longest));
     }
     const drawn = [];
@@ -491,17 +479,12 @@ export class Capsule {
   }
 
   #setPlant({ M, mu }) {
-    this.#place.view.world[LANES * ROW.M] = M;
-    this.#place.view.world[LANES * ROW.mu] = mu;
+    this.#place.view.world[ROW.M] = M;
+    this.#place.view.world[ROW.mu] = mu;
   }
 
   #advance(begin) {
-    const { address, call, view } = this.#place;
-    const { world, fixed, observations } = address;
-    const { entries } = this.#settings;
-    const given = [world, view.world.length, begin ? 1 : 0, fixed, view.fixed.length, observations, entries];
-    const broken = call.advance(...given);
-    if (broken >= 0) throw new Error("the control law returned a torque that is not finite");
+    if (!this.#place.call.advance(begin)) throw new Error("the control law returned a torque that is not finite");
   }
 }
 
@@ -580,30 +563,62 @@ export class Episode extends Capsule {
   #choose() {
     if (this.#driver.network) return this.#act();
     if (this.#driver.gaits) return this.#perform();
-    if (this.#recording) return LAYOUT.torques[this.#recording[this.info.steps]];
+    if (this.#recording) return HEADER.torques[this.#recording[this.info.steps]];
     return this.#draws?.next() ?? 0;
   }
 
   /** The action of the gait for the plant's cell; the observation ends with the plant's M and mu. */
   #perform() {
     const { address, call, view } = this.#place;
-    const { M, edges, cells } = this.#driver.gaits;
+    const { M, edges, cells, gaits } = this.#driver.gaits;
     const [mass, friction] = this.observation.slice(-2);
     const distances = M.map((centre) => Math.abs(mass - centre));
     const column = edges.filter((edge) => edge < friction * friction).length;
-    const gait = cells[distances.indexOf(Math.min(...distances))][column];
-    const time = this.info.steps * this.controlDt;
-    return call.gait(address.gaits, view.gaits.length, gait, time, address.observations);
+    const [family, ...parameters] = gaits[cells[distances.indexOf(Math.min(...distances))][column]];
+    const [time, state] = [this.info.steps * this.controlDt, this.observation.slice(0, 3)];
+    view.gait.set(parameters);
+    if (family === "phase-space") return call.cubic(address.gait, ...state);
+    return family === "harmonics" ? harmonics(parameters, time, state, call) : bangBang(parameters, time, state, this.controlDt);
   }
-
 
   #act() {
-    const { address, call, view } = this.#place;
-    return call.act(
-      ...[address.network, view.network.length, address.observations],
-      ...[address.cells, address.inputs, address.scratch, this.#driver.units],
-    );
+    const { address, call } = this.#place;
+    return call.act(address.network, address.cells);
   }
+}
+
+/** The torque in torque limits of a Fourier series with feedback, as in `baselines.gaits.families`. */
+function harmonics(p, time, state, { sin, cos }) {
+  const [sine, cosine] = [sin, cos].map((of) => of((2 * Math.PI * time) / p[0]));
+  let [real, imaginary] = [0, 0];
+  for (let k = 4; k > 0; k--) {
+    [real, imaginary] = [real + p[1 + k], imaginary - p[5 + k]];
+    [real, imaginary] = [real * cosine - imaginary * sine, real * sine + imaginary * cosine];
+  }
+  return p[1] + real + feedback(p.slice(10), state);
+}
+
+/** The same for a square wave, its mean over a step, with feedback. */
+function bangBang(p, time, state, step) {
+  const durations = p.slice(0, 4).map(Math.abs);
+  const [first, second, third, fourth] = durations;
+  const period = first + second + third + fourth;
+  const integral = (end) => {
+    const cycles = Math.floor(end / period);
+    let [rest, total] = [end - cycles * period, cycles * (first - second + third - fourth)];
+    durations.forEach((duration, n) => {
+      const elapsed = Math.min(rest, duration);
+      total += n % 2 ? -elapsed : elapsed;
+      rest -= elapsed;
+    });
+    return total;
+  };
+  const start = time + p[4] * period;
+  return (integral(start + step) - integral(start)) / step + feedback(p.slice(5), state);
+}
+
+function feedback(gains, [theta, theta_dot, x_dot]) {
+  return gains[0] * theta + gains[1] * theta_dot + gains[2] * x_dot;
 }
 
 /** Returns a driver's network, from the archive if the module contains the driver. */
@@ -619,7 +634,7 @@ function drawsOf({ at }, seed) {
   return new Draws(number(0), number(16));
 }
 
-/** Returns the index in `LAYOUT.torques` of each action on a plant. */
+/** Returns the index in `HEADER.torques` of each action on a plant. */
 function recordingOf({ at, steps }, plant) {
   const begin = steps.slice(0, plant).reduce((sum, length) => sum + length, at);
   return CONTENT.subarray(begin, begin + steps[plant]);
@@ -632,39 +647,37 @@ function kindOf({ task, capsule, disturbances }) {
 
 /** Allocates the arrays that a controller, a task and a driver need. */
 async function prepare(controller, task, settings, given, driver) {
-  const { rows, table, memory } = CONTROLLERS[controller];
+  const { law, constants: numbers, table, memory } = CONTROLLERS[controller];
   const disturbed = checkDisturbances(given.disturbances ?? settings.disturbances);
-  const step = disturbed ? `${task}-varied` : task;
-  if (!(step in HEADER.modules)) throw new RangeError(`disturbances must be none in the task ${task}`);
-  const capsule = given.capsule ?? settings.capsule;
-  const fixed = packFixed(settings, capsule, disturbed);
-  const end = rows + TASKS[task].memory.length;
+  const packed = packSettings(settings, given.capsule ?? settings.capsule, disturbed);
+  const memoryRow = CORE.rows.length + memory.length + table.columns;
   const kind = {
-    task, disturbed, fixed, memory, reference: readArray(table), memoryRow: rows,
-    rows: end + LAYOUT.history_rows * fixed[LAYOUT.settings.history], table: drawTable(task, rows, capsule, disturbed),
+    task, disturbed, settings: packed, law, constants: readArray(numbers), memory, memoryRow, reference: readArray(table),
+    columns: table.columns, table: drawTable(task, memoryRow, given.capsule ?? settings.capsule, disturbed),
   };
   const network = networkOf(driver);
-  const gaits = driver?.gaits ? readArray(driver.gaits.table) : new Float64Array(0);
-  const sizes = {
-    world: [Float64Array, kind.rows * LANES],
-    fixed: [Float64Array, fixed.length + kind.reference.length],
+  const rows = memoryRow + TASKS[task].memory.length + CORE.history_rows * packed[SETTING.history];
+  const placed = await place({
+    world: [Float64Array, rows],
+    settings: [Float64Array, packed.length],
     observations: [Float32Array, settings.entries],
+    law_constants: [Float64Array, kind.constants.length],
     memory: [Float64Array, memory.length],
-    starts: [Float64Array, LAYOUT.starts],
-    rows: [BigInt64Array, 1],
+    reference: [Float64Array, kind.reference.length],
+    keys: [BigUint64Array, 2],
     episodes: [BigInt64Array, 1],
-    key: [BigUint64Array, 2],
-    table: [Float64Array, 6 * kind.table.length],
+    rows: [BigInt64Array, 1],
+    starts: [Float64Array, 6],
+    ranges: [Float64Array, 5],
+    start: [Float64Array, 3],
+    draw_table: [Float64Array, 6 * kind.table.length],
     drawn: [Float64Array, kind.table.length],
+    fields: [Float64Array, CORE.batch.length],
     network: [Float64Array, network.length],
-    gaits: [Float64Array, gaits.length],
-    cells: [Float64Array, network.length ? LAYOUT.cells : 0],
-    inputs: [Float32Array, settings.entries + LAYOUT.cells],
-    scratch: [Float64Array, network.length ? 2 * driver.units * LANES : 0],
-  };
-  const placed = await place(sizes, [controller, step, "common"]);
+    cells: [Float64Array, CORE.cells],
+    gait: [Float64Array, CORE.parameters],
+  });
   placed.view.network.set(network);
-  placed.view.gaits.set(gaits);
   return [placed, kind];
 }
 
@@ -711,8 +724,8 @@ export async function drive(name, { energyWeight, disturbances, ...options } = {
   if (energyWeight !== undefined) {
     if (!driver.energyWeight) throw new RangeError(`energyWeight must be left out: ${name} observes none`);
     checkNumber("energyWeight", energyWeight, ...driver.energyWeight);
-    placed.view.fixed[LAYOUT.settings.energy_weight] = energyWeight;
-    placed.view.network[LAYOUT.log_energy_weight] = placed.call.log(energyWeight);
+    placed.view.settings[SETTING.energy_weight] = energyWeight;
+    placed.view.network[CORE.network.indexOf("log_energy_weight")] = placed.call.log(energyWeight);
   }
   episode.reset(options);
   return episode;
@@ -720,22 +733,21 @@ export async function drive(name, { energyWeight, disturbances, ...options } = {
 
 /** Adds a policy of your own to `drivers`, as `web.data.describe_policy` describes it in Python. */
 export function addDriver(driver) {
-  const { name, task, controller, settings, network, units } = driver;
+  const { name, task, controller, settings, network } = driver;
   if (typeof name !== "string") throw new TypeError(`name must be a string, got ${String(name)}`);
   if (DRIVERS.some((other) => other.name === name)) throw new RangeError(`name must be a new one, got ${name}`);
   const known = CONTROLLERS[controller]?.settings;
   if (!known) throw new RangeError(`controller must be one of ${controllers.join(", ")}, got ${controller}`);
   if (!Object.hasOwn(known, task)) throw new RangeError(`task must be one of ${Object.keys(known).join(", ")}, got ${task}`);
-  for (const kind of ["fixed", "varied"]) {
-    const [size, given] = [known[task].fixed.length, settings?.[kind]?.length];
+  for (const kind of ["ideal", "disturbed"]) {
+    const [size, given] = [CORE.settings.length, settings?.[kind]?.length];
     if (given !== size) throw new RangeError(`settings.${kind} must be ${size} numbers, got ${given}`);
   }
-  checkNumber("settings.entries", settings.entries, 1, LAYOUT.most_entries);
+  checkNumber("settings.entries", settings.entries, 1, 1e4);
   checkNumber("settings.control_dt", settings.control_dt, Number.MIN_VALUE, Number.MAX_VALUE);
   checkNumber("settings.steps", settings.steps, 1, Number.MAX_SAFE_INTEGER);
   if (!Array.isArray(network)) throw new TypeError(`network must be an array of numbers, got ${String(network)}`);
   network.forEach((number, n) => checkNumber(`network[${n}]`, number));
-  checkNumber("units", units, 1, network.length);
   const added = { ...driver, network: Float64Array.from(network) };
   DRIVERS.push(added);
   drivers.push(describe(added));
@@ -752,19 +764,22 @@ async function digest(arrays) {
 async function replay({ driver, actions, hold, ...options }) {
   const episode = await drive(driver, options);
   const shown = [];
-  for (let n = 0, over = false; !over; n++) {
-    const action = actions?.[Math.floor(n / hold) % actions.length];
+  let [steps, doubles] = [0, 0];
+  for (let over = false; !over; steps++) {
+    const action = actions?.[Math.floor(steps / hold) % actions.length];
     const { terminated, truncated } = actions ? episode.step(action) : episode.tick();
-    shown.push(episode.world, episode.observation);
+    const arrays = episode.compared;
+    shown.push(...arrays);
+    doubles += arrays.slice(0, -1).reduce((sum, array) => sum + array.length, 0);
     over = terminated || truncated;
     // Keeps the page responsive.
-    if (n % 200 === 199) await new Promise((resolve) => setTimeout(resolve));
+    if (steps % 200 === 199) await new Promise((resolve) => setTimeout(resolve));
   }
-  return { hash: await digest(shown), steps: shown.length / 2, doubles: (shown.length / 2) * shown[0].length };
+  return { hash: await digest(shown), steps, doubles };
 }
 
 /**
- * Replays the committed episodes, and compares every bit of their worlds and observations with Python's by hash.
+ * Replays the committed episodes, and compares every bit of what they show with Python's by hash.
  *
  * @param report called with {name, equal, steps, doubles} after each episode.
  */

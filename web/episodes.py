@@ -1,10 +1,8 @@
 """Whole episodes that the module replays: `python -m web.episodes` compares Python's with the committed ones.
 
-Every driver has one episode, on a plant of the frozen set `drift`, whose M and mu jump twice, or of its task's set.
-Each driver in `DISTURBED` has another one on a disturbed plant of the set `real`. Each driver in `SCALES` has two more
-with random torques that are held for several steps. The hash of an episode covers the bytes of all steps: each quantity
-of the environment, the law's memory, its line of the reference, the task's memory and the history, float64, and then
-the observation, float32.
+Every driver has an episode, on a plant of the frozen set `drift`, whose M and mu jump twice, or of its task's set. Some
+have another one on a disturbed plant of the set `real`, or with `actions`, each held for several steps, since the
+platform would not move otherwise. The hash covers what `compared` returns after every step, and the observation.
 
 The tables of the optimum's policies are many times as large as the module, but their torques take few bytes. The module
 therefore contains recordings: for each of its plants, the index in `TORQUES` of each action. It replays the actions in
@@ -18,18 +16,22 @@ import io
 import json
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import capsule_gym
+from agents.evaluation.episodes import evaluate
+from baselines.dynamic_programming.policy import TORQUES
 from baselines.policies import ALL_SCRIPTED, Act
 from capsule_gym.command_line import parse
 from capsule_gym.evaluation_sets import SET_NAMES, EvaluationSet, PlantSpec, load_set
 from capsule_gym.files import write_atomically
+from capsule_gym.layout import ROWS, Row
 from capsule_gym.policy import policy_names
 from capsule_gym.task import CONTROL_DT, EPISODE_STEPS, TASKS
 
@@ -41,66 +43,53 @@ FILE = Path(__file__).with_name("episodes.json")
 RECORDINGS = Path(__file__).with_name("recordings.npz")
 # Fills a recording after the last action of an episode.
 OVER = 255
-# Number of random actions, and steps for which each is held; otherwise the platform would not move.
-ACTIONS, HOLD = 97, 5
-# Scale of random actions by driver.
-SCALES = {"zero": 0.15, "adaptive": 0.05, "gait-identifying": 0.05}
-DISTURBED = ("zero", "gait-predictive", "adaptive-predictive")
 
 Episode = dict[str, Any]
 
 
-def is_trained(name: str) -> bool:
-    """Whether a policy of the browser is trained."""
-    return name in policy_names()
+@cache
+def drivers() -> dict[str, Any]:
+    """The policies in the browser by name, scripted and trained; of a trained one the run with the lowest seed."""
+    trained = map(capsule_gym.load_policy, policy_names())
+    # Policies of other tasks come last.
+    return ALL_SCRIPTED | {each.name: each for each in sorted(trained, key=lambda policy: "task" in policy.env_kwargs)}
 
 
-def controller_names() -> list[str]:
-    """The policies that run in the browser; a trained policy is the run with the lowest seed."""
-    # Policies of other tasks come last, so that they do not change the plants of the others.
-    return [*ALL_SCRIPTED, *sorted(policy_names(), key=lambda name: "task" in env_kwargs(name))]
+def episodes() -> list[Episode]:
+    """The definitions of the committed episodes, and of one for each driver without: driver, plant, and actions."""
+    known = json.loads(FILE.read_text(encoding="utf-8"))
+    for n, (name, policy) in enumerate(drivers().items()):
+        if all(episode["driver"] != name for episode in known):
+            task = policy.env_kwargs.get("task", "speed")
+            known.append({"name": name, "driver": name, "set": "drift" if task == "speed" else task, "plant": n})
+    return known
 
 
-def env_kwargs(name: str) -> dict[str, Any]:
-    """The arguments of a driver's environment."""
-    return capsule_gym.load_policy(name).env_kwargs if is_trained(name) else ALL_SCRIPTED[name].env_kwargs
-
-
-def episodes() -> Iterator[Episode]:
-    """Yields the definitions of the episodes: driver, plant, and random actions if any."""
-
-    def held(seed: int, scale: float) -> Episode:
-        actions = np.random.default_rng(seed).uniform(-scale, scale, ACTIONS).round(4).tolist()
-        return {"actions": actions, "hold": HOLD}
-
-    for n, name in enumerate(controller_names()):
-        task = env_kwargs(name).get("task", "speed")
-        yield {"name": name, "driver": name, "set": "drift" if task == "speed" else task, "plant": n}
-    for n, (name, scale) in enumerate(SCALES.items()):
-        for i in (2 * n, 2 * n + 1):
-            words = f"held torques on {name}, {i % 2 + 1}"
-            yield {"name": words, "driver": name, "set": "wide", "plant": i, **held(i, scale)}
-    for n, name in enumerate(DISTURBED):
-        torques = held(n, SCALES[name]) if name in SCALES else {}
-        yield {"name": f"{name}, disturbed", "driver": name, "set": "real", "plant": n, **torques}
+def compared(env: capsule_gym.CapsuleEnv) -> bytes:
+    """The float64 rows that `info` shows, the memories of law and task, and a disturbed plant's last reading."""
+    world = env.simulation.world[0, :, 0]
+    parts = [world[: Row.clock + 1], world[ROWS : env.simulation.task_end]]
+    if env.simulation.settings.history:
+        parts.append(world[Row.read_theta : Row.read_x_dot + 1])
+    return np.concatenate(parts).tobytes()
 
 
 def compute(episode: Episode) -> tuple[int, str]:
     """Runs an episode in Python's environment; returns the number of steps and the hash."""
-    name, found = episode["driver"], load_set(episode["set"])
-    plant, kwargs = found.plants[episode["plant"]], {**env_kwargs(name), **found.env_kwargs}
+    policy, found = drivers()[episode["driver"]], load_set(episode["set"])
+    plant, kwargs = found.plants[episode["plant"]], {**policy.env_kwargs, **found.env_kwargs}
     env = capsule_gym.CapsuleEnv(**kwargs)
     observation, _ = env.reset(seed=plant.seed, options=plant.reset_options())
-    act = (capsule_gym.load_policy(name) if is_trained(name) else ALL_SCRIPTED[name]).start([plant.seed])
+    act = policy.start([plant.seed])
     digest, terminated, step = hashlib.sha256(), False, 0
-    horizon = TASKS[found.task][1] * CONTROL_DT
-    while not terminated and step < round(horizon / kwargs.get("control_dt", CONTROL_DT)):
+    horizon = round(TASKS[found.task][1] * CONTROL_DT / kwargs.get("control_dt", CONTROL_DT))
+    while not terminated and step < horizon:
         if "actions" in episode:
             action = np.array([episode["actions"][step // episode["hold"] % len(episode["actions"])]], np.float32)
         else:
             action = act(observation[None])[0]
         observation, _, terminated, _, _ = env.step(action)
-        digest.update(env.simulation.world[0, :, 0].tobytes() + observation.tobytes())
+        digest.update(compared(env) + observation.tobytes())
         step += 1
     env.close()
     return step, digest.hexdigest()
@@ -112,35 +101,24 @@ def record(name: str, plants: Sequence[PlantSpec]) -> np.ndarray:
     Returns:
         Shape (plants, `EPISODE_STEPS`), uint8; `OVER` after the end of an episode.
     """
-    # Imported here, since numba takes most of a second to import.
-    from agents.evaluation.episodes import evaluate
-    from baselines.dynamic_programming.policy import TORQUES
-
-    policy, taken = ALL_SCRIPTED[name], []
+    taken = []
 
     def start(seeds: Sequence[int]) -> Act:
-        act = policy.start(seeds)
+        act = ALL_SCRIPTED[name].start(seeds)
 
         def noted(observations: np.ndarray) -> np.ndarray:
-            actions = act(observations)
-            taken.append(actions[:, 0])
-            return actions
+            taken.append(act(observations))
+            return taken[-1]
 
         return noted
 
-    episodes = evaluate(replace(policy, start=start), EvaluationSet(name, tuple(plants)))
+    episodes = evaluate(replace(ALL_SCRIPTED[name], start=start), EvaluationSet(name, tuple(plants)))
     places = np.full((len(plants), EPISODE_STEPS), OVER, np.uint8)
-    for row, actions, episode in zip(places, np.array(taken).T, episodes, strict=True):
+    for row, actions, episode in zip(places, np.concatenate(taken, axis=1), episodes, strict=True):
         # Rounded up, since an episode may end within its last step.
         steps = math.ceil(episode["duration"] / CONTROL_DT - 1e-6)
         row[:steps] = np.searchsorted(TORQUES, actions[:steps])
     return places
-
-
-def known_recordings() -> dict[str, dict[str, np.ndarray]]:
-    """Reads the committed recordings, by policy and set, in the format of `record`."""
-    with np.load(RECORDINGS) as file:
-        return {name: {each: file[f"{name} {each}"] for each in SET_NAMES} for name in RECORDED}
 
 
 @dataclass(frozen=True)
@@ -159,27 +137,21 @@ class Args:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, "python -m web.episodes", arguments)
-    found = []
-    for episode in episodes():
-        steps, digest = compute(episode)
-        found.append({**episode, "steps": steps, "sha256": digest})
-    recorded: dict[str, Any] = {}
-    for name in RECORDED:
-        for each in SET_NAMES:
-            print(f"{name} on {each} ..", file=sys.stderr, flush=True)
-            recorded[f"{name} {each}"] = record(name, load_set(each).plants[:SEEDS])
+    found = [{**episode, **dict(zip(("steps", "sha256"), compute(episode), strict=True))} for episode in episodes()]
+    plants = {each: load_set(each).plants[:SEEDS] for each in SET_NAMES}
+    recorded = {f"{name} {each}": record(name, plants[each]) for name in RECORDED for each in SET_NAMES}
     if args.write:
         write_atomically(FILE, "[\n" + ",\n".join(json.dumps(episode) for episode in found) + "\n]\n")
         content = io.BytesIO()
-        np.savez_compressed(content, **recorded)
+        np.savez_compressed(content, allow_pickle=False, **recorded)
         write_atomically(RECORDINGS, content.getvalue())
-    committed = json.loads(FILE.read_text(encoding="utf-8"))
-    wrong = [f"{episode['name']}: differs from {FILE.name}" for episode in found if episode not in committed]
-    with np.load(RECORDINGS) as known:
-        differing = [key for key, places in recorded.items() if not np.array_equal(places, known[key])]
-    wrong += [f"{key}: differs from {RECORDINGS.name}" for key in differing]
-    print(*wrong, f"{len(found)} episodes and {len(recorded)} recordings, {len(wrong)} differ", sep="\n")
-    return int(bool(wrong or len(found) != len(committed)))
+    committed, known = json.loads(FILE.read_text(encoding="utf-8")), np.load(RECORDINGS)
+    wrong = [episode["name"] for episode in found if episode not in committed]
+    wrong += [key for key, places in recorded.items() if not np.array_equal(places, known[key])]
+    print(
+        *(f"{name}: differs" for name in wrong), f"{len(found) + len(recorded)} compared, {len(wrong)} differ", sep="\n"
+    )
+    return int(bool(wrong))
 
 
 if __name__ == "__main__":

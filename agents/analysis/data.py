@@ -14,6 +14,8 @@ from agents.evaluation.criteria import CRITERIA, Criteria
 from agents.evaluation.statistics import estimate
 from agents.leaderboard.rows import Row
 from agents.training.config import EVALUATIONS
+from baselines.dynamic_programming.archive import optimal_front
+from baselines.gaits.archive import pareto_front
 from capsule_gym.evaluation_sets import EvaluationSet
 
 SPEED = "mean_speed"
@@ -122,9 +124,5 @@ def read_evaluations(path: Path, task: str = "speed") -> tuple[np.ndarray, np.nd
 
 def fronts() -> dict[str, list[tuple[float, float]]]:
     """The known Pareto fronts of the nominal plant: pairs of cost of transport and mean speed (cm/s), slowest first."""
-    # Imported here, since numba takes most of a second to import.
-    from baselines.dynamic_programming.archive import optimal_front
-    from baselines.gaits.archive import pareto_front
-
     gaits = [(gait.cost_of_transport, gait.mean_speed) for gait in pareto_front()]
     return {"best-known gaits": gaits, "optimum": optimal_front()}

@@ -24,10 +24,10 @@ from agents.evaluation.episodes import evaluate, scores
 from baselines.drawing import BLUE, MUTED, VERMILION, add_note, new_figure
 from baselines.policies import TASK_SCRIPTED
 from baselines.tables import markdown_table
+from capsule_gym._core import HOLD, TOLERANCE
 from capsule_gym.evaluation_sets import EvaluationSet, PlantSpec, load_set
 from capsule_gym.parameters import Capsule
 from capsule_gym.task import TORQUE_LIMIT
-from capsule_gym.tasks.goal import HOLD, TOLERANCE
 
 POLICY = "goal-pulses"
 # Plants of the figure's episodes: with mu in the middle of the task's range, and on the paper's floor.

@@ -14,9 +14,13 @@ from agents.analysis.data import Document
 from agents.evaluation.policies import Policy, find_candidate
 from baselines.drawing import BLUE, DPI, GREEN, INK, MUTED, VERMILION, new_figure, style
 from capsule_gym.config import DIRECT_PHYSICS_DT, EnvConfig
+from capsule_gym.env import shown_state
 from capsule_gym.evaluation_sets import EPISODE_SETTINGS, NOMINAL_PLANT, PlantSpec
 from capsule_gym.files import replacing
+from capsule_gym.layout import Row
 from capsule_gym.rendering import FRAME_SECONDS, Renderer, write_gif
+from capsule_gym.settings import divide
+from capsule_gym.simulation import Simulation
 from capsule_gym.task import CONTROL_DT, HORIZON
 
 # Length of the shown part of torque, angle and contact at the end of an episode, s.
@@ -90,12 +94,6 @@ def record(
         frame_seconds: time between frames.
         name: name of the recording; None takes the policy's name.
     """
-    # Imported here, since numba takes most of a second to import.
-    from capsule_gym.env import shown_state
-    from capsule_gym.layout import Row
-    from capsule_gym.settings import divide
-    from capsule_gym.simulation import Simulation
-
     name = name or policy.name
     names = {each.name for each in fields(EnvConfig)}
     settings = {key: value for key, value in {**policy.env_kwargs, **EPISODE_SETTINGS}.items() if key in names}

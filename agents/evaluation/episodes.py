@@ -16,10 +16,13 @@ from gymnasium.vector import AutoresetMode
 import capsule_gym
 from agents.evaluation.policies import Candidate, Policy, find_candidate, wrap_policy
 from agents.evaluation.statistics import estimate
+from baselines.archive import find_grid
+from baselines.dynamic_programming.archive import optimal_speed
 from baselines.policies import ScriptedPolicy
 from capsule_gym import __version__
 from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import EvaluationSet, load_set
+from capsule_gym.network import rollout
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import CONTROL_DT, START_THETA, TORQUE_LIMIT
 
@@ -28,7 +31,7 @@ Episode = dict[str, Any]
 # Fields of an episode that are not metrics.
 LABELS = ("M", "mu", "seed", "theta", "goal", "changes", "capsule", "training_seed")
 NOISE_SEED = 1_000_000_007
-PACKAGES = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
+PACKAGES = ("numpy", "gymnasium", "stable-baselines3", "torch")
 
 
 @dataclass(frozen=True)
@@ -163,10 +166,6 @@ def as_episodes(
         training_seed: seed of a trained policy; None for a scripted policy.
         shared: whether the policy acts under the optimum's torque limit, so that its share of the optimum is defined.
     """
-    # Imported here, as in other functions, since numba takes most of a second to import.
-    from baselines.archive import find_grid
-    from baselines.dynamic_programming.archive import optimal_speed
-
     # The tables of optima cover only the speed task, one start, the plants of their grids, and constant plants.
     plants, grid = evaluation_set.plants, find_grid(evaluation_set.capsule or NOMINAL)
     covered = grid and all(p.theta == START_THETA and not p.changes and (p.M, p.mu) in grid for p in plants)
@@ -198,8 +197,6 @@ def _run(
         arrays = {key: np.array(options[key]) for key in ("M", "mu", "state")}
         observations, _ = env.reset(seed=seeds, options={**options, **arrays})
         if isinstance(policy, capsule_gym.Policy) and not action_noise:
-            from capsule_gym.network import rollout
-
             return rollout(env.simulation, policy, steps)
         act, rng = policy.start(seeds), np.random.default_rng(NOISE_SEED)
         for _ in range(steps):

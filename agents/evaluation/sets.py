@@ -58,6 +58,7 @@ from capsule_gym.config import find_task
 from capsule_gym.evaluation_sets import FURTHER_SET_NAMES, SET_NAMES, TASK_SET_NAMES, EvaluationSet, PlantSpec
 from capsule_gym.files import write_atomically
 from capsule_gym.parameters import CONSTANTS, NOMINAL, RANDOMIZATIONS, Capsule, Disturbances, Randomization
+from capsule_gym.resets import Stream, draw_plant, plant_at, plant_ranges, random_stream
 from capsule_gym.task import CONTROL_DT, HORIZON, START_THETA
 
 PROG = "python -m agents.evaluation.sets"
@@ -80,9 +81,6 @@ CHANGE_WINDOWS = ((HORIZON / 6.0, HORIZON / 3.0), (HORIZON * 2.0 / 3.0, HORIZON 
 
 def _sample(rng: np.random.Generator, randomization: str | Randomization) -> tuple[float, float]:
     """Draws M and mu from one of the environment's distributions, rounded."""
-    # Imported here, as in other functions, since numba takes most of a second to import.
-    from capsule_gym.resets import draw_plant
-
     return _rounded(*draw_plant(Randomization.named(randomization), NOMINAL, rng))
 
 
@@ -127,8 +125,6 @@ def _constants_at(randomization: Randomization, shares: Sequence[float]) -> dict
 
 def _spread_set(name: str) -> EvaluationSet:
     """Draws a set whose plants cover the randomisation of its name evenly, or the plants around and within `wide`."""
-    from capsule_gym.resets import plant_at, plant_ranges
-
     capsule = STICKY_GRID.capsule if name == "sticky" else None
     disturbances = "real" if name in ("real", "real-wide") else "none"
     randomization = Randomization.named(name if name in RANDOMIZATIONS else "wide")
@@ -153,8 +149,6 @@ def _spread_set(name: str) -> EvaluationSet:
 
 def _plant_outside(ranges: np.ndarray, shares: Sequence[float], seed: int) -> PlantSpec:
     """A plant of `extrapolation`; the last two shares choose the sides."""
-    from capsule_gym.resets import plant_at
-
     M, mu = plant_at(ranges, *shares[:2])
     if seed % 3 != 1:
         low, high = LIGHTER if shares[2] < 0.5 else HEAVIER
@@ -167,8 +161,6 @@ def _plant_outside(ranges: np.ndarray, shares: Sequence[float], seed: int) -> Pl
 
 def _changes_at(ranges: np.ndarray, shares: Sequence[float]) -> tuple[dict[str, float], ...]:
     """The changes of a plant of `drift`; each uses three shares, after the two shares for M and mu at the start."""
-    from capsule_gym.resets import plant_at
-
     changes = []
     for n, (first, last) in enumerate(CHANGE_WINDOWS):
         t = round(round((first + (last - first) * shares[3 * n + 2]) / CONTROL_DT) * CONTROL_DT, 6)
@@ -197,8 +189,6 @@ def validation_set(
         task: task of the environment; its further draws follow from the episodes' seeds.
         disturbances: disturbances of the environment.
     """
-    from capsule_gym.resets import Stream, draw_plant, random_stream
-
     drawn, plants = Randomization.named(randomization), []
     for seed in range(first_seed, first_seed + count):
         M, mu = draw_plant(drawn, NOMINAL, random_stream(seed, 0, Stream.parameters))

@@ -28,6 +28,7 @@ import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -132,7 +133,7 @@ def static_header(candidate: Candidate) -> dict[str, Any]:
 def columns(task: str) -> list[str]:
     """The metrics in rows of a task."""
     of_task = find_task(task)
-    memory = of_task.memory(*np.zeros((of_task.rows, 1)))
+    memory = SimpleNamespace(**{name: np.zeros(1) for name in of_task.fields})
     return [*COLUMNS, *of_task.metrics(memory, np.zeros(1))]
 
 

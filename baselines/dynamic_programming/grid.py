@@ -13,12 +13,11 @@ Stick is the plane s = 0, where the value has a kink; nodes lie on it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from capsule_gym.compilation import jitable
-from capsule_gym.compiler import compile_cached
-from capsule_gym.elementary import sincos, sines_and_cosines
+from capsule_gym.elementary import sincos
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import THETA_LIMIT
 
@@ -36,59 +35,69 @@ FAILED = -1.0
 MAX_NODE_RATE = 40.0
 
 
-@jitable
-def stretched(y: float) -> float:
+def stretched(y: np.ndarray) -> np.ndarray:
     """The coordinate s of y."""
     return y / (STRETCH + abs(y))
 
 
-@jitable
-def locate(theta: float, theta_dot: float, x_dot: float, q: float, axes: np.ndarray) -> tuple[float, float, float]:
-    """The position of a state (rad, rad/s, m/s) in cells from the first node; it may lie off the grid.
+def coordinates(states: np.ndarray, q: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """theta, s and w of states theta (rad), theta_dot (rad/s) and x_dot (m/s), shape (3, ..); q is m l / (M + m), m."""
+    theta, theta_dot, x_dot = states
+    cos, rate = sincos(theta)[1], x_dot / q
+    return theta, stretched(rate / np.maximum(cos, MIN_COSINE)), rate - cos * theta_dot
 
-    `q` is m l / (M + m) in m; `axes` has first node and spacing of theta (rad), s and w (rad/s), shape (3, 2).
+
+def clamped(positions: np.ndarray, last: np.ndarray | float) -> np.ndarray:
+    """The nearest positions that lie in a cell; `last` is the position of the last node."""
+    return np.maximum(0.0, np.minimum(positions, last - EDGE))
+
+
+class Cells(NamedTuple):
+    """The cells of a grid in which positions lie, and where the positions lie in their cells; arrays of one shape.
+
+    Attributes:
+        corner: index of a cell's first node in the flat array of values.
+        strides: distances in that array to the next nodes along theta and s; the next one along w follows.
+        a: position in the cell along theta, from 0 to 1.
+        b: along s.
+        c: along w.
     """
-    cos = sincos(theta)[1]
-    rate = x_dot / q
-    return (
-        (theta - axes[0, 0]) / axes[0, 1],
-        (stretched(rate / max(cos, MIN_COSINE)) - axes[1, 0]) / axes[1, 1],
-        (rate - cos * theta_dot - axes[2, 0]) / axes[2, 1],
-    )
+
+    corner: np.ndarray
+    strides: tuple[np.ndarray | int, np.ndarray | int]
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
 
 
-@jitable
-def clamped(position: float, nodes: int) -> float:
-    """The nearest position along an axis that lies in a cell."""
-    return max(0.0, min(position, nodes - 1.0 - EDGE))
+def find_cells(
+    positions: tuple[np.ndarray, ...], nodes_s: np.ndarray | int, nodes_w: np.ndarray | int, first: np.ndarray | int = 0
+) -> Cells:
+    """The cells of positions on the grid along theta, s and w; the values begin at the index `first`."""
+    # float32 and float64 hold the remainders exactly.
+    i, j, k = (position.astype(np.int64) for position in positions)
+    a, b, c = (position - index for position, index in zip(positions, (i, j, k), strict=True))
+    stride = nodes_s * nodes_w
+    return Cells(first + i * stride + j * nodes_w + k, (stride, nodes_w), a, b, c)
 
 
-@jitable
-def interpolate(values: np.ndarray, a: float, b: float, c: float, curvature: float) -> float:
-    """The value at a position in cells: linear along theta (a) and s (b); along w (c) linear plus a parabola.
+def interpolate(values: np.ndarray, cells: Cells, curvature: np.ndarray | float) -> np.ndarray:
+    """The values, flat and float32, at positions in cells: linear along theta and s; along w linear plus a parabola.
 
     `curvature`: half the second derivative along w, times the square of its spacing.
     """
-    i, j, k = int(a), int(b), int(c)
-    f, g, w = a - i, b - j, c - k
-    low = values[i, j, k] + w * (values[i, j, k + 1] - values[i, j, k])
-    high = values[i, j + 1, k] + w * (values[i, j + 1, k + 1] - values[i, j + 1, k])
-    near = low + g * (high - low)
-    low = values[i + 1, j, k] + w * (values[i + 1, j, k + 1] - values[i + 1, j, k])
-    high = values[i + 1, j + 1, k] + w * (values[i + 1, j + 1, k + 1] - values[i + 1, j + 1, k])
-    far = low + g * (high - low)
-    return near + f * (far - near) - curvature * w * (1.0 - w)
+    (along_theta, along_s), w = cells.strides, cells.c
 
+    def along_w(node: np.ndarray) -> np.ndarray:
+        value = values[node]
+        return value + w * (values[node + 1] - value)
 
-def _locate_all(states: np.ndarray, q: float, axes: np.ndarray, nodes: np.ndarray, positions: np.ndarray) -> None:
-    """Writes the position of every column of states, shape (3, n), into positions, shape (n, 3)."""
-    for n in range(states.shape[1]):
-        position = locate(states[0, n], states[1, n], states[2, n], q, axes)
-        inside = True
-        for axis in range(3):
-            inside = inside and 0.0 <= position[axis] <= nodes[axis] - 1.0
-        for axis in range(3):
-            positions[n, axis] = clamped(position[axis], nodes[axis]) if inside else FAILED
+    def along_s_and_w(node: np.ndarray) -> np.ndarray:
+        low, high = along_w(node), along_w(node + along_s)
+        return low + cells.b * (high - low)
+
+    near, far = along_s_and_w(cells.corner), along_s_and_w(cells.corner + along_theta)
+    return near + cells.a * (far - near) - curvature * w * (1.0 - w)
 
 
 @dataclass(frozen=True)
@@ -115,7 +124,7 @@ class Grid:
     @property
     def axes(self) -> np.ndarray:
         """First node and spacing along theta, s and w, shape (3, 2)."""
-        low, high = stretched(self.y[0]), stretched(self.y[1])
+        low, high = stretched(np.array(self.y)).tolist()
         spacing = (high - low) / (self.shape[1] - 1)
         # A node lies at s = 0.
         first = -round(-low / spacing) * spacing
@@ -134,14 +143,15 @@ class Grid:
         )
         s[np.abs(s).argmin()] = 0.0
         theta, s, w = (each.reshape(-1) for each in np.meshgrid(theta, s, w, indexing="ij"))
-        cos = sines_and_cosines(theta)[1]
+        cos = sincos(theta)[1]
         rate = np.maximum(cos, MIN_COSINE) * STRETCH * s / (1.0 - np.abs(s))
         theta_dot = (rate - w) / np.maximum(cos, 1e-9)
         return np.stack([theta, np.clip(theta_dot, -MAX_NODE_RATE, MAX_NODE_RATE), self.q * rate])
 
     def positions(self, states: np.ndarray) -> np.ndarray:
         """Positions of states of shape (3, n) in cells from the first node, shape (n, 3), float32; or FAILED."""
-        out = np.empty((states.shape[1], 3), np.float32)
-        columns = np.ascontiguousarray(states, np.float64)
-        compile_cached(_locate_all)(columns, self.q, self.axes, np.array(self.shape), out)
-        return out
+        last = np.array(self.shape) - 1.0
+        first, spacing = self.axes.T
+        positions = (np.stack(coordinates(states, self.q), axis=1) - first) / spacing
+        inside = ((positions >= 0.0) & (positions <= last)).all(axis=1)
+        return np.where(inside[:, None], clamped(positions, last), FAILED).astype(np.float32)

@@ -9,16 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from baselines.archive import GRID, PlantGrid
 from baselines.dynamic_programming import MIN_NORMAL_FORCE
 from baselines.dynamic_programming.archive import known_results
-from baselines.dynamic_programming.grid import clamped, interpolate, locate
+from baselines.dynamic_programming.grid import clamped, coordinates, find_cells, interpolate
 from baselines.dynamic_programming.problem import NOMINAL_MARGIN, Problem, Transitions, plant_problems
 from baselines.dynamic_programming.solver import cell_curvature
-from capsule_gym.compiler import compile_cached
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.simulation import Simulation
 
@@ -31,6 +31,38 @@ TORQUES = np.linspace(-1.0, 1.0, NUM_TORQUES).astype(np.float32)
 FAILURE_SCORE = -1e6
 
 
+class Tables(NamedTuple):
+    """The values of several solutions.
+
+    Attributes:
+        values: the values of all solutions, one after the other, cm, float32.
+        starts: index of the first value of each, shape (tables,).
+        shapes: their nodes along theta, s and w, shape (tables, 3).
+        axes: axes of their grids, shape (tables, 3, 2).
+        curvatures: their `cell_curvature`, cm, shape (tables,).
+    """
+
+    values: np.ndarray
+    starts: np.ndarray
+    shapes: np.ndarray
+    axes: np.ndarray
+    curvatures: np.ndarray
+
+
+@lru_cache(maxsize=2)
+def _tables(*problems: Problem) -> Tables:
+    """The tables of the solutions of problems."""
+    solutions = [known_results().solution(problem) for problem in problems]
+    values = [solution.values.reshape(-1) for solution in solutions]
+    return Tables(
+        np.concatenate(values),
+        np.cumsum([0, *(each.size for each in values[:-1])]),
+        np.array([solution.grid.shape for solution in solutions]),
+        np.array([solution.grid.axes for solution in solutions]),
+        np.array([cell_curvature(solution.curvature, solution.grid) for solution in solutions]),
+    )
+
+
 def _score(
     states: np.ndarray,
     rewards: np.ndarray,
@@ -38,11 +70,9 @@ def _score(
     q: np.ndarray,
     corners: np.ndarray,
     weights: np.ndarray,
-    tables: tuple[np.ndarray, ...],
-    axes: np.ndarray,
-    curvatures: np.ndarray,
+    tables: Tables,
 ) -> np.ndarray:
-    """The scores of every environment's torques, cm, shape (environments torques,).
+    """The scores of every environment's torques, cm, shape (environments, torques).
 
     Args:
         states: next states, shape (3, environments torques).
@@ -51,32 +81,20 @@ def _score(
         q: m l / (M + m) of every environment, m.
         corners: indices of the tables around every environment's plant, shape (environments, corners).
         weights: weights of these tables, shape (environments, corners).
-        tables: the values of solutions.
-        axes: axes of their grids, shape (tables, 3, 2).
-        curvatures: `cell_curvature` of each table, cm.
+        tables: the tables.
     """
-    scores = np.full(rewards.size, FAILURE_SCORE)
-    for lane in range(rewards.size):
-        n = lane // NUM_TORQUES
-        if not failed[lane]:
-            score = rewards[lane]
-            for c in range(corners.shape[1]):
-                t = corners[n, c]
-                if weights[n, c] > 0.0:
-                    size = tables[t].shape
-                    i, j, k = locate(states[0, lane], states[1, lane], states[2, lane], q[n], axes[t])
-                    i, j, k = clamped(i, size[0]), clamped(j, size[1]), clamped(k, size[2])
-                    score += weights[n, c] * interpolate(tables[t], i, j, k, curvatures[t])
-            scores[lane] = score
-    return scores
-
-
-@lru_cache(maxsize=2)
-def _tables(*problems: Problem) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
-    """The arguments `tables`, `axes` and `curvatures` of `_score` for the solutions of problems."""
-    solutions = [known_results().solution(problem) for problem in problems]
-    curvatures = np.array([cell_curvature(solution.curvature, solution.grid) for solution in solutions])
-    return tuple(s.values for s in solutions), np.array([s.grid.axes for s in solutions]), curvatures
+    # A failed step may end in NaN, which has no cell.
+    states = np.where(failed, 0.0, states).reshape(3, -1, NUM_TORQUES)
+    own = coordinates(states, q[:, None])
+    scores = rewards.reshape(-1, NUM_TORQUES)
+    for corner, weight in zip(corners.T, weights.T, strict=True):
+        # Shapes (3, environments, 1).
+        first, spacing = tables.axes[corner].transpose(2, 1, 0)[..., None]
+        nodes = tables.shapes[corner].T[..., None]
+        positions = tuple(clamped((own[n] - first[n]) / spacing[n], nodes[n] - 1.0) for n in range(3))
+        cells = find_cells(positions, nodes[1], nodes[2], tables.starts[corner, None])
+        scores = scores + weight[:, None] * interpolate(tables.values, cells, tables.curvatures[corner, None])
+    return np.where(failed.reshape(scores.shape), FAILURE_SCORE, scores)
 
 
 class Lookahead:
@@ -107,8 +125,7 @@ class Lookahead:
             self._transitions.take_over(simulation)
         states = np.repeat(observations[:, :3].T.astype(np.float64), NUM_TORQUES, axis=1)
         outcome = self._transitions.step(states, self._actions)
-        plants = self._q, self._corners, self._weights
-        return compile_cached(_score)(*outcome, *plants, *self._tables).reshape(-1, NUM_TORQUES)
+        return _score(*outcome, self._q, self._corners, self._weights, self._tables)
 
     @property
     def normal_force(self) -> np.ndarray:
@@ -130,19 +147,21 @@ class Oracle(Lookahead):
         super().__init__(count, MIN_NORMAL_FORCE, *plant_problems(grid), law=law)
         self._grid = grid
         self._observed = np.zeros((count, 2), np.float32)
+        self._corners, self._weights = np.zeros((count, 4), np.int64), np.zeros((count, 4))
 
     def scores(self, observations: np.ndarray, simulation: Simulation | None = None) -> np.ndarray:
         """`Lookahead.scores` on the observed plants."""
         plants = observations[:, -2:]
         # On most steps no plant has changed.
-        if not np.array_equal(plants, self._observed):
+        changed = np.flatnonzero((plants != self._observed).any(axis=1))
+        if changed.size:
             self._observed[:] = plants
             M, mu = plants.T.astype(np.float64)
             self._transitions.set_plants(np.repeat(M, NUM_TORQUES), np.repeat(mu, NUM_TORQUES))
             self._q = NOMINAL.m * NOMINAL.l / (M + NOMINAL.m)
-            cells = [self._grid.cell(*plant) for plant in zip(M.tolist(), mu.tolist(), strict=True)]
-            self._corners, a, b = (np.array(each) for each in zip(*cells, strict=True))
-            self._weights = np.stack([(1.0 - a) * (1.0 - b), (1.0 - a) * b, a * (1.0 - b), a * b], axis=1)
+            cells = [self._grid.cell(*plant) for plant in zip(M[changed].tolist(), mu[changed].tolist(), strict=True)]
+            self._corners[changed], a, b = (np.array(each) for each in zip(*cells, strict=True))
+            self._weights[changed] = np.stack([(1.0 - a) * (1.0 - b), (1.0 - a) * b, a * (1.0 - b), a * b], axis=1)
         return super().scores(observations, simulation)
 
 

@@ -17,12 +17,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from baselines.dynamic_programming.grid import FAILED, INITIAL_Y, MIN_COSINE, Grid, interpolate
+from baselines.dynamic_programming.grid import FAILED, INITIAL_Y, MIN_COSINE, Cells, Grid, find_cells, interpolate
 from baselines.dynamic_programming.problem import ACTIONS, SETTLED, Problem, Trajectory, Transitions, record
-from capsule_gym.compiler import compile_cached
 from capsule_gym.task import HORIZON, START_THETA
 
 # cm: a loss larger than the distance of any policy in two seconds.
@@ -71,9 +71,8 @@ class Solution:
 
     def at(self, states: np.ndarray) -> np.ndarray:
         """The values of states of shape (3, n), cm; `FAILURE_VALUE` off the grid."""
-        positions, nothing = self.grid.positions(states)[:, None], np.zeros((states.shape[1], 1), np.float32)
-        cell = cell_curvature(self.curvature, self.grid)
-        return compile_cached(_backup)(self.values, positions, nothing, 0.0, cell)[0]
+        outcome = Outcome.of(self.grid.positions(states), self.grid.shape)
+        return outcome.values(self.values, cell_curvature(self.curvature, self.grid))
 
 
 def cell_curvature(curvature: float, grid: Grid) -> float:
@@ -104,10 +103,31 @@ def transitions(problem: Problem, grid: Grid, torques: np.ndarray) -> tuple[np.n
     return positions, rewards
 
 
+class Outcome(NamedTuple):
+    """Where the steps of one torque per node end.
+
+    Attributes:
+        cells: their cells on the grid.
+        failed: whether they fail, shape (nodes,).
+    """
+
+    cells: Cells
+    failed: np.ndarray
+
+    @classmethod
+    def of(cls, positions: np.ndarray, shape: tuple[int, int, int]) -> Outcome:
+        """The outcome for positions of shape (nodes, 3); those of failed steps are indices from the array's end."""
+        return cls(find_cells(tuple(positions.T), *shape[1:]), positions[:, 0] < 0.0)
+
+    def values(self, values: np.ndarray, curvature: float) -> np.ndarray:
+        """The values of the next states, cm; `curvature` is `cell_curvature`."""
+        return np.where(self.failed, FAILURE_VALUE, interpolate(values.reshape(-1), self.cells, curvature))
+
+
 def _backup(
     values: np.ndarray, positions: np.ndarray, rewards: np.ndarray, gain: float, curvature: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One step of value iteration, or of policy evaluation with one torque per node.
+    """One step of value iteration.
 
     `positions` are those of the next states on the grid, shape (nodes, torques, 3); `rewards`, of shape (nodes,
     torques), values, gain per step and `cell_curvature` are in cm.
@@ -115,20 +135,17 @@ def _backup(
     Returns:
         The new values, cm, and the indices of the best torques, each of shape (nodes,).
     """
-    new, chosen = np.full(rewards.shape[0], -np.inf), np.zeros(rewards.shape[0], np.int64)
-    for n in range(rewards.shape[0]):
-        for a in range(rewards.shape[1]):
-            i, j, k = positions[n, a]
-            after = FAILURE_VALUE if i < 0.0 else interpolate(values, i, j, k, curvature)
-            if rewards[n, a] + after > new[n]:
-                new[n] = rewards[n, a] + after
-                chosen[n] = a
+    new, chosen = np.full(len(rewards), -np.inf), np.zeros(len(rewards), np.int64)
+    for torque in range(rewards.shape[1]):
+        found = rewards[:, torque] + Outcome.of(positions[:, torque], values.shape).values(values, curvature)
+        better = found > new
+        new[better], chosen[better] = found[better], torque
     return new - gain, chosen
 
 
 def solve(problem: Problem, grid: Grid, *, curvature: float = 0.0, start: Solution | None = None) -> Solution:
     """Solves a problem on a grid, starting from the values of a solution on another grid if one is given."""
-    backup, cell = compile_cached(_backup), cell_curvature(curvature, grid)
+    cell = cell_curvature(curvature, grid)
     actions = np.tile(np.linspace(-1.0, 1.0, TORQUES), (math.prod(grid.shape), 1))
     positions, rewards = transitions(problem, grid, actions)
     values: np.ndarray = np.zeros(grid.shape, np.float32)
@@ -146,12 +163,12 @@ def solve(problem: Problem, grid: Grid, *, curvature: float = 0.0, start: Soluti
             positions = np.concatenate([positions[:, :TORQUES], more_positions], axis=1)
             rewards = np.concatenate([rewards[:, :TORQUES], more_rewards], axis=1)
         for _ in range(MAX_ITERATIONS):
-            improved, chosen = backup(values, positions, rewards, gain, cell)
+            improved, chosen = _backup(values, positions, rewards, gain, cell)
             before = values = improved.astype(np.float32).reshape(grid.shape)
-            own_positions = np.take_along_axis(positions, chosen[:, None, None], axis=1)
-            own_rewards = np.take_along_axis(rewards, chosen[:, None], axis=1)
+            outcome = Outcome.of(np.take_along_axis(positions, chosen[:, None, None], axis=1)[:, 0], grid.shape)
+            own_rewards = np.take_along_axis(rewards, chosen[:, None], axis=1)[:, 0]
             for _ in range(steps):
-                evaluated, _ = backup(values, own_positions, own_rewards, gain, cell)
+                evaluated = own_rewards + outcome.values(values, cell) - gain
                 values = evaluated.astype(np.float32).reshape(grid.shape)
             change = ((values - before) / steps)[before > 0.5 * FAILURE_VALUE]
             gain += float(np.median(change))
@@ -166,10 +183,10 @@ def final_solutions(solution: Solution) -> list[Solution]:
     problem, grid = solution.problem, solution.grid
     actions = np.tile(np.linspace(-1.0, 1.0, TORQUES), (math.prod(grid.shape), 1))
     positions, rewards = transitions(problem, grid, actions)
-    backup, cell = compile_cached(_backup), cell_curvature(solution.curvature, grid)
+    cell = cell_curvature(solution.curvature, grid)
     found = [replace(solution, values=np.zeros(grid.shape, np.float32))]
     for _ in range(round(ENDING / problem.control_dt) - 1):
-        values, _ = backup(found[-1].values, positions, rewards, 0.0, cell)
+        values, _ = _backup(found[-1].values, positions, rewards, 0.0, cell)
         found.append(replace(solution, values=values.astype(np.float32).reshape(grid.shape)))
     return found
 

@@ -175,7 +175,7 @@ def tolerant_nominal() -> Gait:
 
 
 def encode_gaits(gaits: Sequence[Gait]) -> np.ndarray:
-    """Encodes gaits for compiled code; see `encode`."""
+    """Encodes gaits of any families; see `encode`."""
     return np.concatenate([encode(gait.family, np.array([gait.parameters])) for gait in gaits])
 
 

@@ -55,7 +55,10 @@ class Segment:
     def turned(self, s: np.ndarray) -> np.ndarray:
         """Angle since the start of the segment, rad."""
         _, cosines = sincos(self.phase + self.rate * s)
-        return self.amplitude / self.rate * (float(sincos(self.phase)[1]) - cosines) + (self.offset + 0.5 * self.slope * s) * s
+        return (
+            self.amplitude / self.rate * (float(sincos(self.phase)[1]) - cosines)
+            + (self.offset + 0.5 * self.slope * s) * s
+        )
 
 
 def _ramp(duration: float, start: float, end: float) -> Segment:

@@ -32,7 +32,9 @@ def platform_motion(
     motion, constants = np.zeros((3, len(angle))), plant_constants(p)
     plant = np.array([constants[name] for name in ("M", "mu", "mass_ratio", *_core.PLANT, "pivot_torque_on_contact")])
     arrays = [np.ascontiguousarray(values, np.float64) for values in (angle, velocity, acceleration)]
-    _core.platform_motion(native.LEVEL, *map(native.address, (*arrays, plant, motion)), len(angle), h)
+    given, out = native.address(plant), native.address(motion)
+    theta, theta_dot, theta_ddot = map(native.address, arrays)
+    _core.platform_motion(native.LEVEL, theta, theta_dot, theta_ddot, given, out, len(angle), h)
     return motion
 
 

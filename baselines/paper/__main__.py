@@ -47,7 +47,7 @@ class Args:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit status."""
     args = parse(Args, PROG, arguments)
-    # Imported after parsing: `--help` needs no compiler.
+    # Imported after parsing, since `--help` does not need these modules.
     from baselines.paper.report import compute, plain, text
 
     results = compute()

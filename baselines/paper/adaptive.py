@@ -17,16 +17,15 @@ from baselines.laws.gains import PUBLISHED, REGULARISED, UNREGULARISED
 from baselines.laws.profiles import PROPOSED
 from baselines.paper.published import M_RANGE, MU_RANGE
 from baselines.paper.tracking import CYCLES, UNLIMITED, Trajectory, make_simulation, simulate
-from capsule_gym.compilation import jitable
 from capsule_gym.config import LAW_DT
 from capsule_gym.controller import Controller
-from capsule_gym.layout import ROWS, Row
+from capsule_gym.layout import Row
 from capsule_gym.parameters import NOMINAL, Plant
+from capsule_gym.simulation import Simulation
 from capsule_gym.task import TORQUE_LIMIT
 
 REGULARISED_LAW, CORRECTED_LAW = "regularised", "corrected, unregularised"
-# The additional cells of `measured`, each the largest since it was last set to zero: |theta - theta_d| (rad),
-# |theta' - theta_d'| (rad/s) and |delta_theta| (rad/s).
+# |theta - theta_d| (rad), |theta' - theta_d'| (rad/s) and |delta_theta| (rad/s).
 ERRORS = ("angle_error", "rate_error", "sliding")
 
 GRID = 5
@@ -126,44 +125,50 @@ def study_law(regularised: bool, torque_limit: float = UNLIMITED) -> LawStudy:
     return LawStudy(REGULARISED_LAW if regularised else CORRECTED_LAW, torque_limit, runs, falls)
 
 
-def measured(controller: Controller) -> Controller:
-    """An adaptive law with the published gains that also keeps `ERRORS` in its memory; its torque is the same."""
-    inner, cells, slope = jitable(controller.law), len(controller.memory), PUBLISHED.Lambda_theta
-
-    def law(
-        theta: float, theta_dot: float, x: float, x_dot: float, memory: tuple[float, ...], reference: tuple[float, ...]
-    ) -> tuple[float, tuple[float, ...]]:
-        torque, kept = inner(theta, theta_dot, x, x_dot, memory[:cells], reference)
-        e, e_dot = theta - reference[0], theta_dot - reference[1]
-        angle, rate, delta = memory[cells:]
-        return torque, (*kept, max(angle, abs(e)), max(rate, abs(e_dot)), max(delta, abs(e_dot + slope * e)))
-
-    return Controller(controller.name, law, controller.reference, (*controller.memory, 0.0, 0.0, 0.0), controller.dt)
-
-
 def run_cycles(
-    controller: Controller, plants: Sequence[tuple[float, float]], cycles: int = CYCLES, torque_limit: float = UNLIMITED
+    controller: Controller,
+    plants: Sequence[tuple[float, float]],
+    cycles: int = CYCLES,
+    torque_limit: float = UNLIMITED,
+    shown: Sequence[int] = (),
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Runs an adaptive law from rest at -pi/3 on all plants (M, mu) at once, with one step per cycle.
+    """Runs an adaptive law with the published gains from rest at -pi/3 on all plants (M, mu) at once.
 
     Returns:
         Whether contact was lost or the pendulum reached the platform, shape (plants,), and the largest of each of
-        `ERRORS` in every cycle, shape (cycles, 3, plants).
+        `ERRORS` at the calls of the law in the cycles `shown`, counted from 1, shape (shown, 3, plants).
     """
     options = {"torque_limit": torque_limit, "physics_dt": min(controller.dt, LAW_DT)}
-    simulation = make_simulation(measured(controller), plants, PROPOSED.period, **options)
+    # A cycle that is not shown is one step. In others, a step is one call of the law.
+    simulation, recorded = (
+        make_simulation(controller, plants, control_dt, **options) for control_dt in (PROPOSED.period, controller.dt)
+    )
     running, nothing = np.ones(len(plants), np.bool_), np.zeros(len(plants))
-    first = ROWS + len(MEMORY)
-    errors = np.zeros((cycles, len(ERRORS), len(plants)))
-    for cycle in range(cycles):
-        simulation.step(nothing, running)
-        errors[cycle] = np.where(running, simulation.rows(first, first + len(ERRORS)), 0.0)
-        for row in range(first, first + len(ERRORS)):
-            simulation.write(row, nothing)
+    errors = np.zeros((len(shown), len(ERRORS), len(plants)))
+    for cycle in range(1, cycles + 1):
+        if cycle in shown:
+            recorded.world[:] = simulation.world
+            errors[shown.index(cycle)] = np.where(running, _record_cycle(recorded, running), 0.0)
+            simulation.world[:] = recorded.world
+        else:
+            simulation.step(nothing, running)
         running &= simulation.row(Row.termination) == 0.0
         if not running.any():
             break
     return ~running, errors
+
+
+def _record_cycle(simulation: Simulation, running: np.ndarray) -> np.ndarray:
+    """The largest of each of `ERRORS` in a cycle, shape (3, plants); a step is one call of the law."""
+    active, nothing, steps = running.copy(), np.zeros(len(running)), len(simulation.reference)
+    states, clocks = np.empty((steps, 2, len(running))), np.empty((steps, len(running)))
+    for n in range(steps):
+        simulation.step(nothing, active)
+        states[n], clocks[n] = simulation.rows(Row.theta, Row.theta_dot + 1), simulation.row(Row.clock)
+        active &= simulation.row(Row.termination) == 0.0
+    wanted = simulation.reference[clocks.astype(np.int64), :2]
+    error, rate_error = states[:, 0] - wanted[..., 0], states[:, 1] - wanted[..., 1]
+    return np.abs([error, rate_error, rate_error + PUBLISHED.Lambda_theta * error]).max(axis=1)
 
 
 def study_variants() -> list[tuple[float, float, int, int, int, int]]:
@@ -196,9 +201,12 @@ def study_long_runs() -> dict[int, list[dict[int, tuple[float, ...]]]]:
     runs = {}
     for rate in RATES:
         cycles = LONGEST if rate == RATES[0] else LONG
-        _, errors = run_cycles(adaptive(dt=1.0 / rate), [NOMINAL_PLANT, *CORNERS], cycles=cycles)
         shown = [n for n in SHOWN_CYCLES if n <= cycles]
-        runs[rate] = [{n: tuple(errors[n - 1, :, i].tolist()) for n in shown} for i in range(1 + len(CORNERS))]
+        _, errors = run_cycles(adaptive(dt=1.0 / rate), [NOMINAL_PLANT, *CORNERS], cycles=cycles, shown=shown)
+        runs[rate] = [
+            {n: tuple(found) for n, found in zip(shown, errors[..., i].tolist(), strict=True)}
+            for i in range(1 + len(CORNERS))
+        ]
     return runs
 
 

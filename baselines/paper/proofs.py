@@ -9,6 +9,7 @@ speed.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple, get_args
 
@@ -16,9 +17,7 @@ import numpy as np
 
 from baselines.paper import published
 from baselines.paper.selection import bisect
-from capsule_gym import contact, dynamics
-from capsule_gym.compilation import jitable
-from capsule_gym.compiler import compile_cached
+from capsule_gym import dynamics
 from capsule_gym.parameters import Capsule, NormalForce, Plant
 from capsule_gym.task import START_THETA
 
@@ -32,6 +31,8 @@ LONGEST_SWING = 2000
 STEPS = 100_000
 # Steps of the first estimate of the peak.
 COARSE_STEPS = 10_000
+# Steps of an envelope that are iterated together.
+WINDOW = 2000
 # Factor on that estimate up to which the slopes of the widening are valid, and number of attempts with its powers.
 HEADROOM = 1.05
 ATTEMPTS = 12
@@ -114,17 +115,15 @@ class Envelope(NamedTuple):
         return float(self.theta_dot[-1])
 
 
-@jitable
-def largest_acceleration(
-    theta: float, theta_dot: float, u: float, plants: tuple[Plant, ...], frictionless: Plant
-) -> float:
+def largest_acceleration(theta: np.ndarray, theta_dot: np.ndarray, u: float, plants: Sequence[Plant]) -> np.ndarray:
     """The largest theta'' in rad/s^2 in stick, without contact, and in slip either way on any of the plants."""
-    largest = dynamics.accelerations(theta, theta_dot, 0.0, 0.0, u, frictionless)[0]
-    largest = max(largest, dynamics.accelerations(theta, theta_dot, 0.0, 1.0, u, frictionless)[0])
+    # Rows: stick; slip without friction, as without contact; slip either way.
+    slip = np.array([[0.0], [1.0], [1.0], [-1.0]])
+    found = []
     for p in plants:
-        for slip in (1.0, -1.0):
-            largest = max(largest, dynamics.accelerations(theta, theta_dot, 0.0, slip, u, p)[0])
-    return largest
+        friction: Any = np.array([[0.0], [0.0], [p.mu], [p.mu]])
+        found.append(dynamics.accelerations(theta, theta_dot, 0.0, slip, u, p._replace(mu=friction)).theta_ddot)
+    return np.concatenate(found).max(axis=0)
 
 
 def integrate_envelope(
@@ -134,10 +133,12 @@ def integrate_envelope(
     u: float,
     along_theta: float,
     along_square: float,
-    plants: tuple[Plant, ...],
-    frictionless: Plant,
+    plants: Sequence[Plant],
 ) -> np.ndarray:
     """theta'^2 of the envelope on steps + 1 angles from low to high: Euler steps that never fall.
+
+    All steps of a window are computed from the squares of the previous iteration, until no square changes: these are
+    the squares of one step after the other.
 
     Args:
         low: first angle, rad; the pendulum rests there.
@@ -147,15 +148,21 @@ def integrate_envelope(
         along_theta: bound on |d theta'' / d theta|, 1/s^2 per rad; 0 for an estimate.
         along_square: bound on the increase of theta'' per theta'^2, 1/rad.
         plants: plants with the largest friction coefficient in both directions.
-        frictionless: a plant without friction.
     """
     h = (high - low) / steps
-    squares = np.zeros(steps + 1)
-    for n in range(steps):
-        acceleration = largest_acceleration(low + n * h, math.sqrt(squares[n]), u, plants, frictionless)
-        # The slope sigma of the step solves sigma = 2 (a + A h + B sigma h), which bounds 2 theta'' on all of it.
-        sigma = 2.0 * (acceleration + along_theta * h) / (1.0 - 2.0 * along_square * h)
-        squares[n + 1] = squares[n] + h * max(0.0, sigma)
+    theta, squares = low + np.arange(steps) * h, np.zeros(steps + 1)
+    for first in range(0, steps, WINDOW):
+        window = slice(first, min(first + WINDOW, steps))
+        own = squares[first : window.stop + 1]
+        own[1:] = own[0]
+        while True:
+            acceleration = largest_acceleration(theta[window], np.sqrt(own[:-1]), u, plants)
+            # The slope sigma of the step solves sigma = 2 (a + A h + B sigma h), which bounds 2 theta'' on all of it.
+            sigma = 2.0 * (acceleration + along_theta * h) / (1.0 - 2.0 * along_square * h)
+            found = np.cumsum(np.concatenate([own[:1], h * np.maximum(0.0, sigma)]))
+            if np.array_equal(found, own):
+                break
+            own[:] = found
     return squares
 
 
@@ -191,16 +198,15 @@ def upper_envelope(limit: float, low: float, high: float, *plants: Plant) -> Env
             wide for such a torque.
     """
     rough = tuple(p._replace(mu=p.mu * max(1.0, p.backward_ratio), backward_ratio=1.0) for p in plants)
-    frictionless = rough[0]._replace(mu=0.0)
-    theta, integrate = np.linspace(low, high, STEPS + 1), compile_cached(integrate_envelope)
-    squares = integrate(low, high, COARSE_STEPS, limit, 0.0, 0.0, rough, frictionless)
+    theta = np.linspace(low, high, STEPS + 1)
+    squares = integrate_envelope(low, high, COARSE_STEPS, limit, 0.0, 0.0, rough)
     largest, h = max(abs(low), abs(high)), (high - low) / STEPS
     fastest = HEADROOM * math.sqrt(squares[-1])
     for _ in range(ATTEMPTS):
         slopes = [_slopes_of_acceleration(limit, largest, fastest, p) for p in rough]
         along_theta, along_square = (max(column) for column in zip(*slopes, strict=True))
         if 4.0 * along_square * h < 1.0:
-            squares = integrate(low, high, STEPS, limit, along_theta, along_square, rough, frictionless)
+            squares = integrate_envelope(low, high, STEPS, limit, along_theta, along_square, rough)
             # The slopes hold up to this rate only.
             if squares[-1] <= fastest**2:
                 return Envelope(theta, np.sqrt(squares))
@@ -253,9 +259,10 @@ def torque_enough(velocity: float, low: float, high: float) -> float:
     p = Capsule().plant()
 
     def fails(torque: float) -> bool:
-        theta, theta_dot, x, x_dot = low, 0.0, 0.0, 0.0
+        state: tuple[Any, Any, Any, Any] = (low, 0.0, 0.0, 0.0)
         for _ in range(LONGEST_SWING):
-            theta, theta_dot, x, x_dot = contact.step(theta, theta_dot, x, x_dot, torque, p, 1e-3)[:4]
+            state = dynamics.step(*state, torque, p, 1e-3)[:4]
+            theta, theta_dot = float(state[0]), float(state[1])
             if theta_dot >= velocity or theta_dot <= 0.0 or theta >= high:
                 break
         return theta_dot < velocity

@@ -29,6 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from baselines.paper.proofs import swing_envelope
 from capsule_gym.command_line import parse
 from capsule_gym.parameters import NOMINAL, Capsule
 from capsule_gym.task import HORIZON, START_THETA, TORQUE_LIMIT
@@ -63,9 +64,6 @@ def bound_accelerations(capsule: Capsule) -> Accelerations:
     In F Newton's equations give p' = ((cos + mu sin) tau / (m l^2) - (sin - mu cos) theta_dot^2 - mu g / q) / D with
     D = 1 - m / (M + m) cos (cos + mu sin) and the pivot's torque tau.
     """
-    # This imports numba, which `--help` does not need.
-    from baselines.paper.proofs import swing_envelope
-
     M, m, l, g, mu = capsule.M, capsule.m, capsule.l, capsule.g, capsule.mu
     envelope = swing_envelope(TORQUE_LIMIT, -math.pi / 2.0, math.pi / 2.0, capsule)
     theta = np.linspace(-math.pi / 2.0, math.pi / 2.0, CELLS + 1)

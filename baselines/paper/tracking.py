@@ -13,13 +13,11 @@ from typing import Any, get_args
 
 import numpy as np
 
-from baselines.laws.feedback_linearisation import feedback_linearising, feedback_linearising_law
-from baselines.laws.gains import K_P, K_V
+from baselines.laws.feedback_linearisation import feedback_linearising
 from baselines.laws.profiles import EPC, PROPOSED, Profile
-from baselines.laws.reference import COLUMNS, slide
+from baselines.laws.reference import COLUMNS, platform_motion
 from baselines.paper import published
 from capsule_gym import Capsule, Controller, dynamics
-from capsule_gym.compiler import compile_cached
 from capsule_gym.config import LAW_DT, EnvConfig
 from capsule_gym.layout import ROWS, Row
 from capsule_gym.parameters import NOMINAL, NormalForce, Plant
@@ -169,15 +167,15 @@ def step_study(profile: Profile, steps: Sequence[float] = STEPS) -> tuple[np.nda
     Returns:
         Mean speeds (cm/s) and largest torques (N m).
     """
-    plant, found = NOMINAL.plant(), []
+    law, found = feedback_linearising().law, []
     for step in steps:
         times = np.arange(round(profile.period / step)) * step
-        # The law does not read the platform's columns; with them it shares the machine code of the other runs.
+        # The law does not read the platform's columns.
         table = np.zeros((len(times), len(COLUMNS)))
         table[:, :3] = np.stack(profile.evaluate(times), axis=1)
-        controller = Controller("feedback-linearising", feedback_linearising_law(plant, K_P, K_V), table, dt=step)
+        controller = Controller("feedback-linearising", law, table, dt=step)
         options = {"torque_limit": UNLIMITED, "physics_dt": step}
-        simulation = make_simulation(controller, [(plant.M, plant.mu)], 0.02, **options)
+        simulation = make_simulation(controller, [(NOMINAL.M, NOMINAL.mu)], 0.02, **options)
         for _ in range(round(CYCLES * profile.period / 0.02)):
             simulation.step(np.zeros(1), np.ones(1, np.bool_))
         metrics = simulation.metrics(np.zeros(1, np.int64))
@@ -186,36 +184,25 @@ def step_study(profile: Profile, steps: Sequence[float] = STEPS) -> tuple[np.nda
     return speed, torque
 
 
-def displacements(
-    angle: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, p: Plant, friction: np.ndarray, h: float
-) -> tuple[np.ndarray, float]:
-    """The positions of the platform after `CYCLES` cycles from rest, for many friction coefficients at once.
-
-    Neither load depends on the friction for a given motion of the pendulum, so a map is cheap to compute.
+def displacement(motion: Sequence[np.ndarray], p: Plant, h: float) -> float:
+    """The position in m of the platform after `CYCLES` cycles from rest.
 
     Args:
-        angle: theta in the middle of every step of one cycle, rad.
-        velocity: theta', rad/s.
-        acceleration: theta'', rad/s^2.
+        motion: theta (rad), theta' and theta'' in the middle of every step of one cycle.
         p: the plant.
-        friction: friction coefficients, static and kinetic, in both directions.
-        h: s.
-
-    Returns:
-        Positions in m, and the smallest normal force before its clamp at zero, N.
+        h: length of the steps, s.
     """
-    force, normal, result = np.empty_like(angle), np.empty_like(angle), np.zeros(len(friction))
-    for n in range(len(angle)):
-        force[n] = dynamics.driving_force(angle[n], velocity[n], acceleration[n], p)
-        normal[n] = dynamics.normal_force(angle[n], velocity[n], acceleration[n], p)
-    for i in range(len(friction)):
-        x = x_dot = 0.0
-        for _ in range(CYCLES):
-            for n in range(len(force)):
-                limit = friction[i] * max(0.0, normal[n])
-                x, x_dot, _ = slide(force[n], limit, limit, 1.0, p.M + p.m, x, x_dot, h)
-        result[i] = x
-    return result, normal.min()
+    x, x_dot, _ = _slide(motion, 1, p, h)
+    if x_dot[-1] != 0.0:
+        return float(_slide(motion, CYCLES, p, h)[0, -1])
+    # A platform that rests at the end of the cycle moves in the same way in the next one.
+    return float(CYCLES * x[-1])
+
+
+def _slide(motion: Sequence[np.ndarray], cycles: int, p: Plant, h: float) -> np.ndarray:
+    """The platform's motion over some cycles from rest, with the first step of the next one, whose start is the end."""
+    angle, velocity, acceleration = (np.append(np.tile(each, cycles), each[0]) for each in motion)
+    return platform_motion(angle, velocity, acceleration, h, p)
 
 
 @dataclass(frozen=True)
@@ -265,10 +252,11 @@ def speed_map(
     motion = profile.evaluate((np.arange(steps) + 0.5) * h)
     speed, smallest = np.empty((len(masses), len(friction))), np.empty(len(masses))
     for row, mass in enumerate(masses):
-        plant = NOMINAL.plant(M=mass)
-        travelled, normal = compile_cached(displacements)(*motion, plant, friction, h)
+        plants = [NOMINAL.plant(M=mass, mu=mu) for mu in friction.tolist()]
+        travelled = np.array([displacement(motion, plant, h) for plant in plants])
         speed[row] = 100.0 * travelled / (CYCLES * profile.period)
-        smallest[row] = normal / ((plant.M + plant.m) * plant.g)
+        plant = plants[0]
+        smallest[row] = dynamics.normal_force(*motion, plant).min() / ((plant.M + plant.m) * plant.g)
     return SpeedMap(profile.name, masses, friction, speed, smallest)
 
 

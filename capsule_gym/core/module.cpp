@@ -332,6 +332,9 @@ int fill(PyObject* module) {
   failed |= add_names(module, "PLANT", CAPSULE_PLANT(FIELD));
   failed |= add_names(module, "NETWORK", CAPSULE_NETWORK(FIELD));
 #undef FIELD
+#define FIELD(type, name) #name " "
+  failed |= add_names(module, "BATCH", CAPSULE_BATCH(FIELD));
+#undef FIELD
 #define F(name, arguments, results, call) #name ":" #arguments ":" #results " "
   failed |= add_names(module, "PLANT_FUNCTIONS", CAPSULE_PLANT_FUNCTIONS(F));
   failed |= add_names(module, "ELEMENTARY_FUNCTIONS", CAPSULE_ELEMENTARY_FUNCTIONS(F));
@@ -359,7 +362,7 @@ int fill(PyObject* module) {
   // Constants of the core that Python needs too.
 #define CONSTANT(name) failed |= PyModule_AddObject(module, #name, PyFloat_FromDouble(portable::name));
   CONSTANT(THETA_LIMIT) CONSTANT(THETA_DOT_BOUND) CONSTANT(X_DOT_BOUND) CONSTANT(RATE_LIMIT) CONSTANT(MOTOR_WIDTH)
-  CONSTANT(MOTOR_SLOPE) CONSTANT(ERROR_BOUND) CONSTANT(HOLD) CONSTANT(TIME_TOLERANCE) CONSTANT(SPEED_BOUND)
+  CONSTANT(MOTOR_SLOPE) CONSTANT(ERROR_BOUND) CONSTANT(HOLD) CONSTANT(TOLERANCE) CONSTANT(TIME_TOLERANCE) CONSTANT(SPEED_BOUND)
   CONSTANT(SETTLING) CONSTANT(MEASURED)
 #undef CONSTANT
   failed |= PyModule_AddIntConstant(module, "LANES", LANES);

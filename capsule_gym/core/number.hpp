@@ -48,7 +48,7 @@ typedef unsigned long long Word;
 
 #if defined(__wasm__)
 // WebAssembly has no fused instruction. Exact products and sums, the last but one rounded to odd (Boldo and Melquiond,
-// "Emulation of a FMA and correctly rounded sums", 2008). The library takes what might over- or underflow.
+// "Emulation of a FMA and correctly rounded sums", 2008). `const`: equal calls are made once.
 struct Sum {
   double value, error;
 };
@@ -56,27 +56,25 @@ INLINE Sum two_sum(double a, double b) {
   double s = a + b, t = s - a;
   return {s, (a - (s - t)) + (b - t)};
 }
-NOINLINE inline double fma(double a, double b, double c) {
-  double p = a * b, size = __builtin_fabs(p), size_c = __builtin_fabs(c);
-  if (p == 0.0 && (a == 0.0 || b == 0.0)) return p + c;
-  if (!(size > 1e-200 && size < 1e200 && __builtin_fabs(a) < 1e200 && __builtin_fabs(b) < 1e200 && size_c < 1e200))
+// Whether the size is between 2^-623 and 2^577: then no intermediate result over- or underflows.
+INLINE bool moderate(double x) { return (__builtin_bit_cast(Word, x) >> 52 & 2047) - 400 < 1200; }
+NOINLINE __attribute__((const)) inline double fma(double a, double b, double c) {
+  double p = a * b;
+  if (!(moderate(a) & moderate(b) & moderate(c) & moderate(p))) {
+    if (a == 0.0 || b == 0.0 || (c == 0.0 && moderate(p))) return p + c;
     return __builtin_fma(a, b, c);
-  if (c == 0.0) return p;
-  if (size_c < 1e-200) return __builtin_fma(a, b, c);
+  }
   constexpr double SPLIT = 134217729.0;  // halves a significand of 53 bits (Veltkamp)
   double a_h = a * SPLIT, b_h = b * SPLIT;
   a_h = a_h - (a_h - a), b_h = b_h - (b_h - b);
   double a_l = a - a_h, b_l = b - b_h;
   double rest = ((a_h * b_h - p) + a_h * b_l + a_l * b_h) + a_l * b_l;
   Sum t = two_sum(c, rest), v = two_sum(p, t.value), z = two_sum(t.error, v.error);
-  Word word;
-  __builtin_memcpy(&word, &z.value, 8);
-  if (z.error != 0.0 && !(word & 1)) {
-    // Away from zero where the error has the sign of the sum, else towards it.
-    word += (z.error > 0.0) == (z.value > 0.0) ? 1 : -1;
-    __builtin_memcpy(&z.value, &word, 8);
-  }
-  return v.value + z.value;
+  // Away from zero where the error has the sign of the sum, else towards it; without a branch, since no processor
+  // predicts it.
+  Word word = __builtin_bit_cast(Word, z.value), away = (z.error > 0.0) == (z.value > 0.0) ? 1 : -1;
+  word += away * ((z.error != 0.0) & ~word & 1);
+  return v.value + __builtin_bit_cast(double, word);
 }
 #else
 INLINE double fma(double a, double b, double c) { return __builtin_fma(a, b, c); }

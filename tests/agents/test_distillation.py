@@ -14,7 +14,6 @@ from agents.distillation.dataset import collect
 from agents.training.signals import INTERRUPTED
 from baselines.dynamic_programming.policy import NUM_TORQUES, TORQUES
 from capsule_gym import load_policy
-from capsule_gym.observation import DEVIATION_M
 from capsule_gym.parameters import NOMINAL
 from capsule_gym.task import CONTROL_DT
 
@@ -83,9 +82,9 @@ def test_a_torque_that_leaves_less_normal_force_than_the_margin_costs_more():
 
     small, large = regrets(margin=1.0), regrets(margin=20.0)
     assert large.mean() > small.mean() + 10.0
-    # Before any observation, the weight's uncertainty is that of the prior.
+    # Before any observation, the standard deviation of M is that of the prior, 0.2 kg.
     uncertain = regrets(margin=1.0, deviations=2.0)
-    np.testing.assert_allclose(uncertain, regrets(margin=1.0 + 2.0 * NOMINAL.g * DEVIATION_M), rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(uncertain, regrets(margin=1.0 + 2.0 * NOMINAL.g * 0.2), rtol=1e-4, atol=1e-4)
     assert (uncertain != small).any()
 
 

@@ -8,7 +8,7 @@ import statistics
 import numpy as np
 import pytest
 
-from benchmarks import accuracy, measurement, mujoco, reference, regression, throughput
+from benchmarks import accuracy, measurement, mujoco, regression, throughput
 from benchmarks.regression import Guard
 from benchmarks.throughput import Contender
 from capsule_gym.parameters import Capsule
@@ -98,7 +98,7 @@ def test_mujoco_has_the_same_plant_and_about_the_same_friction(friction: mujoco.
     torques = np.random.default_rng(0).uniform(-0.5, 0.5, 100)
 
     def end(mu: float) -> np.ndarray:
-        return reference.run(torques, accuracy.START, Capsule(mu=mu).plant(), 0.02, 20).states[1:]
+        return accuracy.run(torques[:, None], Capsule(mu=mu).plant(), 1e-3)[1:, :, 0]
 
     mu = 0.1 if friction else 0.0
     model = mujoco.build_model(friction or mujoco.FRICTIONS[0], "RK4", 1e-3, Capsule(mu=mu))

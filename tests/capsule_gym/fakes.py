@@ -8,7 +8,7 @@ from capsule_gym import Controller
 from capsule_gym.layout import Row
 
 # Inputs of a step, and values that every step overwrites; all other rows belong to the episode.
-SCRATCH = {"action", "active", "mass_ratio", "before_x", "slip", "elapsed", "halt"} | {
+SCRATCH = {"action", "active", "mass_ratio", "before_x", "slip", "elapsed", "halt", "cursor"} | {
     *("next_theta", "next_theta_dot", "next_x", "next_x_dot"),
     *("theta_ddot", "x_ddot", "first_normal_force", "least_normal_force"),
 }
@@ -43,6 +43,11 @@ def picky(theta, theta_dot, x, x_dot, memory, reference):
 
 def picky_controller() -> Controller:
     return Controller("picky", picky, np.zeros((1, 2)))
+
+
+def flatten(info: dict) -> list:
+    """The values of an info, also those inside dictionaries."""
+    return [each for value in info.values() for each in (flatten(value) if isinstance(value, dict) else [value])]
 
 
 def layout(info: dict) -> dict:

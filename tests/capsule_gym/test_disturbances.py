@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import copy
 import math
-import pickle
 from dataclasses import replace
 
-import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 from scipy import stats
-from stable_baselines3.common.env_checker import check_env as check_sb3
 
 from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv, Controller, Randomization
 from capsule_gym.native import evaluate
-from capsule_gym.parameters import CONSTANTS, DISTURBANCES, NOMINAL, REAL, Disturbances
-from tests.capsule_gym.fakes import layout
+from capsule_gym.parameters import NOMINAL, REAL, Disturbances
 
 CLEAN = Disturbances(stick_threshold=0.0)
 VARIED = Randomization(
@@ -25,16 +19,6 @@ VARIED = Randomization(
     mu=(0.009, 0.3),
     log_mu=True,
     **{name: (0.9 * getattr(NOMINAL, name), 1.1 * getattr(NOMINAL, name)) for name in "mlkc"},
-)
-ROUGH = Disturbances(
-    **{
-        name: getattr(REAL, name)
-        for name in DISTURBANCES
-        if name not in ("push", "theta_resolution", "torque_resolution")
-    },
-    push=(0.0, 0.5),
-    theta_resolution=0.001,
-    torque_resolution=0.01,
 )
 
 
@@ -86,68 +70,6 @@ def test_drawn_constants_make_the_plant_of_a_capsule_with_these():
     for one, other, third in zip(drawn, fixed, set_, strict=True):
         np.testing.assert_allclose(one["state"], other["state"], rtol=0.0, atol=1e-11)
         np.testing.assert_array_equal(one["state"], third["state"])
-
-
-def drawn_of(info: dict) -> tuple[np.ndarray, np.ndarray]:
-    """The values that the episodes have drawn, each of shape (.., number of values)."""
-    return tuple(
-        np.stack([info[name][key] for key in keys], axis=-1)
-        for name, keys in (("disturbances", DISTURBANCES), ("capsule", CONSTANTS))
-    )
-
-
-@pytest.mark.parametrize("controller", [None, "baselines:gait_predictive"])
-def test_a_batch_gives_the_episodes_of_single_environments(controller):
-    options = {"controller": controller, "disturbances": ROUGH, "randomization": VARIED}
-    count, steps = 130, 250
-    actions = swing(steps, count)
-    batch = CapsuleVectorEnv(count, threads=2, **options)
-    observations, info = batch.reset(seed=5)
-    seen = [(observations, info["state"], info["reading"], *drawn_of(info))]
-    ended = np.zeros(count, np.bool_)
-    for action in actions:
-        observations, _, terminated, _, info = batch.step(action)
-        seen.append((observations, info["state"], info["reading"], *drawn_of(info)))
-        ended |= terminated
-    assert controller or 0 < ended.sum() < count
-    for i in (0, 1, 63, 64, 129):
-        single = CapsuleEnv(**options)
-        observation, info = single.reset(seed=5 + i)
-        over = False
-        for t in range(steps + 1):
-            if t:
-                if over:
-                    observation, info = single.reset()
-                    over = False
-                else:
-                    observation, _, over, _, info = single.step(actions[t - 1, i])
-            expected = observation, info["state"], info["reading"], *drawn_of(info)
-            for value, whole in zip(expected, seen[t], strict=True):
-                np.testing.assert_array_equal(whole[i], value)
-
-
-def test_the_checkers_are_silent_and_the_info_keeps_its_form():
-    env = gym.make("CapsuleStickSlip-v0", disturbances="real", randomization=VARIED)
-    check_env(env.unwrapped, skip_render_check=True)
-    check_sb3(env)
-    infos = run(env.unwrapped, swing(50), seed=0)
-    assert {"reading", "capsule", "disturbances"} < set(infos[0])
-    assert all(layout(info) == layout(infos[0]) for info in infos)
-
-
-def test_copies_go_on_with_the_same_noise():
-    env = CapsuleEnv(disturbances=ROUGH, randomization=VARIED, controller="baselines:gait_predictive")
-    run(env, swing(40), seed=2)
-    twins = copy.deepcopy(env), pickle.loads(pickle.dumps(env))
-    for action in swing(40, seed=1)[:, 0]:
-        observation, _, _, _, info = env.step(action)
-        for twin in twins:
-            other, _, _, _, its = twin.step(action)
-            np.testing.assert_array_equal(other, observation)
-            np.testing.assert_array_equal(its["reading"], info["reading"])
-    observation = env.reset()[0]
-    for twin in twins:
-        np.testing.assert_array_equal(twin.reset()[0], observation)
 
 
 def test_readings_are_late_by_the_latency():

@@ -19,13 +19,14 @@ from capsule_gym.config import EnvConfig
 from capsule_gym.layout import Row
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import ENV_ID, METRICS, Termination
-from tests.capsule_gym.fakes import layout, picky_controller
+from tests.capsule_gym.fakes import flatten, layout, picky_controller
 
 VARIANTS = [
     {},
     {"controller": "baselines:adaptive", "residual_limit": 3.0, "observe_parameters": True},
     {"observe_parameters": True, "randomization": "wide", "initial_noise": 0.05},
     {"controller": "baselines:adaptive", "residual_limit": 1.0, "total_torque": True},
+    {"controller": "baselines:gait_predictive", "disturbances": "real", "randomization": "real-wide"},
 ]
 JUMP = {"t": 1.0, "M": 0.5, "mu": 0.01}
 
@@ -100,7 +101,7 @@ def test_reward_terms_sum_to_the_reward_and_mean_what_they_say():
 def test_info_has_the_same_keys_and_dtypes_at_reset_step_and_termination(kwargs):
     env = CapsuleEnv(**kwargs)
     expected = layout(env.reset(seed=0)[1])
-    assert all(np.issubdtype(dtype, np.number) or dtype == np.bool_ for _, dtype, _ in expected.values())
+    assert all(np.issubdtype(dtype, np.number) or dtype == np.bool_ for _, dtype, _ in flatten(expected))
     assert expected["state"][1:] == (np.float64, (4,))
     assert expected["termination"][1:] == (np.int64, ())
     for state, ends in (([0.0] * 4, Termination.none), ([1.55, 10.0, 0.0, 0.0], Termination.pendulum)):
@@ -315,10 +316,10 @@ def play(env: gym.Env, rng: np.random.Generator, steps: int) -> list[bytes]:
     seen = []
     for _ in range(steps):
         *result, info = env.step(rng.uniform(-1.0, 1.0, 1).astype(np.float32))
-        seen += [*result, *info.values(), *env.unwrapped.episode_metrics().values()]
+        seen += [*result, *flatten(info), *env.unwrapped.episode_metrics().values()]
         if result[2] or result[3]:
             observation, info = env.reset()
-            seen += [observation, *info.values()]
+            seen += [observation, *flatten(info)]
     return [np.asarray(value).tobytes() for value in seen]
 
 

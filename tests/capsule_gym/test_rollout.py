@@ -1,4 +1,4 @@
-"""Whole episodes in one compiled call: the same bits as stepping the batch, also with jumps and failures."""
+"""Whole episodes in one call of the core: the same bits as stepping the batch, also with jumps and failures."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def on_a_law() -> Policy:
 
 @pytest.mark.parametrize("n", [1, 2 * LANES + 3])
 @pytest.mark.parametrize("make", [make_remembering, partial(make_remembering, output="torque"), on_a_law])
-def test_what_is_remembered_gives_the_same_bits_alone_in_a_batch_and_compiled(make, n):
+def test_what_is_remembered_gives_the_same_bits_alone_in_a_batch_and_in_a_rollout(make, n):
     policy = make()
     looped, observations = begun(policy, n, jumps(n), threads=2)
     rolled, _ = begun(policy, n, jumps(n), threads=2)

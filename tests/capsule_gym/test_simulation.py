@@ -10,48 +10,11 @@ import pytest
 
 from capsule_gym import Capsule, Controller, Randomization, dynamics
 from capsule_gym.config import EnvConfig
-from capsule_gym.layout import ROWS, Row
+from capsule_gym.layout import Row
 from capsule_gym.settings import STABLE
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import Termination
-from tests.capsule_gym.fakes import EPISODE_ROWS, picky_controller
-
-VARIANTS = [
-    {},
-    {"controller": "baselines:adaptive", "residual_limit": 3.0, "observe_parameters": True},
-]
-
-
-@pytest.mark.parametrize("kwargs", VARIANTS, ids=["direct", "adaptive"])
-@pytest.mark.parametrize(("n", "threads"), [(1, 1), (63, 1), (65, 2), (200, 3)])
-def test_every_quantity_is_that_of_the_environment_alone(kwargs, n, threads):
-    settings, rng = {"initial_noise": 0.05, "randomization": "wide", **kwargs}, np.random.default_rng(0)
-    batch = Simulation(n, EnvConfig(threads=threads, **settings))
-    alone = [Simulation(1, EnvConfig(**settings)) for _ in range(n)]
-    for i, each in enumerate(alone):
-        batch.seed(i, i)
-        each.seed(0, i)
-        each.reset(np.array([0]))
-    batch.reset(np.arange(n))
-    rows = [*EPISODE_ROWS, *range(ROWS, batch.world.shape[1])]
-    # The torques differ by a factor of ten between environments, so that some fail, each at another step.
-    for actions in rng.uniform(-1.0, 1.0, (60, n)) * rng.uniform(0.1, 1.0, n):
-        running = batch.row(Row.termination) == 0.0
-        batch.step(actions, None if running.all() else running)
-        for i in np.flatnonzero(running):
-            alone[i].step_one(actions[i])
-        columns, expected = batch.columns(np.arange(n)), np.array([each.world[0, :, 0] for each in alone]).T
-        # An ended environment gets no reward; its other values stay as the last step left them.
-        expected[Row.reward, ~running] = 0.0
-        assert columns[rows].tobytes() == expected[rows].tobytes()
-        assert batch.observations.tobytes() == b"".join(each.observations.tobytes() for each in alone)
-    assert n == 1 or 3 <= np.count_nonzero(batch.row(Row.termination)) <= n // 3
-    for name, values in batch.metrics(np.arange(n), 60).items():
-        own = [each.metrics(np.array([0]), 60)[name] for each in alone]
-        assert values.tobytes() == np.concatenate(own).tobytes(), name
-    batch.close()
-    # A second close does nothing.
-    batch.close()
+from tests.capsule_gym.fakes import picky_controller
 
 
 def test_a_substep_in_which_contact_is_lost_is_that_of_the_plant():

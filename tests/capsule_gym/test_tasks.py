@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import math
-import pickle
 import warnings
 
 import gymnasium as gym
@@ -65,37 +63,6 @@ def test_the_checkers_are_silent_and_the_info_keeps_its_form(name):
     assert set(metrics) > set(METRICS) and all(not math.isnan(value) for value in metrics.values())
 
 
-@pytest.mark.parametrize("kwargs", [{}, {"controller": "baselines:gait", "observe_parameters": True}])
-@pytest.mark.parametrize("name", OTHERS)
-def test_a_batch_gives_the_bits_of_single_environments_across_resets(name, kwargs):
-    count, horizon = 66, 40
-    batch = CapsuleVectorEnv(
-        count, max_episode_steps=horizon, autoreset_mode="SAME_STEP", threads=2, task=name, **kwargs
-    )
-    own = batch.simulation.task
-    alone = [CapsuleEnv(task=name, **kwargs) for _ in range(count)]
-    observations, infos = batch.reset(seed=7)
-    for i, env in enumerate(alone):
-        first, info = env.reset(seed=7 + i)
-        assert first.tobytes() == observations[i].tobytes()
-        assert all(infos[field][i] == info[field] for field in own.shown)
-    for t, given in enumerate(actions(1, 2 * horizon + 5, count)):
-        observations, rewards, terminated, truncated, infos = batch.step(given)
-        for i, env in enumerate(alone):
-            seen, reward, failed, _, info = env.step(given[i])
-            assert (reward, failed) == (rewards[i], terminated[i])
-            final = terminated[i] or truncated[i]
-            for field in (*own.shown, *own.reward_terms):
-                assert (infos["final_info"] if final else infos)[field][i] == info[field], (t, i, field)
-            if final:
-                assert infos["final_obs"][i].tobytes() == seen.tobytes()
-                metrics = env.episode_metrics(horizon)
-                assert all(infos["final_info"]["metrics"][key][i] == value for key, value in metrics.items())
-                seen, _ = env.reset()
-            assert seen.tobytes() == observations[i].tobytes()
-    batch.close()
-
-
 @pytest.mark.parametrize("name", OTHERS)
 def test_what_an_episode_draws_are_numpys_numbers_and_a_reset_may_set_it(name):
     own = find_task(name)
@@ -116,20 +83,6 @@ def test_what_an_episode_draws_are_numpys_numbers_and_a_reset_may_set_it(name):
     # The plant and the first angle are the same draws as those of the speed task.
     masses = [CapsuleEnv(task=each, randomization="paper").reset(seed=3)[1]["M"] for each in (name, "speed")]
     assert masses[0] == masses[1]
-
-
-@pytest.mark.parametrize("make_copy", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-@pytest.mark.parametrize("name", OTHERS)
-def test_a_copy_goes_on_with_the_episodes_bit_for_bit(name, make_copy):
-    env = CapsuleVectorEnv(3, task=name, max_episode_steps=30, autoreset_mode="NEXT_STEP")
-    env.reset(seed=0, options={key: [value] * 3 for key, value in GIVEN[name][0].items()})
-    for given in actions(0, 10, 3):
-        env.step(given)
-    twin = make_copy(env)
-    for given in actions(1, 60, 3):
-        ours, theirs = env.step(given), twin.step(given)
-        assert all(a.tobytes() == b.tobytes() for a, b in zip(ours[:4], theirs[:4], strict=True))
-        assert all(ours[4][key].tobytes() == theirs[4][key].tobytes() for key in ours[4])
 
 
 @pytest.mark.parametrize("name", OTHERS)

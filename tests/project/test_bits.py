@@ -1,7 +1,6 @@
-"""The bits of whole episodes on this processor, on a simpler one, and with other libraries of elementary functions.
+"""The bits of whole episodes at each level of instructions, and with other libraries of elementary functions.
 
-`make bits-check` compares one training seed of each policy; `make bits` compares all seeds on every processor that
-this one can emulate.
+`make bits-check` compares one training seed of each policy; `make bits` compares all seeds at every level.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ import pytest
 
 from tests import bits
 
-# The physics, a law, the network and the compiled rollout.
+# The physics, a law, the network and the rollout.
 SUBJECTS = ("plant", "plant anisotropic", "law adaptive", "policy direct-ppo/seed-0", "policy residual-ppo/seed-0")
 
 
@@ -18,13 +17,14 @@ def test_bits_are_the_committed_ones(capsys) -> None:
     assert bits.main(["--only", *SUBJECTS]) == 0, capsys.readouterr().out
 
 
-@pytest.mark.parametrize("other", ["processor", "libraries of elementary functions"])
-def test_bits_do_not_depend_on_the(other: str) -> None:
-    # Only x86 has names for other processors; without fused instructions, a law takes minutes.
-    variables, subject = bits.processors().get("generic", {}), "plant"
-    if other != "processor":
-        variables, subject = bits.both_libraries(), SUBJECTS[-1]
-    done = bits.run(variables, subject)
+# Without fused instructions, a law takes a minute.
+@pytest.mark.parametrize(
+    ("variables", "subject"),
+    [*((level, SUBJECTS[-2]) for level in bits.levels().values()), (bits.both_libraries(), SUBJECTS[-1])],
+    ids=str,
+)
+def test_bits_do_not_depend_on_the_processor_or_on_libraries(variables: dict[str, str], subject: str) -> None:
+    done = bits.run(variables, "plant", subject)
     assert done.returncode == 0, done.stdout + done.stderr
 
 

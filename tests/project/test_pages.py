@@ -77,7 +77,7 @@ def test_block_runs(name: str, line: int, language: str, code: str, tmp_path: Pa
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setenv("MPLBACKEND", "agg")
-    # A real file, because compiled laws read their own source; padding gives it the line numbers of the page.
+    # A real file; padding gives it the line numbers of the page.
     script = tmp_path / f"{Path(name).stem}.py"
     script.write_text("\n" * line + code, encoding="utf-8")
     runpy.run_path(str(script), run_name="__main__")

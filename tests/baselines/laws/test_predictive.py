@@ -12,7 +12,7 @@ from baselines.laws.adaptive import adaptive
 from baselines.laws.gains import plant_constants
 from baselines.laws.gait import LIGHTEST, PARAMETERS, gait
 from baselines.laws.predictive import ESTIMATE, adaptive_predictive, gait_predictive
-from capsule_gym import CapsuleVectorEnv, Disturbances, contact, dynamics
+from capsule_gym import CapsuleVectorEnv, Disturbances, dynamics
 from capsule_gym.config import LAW_DT
 from capsule_gym.controller import CoreLaw
 from capsule_gym.layout import ROWS
@@ -55,7 +55,7 @@ def advance(state, motor, torque, plant, steps=1):
     for _ in range(steps):
         motor = torque + (motor - torque) * math.exp(-h / LAG)
         u = motor - MOTOR_FRICTION * min(1.0, max(-1.0, state[1] / MOTOR_WIDTH))
-        state = contact.step(*state, u, plant, h)[:4]
+        state = [float(value) for value in dynamics.step(*state, u, plant, h)[:4]]
     return state, motor
 
 

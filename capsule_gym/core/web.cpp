@@ -1,0 +1,57 @@
+// The core for browsers and node, compiled to WebAssembly: one environment, without Python and without packs. Every
+// environment has an instance of the module with a memory of its own.
+#define LEVEL web
+#define CAPSULE_ONE_ENVIRONMENT
+#include "network.hpp"
+#include "resets.hpp"
+#include "step.hpp"
+
+#define EXPORT(name) extern "C" __attribute__((export_name(#name)))
+
+namespace {
+constexpr unsigned long PAGE = 65536, LINE = 64;
+Batch batch;
+unsigned long end;
+}  // namespace
+
+extern "C" unsigned char __heap_base;
+
+// The address of new memory, zeros, which is never freed. It invalidates JavaScript's views of the memory.
+EXPORT(allocate) unsigned long allocate(unsigned long bytes) {
+  if (!end) end = ((unsigned long)&__heap_base + LINE - 1) / LINE * LINE;
+  unsigned long start = end, present = __builtin_wasm_memory_size(0);
+  end += (bytes + LINE - 1) / LINE * LINE;
+  unsigned long pages = (end + PAGE - 1) / PAGE;
+  if (pages > present) __builtin_wasm_memory_grow(0, pages - present);
+  return start;
+}
+
+// Sets the fields of `Batch` in their order; arrays by their addresses.
+EXPORT(bind) void bind(const double* fields) {
+#define FIELD(type, name) batch.name = (type)(long)*fields++;
+  CAPSULE_BATCH(FIELD)
+#undef FIELD
+}
+
+EXPORT(draw_episode) void draw_episode() { web::draw_episodes(batch, 1); }
+EXPORT(begin_episode) void begin_episode() { web::begin_blocks<1>(batch, 1, web::block_size<1>(batch)); }
+
+// One agent step, or with `begin` the first call of the law in an episode; false if the law's torque is not finite.
+EXPORT(advance) bool advance(bool begin) { return web::advance(batch, 0, 1, begin) < 0; }
+
+// The action of a trained policy for the observation; `memory` is that of its filter.
+EXPORT(act) double act(const double* packed, double* memory) {
+  web::Network network(packed);
+  double action;
+  void* workspace = __builtin_alloca(web::workspace_size(network, 1));
+  web::act<double>(network, batch.observations, batch.entries, 0, 1, (web::Identification*)memory, workspace, &action);
+  return action;
+}
+
+// Functions for what JavaScript computes.
+EXPORT(log) double log(double x) { return web::log(x); }
+EXPORT(sin) double sin(double x) { return web::sincos(x).sin; }
+EXPORT(cos) double cos(double x) { return web::sincos(x).cos; }
+EXPORT(cubic) double cubic(const double* parameters, double theta, double theta_dot, double x_dot) {
+  return web::cubic(theta, theta_dot, x_dot, web::load<web::GaitCandidate::Parameters<double>>(parameters));
+}

@@ -1,0 +1,131 @@
+"""One core: the same bits at every level of instructions, in batches of every size, and on any number of threads."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from capsule_gym import CapsuleVectorEnv, Controller, _core, native
+from capsule_gym.controller import CoreLaw, find_controller
+from capsule_gym.layout import ROWS
+from capsule_gym.parameters import REAL
+from capsule_gym.task import TASKS
+from tests.capsule_gym.fakes import EPISODE_ROWS
+
+SIZES = (1, 3, 64, 65, 130)
+STEPS = 30
+ROUGH = replace(REAL, push=(0.0, 0.5), theta_resolution=0.001, torque_resolution=0.01)
+CASES: dict[str, dict[str, Any]] = {
+    **{f"{name}, direct": {"task": name} for name in TASKS},
+    **{f"{name}, law and disturbances": {
+        "task": name, "controller": "baselines:gait_identifying", "disturbances": ROUGH, "randomization": "real-wide"
+    } for name in TASKS},
+    "adaptive": {"controller": "baselines:adaptive", "residual_limit": 3.0, "observe_parameters": True},
+    "stack": {"stack_size": 3, "initial_range": (1.0, 8.0)},
+}  # fmt: skip
+
+
+def episode(n: int, threads: int, **kwargs: Any) -> list[bytes]:
+    """Everything that the environments of a batch have shown, one entry per environment."""
+    env = CapsuleVectorEnv(n, threads=threads, max_episode_steps=12, autoreset_mode="SAME_STEP", **kwargs)
+    env.reset(seed=7)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (max(SIZES), STEPS)).astype(np.float32)[:n]
+    shown = []
+    for t in range(STEPS):
+        observations, rewards, terminated, _, _ = env.step(actions[:, t : t + 1])
+        columns = env.simulation.columns(np.arange(n))
+        world = columns[[*EPISODE_ROWS, *range(ROWS, env.simulation.task_end)]].T
+        shown.append(np.concatenate([observations, rewards[:, None], terminated[:, None], world], axis=1))
+    env.close()
+    return [np.array(shown)[:, i].tobytes() for i in range(n)]
+
+
+@pytest.mark.parametrize("kwargs", CASES.values(), ids=CASES)
+def test_bits_do_not_depend_on_level_batch_and_threads(kwargs, monkeypatch):
+    expected = episode(max(SIZES), 1, **kwargs)
+    assert len(set(expected)) == len(expected)
+    for level in _core.LEVELS:
+        monkeypatch.setattr(native, "LEVEL", level)
+        # The slowest level, without fused instructions, in a small and a large batch.
+        for n in SIZES if level == _core.LEVELS[0] else (3, 65):
+            assert episode(n, 1 + n % 2, **kwargs) == expected[:n], (level, n)
+
+
+def test_a_law_of_the_core_gives_the_torques_of_the_environment_at_every_level(monkeypatch):
+    made = find_controller("baselines:gait")
+    assert isinstance(made, Controller) and isinstance(made.law, CoreLaw)
+    states = np.random.default_rng(0).uniform(-1.0, 1.0, (200, 4)) * (1.5, 20.0, 1.0, 1.0)
+    found = set()
+    for level in _core.LEVELS:
+        monkeypatch.setattr(native, "LEVEL", level)
+        torques, _ = made.law.evaluate(states, np.zeros((200, made.law.cells)), np.zeros((200, _core.LAWS["gait"][2])))
+        env = CapsuleVectorEnv(200, controller=made)
+        _, info = env.reset(options={"state": states})
+        assert info["law_torque"].tobytes() == np.clip(torques, -1.5, 1.5).tobytes()
+        found.add(torques.tobytes())
+    assert len(found) == 1
+
+
+def test_an_unknown_level_is_named():
+    for level in ("v9", ""):
+        done = subprocess.run(
+            [sys.executable, "-c", "import capsule_gym.native"],
+            env={**os.environ, "CAPSULE_GYM_LEVEL": level},
+            capture_output=True,
+            text=True,
+        )
+        said = f"ImportError: CAPSULE_GYM_LEVEL must be one of {_core.LEVELS} on this processor, got {level!r}"
+        assert done.stderr.splitlines()[-1] == said
+    for function in (lambda: _core.bind("v9", {}), lambda: _core.evaluate("v9", 0, 0, 0, 0, 0)):
+        with pytest.raises(ValueError, match=r"^level must be one that this processor runs, got 'v9'$"):
+            function()
+
+
+@pytest.mark.parametrize("n", [1, 65])
+def test_the_world_begins_a_cache_line(n):
+    assert CapsuleVectorEnv(n).simulation.world.ctypes.data % 64 == 0
+
+
+# Makes each environment with each law of the package and steps it; prints the files that were opened for writing, and
+# the compilers that were imported.
+BARE = """
+import json, os, pwd, sys
+
+def getpwuid(uid):
+    raise KeyError(f"getpwuid(): uid not found: {uid}")
+
+pwd.getpwuid, written = getpwuid, []
+
+def note(event, arguments):
+    if event == "open" and arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
+        written.append(str(arguments[0]))
+
+sys.addaudithook(note)
+import gymnasium as gym, numpy as np
+import capsule_gym, baselines
+from capsule_gym.task import TASKS
+
+for task, (env_id, _) in TASKS.items():
+    for made in (None, *(getattr(baselines, name)() for name in baselines.__all__)):
+        if made is None or made.task in (None, task):
+            for env in (gym.make(env_id, controller=made), gym.make_vec(env_id, num_envs=2, controller=made)):
+                env.reset(seed=0)
+                env.step(np.zeros(env.action_space.shape, np.float32))
+print(json.dumps(written + sorted({"numba", "llvmlite"} & set(sys.modules))))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="without users in a file")
+def test_the_laws_of_the_package_need_no_compiler_no_home_and_no_writable_folder():
+    """The package's own laws are in the core: no variable of numba's has an effect on them."""
+    environment = {"PATH": os.environ["PATH"], "NUMBA_DISABLE_JIT": "1", "NUMBA_CPU_NAME": "x"}
+    done = subprocess.run([sys.executable, "-B", "-c", BARE], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == []

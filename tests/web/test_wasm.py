@@ -1,0 +1,109 @@
+"""The core as WebAssembly: the fused multiply-add, which WebAssembly lacks, and the bytes of the module."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import os
+import shutil
+import subprocess
+from collections.abc import Iterable
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from web import build
+
+SOURCE = """
+#define LEVEL web
+#include "number.hpp"
+extern "C" __attribute__((export_name("fma"))) double fused(double a, double b, double c) { return web::fma(a, b, c); }
+"""
+SCRIPT = """
+import { readFileSync } from "node:fs";
+const [module, triples] = process.argv.slice(1).map((path) => readFileSync(path));
+const { instance } = await WebAssembly.instantiate(module);
+const given = new Float64Array(triples.buffer.slice(triples.byteOffset, triples.byteOffset + triples.length));
+const found = new Float64Array(given.length / 3).map((_, n) => instance.exports.fma(...given.slice(3 * n, 3 * n + 3)));
+console.log(JSON.stringify(Buffer.from(found.buffer).toString("hex")));
+"""
+
+
+@pytest.fixture(scope="module")
+def wasm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A module with the function `fma`."""
+    if shutil.which("node") is None and "CI" not in os.environ:
+        pytest.skip("needs node")
+    folder = tmp_path_factory.mktemp("wasm")
+    (folder / "fma.cpp").write_text(SOURCE, encoding="utf-8")
+    (folder / "fma.wasm").write_bytes(build.compile_wasm(folder / "fma.cpp"))
+    return folder / "fma.wasm"
+
+
+def fused(wasm: Path, triples: Iterable[Iterable[float]]) -> np.ndarray:
+    """The multiply-adds of triples, computed by node."""
+    numbers = wasm.with_name("triples")
+    numbers.write_bytes(np.array(triples, np.float64).tobytes())
+    command = ["node", "--input-type=module", "--eval", SCRIPT, str(wasm), str(numbers)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return np.frombuffer(bytes.fromhex(json.loads(done.stdout)))
+
+
+def exact(a: float, b: float, c: float) -> float:
+    """a b + c rounded once, computed with fractions."""
+    value = Fraction(a) * Fraction(b) + Fraction(c)
+    return float(value) if value else a * b + c if 0.0 in (a, b) else 0.0
+
+
+def triples_of(case: str) -> np.ndarray:
+    """Triples of a kind, one per row."""
+    rng, count = np.random.default_rng(3), 4000
+
+    def sized(low: int, high: int, places: int = 52) -> np.ndarray:
+        fraction = 1.0 + np.floor(rng.random(count) * 2.0**places) / 2.0**places
+        return rng.choice([-1.0, 1.0], count) * fraction * 2.0 ** rng.integers(low, high, count)
+
+    if case == "zeros":
+        return np.array(list(itertools.product((0.0, -0.0, 1.5, -1.5, 2.0**-400, 2.0**400), repeat=3)))
+    if case == "halves":
+        # With few digits a sum often lies halfway between two numbers.
+        return np.array((sized(-3, 4, 3), 1.0 + rng.integers(0, 4, count) * 2.0**-52, sized(-60, 60, 3))).T
+    if case == "any size":
+        return np.array((sized(-1000, 500), sized(-500, 500), sized(-1074, 1000))).T
+    a, b = sized(-3, 4), sized(-3, 4)
+    c = -a * b * (1.0 + rng.integers(-3, 4, count) * 2.0**-52) if case == "cancel" else sized(-110, 111)
+    return np.array((a, b, c)).T
+
+
+@pytest.mark.parametrize("case", ["ordinary", "cancel", "halves", "any size", "zeros"])
+def test_products_and_sums_are_rounded_once(wasm: Path, case: str) -> None:
+    triples = triples_of(case)
+    expected = np.array([exact(*triple) for triple in triples.tolist()])
+    assert np.array_equal(fused(wasm, triples).view(np.uint64), expected.view(np.uint64))
+
+
+def test_infinite_and_undefined_numbers_stay_so(wasm: Path) -> None:
+    inf = math.inf
+    found = fused(
+        wasm, [(inf, -2.0, 1.0), (1.0, 2.0, inf), (inf, 0.0, 1.0), (inf, 1.0, -inf), (2.0**1000, 2.0**1000, 1.0)]
+    )
+    assert found[:2].tolist() == [-inf, inf] and np.isnan(found[2:4]).all() and found[4] == inf
+
+
+def test_another_folder_and_cache_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = build.compile_wasm()
+    shutil.copytree(build.CORE, tmp_path / "core")
+    for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"):
+        monkeypatch.setenv(name, str(tmp_path / name))
+    monkeypatch.chdir(tmp_path)
+    assert build.compile_wasm(tmp_path / "core" / "web.cpp") == first
+    assert first.startswith(b"\0asm\1\0\0\0")
+
+
+def test_an_error_of_the_compiler_is_shown(tmp_path: Path) -> None:
+    (tmp_path / "wrong.cpp").write_text("int wrong( {", encoding="utf-8")
+    with pytest.raises(RuntimeError, match=r"wrong\.cpp:1:13: error"):
+        build.compile_wasm(tmp_path / "wrong.cpp")
