@@ -294,20 +294,12 @@ class CapsuleEnv(gym.Env[np.ndarray, np.ndarray]):
 
         Args:
             horizon: agent steps of a whole episode, over which `mean_speed` is computed; None for those of the task.
-
-        Raises:
-            TypeError: if the horizon is not an integer.
-            ValueError: if it is below 1.
         """
         steps = self.simulation.task.episode_steps if horizon is None else check_count("horizon", horizon)
         return {name: float(value[0]) for name, value in self.simulation.metrics(_FIRST, steps).items()}
 
     def render(self) -> np.ndarray | None:
-        """Draws the current state.
-
-        Returns:
-            An array of shape (height, width, 3), uint8, in the mode "rgb_array"; None in the mode "human".
-        """
+        """Draws the current state; returns a frame (height, width, 3), uint8, in the mode "rgb_array", else None."""
         if self.render_mode is None:
             gym.logger.warn("render() draws nothing without a render_mode: gym.make(.., render_mode='rgb_array')")
             return None
@@ -343,10 +335,8 @@ def make_renderer(simulation: Simulation, mode: str) -> Renderer:
 def describe(values: Any, state: np.ndarray, termination: Any) -> dict[str, Any]:
     """The info of a reset or a step in the speed task.
 
-    Args:
-        values: the first rows of `Row`: a list of floats for one environment, shape (n, num_envs) for a batch.
-        state: shape (4,) for one environment, (num_envs, 4) for a batch.
-        termination: an int for one environment, int64 of shape (num_envs,) for a batch.
+    `values` are the first rows of `Row`: a list of floats for one environment, shape (n, num_envs) for a batch, with the
+    state of shape (num_envs, 4) and the terminations, int64.
     """
     return {
         "state": state,

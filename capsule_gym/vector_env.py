@@ -133,10 +133,6 @@ class CapsuleVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
         Returns:
             Observations, float32 of shape (num_envs, entries), and the infos.
-
-        Raises:
-            TypeError: if an option is of the wrong type.
-            ValueError: if an option is unknown, of the wrong shape or out of range.
         """
         own = self.simulation.task.options
         options = check_options(options, (*RESET_OPTIONS, *own, "reset_mask"))
