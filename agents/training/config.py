@@ -18,7 +18,8 @@ from tyro.conf import Fixed, Suppress
 
 from capsule_gym.checks import check_integer, check_number
 from capsule_gym.command_line import Count
-from capsule_gym.config import DOCS, EnvConfig
+from capsule_gym.config import EnvConfig
+from capsule_gym.env import DOCS
 from capsule_gym.parameters import Capsule, Randomization
 from capsule_gym.task import CONTROL_DT, TASKS
 

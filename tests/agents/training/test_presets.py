@@ -19,7 +19,8 @@ from agents.evaluation.policies import CHECKPOINTS, checkpoint_names, find_candi
 from agents.training.algorithms import make_noise
 from agents.training.config import CONFIG, RANGES, Environment, PPOConfig, read_config
 from agents.training.presets import PRESETS, ROWS
-from capsule_gym.config import DOCS, EnvConfig
+from capsule_gym.config import EnvConfig
+from capsule_gym.env import DOCS
 from capsule_gym.parameters import RANDOMIZATIONS
 from capsule_gym.task import CONTROL_DT, ENV_ID, TASKS
 from examples import rl_zoo_sac
