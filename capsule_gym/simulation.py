@@ -285,12 +285,13 @@ class Simulation:
                 )
         schedules = [self._schedule(changes) for changes in options.get("changes", ())]
         count = len(rows)
-        if count and not (0 <= rows.min() and rows.max() < self.num_envs and count <= self.num_envs):
+        fits = count <= self.num_envs
+        if fits:
+            self._rows[:count] = rows
+        if not fits or _core.call("draw_episodes", self._batch, count) >= 0:
             accepted = f"rows must be indices of environments, from 0 to {self.num_envs - 1}, each at most once"
             raise IndexError(f"{accepted}, got {written(rows.tolist())}")
-        self._rows[:count] = rows
         starts = self._starts[:, :count]
-        _core.call("draw_episodes", self._batch, count)
         drawn = self._draw_rows(count, options) if len(self.draw_table) else None
         if M is not None or mu is not None or options.get("capsule"):
             masses = starts[Row.M].tolist() if M is None else M

@@ -93,7 +93,7 @@ def _plain(law: Callable[..., Any], cells: int) -> Callable[..., tuple[float, ..
         found = tuple(law(theta, theta_dot, x, x_dot, numbers[:cells], numbers[cells:]))
         if len(found) != 2 or len(renewed := tuple(found[1])) != cells:
             raise TypeError(f"a control law must return (torque, memory) with {cells} cells of memory")
-        return float(found[0]), *map(float, renewed)
+        return found[0], *renewed
 
     return call
 

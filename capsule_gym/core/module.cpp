@@ -50,8 +50,11 @@ PyObject* select_level(PyObject*, PyObject* given) {
   const char* name = PyUnicode_AsUTF8AndSize(given, nullptr);
   if (!name) return nullptr;
   for (int i = BEST; i < NUM_LEVELS; i++)
-    if (!__builtin_strcmp(LEVELS[i]->name, name)) level = LEVELS[i];
-  Py_RETURN_NONE;
+    if (!__builtin_strcmp(LEVELS[i]->name, name)) {
+      level = LEVELS[i];
+      Py_RETURN_NONE;
+    }
+  return PyErr_Format(PyExc_ValueError, "level must be one that this processor runs, got '%s'", name);
 }
 
 // --- batches and functions ---
@@ -132,7 +135,8 @@ void call_plain(void* data, double* block, double* torques, long long n) {
   const auto& [function, cells, numbers, lanes, first] = *(const PlainLaw*)data;
   const double* halt = lanes == 1 ? ((Block<1>*)block)->halt : ((Block<LANES>*)block)->halt;
   PyGILState_STATE lock = PyGILState_Ensure();
-  // The first exception, which `advance` raises. One that is no `Exception`, such as Ctrl-C, replaces it and ends the calls.
+  // The first exception, which `advance` raises. One that is no `Exception`, such as Ctrl-C, replaces it and ends the
+  // calls.
   PyObject *type, *value, *trace;
   PyErr_Fetch(&type, &value, &trace);
   bool stops = type && !PyErr_GivenExceptionMatches(type, PyExc_Exception);
@@ -146,10 +150,13 @@ void call_plain(void* data, double* block, double* torques, long long n) {
     PyObject* found = PyObject_CallObject(function, given);
     Py_DecRef(given);
     if (found) {
-      torques[j] = PyFloat_AsDouble(PyTuple_GetItem(found, 0));
+      double torque = PyFloat_AsDouble(PyTuple_GetItem(found, 0));
       for (long long r = 0; r < cells; r++) memory[r * lanes] = PyFloat_AsDouble(PyTuple_GetItem(found, 1 + r));
       Py_DecRef(found);
-      continue;
+      if (!PyErr_Occurred()) {
+        torques[j] = torque;
+        continue;
+      }
     }
     stops = !PyErr_ExceptionMatches(PyExc_Exception);
     if (type && !stops) {

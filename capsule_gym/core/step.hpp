@@ -297,7 +297,8 @@ template <class T, int N> struct Step {
     EACH {
       T torque = load<T>(torques + j);
       auto keeps = (GET(halt) == HALTED) | !(abs(torque) < INFINITE);
-      for (long long at = j; at < size; at += N) store<T>(memory + at, select(keeps, load<T>(kept + at), load<T>(memory + at)));
+      for (long long at = j; at < size; at += N)
+        store<T>(memory + at, select(keeps, load<T>(kept + at), load<T>(memory + at)));
       keep_torque(j, torque, tick);
     }
   }
