@@ -28,10 +28,7 @@ from agents.training.presets import ENV_PRESETS, PRESETS, ROWS
         (["--row", "fastest"], "--row: a row must be one of residual-ppo, "),
         (["--row", "direct-ppo", "--task", "residual"], "--task must stay direct with --row direct-ppo, got residual"),
         (["--env", "Pendulum-v1"], "--env"),
-        (
-            ["--row", "direct-ppo", "--env", "CapsuleGoal-v0"],
-            "--env must stay CapsuleStickSlip-v0 with --row",
-        ),
+        (["--row", "direct-ppo", "--env", "CapsuleGoal-v0"], "--env must stay CapsuleStickSlip-v0 with --row"),
         (["--row", "direct-sac", "--algo", "ppo"], "--algo must stay sac with --row direct-sac, got ppo"),
     ],
 )

@@ -215,10 +215,7 @@ def test_a_push_and_a_slope_of_the_same_force_agree_on_the_platform_that_sticks(
         ),
         (lambda: Disturbances(unmeasured=("x",)), r"Disturbances\.unmeasured must be .* got \('x',\)"),
         (lambda: Disturbances(controls="all"), r"Disturbances\.controls must be 'both', 'law' or 'agent', got 'all'"),
-        (
-            lambda: CapsuleEnv(disturbances="some"),
-            r"disturbances must be a Disturbances or one of .*, got 'some'",
-        ),
+        (lambda: CapsuleEnv(disturbances="some"), r"disturbances must be a Disturbances or one of .*, got 'some'"),
         (lambda: Randomization(k=(2.0, 1.0)), r"Randomization\.k must be a pair .* got \(2\.0, 1\.0\)"),
         (lambda: CapsuleEnv(randomization=Randomization(m=(0.1, 40.0), mu=(0.5, 9.0))), r"Painleve"),
         (lambda: CapsuleEnv(randomization=Randomization(c=(0.1, 900.0))), r"physics_dt must be at most"),

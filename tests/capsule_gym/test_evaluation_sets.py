@@ -31,10 +31,7 @@ def change(*changes):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (
-            [],
-            r"set must be an object with the fields name, plants and optionally .*disturbances, got \[\]",
-        ),
+        ([], r"set must be an object with the fields name, plants and optionally .*disturbances, got \[\]"),
         ({"name": "x"}, r"fields name, plants and optionally task, capsule, disturbances, got {'name': 'x'}"),
         ({"name": "", "plants": []}, "set.name must be a string that is not empty, got ''"),
         ({"name": "x", "plants": []}, r"at least one plant, got \[\]"),

@@ -12,16 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from capsule_gym.parameters import Capsule
-from capsule_gym.rendering import (
-    FLOOR,
-    GHOST,
-    HEADER,
-    HEIGHT,
-    WIDTH,
-    Renderer,
-    _number,
-    write_gif,
-)
+from capsule_gym.rendering import FLOOR, GHOST, HEADER, HEIGHT, WIDTH, Renderer, _number, write_gif
 
 pygame = pytest.importorskip("pygame")
 Image = pytest.importorskip("PIL.Image")

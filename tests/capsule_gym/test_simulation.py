@@ -117,11 +117,3 @@ def test_a_jump_that_a_reset_cancels_never_comes():
     for _ in range(12):
         simulation.step(np.zeros(2))
     assert simulation.row(Row.M).tolist() == [0.6, M]
-
-
-def test_what_a_law_has_spoilt_is_not_observed():
-    simulation = Simulation(2, EnvConfig(controller=picky_controller))
-    with pytest.raises(ValueError, match="in environment 1"):
-        simulation.reset(np.arange(2), state=np.array([[0.1, 0.0, 0.0, 0.0], [0.1, 0.0, -6.0, 0.0]]))
-    assert np.isfinite(simulation.observations).all()
-    assert np.isfinite(simulation.world[0, : Row.steps, :2]).all()
