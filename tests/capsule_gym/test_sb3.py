@@ -11,8 +11,9 @@ from capsule_gym.layout import Row
 from capsule_gym.sb3 import CapsuleSB3VecEnv
 
 
-def test_sb3_batch_is_the_native_batch_with_terminal_observations():
-    kwargs = {"controller": "baselines:adaptive", "residual_limit": 3.0, "max_episode_steps": 30}
+@pytest.mark.parametrize("kwargs", [{"controller": "baselines:adaptive", "residual_limit": 3.0}, {"task": "goal"}])
+def test_sb3_batch_is_the_native_batch_with_terminal_observations(kwargs):
+    kwargs = {**kwargs, "max_episode_steps": 30}
     ours = CapsuleSB3VecEnv(6, seed=4, **kwargs)
     native = CapsuleVectorEnv(6, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs)
     assert ours.reset().tobytes() == native.reset(seed=4)[0].tobytes()
@@ -35,7 +36,8 @@ def test_sb3_batch_is_the_native_batch_with_terminal_observations():
                 assert not np.array_equal(info["terminal_observation"], observations[i])
                 assert info["TimeLimit.truncated"] == bool(expected[3][i] and not expected[2][i])
                 assert info["episode"] == {"r": pytest.approx(returns[i]), "l": lengths[i]}
-                assert info["metrics"]["failed"] == float(expected[2][i])
+                metrics = expected[4]["final_info"]["metrics"]
+                assert info["metrics"] == {name: metrics[name][i] for name in metrics if name[0] != "_"}
                 returns[i], lengths[i] = 0.0, 0
                 seen.add((bool(expected[2][i]), bool(expected[3][i])))
     # Both kinds of end occurred: failures and time limits.

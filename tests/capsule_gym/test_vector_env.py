@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import copy
 import hashlib
+import itertools
 import multiprocessing
 import os
 import pickle
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from capsule_gym import Capsule, CapsuleVectorEnv
-from capsule_gym.task import ENV_ID, METRICS, Termination
+import baselines
+from capsule_gym import Capsule, CapsuleEnv, CapsuleVectorEnv
+from capsule_gym.task import ENV_ID, METRICS, TASKS, Termination
 from tests.capsule_gym.fakes import picky_controller
 
 VARIANTS = [
@@ -101,17 +104,17 @@ def test_batch_equals_single_environments_across_resets(mode, kwargs, n, threads
     batch.close()
 
 
-@pytest.mark.parametrize(("kwargs", "steps"), [({}, 1650), ({"max_episode_steps": 10}, 10)])
-def test_make_vec_gives_the_native_batch_whose_spec_says_its_time_limit(kwargs, steps):
-    env = gym.make_vec(ENV_ID, num_envs=4, autoreset_mode="SAME_STEP", controller="baselines:adaptive", **kwargs)
+@pytest.mark.parametrize("env_id", [env_id for env_id, _ in TASKS.values()])
+@pytest.mark.parametrize("kwargs", [{}, {"max_episode_steps": 10}], ids=["default", "short"])
+def test_make_vec_gives_the_native_batch_whose_spec_says_its_time_limit(kwargs, env_id):
+    env = gym.make_vec(env_id, num_envs=4, autoreset_mode="SAME_STEP", **kwargs)
     assert isinstance(env.unwrapped, CapsuleVectorEnv)
     assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
-    assert env.observation_space.shape == (4, 10)
+    steps = kwargs.get("max_episode_steps", gym.spec(env_id).max_episode_steps)
     assert env.spec.max_episode_steps == env.unwrapped.max_episode_steps == steps
     again = gym.make_vec(type(env.spec).from_json(env.spec.to_json()))
     assert (again.num_envs, again.unwrapped.max_episode_steps, again.spec.max_episode_steps) == (4, steps, steps)
     assert CapsuleVectorEnv(2, **kwargs).spec is None
-    assert gym.spec(ENV_ID).max_episode_steps == 1650
 
 
 def test_disabled_autoreset_stands_still_until_the_mask_names_it():
@@ -142,36 +145,48 @@ def flat(value) -> list:
     """All values of nested infos, in bytes."""
     if isinstance(value, dict):
         return [entry for key in value for entry in (key, *flat(value[key]))]
-    if isinstance(value, (tuple, list)) or value.dtype == object:
+    if isinstance(value, (tuple, list)) or (isinstance(value, np.ndarray) and value.dtype == object):
         return [entry for each in value if each is not None for entry in flat(each)]
-    return [value.tobytes()]
+    return [np.asarray(value).tobytes()]
 
 
-@pytest.mark.parametrize("kwargs", [VARIANTS[1], VARIANTS[-1]])
-@pytest.mark.parametrize("mode", AutoresetMode)
+def play(env, seed: int, steps: int) -> list:
+    """The results of steps, and of the resets of a single environment between them, and the metrics, in bytes."""
+    rng, seen = np.random.default_rng(seed), []
+    for _ in range(steps):
+        result = env.step(rng.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32))
+        seen.append(flat(result))
+        if isinstance(env, gym.Env) and (result[2] or result[3]):
+            seen.append(flat(env.reset()))
+    return [*seen, flat(env.unwrapped.episode_metrics()), env.unwrapped.np_random.random()]
+
+
+LAWS = VARIANTS[1], VARIANTS[2], VARIANTS[3], VARIANTS[-1], {"controller": baselines.adaptive}
+BATCHES = itertools.product((VARIANTS[1], VARIANTS[-1]), AutoresetMode)
+MADE = [
+    *(partial(gym.make, max_episode_steps=60, **kwargs) for kwargs in LAWS),
+    *(partial(gym.make_vec, num_envs=66, max_episode_steps=30, autoreset_mode=mode, threads=2, **kwargs)
+      for kwargs, mode in BATCHES),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("make", MADE)
 @pytest.mark.parametrize("make_copy", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_a_copy_goes_on_with_the_episodes_bit_for_bit_and_on_its_own(make_copy, mode, kwargs):
-    n = 66
-    made = {"max_episode_steps": 30, "autoreset_mode": mode, "threads": 2, **kwargs}
-    env = gym.make_vec(ENV_ID, num_envs=n, **made)
-    with pytest.raises(gym.error.ResetNeeded):
-        make_copy(env).step(np.zeros((n, 1), np.float32))
-    env.reset(seed=4, options={"changes": [[{"t": 0.4, "M": 0.6, "mu": 0.02}]] * n})
-
-    def play(batch, seed, steps):
-        rng = np.random.default_rng(seed)
-        return [flat(batch.step(rng.uniform(-1.0, 1.0, (n, 1)).astype(np.float32))) for _ in range(steps)]
-
-    # The batch is copied in the middle of the episodes, and just after they have ended.
+def test_a_copy_goes_on_with_the_episodes_bit_for_bit_and_on_its_own(make_copy, make):
+    env = make(ENV_ID)
+    for each in (env, make_copy(env)):
+        with pytest.raises(gym.error.ResetNeeded):
+            each.unwrapped.step(np.zeros(env.action_space.shape, np.float32))
+    changes = [{"t": 0.05, "M": 0.5, "mu": 0.01}, {"t": 0.4, "M": 0.6, "mu": 0.02}]
+    env.reset(seed=4, options={"changes": changes if isinstance(env, gym.Env) else [changes] * 66})
+    # The environment is copied in the middle of the episodes, and just after they have ended.
     for steps in (10, 20):
         play(env, 0, steps)
         twin = make_copy(env)
         assert (twin.spec, twin.metadata, twin.observation_space) == (env.spec, env.metadata, env.observation_space)
-        twins = make_copy(twin), twin
-        expected = play(env, 1, 70)
+        twins, expected = (make_copy(twin), twin), play(env, 1, 70)
         for each in twins:
             assert play(each, 1, 70) == expected
-            assert flat(each.episode_metrics()) == flat(env.episode_metrics())
             each.close()
         env.reset(seed=5)
     env.close()
@@ -288,9 +303,13 @@ def test_bad_resets_are_named(seed, options, error, message):
         CapsuleVectorEnv(2).reset(seed=seed, options=options)
 
 
-@pytest.mark.parametrize("actions", [np.zeros(2), np.zeros((3, 1)), np.array([[0.0], [np.nan]]), [["a"], ["b"]], None])
-def test_bad_actions_are_named(actions):
-    env = CapsuleVectorEnv(2)
+ALONE = [np.zeros(2), np.array([np.nan]), np.zeros((1, 1)), 0.5, np.array([np.inf]), ["a"], None, {}]
+SEVERAL = [np.zeros(2), np.zeros((3, 1)), np.array([[0.0], [np.nan]]), [["a"], ["b"]], None]
+
+
+@pytest.mark.parametrize(("n", "action"), [*((None, each) for each in ALONE), *((2, each) for each in SEVERAL)])
+def test_bad_actions_are_named(n, action):
+    env = CapsuleVectorEnv(n) if n else CapsuleEnv()
     env.reset(seed=0)
-    with pytest.raises(ValueError, match="actions must be"):
-        env.step(actions)
+    with pytest.raises(ValueError, match=r"^actions? must be"):
+        env.step(action)
