@@ -11,7 +11,6 @@ import base64
 import json
 import zlib
 from dataclasses import asdict, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -41,20 +40,10 @@ SETS = (*evaluation_sets.SET_NAMES, *evaluation_sets.FURTHER_SET_NAMES, *evaluat
 LARGEST_MOTOR_FRICTION = 0.2
 # Accepted values of the plant's constants. The largest friction is also accepted at the smallest mass.
 RANGES = Randomization(
-    M=(0.2, M_BOUND * NOMINAL.M),
-    mu=(0.0, MU_BOUND),
-    m=(0.1, 0.18),
-    l=(0.25, 0.35),
-    g=(1.0, 15.0),
-    k=(0.2, 0.6),
-    c=(0.05, 0.15),
-    static_ratio=(1.0, 1.5),
-    backward_ratio=(0.5, 1.5),
-    viscous=(0.0, 2.0),
-    stribeck_speed=(0.02, 1.0),
-    slope=(-0.2, 0.2),
-    motor_friction=(0.0, LARGEST_MOTOR_FRICTION),
-)
+    M=(0.2, M_BOUND * NOMINAL.M), mu=(0.0, MU_BOUND), m=(0.1, 0.18), l=(0.25, 0.35), g=(1.0, 15.0), k=(0.2, 0.6),
+    c=(0.05, 0.15), static_ratio=(1.0, 1.5), backward_ratio=(0.5, 1.5), viscous=(0.0, 2.0), stribeck_speed=(0.02, 1.0),
+    slope=(-0.2, 0.2), motor_friction=(0.0, LARGEST_MOTOR_FRICTION),
+)  # fmt: skip
 # Range of energy weights (cm/J) in the training of the policy that observes its weight.
 TRAINED_WEIGHTS = (0.1, 20.0)
 
@@ -83,15 +72,12 @@ class Archive:
 def pack_data(module: bytes) -> str:
     """The archive with all data for the JavaScript, compressed, in base64; `module` is the compiled core."""
     archive = Archive()
+    # The names and sizes of what the core takes.
+    core = {name.lower(): getattr(_core, name) for name in ("ROWS", "SETTINGS", "BATCH", "NETWORK", "CELLS")}
+    core |= {"history_rows": _core.HISTORY_ROWS, "parameters": len(PARAMETERS)}
     header = {
         "module": archive.add(module),
-        # The names and sizes of what the core takes.
-        "core": {
-            **{name.lower(): getattr(_core, name) for name in ("ROWS", "SETTINGS", "BATCH", "NETWORK", "CELLS")},
-            "history_rows": _core.HISTORY_ROWS,
-            "parameters": len(PARAMETERS),
-            "terminations": [termination.name for termination in task.Termination],
-        },
+        "core": {**core, "terminations": [termination.name for termination in task.Termination]},
         "tasks": {name: describe_task(find_task(name)) for name in _core.TASKS},
         "variation": describe_variation(),
         "controllers": {name: describe_controller(name, archive) for name in LAWS},
@@ -99,7 +85,7 @@ def pack_data(module: bytes) -> str:
         "torques": TORQUES.tolist(),
         "sets": {name: describe_set(evaluation_sets.load_set(name)) for name in SETS},
         "constants": constants(),
-        "episodes": json.loads(FILE.read_text(encoding="utf-8")),
+        "episodes": json.loads(FILE.read_text("utf-8")),
     }
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
     return base64.b64encode(zlib.compress(len(text).to_bytes(4, "little") + text + archive.content, 9)).decode()
@@ -140,12 +126,6 @@ def describe_controller(name: str, archive: Archive) -> dict[str, Any]:
     }
 
 
-@cache
-def _corners(capsule: Capsule) -> list[Capsule]:
-    """The stiffest plants that the page accepts, including the motor friction of disturbances."""
-    return list(replace(RANGES, motor_friction=(0.0, 2.0 * LARGEST_MOTOR_FRICTION)).corners(capsule))
-
-
 def describe_settings(options: EnvConfig) -> dict[str, Any]:
     """The settings of the step for an environment, ideal and disturbed, and the length of its episodes.
 
@@ -157,9 +137,11 @@ def describe_settings(options: EnvConfig) -> dict[str, Any]:
     if plant.extended or plant.pivot_torque_on_contact:
         raise ValueError(f"options must be of a level floor with Coulomb's friction and Newton's force, got {options}")
     packed = {}
+    # The stiffest plants that the page accepts, including the motor friction of disturbances.
+    corners = list(replace(RANGES, motor_friction=(0.0, 2.0 * LARGEST_MOTOR_FRICTION)).corners(capsule))
     for name, disturbances in (("ideal", "none"), ("disturbed", Disturbances())):
         settings = make_settings(replace(options, randomization="none", disturbances=disturbances), law)
-        for corner in _corners(capsule):
+        for corner in corners:
             check_step(corner, corner.M, corner.mu, settings)
         given = {**settings._asdict(), **plant._asdict(), "varied": bool(settings.history)}
         packed[name] = ordered(_core.SETTINGS, given).tolist()
@@ -178,33 +160,29 @@ def _common(capsule: Capsule, disturbances: str | Disturbances) -> dict[str, Any
     return {"capsule": [getattr(capsule, name) for name in CONSTANTS], "disturbances": given}
 
 
-def _describe(name: str, policy: Policy | ScriptedPolicy) -> dict[str, Any]:
-    """What the descriptions of all drivers share."""
-    options = EnvConfig(**policy.env_kwargs)
-    law = DIRECT if options.controller is None else str(options.controller).removeprefix("baselines:")
-    if law not in LAWS:
-        raise ValueError(f"controller must be None or a law of baselines, got {options.controller}")
-    own = {"task": find_task(options.task).name, "controller": law, "settings": describe_settings(options)}
-    return {"name": name, "description": policy.description, **own}
-
-
-def describe_policy(name: str, policy: Policy) -> dict[str, Any]:
-    """The description of a trained policy for the browser; the network is a float64 array.
+def describe_policy(name: str, policy: Policy | ScriptedPolicy) -> dict[str, Any]:
+    """The description of a policy for the browser; the network of a trained one is a float64 array.
 
     Raises:
         ValueError: if the policy's environment is not one of the browser's.
     """
-    weights = {"energyWeight": TRAINED_WEIGHTS} if policy.observes_energy_weight else {}
-    own = {"kind": "policy", "seed": policy.training_seed, "network": policy._network}
-    return {**_describe(name, policy), **weights, **own}
+    options = EnvConfig(**policy.env_kwargs)
+    law = DIRECT if options.controller is None else str(options.controller).removeprefix("baselines:")
+    if law not in LAWS:
+        raise ValueError(f"controller must be None or a law of baselines, got {options.controller}")
+    described = {"name": name, "description": policy.description, "task": find_task(options.task).name}
+    described |= {"controller": law, "settings": describe_settings(options)}
+    if not isinstance(policy, Policy):
+        return described
+    described |= {"energyWeight": TRAINED_WEIGHTS} if policy.observes_energy_weight else {}
+    return {**described, "kind": "policy", "seed": policy.training_seed, "network": policy._network}
 
 
 def describe_driver(policy: Policy | ScriptedPolicy, archive: Archive) -> dict[str, Any]:
     """The description of a driver for the page and the step."""
-    name = policy.name
+    name, described = policy.name, describe_policy(policy.name, policy)
     if isinstance(policy, Policy):
-        return {**describe_policy(name, policy), "network": archive.add_array(policy._network)}
-    described = _describe(name, policy)
+        return {**described, "network": archive.add_array(described["network"])}
     if name in ("gait-nominal", "gait-oracle"):
         nominal = GaitMap((NOMINAL.M,), (NOMINAL.mu,), (tolerant_nominal(),), ((0,),))
         found = nominal if name == "gait-nominal" else known_gaits().oracle

@@ -297,6 +297,7 @@ def test_a_substep_of_a_batch_has_the_bits_of_the_plants_step(options, h):
         assert values.tobytes() == getattr(motion, name).tobytes(), name
     assert batch.row(Row.energy).tobytes() == (np.abs(actions) * motion.swept).tobytes()
     assert np.count_nonzero(motion.events == 1.0) > 100 and np.count_nonzero(motion.x_dot == 0.0) > 20
+    assert np.count_nonzero(motion.normal_force == 0.0) > 20
 
 
 def test_fourth_order_through_dozens_of_events():
