@@ -75,39 +75,49 @@ def pack_data(module: bytes) -> str:
     # The names and sizes of what the core takes.
     core = {name.lower(): getattr(_core, name) for name in ("ROWS", "SETTINGS", "BATCH", "NETWORK", "CELLS")}
     core |= {"history_rows": _core.HISTORY_ROWS, "parameters": len(PARAMETERS)}
+    # The fields of a task's memory, those shown in `info`, and the draws at a reset, whose rows follow the rest.
+    tasks = {}
+    for name, own in ((name, find_task(name)) for name in _core.TASKS):
+        table = resets.draw_table(own.rows - len(own.draws), resets.Stream.task, own.draws).tolist()
+        tasks[name] = {"memory": own.fields, "shown": own.shown, "options": list(own.options), "table": table}
+    # What a varied plant draws.
+    draws = [task.Draw(0.0, 0.0)] * (len(CONSTANTS) + len(DISTURBANCES)) + [task.Draw(0.0, LARGEST_KEY)]
+    limits = {name: Disturbances.limits(name) for name in DISTURBANCES}
+    ranges = parameters.RANDOMIZATIONS.items()
     header = {
         "module": archive.add(module),
         "core": {**core, "terminations": [termination.name for termination in task.Termination]},
-        "tasks": {name: describe_task(find_task(name)) for name in _core.TASKS},
-        "variation": describe_variation(),
+        "tasks": tasks,
+        "variation": {
+            "constants": CONSTANTS,
+            "disturbances": DISTURBANCES,
+            "table": resets.draw_table(Row.drawn_m, resets.Stream.variation, draws).tolist(),
+            "limits": {**limits, "motor_friction": (0.0, LARGEST_MOTOR_FRICTION)},
+            "ideal": asdict(Disturbances()),
+        },
         "controllers": {name: describe_controller(name, archive) for name in LAWS},
         "drivers": [describe_driver(policy, archive) for policy in drivers().values()],
         "torques": TORQUES.tolist(),
         "sets": {name: describe_set(evaluation_sets.load_set(name)) for name in SETS},
-        "constants": constants(),
+        # In SI units.
+        "constants": {
+            "control_dt": task.CONTROL_DT,
+            "steps": task.EPISODE_STEPS,
+            "horizons": {name: steps * task.CONTROL_DT for name, (_, steps) in task.TASKS.items()},
+            "torque_limit": task.TORQUE_LIMIT,
+            "theta_limit": task.THETA_LIMIT,
+            **{name: getattr(NOMINAL, name) for name in ("m", "l", "g")},
+            "nominal": {name: getattr(NOMINAL, name) for name in ("M", "mu", *CONSTANTS)},
+            "ranges": {name: {"M": each.M, "mu": each.mu} for name, each in ranges if each.M and each.mu},
+            "limits": {name: getattr(RANGES, name) for name in ("M", "mu", *CONSTANTS)},
+            "real": asdict(parameters.REAL),
+            "start": {"theta": task.START_THETA, "theta_dot": 0.0, "x": 0.0, "x_dot": 0.0},
+            "largest_state": dict(zip(_core.ROWS, task.LARGEST_STATE, strict=False)),
+        },
         "episodes": json.loads(FILE.read_text("utf-8")),
     }
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
     return base64.b64encode(zlib.compress(len(text).to_bytes(4, "little") + text + archive.content, 9)).decode()
-
-
-def describe_task(own: task.Task) -> dict[str, Any]:
-    """A task: the fields of its memory, those shown in `info`, and the draws at a reset, whose rows follow the rest."""
-    table = resets.draw_table(own.rows - len(own.draws), resets.Stream.task, own.draws)
-    return {"memory": own.fields, "shown": own.shown, "options": list(own.options), "table": table.tolist()}
-
-
-def describe_variation() -> dict[str, Any]:
-    """The constants that a varied plant draws, and their accepted values."""
-    draws = [task.Draw(0.0, 0.0)] * (len(CONSTANTS) + len(DISTURBANCES)) + [task.Draw(0.0, LARGEST_KEY)]
-    limits = {name: Disturbances.limits(name) for name in DISTURBANCES}
-    return {
-        "constants": CONSTANTS,
-        "disturbances": DISTURBANCES,
-        "table": resets.draw_table(Row.drawn_m, resets.Stream.variation, draws).tolist(),
-        "limits": {**limits, "motor_friction": (0.0, LARGEST_MOTOR_FRICTION)},
-        "ideal": asdict(Disturbances()),
-    }
 
 
 def describe_controller(name: str, archive: Archive) -> dict[str, Any]:
@@ -210,22 +220,3 @@ def describe_set(found: evaluation_sets.EvaluationSet) -> dict[str, Any]:
     # The capsule is given also where it is the default, since a driver may have been trained on another.
     common = _common(found.env_kwargs["capsule"] or NOMINAL, found.env_kwargs["disturbances"])
     return {"hash": found.hash, "task": found.task, **common, "plants": plants}
-
-
-def constants() -> dict[str, Any]:
-    """The constants of the task and the plant, in SI units."""
-    ranges = parameters.RANDOMIZATIONS.items()
-    return {
-        "control_dt": task.CONTROL_DT,
-        "steps": task.EPISODE_STEPS,
-        "horizons": {name: steps * task.CONTROL_DT for name, (_, steps) in task.TASKS.items()},
-        "torque_limit": task.TORQUE_LIMIT,
-        "theta_limit": task.THETA_LIMIT,
-        **{name: getattr(NOMINAL, name) for name in ("m", "l", "g")},
-        "nominal": {name: getattr(NOMINAL, name) for name in ("M", "mu", *CONSTANTS)},
-        "ranges": {name: {"M": each.M, "mu": each.mu} for name, each in ranges if each.M and each.mu},
-        "limits": {name: getattr(RANGES, name) for name in ("M", "mu", *CONSTANTS)},
-        "real": asdict(parameters.REAL),
-        "start": {"theta": task.START_THETA, "theta_dot": 0.0, "x": 0.0, "x_dot": 0.0},
-        "largest_state": dict(zip(_core.ROWS, task.LARGEST_STATE, strict=False)),
-    }

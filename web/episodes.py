@@ -135,9 +135,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     committed, known = json.loads(FILE.read_text(encoding="utf-8")), np.load(RECORDINGS)
     wrong = [episode["name"] for episode in found if episode not in committed]
     wrong += [key for key, places in recorded.items() if not np.array_equal(places, known[key])]
-    print(
-        *(f"{name}: differs" for name in wrong), f"{len(found) + len(recorded)} compared, {len(wrong)} differ", sep="\n"
-    )
+    wrong = [f"{name}: differs" for name in wrong]
+    print(*wrong, f"{len(found) + len(recorded)} compared, {len(wrong)} differ", sep="\n")
     return int(bool(wrong))
 
 
