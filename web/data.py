@@ -180,7 +180,7 @@ def describe_policy(name: str, policy: Policy | ScriptedPolicy) -> dict[str, Any
     law = DIRECT if options.controller is None else str(options.controller).removeprefix("baselines:")
     if law not in LAWS:
         raise ValueError(f"controller must be None or a law of baselines, got {options.controller}")
-    described = {"name": name, "description": policy.description, "task": find_task(options.task).name}
+    described: dict[str, Any] = {"name": name, "description": policy.description, "task": find_task(options.task).name}
     described |= {"controller": law, "settings": describe_settings(options)}
     if not isinstance(policy, Policy):
         return described

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
 import math
 import multiprocessing
 import pickle
@@ -284,14 +283,6 @@ def test_observation_entries():
         )
 
 
-def test_spec_survives_json():
-    env = gym.make(ENV_ID, controller="baselines:adaptive", residual_limit=2.0)
-    spec = type(env.spec).from_json(env.spec.to_json())
-    again = gym.make(spec)
-    assert again.unwrapped.simulation.settings.residual_limit == 2.0
-    assert json.loads(env.spec.to_json())["kwargs"]["controller"] == "baselines:adaptive"
-
-
 def test_a_law_that_cannot_be_pickled_is_picklings_error_and_no_obstacle_to_deepcopy():
     def make() -> Controller:
         return picky_controller()
@@ -313,40 +304,3 @@ def first_mass() -> float:
 def test_spawned_workers_know_the_environment():
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         assert pool.apply_async(first_mass).get(timeout=60) == first_mass()
-
-
-@pytest.mark.parametrize(
-    ("kwargs", "message"),
-    [
-        ({"residual_limit": 0.0}, "residual_limit must be > 0 .*, got 0.0: the action would have no effect"),
-        ({"randomization": Randomization(M=(0.001, 0.5), mu=(5.0, 20.0))}, "Painleve"),
-        ({"physics_dt": 0.003}, "physics_dt must divide"),
-        ({"controller": "baselines:adaptive", "control_dt": 0.0015, "physics_dt": 0.0005}, "dt must divide"),
-        ({"render_mode": np.array(["human", "human"])}, "render_mode must be"),
-    ],
-)
-def test_bad_arguments_are_named(kwargs, message):
-    with pytest.raises(ValueError, match=message):
-        CapsuleEnv(**kwargs)
-
-
-@pytest.mark.parametrize(
-    ("options", "error", "message"),
-    [
-        ({"mass": 1.0}, ValueError, "mass"),
-        ([1.0], TypeError, "options must be a dict"),
-        ({"M": 0.0}, ValueError, "M must be"),
-        ({"mu": float("inf")}, ValueError, "mu must be"),
-        ({"state": "here"}, TypeError, "state"),
-        ({"state": [0.3, 1e120, 0.0, 0.0]}, ValueError, r"\|theta_dot\| <= 1000 rad/s"),
-        ({"state": [0.3, 0.0, -1.1e6, 0.0]}, ValueError, r"\|x\| <= 1e\+06 m"),
-        ({"state": [0.3, 0.0, 0.0, 1001.0]}, ValueError, r"\|x_dot\| <= 1000 m/s"),
-        ({"changes": [1.0]}, TypeError, r"options\['changes'\]\[0\].*, got 1.0"),
-        ({"changes": [{"t": 1.0, "M": 0.5}]}, ValueError, r"options\['changes'\]\[0\] must have the keys"),
-        ({"changes": [JUMP, {**JUMP, "t": 0.5}]}, ValueError, r"\[1\]\['t'\] must be later .*, 1 s, got 0.5 s"),
-        ({"changes": [{"t": 1.0, "M": 0.001, "mu": 2.0}]}, ValueError, r"options\['changes'\]\[0\]: .*Painleve"),
-    ],
-)
-def test_bad_options_are_named(options, error, message):
-    with pytest.raises(error, match=message):
-        CapsuleEnv().reset(seed=0, options=options)

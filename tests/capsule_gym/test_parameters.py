@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import math
 import re
 
 import numpy as np
 import pytest
 
-from capsule_gym import CapsuleEnv, CapsuleVectorEnv, dynamics
-from capsule_gym.config import DOCS, EnvConfig
+from capsule_gym import CapsuleVectorEnv, dynamics
+from capsule_gym.config import EnvConfig
 from capsule_gym.parameters import RANDOMIZATIONS, Capsule, Plant, Randomization
 from capsule_gym.simulation import Simulation
 
@@ -183,12 +182,6 @@ def test_named_ranges():
 
 FIELDS = {field.name: field for field in dataclasses.fields(EnvConfig)}
 NUMBERS = [name for name, field in FIELDS.items() if field.type in ("float", "float | None")]
-
-
-def test_the_page_of_the_environment_lists_the_options():
-    page = inspect.getdoc(CapsuleEnv)
-    for name in [name for name in FIELDS if name != "threads"]:
-        assert re.search(rf"^\| `{name}` \| .* \| {re.escape(DOCS[name])} \|$", page, re.MULTILINE), name
 
 
 OPTIONS = [*NUMBERS, "initial_range", "observe_parameters", "capsule", "randomization", "threads"]

@@ -15,7 +15,7 @@ from capsule_gym.resets import Stream, draw_plant, plant_at, plant_ranges, rando
 from capsule_gym.settings import STABLE
 from capsule_gym.simulation import Simulation
 from capsule_gym.task import START_THETA, Termination
-from tests.capsule_gym.fakes import picky_controller
+from tests.capsule_gym.fakes import picky_controller  # noqa: F401 (named by a pickle)
 
 
 @pytest.mark.parametrize(
@@ -83,18 +83,12 @@ def test_a_batch_for_which_there_is_no_memory_says_so(monkeypatch):
         Simulation(99)
 
 
-short = picky_controller
-
-
-def longer() -> Controller:
-    return Controller("longer", lambda *arguments: (0.0, arguments[4]), np.zeros((1, 2)), (0.0, 0.0))
-
-
 def test_a_pickle_whose_law_has_another_memory_now_is_refused(monkeypatch):
     # Compiled code would write beyond the rows of its environments.
-    packed = pickle.dumps(Simulation(1, EnvConfig(controller=f"{__name__}:short")))
-    monkeypatch.setitem(globals(), "short", longer)
-    with pytest.raises(ValueError, match=r"controller='.*:short' must be as it was"):
+    packed = pickle.dumps(Simulation(1, EnvConfig(controller=f"{__name__}:picky_controller")))
+    longer = Controller("longer", lambda *arguments: (0.0, arguments[4]), np.zeros((1, 2)), (0.0, 0.0))
+    monkeypatch.setitem(globals(), "picky_controller", lambda: longer)
+    with pytest.raises(ValueError, match=r"controller='.*:picky_controller' must be as it was"):
         pickle.loads(packed)
 
 

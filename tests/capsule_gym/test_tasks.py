@@ -44,21 +44,11 @@ def test_what_an_episode_draws_are_numpys_numbers_and_a_reset_may_set_it(name):
     assert masses[0] == masses[1]
 
 
-@pytest.mark.parametrize(
-    ("value", "error"), [("fast", ValueError), (None, TypeError), (1, TypeError), (Task, TypeError)]
-)
-def test_an_unknown_task_is_refused_by_its_name(value, error):
-    with pytest.raises(error, match=r"^task must be a Task or one of \[.*'speed'.*\], got "):
-        EnvConfig(task=value)
-
-
 def test_the_defaults_are_the_tasks_and_what_is_given_goes_before():
     config = EnvConfig(task="velocity")
     assert (config.termination_penalty, config.energy_weight) == (3.0, 0.0) and config.capsule.static_ratio == 1.3
     config = EnvConfig(task="velocity", randomization="paper", capsule=None, termination_penalty=10.0)
     assert (config.randomization, config.capsule, config.termination_penalty) == ("paper", None, 10.0)
-    with pytest.raises(TypeError, match="unexpected keyword argument 'tusk'; did you mean 'task'"):
-        EnvConfig(tusk="velocity")
 
 
 def test_a_law_belongs_to_its_task():
@@ -70,31 +60,6 @@ def test_a_law_belongs_to_its_task():
         Controller("follows", law, np.zeros((1, 2)))
     with pytest.raises(ValueError, match=r"^controller must be a law for the task 'speed' or .* for the task 'goal'"):
         CapsuleEnv(controller=Controller("follows", law, np.zeros((1, 2)), task="goal"))
-
-
-@pytest.mark.parametrize(
-    ("commands", "error", "message"),
-    [
-        (0.05, TypeError, r"^options\['commands'\] must be a list"),
-        ([], ValueError, r"^options\['commands'\] must be a list of 1 to 8"),
-        ([{"t": 0.0, "v": 0.1}] * 9, ValueError, "must be a list of 1 to 8 .* got 9"),
-        ([0.05], TypeError, r"^options\['commands'\]\[0\] must be a dict"),
-        ([{"t": 0.0}], ValueError, "must have the keys 't' and 'v' and no others"),
-        ([{"t": 1.0, "v": 0.1}], ValueError, r"^options\['commands'\]\[0\]\['t'\] must be 0 s for the first"),
-        ([{"t": 0.0, "v": 0.1}] * 2, ValueError, r"\[1\]\['t'\] must be later than the one before, 0 s"),
-        ([{"t": 0.0, "v": 0.3}], ValueError, r"\['v'\] must be a number of m/s within 0.2 of 0"),
-        ([{"t": 0.0, "v": "fast"}], TypeError, r"\['v'\] must be a number of m/s"),
-    ],
-)
-def test_bad_commands_are_named(commands, error, message):
-    env = CapsuleEnv(task="velocity")
-    env.reset(seed=0)
-    before = env.simulation.world.tobytes()
-    with pytest.raises(error, match=message):
-        env.reset(options={"commands": commands})
-    assert env.simulation.world.tobytes() == before
-    with pytest.raises(ValueError, match="options must have keys out of"):
-        CapsuleEnv().reset(options={"commands": commands})
 
 
 def test_velocity_is_measured_as_its_definition_says():
@@ -147,14 +112,6 @@ def test_a_platform_that_moves_as_it_is_told_has_no_velocity_error():
     # A command does not count if too little of it was measured.
     env.reset(options={"commands": [{"t": 0.0, "v": 0.08}], "mu": 0.0})
     assert env.episode_metrics()["velocity_error"] == 100.0
-
-
-@pytest.mark.parametrize(
-    ("goal", "error"), [(np.inf, ValueError), (-2e6, ValueError), ("far", TypeError), ([0.1], TypeError)]
-)
-def test_a_bad_goal_is_named(goal, error):
-    with pytest.raises(error, match=r"^options\['goal'\] must be a finite number of m within 1e\+06 of 0, got "):
-        CapsuleEnv(task="goal").reset(seed=0, options={"goal": goal})
 
 
 def test_the_goal_is_reached_after_a_second_of_rest_within_2_mm():
