@@ -77,9 +77,9 @@ def pack_data(module: bytes) -> str:
     core |= {"history_rows": _core.HISTORY_ROWS, "parameters": len(PARAMETERS)}
     # The fields of a task's memory, those shown in `info`, and the draws at a reset, whose rows follow the rest.
     tasks = {}
-    for name, own in ((name, find_task(name)) for name in _core.TASKS):
+    for own in map(find_task, _core.TASKS):
         table = resets.draw_table(own.rows - len(own.draws), resets.Stream.task, own.draws).tolist()
-        tasks[name] = {"memory": own.fields, "shown": own.shown, "options": list(own.options), "table": table}
+        tasks[own.name] = {"memory": own.fields, "shown": own.shown, "options": list(own.options), "table": table}
     # What a varied plant draws.
     draws = [task.Draw(0.0, 0.0)] * (len(CONSTANTS) + len(DISTURBANCES)) + [task.Draw(0.0, LARGEST_KEY)]
     limits = {name: Disturbances.limits(name) for name in DISTURBANCES}
@@ -101,11 +101,9 @@ def pack_data(module: bytes) -> str:
         "sets": {name: describe_set(evaluation_sets.load_set(name)) for name in SETS},
         # In SI units.
         "constants": {
-            "control_dt": task.CONTROL_DT,
+            **{name.lower(): getattr(task, name) for name in ("CONTROL_DT", "TORQUE_LIMIT", "THETA_LIMIT")},
             "steps": task.EPISODE_STEPS,
             "horizons": {name: steps * task.CONTROL_DT for name, (_, steps) in task.TASKS.items()},
-            "torque_limit": task.TORQUE_LIMIT,
-            "theta_limit": task.THETA_LIMIT,
             **{name: getattr(NOMINAL, name) for name in ("m", "l", "g")},
             "nominal": {name: getattr(NOMINAL, name) for name in ("M", "mu", *CONSTANTS)},
             "ranges": {name: {"M": each.M, "mu": each.mu} for name, each in ranges if each.M and each.mu},

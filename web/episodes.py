@@ -53,16 +53,6 @@ def drivers() -> dict[str, Any]:
     return ALL_SCRIPTED | {each.name: each for each in sorted(trained, key=lambda policy: "task" in policy.env_kwargs)}
 
 
-def episodes() -> list[Episode]:
-    """The definitions of the committed episodes, and of one for each driver without: driver, plant, and actions."""
-    known = json.loads(FILE.read_text(encoding="utf-8"))
-    for n, (name, policy) in enumerate(drivers().items()):
-        if all(episode["driver"] != name for episode in known):
-            task = policy.env_kwargs.get("task", "speed")
-            known.append({"name": name, "driver": name, "set": "drift" if task == "speed" else task, "plant": n})
-    return known
-
-
 def compute(episode: Episode) -> tuple[int, str]:
     """Runs an episode in Python's environment; returns the number of steps and the hash."""
     policy, found = drivers()[episode["driver"]], load_set(episode["set"])
@@ -124,7 +114,15 @@ class Args:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     args = parse(Args, "python -m web.episodes", arguments)
-    found = [{**episode, **dict(zip(("steps", "sha256"), compute(episode), strict=True))} for episode in episodes()]
+    committed = json.loads(FILE.read_text(encoding="utf-8"))
+    known, found = {episode["driver"] for episode in committed}, []
+    for n, (name, policy) in enumerate(drivers().items()):
+        if name not in known:
+            task = policy.env_kwargs.get("task", "speed")
+            committed.append({"name": name, "driver": name, "set": "drift" if task == "speed" else task, "plant": n})
+    for episode in committed:
+        steps, sha256 = compute(episode)
+        found.append({**episode, "steps": steps, "sha256": sha256})
     plants = {each: load_set(each).plants[:SEEDS] for each in SET_NAMES}
     recorded = {f"{name} {each}": record(name, plants[each]) for name in RECORDED for each in SET_NAMES}
     if args.write:
@@ -132,9 +130,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         content = io.BytesIO()
         np.savez_compressed(content, allow_pickle=False, **recorded)
         write_atomically(RECORDINGS, content.getvalue())
-    committed, known = json.loads(FILE.read_text(encoding="utf-8")), np.load(RECORDINGS)
+        committed = found
+    recordings = np.load(RECORDINGS)
     wrong = [episode["name"] for episode in found if episode not in committed]
-    wrong += [key for key, places in recorded.items() if not np.array_equal(places, known[key])]
+    wrong += [key for key, places in recorded.items() if not np.array_equal(places, recordings[key])]
     wrong = [f"{name}: differs" for name in wrong]
     print(*wrong, f"{len(found) + len(recorded)} compared, {len(wrong)} differ", sep="\n")
     return int(bool(wrong))
